@@ -1,17 +1,20 @@
-"""How long does an archive take, do two processes halve it, and is a killed one as if it had never been killed?
+"""How long does an archive take, do two processes halve it, and is a killed one as if it had never
+been killed?
 
-    python benchmarks/archive.py [--captures 722] [--folder DIR] [--json FILE] [--phases two one killed] [--lean]
+    python benchmarks/archive.py [--captures 722] [--folder DIR] [--json FILE] [--phases two one
+    killed] [--lean]
 
-The archive is made to look like CMU's: 722 captures of 39 subjects, 2 million frames at 120 Hz, lengths as uneven as
-its. A third of the subjects are real captures of ../shared/mocap (without them: none), cut, run to and fro to their
-length, and made a little larger or smaller; the others are other people's bodies in fitted real motions, seen through
-`virtual_markers` on cmu-41 (each marker 10 mm beside its place, noise, gaps). ``--captures N`` makes and measures the
-same share of everything; what that says of the whole is an extrapolation, and told as such.
+The archive is made to look like CMU's: 722 captures of 39 subjects, 2 million frames at 120 Hz,
+lengths as uneven as its. A third of the subjects are real captures of ../shared/mocap (without
+them: none), cut, run to and fro to their length, and made a little larger or smaller; the others
+are other people's bodies in fitted real motions, seen through `virtual_markers` on cmu-41 (each
+marker 10 mm beside its place, noise, gaps). ``--captures N`` makes and measures the same share of
+everything; what that says of the whole is an extrapolation, and told as such.
 
-Runs with two processes and with one, as users run them; then one that is killed (SIGKILL)
-three times at random and goes on, whose results are held against the first's, number by number. Memory is the largest
-sum over all processes that was seen twice a second. Times mean little on a busy machine: the share of the cores that
-the run got stands beside them, and what CPU seconds say.
+Runs with two processes and with one, as users run them; then one that is killed (SIGKILL) three
+times at random and goes on, whose results are held against the first's, number by number. Memory is
+the largest sum over all processes that was seen twice a second. Times mean little on a busy
+machine: the share of the cores that the run got stands beside them, and what CPU seconds say.
 """
 
 import os
@@ -42,7 +45,10 @@ from habitus.io.captures.read import Capture, read_capture
 from habitus.io.models.priors import load_pose_prior
 from habitus.population.captures import Faults, smooth_motion
 
-WHOLE, SUBJECTS, FRAMES, RATE = 722, 39, 2_000_000, 120.0
+WHOLE = 722
+SUBJECTS = 39
+FRAMES = 2_000_000
+RATE = 120.0
 MOTIONS = ("85_12", "nick_freeform_001")
 REAL = ("85_12", "HC042A40", "nick_freeform_001", "testsample2", "HDM_mm_01-02_03_120", "HC030A22")
 FAULTS = Faults(placement=0.01, noise=5e-4, missing=0.01)
@@ -50,7 +56,7 @@ GOALS = {"minutes_on_two_cores": 60.0, "speed_up": 1.8}
 RANDOM_TIMES = {"stage_seconds", "frames_per_second"}
 
 
-# -- the archive ------------------------------------------------------------------------------------------------------
+# -- the archive -----------------------------------------------------------------------------------
 
 
 def make_archive(folder: Path, captures: int, seed: int = 0) -> int:
@@ -59,17 +65,23 @@ def make_archive(folder: Path, captures: int, seed: int = 0) -> int:
     lengths = rng.lognormal(0.0, 0.9, captures)
     lengths = np.maximum(lengths / lengths.sum() * FRAMES * captures / WHOLE, 240).astype(int)
     subjects = max(2, round(SUBJECTS * captures / WHOLE))
-    motions, real = list(_motions()), [path for name in REAL if (path := CAPTURES / f"{name}.c3d").exists()]
+    motions = list(_motions())
+    real = [path for name in REAL if (path := CAPTURES / f"{name}.c3d").exists()]
     for subject, some in enumerate(np.array_split(lengths, subjects)):
         where = folder / f"subject{subject + 1:02d}"
         where.mkdir(parents=True, exist_ok=True)
         if real and subject % 3 == 0:
-            makers = _real(read_capture(real[subject // 3 % len(real)]), 1.0 - 0.05 * (subject // 3 // len(real)), rng)
+            makers = _real(
+                read_capture(real[subject // 3 % len(real)]),
+                1.0 - 0.05 * (subject // 3 // len(real)),
+                rng,
+            )
         else:
             makers = _virtual(motions[subject % len(motions)], subject, rng)
         for k, length in enumerate(some):
             write_c3d(
-                makers(f"{subject + 1:02d}_{k + 1:02d}", int(length)), where / f"{subject + 1:02d}_{k + 1:02d}.c3d"
+                makers(f"{subject + 1:02d}_{k + 1:02d}", int(length)),
+                where / f"{subject + 1:02d}_{k + 1:02d}.c3d",
             )
     return int(lengths.sum())
 
@@ -80,7 +92,8 @@ def _motions() -> Iterator[BodyMotion]:
     for path in paths:
         yield BodyMotion.of(habitus.Mosh(soft_tissue=False).fit(path))
     if not paths:
-        body, rng = habitus.load_body("default"), np.random.default_rng(1)
+        body = habitus.load_body("default")
+        rng = np.random.default_rng(1)
         prior = load_pose_prior().for_joints(body.joint_names)
         pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 6000, RATE, rng)
         yield BodyMotion(body, np.zeros(body.num_betas), pose, trans, RATE, "+y")
@@ -106,23 +119,41 @@ def _virtual(motion: BodyMotion, subject: int, rng: np.random.Generator):
 
     def made(name: str, length: int) -> Capture:
         chosen = _to_and_fro(motion.num_frames, length, rng)
-        moving = BodyMotion(motion.body, betas, motion.pose[chosen], motion.trans[chosen], RATE, motion.up_axis)
+        moving = BodyMotion(
+            motion.body, betas, motion.pose[chosen], motion.trans[chosen], RATE, motion.up_axis
+        )
         seen = habitus.virtual_markers(moving, "cmu-41", faults=FAULTS, seed=subject)
         return Capture(name, seen.labels, seen.markers, RATE, motion.up_axis)
 
     return made
 
 
-# -- runs -------------------------------------------------------------------------------------------------------------
+# -- runs ------------------------------------------------------------------------------------------
 
 
 def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None = None) -> dict:
-    """One run of the command: seconds, CPU seconds of all its processes, largest memory; killed after some seconds."""
-    command = [sys.executable, "-m", "habitus", "archive", str(folder), "--out", str(out), "--jobs", str(jobs)]
+    """One run of the command: seconds, CPU seconds of all its processes, largest memory; killed
+    after some seconds.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "habitus",
+        "archive",
+        str(folder),
+        "--out",
+        str(out),
+        "--jobs",
+        str(jobs),
+    ]
     command += ["--lean"] * lean
     began = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    most, each, cpu = 0, 0, {}
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    most = 0
+    each = 0
+    cpu = {}
     while process.poll() is None:
         sizes = []
         for one in _tree(process.pid):
@@ -131,7 +162,8 @@ def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None
                 cpu[one.pid] = sum(one.cpu_times()[:2])
             except psutil.Error:
                 continue
-        most, each = max(most, sum(sizes)), max(each, *sizes, 0)
+        most = max(most, sum(sizes))
+        each = max(each, *sizes, 0)
         if kill_after is not None and time.perf_counter() - began > kill_after:
             children = _tree(process.pid)[1:]
             process.send_signal(signal.SIGKILL)
@@ -140,9 +172,15 @@ def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None
             return {"left_behind": len(alive)}
         time.sleep(0.5)
     if process.returncode:
-        raise SystemExit(f"habitus archive ended with {process.returncode}: {process.stderr.read()}")
+        raise SystemExit(
+            f"habitus archive ended with {process.returncode}: {process.stderr.read()}"
+        )
     seconds = time.perf_counter() - began
-    told = {"seconds": seconds, "cpu_s": sum(cpu.values()), "cpu_s_of_each": sorted(cpu.values(), reverse=True)}
+    told = {
+        "seconds": seconds,
+        "cpu_s": sum(cpu.values()),
+        "cpu_s_of_each": sorted(cpu.values(), reverse=True),
+    }
     return told | {"memory_gb": most / 1e9, "largest_process_gb": each / 1e9}
 
 
@@ -175,7 +213,9 @@ def differences(one: Path, other: Path) -> list[str]:
 def costs(out: Path) -> dict:
     """What the manifest says: CPU seconds of captures and shapes, verdicts."""
     with sqlite3.connect(out / "archive.sqlite") as manifest:
-        rows = manifest.execute("SELECT frames, seconds, numbers FROM captures WHERE state = 'done'").fetchall()
+        rows = manifest.execute(
+            "SELECT frames, seconds, numbers FROM captures WHERE state = 'done'"
+        ).fetchall()
         shapes = [seconds for (seconds,) in manifest.execute("SELECT seconds FROM subjects")]
     frames, seconds = np.array([row[:2] for row in rows], float).T
     slope, base = np.polyfit(frames, seconds, 1)
@@ -189,7 +229,8 @@ def costs(out: Path) -> dict:
         "ms_a_frame": 1e3 * float(slope),
         "s_a_capture": float(base),
         "verdicts": {level: levels.count(level) for level in sorted(set(levels))},
-        "bytes_a_frame": sum(path.stat().st_size for path in out.rglob("*/*/*")) / float(frames.sum()),
+        "bytes_a_frame": sum(path.stat().st_size for path in out.rglob("*/*/*"))
+        / float(frames.sum()),
     }
 
 
@@ -199,23 +240,33 @@ def measure(folder: Path, work: Path, phases: list[str], lean: bool, seed: int) 
     if "two" in phases:
         found["two"] = run(folder, work / "two", 2, lean) | costs(work / "two")
     if "one" in phases:
-        found["one"] = run(folder, work / "one", 1, lean) | {"differences": differences(work / "two", work / "one")}
+        found["one"] = run(folder, work / "one", 1, lean) | {
+            "differences": differences(work / "two", work / "one")
+        }
         found["speed_up"] = found["one"]["seconds"] / found["two"]["seconds"]
         busiest = max(found["two"]["cpu_s_of_each"][0], found["two"]["cpu_s"] / 2)
         found["speed_up_by_cpu"] = found["one"]["cpu_s"] / busiest
     if "killed" in phases:
-        rng, usual = np.random.default_rng(seed), found["two"]["seconds"]
+        rng = np.random.default_rng(seed)
+        usual = found["two"]["seconds"]
         moments = [float(usual * share) for share in rng.uniform(0.15, 0.45, 3)]
         left = [run(folder, work / "killed", 2, lean, moment)["left_behind"] for moment in moments]
         ended = run(folder, work / "killed", 2, lean)
         different = differences(work / "two", work / "killed")
-        found["killed"] = ended | {"killed_after_s": moments, "processes_left": left, "differences": different}
+        found["killed"] = ended | {
+            "killed_after_s": moments,
+            "processes_left": left,
+            "differences": different,
+        }
     return found
 
 
 def show(found: dict, console: Console) -> None:
     """The table."""
-    table = Table(title=f"{found['captures']} captures, {found['frames']} frames; {in_words(found['machine'])}")
+    table = Table(
+        title=f"{found['captures']} captures, {found['frames']} frames; "
+        f"{in_words(found['machine'])}"
+    )
     for head in ("run", "minutes", "CPU minutes", "cores got", "memory GB", "same numbers"):
         table.add_column(head, justify="left" if head == "run" else "right")
     for name in ("two", "one", "killed"):
@@ -228,22 +279,31 @@ def show(found: dict, console: Console) -> None:
                 if not one["differences"]
                 else f"{len(one['differences'])} differ"
             )
-            values = (one["seconds"] / 60, one["cpu_s"] / 60, one["cpu_s"] / one["seconds"], one["memory_gb"])
+            values = (
+                one["seconds"] / 60,
+                one["cpu_s"] / 60,
+                one["cpu_s"] / one["seconds"],
+                one["memory_gb"],
+            )
             table.add_row(name, *(f"{value:.2f}" for value in values), same)
     console.print(table)
     if "speed_up" in found:
         console.print(
-            f"two processes are {found['speed_up']:.2f} times as fast as one (goal {GOALS['speed_up']}); on cores "
+            f"two processes are {found['speed_up']:.2f} times as fast as one (goal "
+            f"{GOALS['speed_up']}); on cores "
             f"of their own {found['speed_up_by_cpu']:.2f} times, by the CPU seconds of the busiest"
         )
     if "two" in found:
-        two, share = found["two"], found["captures"] / WHOLE
+        two = found["two"]
+        share = found["captures"] / WHOLE
         words = "measured" if share == 1 else f"extrapolated from {share:.3f} of it"
         whole = two["cpu_s"] / share / 60
         console.print(
-            f"{WHOLE} captures: {whole:.0f} CPU minutes, {whole / 2:.0f} minutes on two cores ({words}; "
+            f"{WHOLE} captures: {whole:.0f} CPU minutes, {whole / 2:.0f} minutes on two cores "
+            f"({words}; "
             f"goal {GOALS['minutes_on_two_cores']:.0f}); {two['s_a_capture']:.2f} s a capture, "
-            f"{two['ms_a_frame']:.2f} ms a frame, {two['shape_cpu_s'] / two['shapes']:.1f} s a subject; "
+            f"{two['ms_a_frame']:.2f} ms a frame, {two['shape_cpu_s'] / two['shapes']:.1f} s a "
+            "subject; "
             f"verdicts {two['verdicts']}"
         )
 
@@ -252,9 +312,17 @@ def main() -> None:
     """Make the archive, run, show, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--captures", type=int, default=WHOLE)
-    parser.add_argument("--folder", type=Path, help="keep captures and results here; captures that are there are used")
-    parser.add_argument("--phases", nargs="+", choices=("two", "one", "killed"), default=["two", "one", "killed"])
-    parser.add_argument("--lean", action="store_true", help="of each capture only body.npz and metrics.json")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        help="keep captures and results here; captures that are there are used",
+    )
+    parser.add_argument(
+        "--phases", nargs="+", choices=("two", "one", "killed"), default=["two", "one", "killed"]
+    )
+    parser.add_argument(
+        "--lean", action="store_true", help="of each capture only body.npz and metrics.json"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the kills")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()

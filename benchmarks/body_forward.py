@@ -1,16 +1,21 @@
-"""How fast is a body? `habitus` against `smplx` in one run, on the same made-up SMPL of 6,890 vertices.
+"""How fast is a body? `habitus` against `smplx` in one run, on the same made-up SMPL of 6,890
+vertices.
 
-    python benchmarks/body_forward.py [--seconds 60] [--device cuda] [--body trained/model.npz] [--out FILE]
+    python benchmarks/body_forward.py [--seconds 60] [--device cuda] [--body trained/model.npz]
+    [--out FILE]
 
-All evaluate the same random shapes, poses and places in float32 (pose blend shapes included). They take turns call by
-call, so that a slow moment of the machine hits all; a ratio is the median over the rounds. On a GPU a call ends when
-its kernels have ended, and NumPy arrays are left out. `--body` adds a body of habitus, its coarse level with SMPL's 24
-joints and its own pose blend shapes, against `smplx` with its own: how many vertices and features each has is told.
+All evaluate the same random shapes, poses and places in float32 (pose blend shapes included). They
+take turns call by call, so that a slow moment of the machine hits all; a ratio is the median over
+the rounds. On a GPU a call ends when its kernels have ended, and NumPy arrays are left out.
+`--body` adds a body of habitus, its coarse level with SMPL's 24 joints and its own pose blend
+shapes, against `smplx` with its own: how many vertices and features each has is told.
 """
 
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # libgomp's spinning makes two threads slower at random
+os.environ.setdefault(
+    "OMP_WAIT_POLICY", "passive"
+)  # libgomp's spinning makes two threads slower at random
 
 import argparse
 import contextlib
@@ -40,20 +45,28 @@ BATCHES = {"cpu": (1, 8, 32, 256), "cuda": (1, 32, 256, 4096)}
 
 OWN = "own body"
 OURS = ("tensors", "arrays", "with gradient")
-"""Ways to call this project's body: tensors without gradient, NumPy arrays, tensors with a gradient to come."""
+"""Ways to call this project's body: tensors without gradient, NumPy arrays, tensors with a gradient
+to come.
+"""
 
 
-def contestants(arrays: dict, device: str = "cpu", body: BodyModel | None = None) -> dict[str, Callable]:
-    """The same model in both libraries, and perhaps another ``body``: functions of betas (b, 10), pose (b, 24, 3) and
-    trans (b, 3) to vertices."""
+def contestants(
+    arrays: dict, device: str = "cpu", body: BodyModel | None = None
+) -> dict[str, Callable]:
+    """The same model in both libraries, and perhaps another ``body``: functions of betas (b, 10),
+    pose (b, 24, 3) and trans (b, 3) to vertices.
+    """
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = write_official(Path(folder) / "SMPL_NEUTRAL.pkl", arrays)
-        ours, theirs = load_body(path), smplx.SMPL(str(path)).to(device)
+        ours = load_body(path)
+        theirs = smplx.SMPL(str(path)).to(device)
 
     def peer(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
         flat = pose.flatten(1)
         with torch.no_grad():
-            return theirs(betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans).vertices
+            return theirs(
+                betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans
+            ).vertices
 
     def tensors(*state: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
@@ -71,7 +84,9 @@ def contestants(arrays: dict, device: str = "cpu", body: BodyModel | None = None
 
     found = dict(zip(OURS, (tensors, numpy_arrays, with_gradient), strict=True))
     found |= ({OWN: own} if body is not None else {}) | {"smplx": peer}
-    return {name: function for name, function in found.items() if device == "cpu" or name != "arrays"}
+    return {
+        name: function for name, function in found.items() if device == "cpu" or name != "arrays"
+    }
 
 
 def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str = "cpu") -> dict:
@@ -80,7 +95,11 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str
     state = torch.randn(batch, 10), torch.randn(batch, 24, 3) * 0.3, torch.randn(batch, 3)
     state = tuple(part.to(device) for part in state)
     finish = torch.cuda.synchronize if device == "cuda" else lambda: None
-    surfaces = [torch.as_tensor(function(*state)).detach() for name, function in functions.items() if name != OWN]
+    surfaces = [
+        torch.as_tensor(function(*state)).detach()
+        for name, function in functions.items()
+        if name != OWN
+    ]
     functions.get(OWN, lambda *_: None)(*state)
     gap = max(float((surface - surfaces[-1]).abs().max()) for surface in surfaces)
     times: dict[str, list[float]] = {name: [] for name in functions}
@@ -93,39 +112,71 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str
             finish()
             times[name].append(1e3 * (time.perf_counter() - start))
     peer = np.array(times["smplx"])
-    ratios = {name: float(np.median(peer / np.array(times[name]))) for name in functions if name != "smplx"}
+    ratios = {
+        name: float(np.median(peer / np.array(times[name])))
+        for name in functions
+        if name != "smplx"
+    }
     medians = {name: float(np.median(values)) for name, values in times.items()}
-    return {"batch": batch, "ms": medians, "speed_up": ratios, "rounds": len(peer), "largest_difference_m": gap}
+    return {
+        "batch": batch,
+        "ms": medians,
+        "speed_up": ratios,
+        "rounds": len(peer),
+        "largest_difference_m": gap,
+    }
 
 
 def size_of(body: BodyModel) -> dict[str, float]:
     """Vertices, and pose features that move a vertex in the mean."""
     driven = np.zeros(1) if body.posedirs is None else body.posedirs.any(1)
-    return {"vertices": body.num_vertices, "features a vertex": round(float(driven.sum() / body.num_vertices), 1)}
+    return {
+        "vertices": body.num_vertices,
+        "features a vertex": round(float(driven.sum() / body.num_vertices), 1),
+    }
 
 
 def main() -> None:
     """Run all batch sizes, print a table, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="in all, shared by the batch sizes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="in all, shared by the batch sizes"
+    )
     parser.add_argument("--device", choices=BATCHES, default="cpu")
-    parser.add_argument("--body", help="a body of habitus to race as well: default, female, male, or a file")
+    parser.add_argument(
+        "--body", help="a body of habitus to race as well: default, female, male, or a file"
+    )
     parser.add_argument("--out", type=Path, default=Path("body_forward.json"))
     options = parser.parse_args()
     body = None if options.body is None else load_body(options.body, joints="smpl")
-    functions, batches = contestants(official_arrays("smpl"), options.device, body), BATCHES[options.device]
-    rows = [duel(functions, batch, options.seconds / len(batches), options.device) for batch in batches]
-    machine = f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {torch.get_num_threads()} threads"
+    functions = contestants(official_arrays("smpl"), options.device, body)
+    batches = BATCHES[options.device]
+    rows = [
+        duel(functions, batch, options.seconds / len(batches), options.device) for batch in batches
+    ]
+    machine = (
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, "
+        f"{torch.get_num_threads()} threads"
+    )
     if options.device == "cuda":
         machine = torch.cuda.get_device_name()
-    sizes = {} if body is None else {"own body": size_of(body), "smplx": {"vertices": 6890, "features a vertex": 207}}
+    sizes = (
+        {}
+        if body is None
+        else {"own body": size_of(body), "smplx": {"vertices": 6890, "features a vertex": 207}}
+    )
     found = {"machine": machine, "torch": torch.__version__, "sizes": sizes, "rows": rows}
     options.out.write_text(json.dumps(found, indent=1))
     table = Table(title=f"body forward, float32, ms and times as fast as smplx: {machine}")
     for heading in ("batch", *reversed(functions), "rounds", "apart (m)"):
         table.add_column(heading, justify="right")
     for row in rows:
-        ours = (f"{row['ms'][name]:.2f} ({row['speed_up'][name]:.2f})" for name in reversed(row["speed_up"]))
+        ours = (
+            f"{row['ms'][name]:.2f} ({row['speed_up'][name]:.2f})"
+            for name in reversed(row["speed_up"])
+        )
         table.add_row(
             str(row["batch"]),
             f"{row['ms']['smplx']:.2f}",

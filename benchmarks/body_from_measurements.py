@@ -2,11 +2,11 @@
 
     python benchmarks/body_from_measurements.py SURVEY_FOLDER [--people 200]
 
-SURVEY_FOLDER holds the two public tables of ANSUR II. Of every sixth soldier, as they come, the likeliest body with
-some measurements is made (`habitus.body_from_measurements`), and its other measurements are held against the
-soldier's. RMSE of all of them, of women and of men, each beside that of a linear regression with sex on the other
-soldiers; the mean errors; and how often the truth lies within the spread that the body tells (68 % of the time would
-be right).
+SURVEY_FOLDER holds the two public tables of ANSUR II. Of every sixth soldier, as they come, the
+likeliest body with some measurements is made (`habitus.body_from_measurements`), and its other
+measurements are held against the soldier's. RMSE of all of them, of women and of men, each beside
+that of a linear regression with sex on the other soldiers; the mean errors; and how often the truth
+lies within the spread that the body tells (68 % of the time would be right).
 """
 
 import os
@@ -31,36 +31,61 @@ from tools.default_body.soldiers import Soldiers, measured, read_soldiers, slope
 GIVEN = (
     ("height_m", "mass_kg"),
     ("height_m", "mass_kg", "waist_circumference_m"),
-    ("height_m", "mass_kg", "chest_circumference_m", "waist_circumference_m", "hip_circumference_m", "inseam_m"),
+    (
+        "height_m",
+        "mass_kg",
+        "chest_circumference_m",
+        "waist_circumference_m",
+        "hip_circumference_m",
+        "inseam_m",
+    ),
 )
 JUDGED = (
-    "chest_circumference_m", "waist_circumference_m", "hip_circumference_m", "thigh_circumference_m",
-    "neck_circumference_m", "shoulder_breadth_m", "inseam_m", "arm_span_m", "waist_depth_m",
-)  # fmt: skip
+    "chest_circumference_m",
+    "waist_circumference_m",
+    "hip_circumference_m",
+    "thigh_circumference_m",
+    "neck_circumference_m",
+    "shoulder_breadth_m",
+    "inseam_m",
+    "arm_span_m",
+    "waist_depth_m",
+)
 GOALS = {"chest_circumference_m": 33, "waist_circumference_m": 44, "hip_circumference_m": 29}
 """RMSE (mm) from height, mass and sex that the project set itself."""
-HELD_OUT, STEPS, CHECKED, MOST_OFF = 6, 5, 2, 5.0
+HELD_OUT = 6
+STEPS = 5
+CHECKED = 2
+MOST_OFF = 5.0
 
 
 def bodies(space: str, soldiers: Soldiers, given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Measurements (N, M) of the likeliest bodies, and their spreads (M,).
 
-    As `estimate_body` finds them, for all people at once: with the slopes of the mean person throughout.
+    As `estimate_body` finds them, for all people at once: with the slopes of the mean person
+    throughout.
     """
-    body, names = habitus.load_body(space), (*given, *JUDGED)
+    body = habitus.load_body(space)
+    names = (*given, *JUDGED)
     values = soldiers.values[:, [soldiers.names.index(name) for name in given]]
-    slope, count = slopes(body, names), len(given)
+    slope = slopes(body, names)
+    count = len(given)
     noise = np.diag((PRECISION * values.mean(axis=0)) ** 2)
     gain = np.linalg.solve(slope[:count] @ slope[:count].T + noise, slope[:count])
     mean = body.people_mean if body.people_mean is not None else np.zeros(body.num_betas)
     betas = np.tile(mean, (len(values), 1))
     for _ in range(STEPS):
-        betas = mean + (values - measured(body, betas, given) + (betas - mean) @ slope[:count].T) @ gain
+        betas = (
+            mean + (values - measured(body, betas, given) + (betas - mean) @ slope[:count].T) @ gain
+        )
     open_ = np.eye(body.num_betas) - gain.T @ slope[:count]
     spread = np.sqrt(np.einsum("mb,bc,mc->m", slope[count:], open_, slope[count:]))
     for k in range(CHECKED):
         one = estimate_body(body, dict(zip(given, map(float, values[k]), strict=True)))
-        off = 1e3 * (measured(body, betas[k : k + 1], JUDGED)[0] - [one.measurements[name] for name in JUDGED])
+        off = 1e3 * (
+            measured(body, betas[k : k + 1], JUDGED)[0]
+            - [one.measurements[name] for name in JUDGED]
+        )
         if np.abs(off).max() > MOST_OFF:
             raise SystemExit(f"{space} {k}: the quick way is off by {np.abs(off).max():.0f} mm")
     return measured(body, betas, JUDGED), spread
@@ -77,7 +102,9 @@ def regressed(soldiers: Soldiers, rows: np.ndarray, given: tuple[str, ...]) -> n
 def judged(folder: Path, people: int | None, given: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """Errors over held-out soldiers."""
     every = read_soldiers(folder)
-    off, plain, told = [], [], []
+    off = []
+    plain = []
+    told = []
     for space in ("female", "male"):
         mine = np.flatnonzero(every.female == (space == "female"))
         of_sex = every.of(mine)
@@ -92,7 +119,8 @@ def judged(folder: Path, people: int | None, given: tuple[str, ...]) -> dict[str
     for k, name in enumerate(JUDGED):
         if name in given:
             continue
-        errors, line = [each[:, k] for each in off], [each[:, k] for each in plain]
+        errors = [each[:, k] for each in off]
+        line = [each[:, k] for each in plain]
         groups = {"all": slice(0, 2), "women": slice(0, 1), "men": slice(1, 2)}
         result[name] = {
             f"{who} {what}": float(np.sqrt(np.mean(np.concatenate(rows[group]) ** 2)))
@@ -108,12 +136,15 @@ def judged(folder: Path, people: int | None, given: tuple[str, ...]) -> dict[str
 
 def main() -> None:
     """Judge, print, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
     parser.add_argument("--people", type=int, help="so many of each sex (all)")
     parser.add_argument("--out", type=Path, default=Path("body_from_measurements.json"))
     options = parser.parse_args()
-    console, found = Console(width=150), {}
+    console = Console(width=150)
+    found = {}
     for given in GIVEN:
         name = ", ".join(each.split("_")[0] for each in given)
         found[name] = rows = judged(options.folder, options.people, given)
@@ -123,7 +154,9 @@ def main() -> None:
         for which, row in rows.items():
             goal = f"{GOALS[which]}" if which in GOALS and len(given) == 2 else ""
             table.add_row(
-                which.removesuffix("_m"), goal, *(f"{value:.{2 if 'sd' in key else 1}f}" for key, value in row.items())
+                which.removesuffix("_m"),
+                goal,
+                *(f"{value:.{2 if 'sd' in key else 1}f}" for key, value in row.items()),
             )
         console.print(table)
     write_json(options.out, {"machine": machine(), "given": found})

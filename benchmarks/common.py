@@ -1,4 +1,6 @@
-"""What the marker-fit benchmarks share: the machine's name, captures to run on, kernels compiled beforehand, JSON."""
+"""What the marker-fit benchmarks share: the machine's name, captures to run on, kernels compiled
+beforehand, JSON.
+"""
 
 import json
 import os
@@ -30,12 +32,16 @@ def machine() -> dict[str, object]:
     info = Path("/proc/cpuinfo")
     if info.exists():
         names = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+            line.split(":", 1)[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
         ]
         processor = names[0] if names else processor
     return {
         "processor": processor,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
         "kernel_threads": numba.config.NUMBA_NUM_THREADS,
         "load_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
@@ -47,17 +53,27 @@ def machine() -> dict[str, object]:
 
 def in_words(machine: dict[str, object]) -> str:
     """The machine in one line."""
-    return f"{machine['processor']}, {machine['cores']} cores, load {machine['load_before']:.1f} before"
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, load {machine['load_before']:.1f} "
+        "before"
+    )
 
 
 def synthetic(body: BodyModel, layout_name: str, frames: int, seed: int = 1) -> Capture:
-    """A synthetic capture at 120 Hz with the markers that a layout asks for: placement errors, noise, gaps."""
+    """A synthetic capture at 120 Hz with the markers that a layout asks for: placement errors,
+    noise, gaps.
+    """
     rng = np.random.default_rng(seed)
-    layout, prior = load_layout(layout_name), load_pose_prior().for_joints(body.joint_names)
-    layout = layout.restricted_to(tuple(marker.label for marker in layout.markers if not marker.optional))
+    layout = load_layout(layout_name)
+    prior = load_pose_prior().for_joints(body.joint_names)
+    layout = layout.restricted_to(
+        tuple(marker.label for marker in layout.markers if not marker.optional)
+    )
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), frames, 120.0, rng)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
-    truth = simulate_capture(body, betas, pose, trans, layout.vertices(body), layout.distances(), Faults(), rng)
+    truth = simulate_capture(
+        body, betas, pose, trans, layout.vertices(body), layout.distances(), Faults(), rng
+    )
     return Capture(f"synthetic-{layout_name}", layout.labels, truth.observed, 120.0, "+y")
 
 
@@ -70,7 +86,9 @@ def write_synthetic(body: BodyModel, layout_name: str, frames: int, folder: Path
 
 
 def compile_kernels(body: BodyModel) -> float:
-    """Run a tiny fit, so that imports and compilation are over before anything is timed; gives the seconds it took."""
+    """Run a tiny fit, so that imports and compilation are over before anything is timed; gives the
+    seconds it took.
+    """
     began = time.perf_counter()
     from habitus.fit.mosh.recipe import fit_markers
     from habitus.fit.mosh.settings import MoshSettings
@@ -90,7 +108,9 @@ def write_json(path: Path, content: dict) -> None:
 
 
 def written_rows(path: Path, key: str, **settings: object) -> list[dict]:
-    """The rows under a key that a run with these settings has left in a file; none where there is no such file."""
+    """The rows under a key that a run with these settings has left in a file; none where there is
+    no such file.
+    """
     if not path.exists():
         return []
     before = json.loads(path.read_text(encoding="utf-8"))

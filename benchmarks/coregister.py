@@ -1,13 +1,16 @@
-"""Does training on registered scans, and registering them again with the trained body, better either (T 5.4)?
+"""Does training on registered scans, and registering them again with the trained body, better
+either (T 5.4)?
 
     python benchmarks/coregister.py [--people 4] [--rounds 2] [--out FILE]
 
-Women are drawn from the women's body, which the neutral one knows only in part, each with skin off it by 4 mm along its
-normals, the same in all poses. Their scans in three poses are registered, from nothing, with the default body; a body
-is trained on these, begun at the default one, its skinning weights, joints and pose blend shapes held; the same
-scans are registered with that body, from the poses that were found. Told of each round: how far surfaces and models are
-from where every vertex truly is, how alike the surfaces of one person are (carried back to rest, about their mean), and
-how near the body then comes to the same people in a pose that it was not trained on, fitted to the true surface.
+Women are drawn from the women's body, which the neutral one knows only in part, each with skin off
+it by 4 mm along its normals, the same in all poses. Their scans in three poses are registered, from
+nothing, with the default body; a body is trained on these, begun at the default one, its skinning
+weights, joints and pose blend shapes held; the same scans are registered with that body, from the
+poses that were found. Told of each round: how far surfaces and models are from where every vertex
+truly is, how alike the surfaces of one person are (carried back to rest, about their mean), and how
+near the body then comes to the same people in a pose that it was not trained on, fitted to the true
+surface.
 """
 
 import os
@@ -35,14 +38,18 @@ from habitus.mesh.registrations import Registrations
 from habitus.population.held_out import FLESH, smooth_field
 from habitus.population.scans import BONY, Scanner, scanned, stance
 
-POSES, UNSEEN = ("A", "elbows bent", "step"), "arms forward"
+POSES = ("A", "elbows bent", "step")
+UNSEEN = "arms forward"
 HELD = ("skinning_weights", "posedirs", "joint_regressor")
 EXACT = (ModelStep(12, 100_000, 0.1, 0.005, 1.0, 1000),)
 
 
 def people(options: argparse.Namespace) -> list[dict]:
-    """Of each woman true surfaces (m) in all poses, the unseen one last, and scans of all but that."""
-    body, made = full("female"), []
+    """Of each woman true surfaces (m) in all poses, the unseen one last, and scans of all but
+    that.
+    """
+    body = full("female")
+    made = []
     bony = [k for k, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
     for k in range(options.people):
         rng = np.random.default_rng([options.seed, k])
@@ -52,7 +59,10 @@ def people(options: argparse.Namespace) -> list[dict]:
             * smooth_field(body.v_template, rng)[:, :1]
             * (1 - 0.75 * body.skinning_weights[:, bony].sum(1))[:, None]
         )
-        surfaces = [np.asarray(body(betas, stance(pose, body.joint_names, rng)).vertices) for pose in (*POSES, UNSEEN)]
+        surfaces = [
+            np.asarray(body(betas, stance(pose, body.joint_names, rng)).vertices)
+            for pose in (*POSES, UNSEEN)
+        ]
         surfaces = [one + off * vertex_normals(one, body.faces) for one in surfaces]
         scans = [
             scanned(one, outside(), Scanner(points=60_000), rng, f"{k} {p}")
@@ -65,7 +75,9 @@ def people(options: argparse.Namespace) -> list[dict]:
 def distances(surfaces: list[np.ndarray], truths: list[np.ndarray]) -> list[float]:
     """Mean and 95 % (mm) of each surface's vertices from where they are, averaged."""
     counted = ~hidden_vertices(habitus.load_body("default"))
-    apart = [1e3 * np.linalg.norm(a - b, axis=1)[counted] for a, b in zip(surfaces, truths, strict=True)]
+    apart = [
+        1e3 * np.linalg.norm(a - b, axis=1)[counted] for a, b in zip(surfaces, truths, strict=True)
+    ]
     return [
         float(np.mean([each.mean() for each in apart])),
         float(np.mean([np.percentile(each, 95) for each in apart])),
@@ -76,14 +88,22 @@ def unlike(fits: list[list[ScanFit]]) -> float:
     """Root mean square (mm) of a person's surfaces, at rest, about their mean."""
     counted = ~hidden_vertices(habitus.load_body("default"))
     rest = [np.stack([fit.rest_vertices for fit in each])[:, counted] for each in fits]
-    return float(np.sqrt(np.mean([((1e3 * (each - each.mean(0))) ** 2).sum(2).mean() for each in rest])))
+    return float(
+        np.sqrt(np.mean([((1e3 * (each - each.mean(0))) ** 2).sum(2).mean() for each in rest]))
+    )
 
 
-def in_a_new_pose(registrar: Registrar, fits: list[list[ScanFit]], truths: list[np.ndarray]) -> list[float]:
-    """The body with each person's own shape, its pose alone fitted to their true surface in a pose not trained on."""
+def in_a_new_pose(
+    registrar: Registrar, fits: list[list[ScanFit]], truths: list[np.ndarray]
+) -> list[float]:
+    """The body with each person's own shape, its pose alone fitted to their true surface in a pose
+    not trained on.
+    """
     found = []
     for each, true in zip(fits, truths, strict=True):
-        true = true[registrar.body.full_vertices] if len(true) != registrar.body.num_vertices else true
+        true = (
+            true[registrar.body.full_vertices] if len(true) != registrar.body.num_vertices else true
+        )
         cloud = Cloud(true, vertex_normals(true, registrar.body.faces))
         state = ModelState(each[0].betas, each[0].pose[None], each[0].trans[None])
         (fit,) = registrar.register([Scan("new", true, cloud.normals)], up="+y")
@@ -115,39 +135,55 @@ def trained(fits: list[list[ScanFit]], count: int) -> BodyModel:
 
 def main() -> None:
     """Run the rounds, print them and write them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--people", type=int, default=4)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--seed", type=int, default=88)
     parser.add_argument("--out", type=Path, default=Path("coregister.json"))
     options = parser.parse_args()
-    where, console, made = machine(), Console(), people(options)
+    where = machine()
+    console = Console()
+    made = people(options)
     default = habitus.load_body("default")
     truths = [[one[default.full_vertices] for one in each["surfaces"]] for each in made]
-    body, fits, rounds = default, [], []
+    body = default
+    fits = []
+    rounds = []
     for number in range(options.rounds):
         registrar = Registrar.of(body, prior_of(default))
         known = [None] * len(made) if not fits else [before(each, body) for each in fits]
         fits = [
-            registrar.register(each["scans"], up="+y", previous=start) for each, start in zip(made, known, strict=True)
+            registrar.register(each["scans"], up="+y", previous=start)
+            for each, start in zip(made, known, strict=True)
         ]
         seen = [true for each in truths for true in each[: len(POSES)]]
         row = {
-            "body": "default" if number == 0 else f"trained, {body.num_betas} betas", "unlike_mm": unlike(fits),
+            "body": "default" if number == 0 else f"trained, {body.num_betas} betas",
+            "unlike_mm": unlike(fits),
             "surface_mm": distances([fit.vertices for each in fits for fit in each], seen),
             "model_mm": distances([fit.model_vertices for each in fits for fit in each], seen),
             "new_pose_mm": in_a_new_pose(registrar, fits, [each[-1] for each in truths]),
             "verdicts": [fit.verdict.level for each in fits for fit in each],
-        }  # fmt: skip
+        }
         rounds.append(row)
         console.print(row)
         if number + 1 < options.rounds:
             body = trained(fits, options.people)
     table = Table(
-        "round", "body", "surfaces, mean and 95 %", "models", "in a new pose", "unlike each other, at rest", box=None
+        "round",
+        "body",
+        "surfaces, mean and 95 %",
+        "models",
+        "in a new pose",
+        "unlike each other, at rest",
+        box=None,
     )
     for k, row in enumerate(rounds, 1):
-        pairs = ("{:.2f}, {:.2f}".format(*row[key]) for key in ("surface_mm", "model_mm", "new_pose_mm"))
+        pairs = (
+            "{:.2f}, {:.2f}".format(*row[key]) for key in ("surface_mm", "model_mm", "new_pose_mm")
+        )
         table.add_row(str(k), row["body"], *pairs, f"{row['unlike_mm']:.2f}")
     console.print(table)
     console.print(in_words(where))
@@ -157,7 +193,9 @@ def main() -> None:
 def before(fits: list[ScanFit], body: BodyModel) -> ModelState:
     """Where the round before left a person's scans, with the mean shape of the body."""
     return ModelState(
-        np.zeros(body.num_betas), np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits])
+        np.zeros(body.num_betas),
+        np.stack([fit.pose for fit in fits]),
+        np.stack([fit.trans for fit in fits]),
     )
 
 

@@ -1,12 +1,15 @@
-"""Where do labels sit that no layout knows? Real captures with their labels replaced by neutral names.
+"""Where do labels sit that no layout knows? Real captures with their labels replaced by neutral
+names.
 
     python benchmarks/discover.py [--captures 85_02 testsample …] [--labelling FOLDER] [--seconds]
 
-Each capture is fitted with its true layout and, its labels renamed m00, m01, …, with `layout="discover"`. The table
-says both errors, how far the places found are from the true ones on the template (the fits' latent markers, both
-carried to the mean body), the share of markers on the right side of the body, how many are within 5 cm and what the
-confidences promised, what the discovery said was not decided, and seconds of CPU. A capture of labels that no layout
-knows (KneeltoProne01, beside MarkerSet.xml) is fitted by discovery and with the marker set. JSON holds every marker.
+Each capture is fitted with its true layout and, its labels renamed m00, m01, …, with
+`layout="discover"`. The table says both errors, how far the places found are from the true ones on
+the template (the fits' latent markers, both carried to the mean body), the share of markers on the
+right side of the body, how many are within 5 cm and what the confidences promised, what the
+discovery said was not decided, and seconds of CPU. A capture of labels that no layout knows
+(KneeltoProne01, beside MarkerSet.xml) is fitted by discovery and with the marker set. JSON holds
+every marker.
 """
 
 import os
@@ -31,9 +34,18 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import match_layout
 from habitus.observe.markers import predict_markers
 
-NAMES = ("85_02", "HDM_mm_01-02_03_120", "testsample", "HC030A05", "HC042A13", "kinematics_tennis_serve", "RoboStatic")
+NAMES = (
+    "85_02",
+    "HDM_mm_01-02_03_120",
+    "testsample",
+    "HC030A05",
+    "HC042A13",
+    "kinematics_tennis_serve",
+    "RoboStatic",
+)
 LABELLED = CAPTURES.parent / "labelling"
-CLEAR, NEAR = 0.03, 0.05  # metres: off the middle of the body; a place that is right
+CLEAR = 0.03
+NEAR = 0.05  # metres: off the middle of the body; a place that is right
 
 
 def neutral(capture: Capture) -> tuple[Capture, dict[str, str]]:
@@ -52,7 +64,8 @@ def fitted(capture: Capture | Path, body: BodyModel, layout: str) -> tuple[Marke
 
 def errors(fit: MarkerFit) -> dict[str, float]:
     """Means of both stages and the 95th percentile of the first, mm."""
-    posed, soft = 1e3 * fit.errors("pose"), 1e3 * fit.errors("soft_tissue")
+    posed = 1e3 * fit.errors("pose")
+    soft = 1e3 * fit.errors("soft_tissue")
     return {
         "pose_mm": float(np.nanmean(posed)),
         "soft_tissue_mm": float(np.nanmean(soft)),
@@ -72,7 +85,8 @@ def row(name: str, path: Path, body: BodyModel) -> dict:
     renamed, names = neutral(capture)
     true, _ = fitted(capture, body, "auto")
     found, seconds = fitted(renamed, body, "discover")
-    here, there = on_template(found), on_template(true)
+    here = on_template(found)
+    there = on_template(true)
     pairs = [(new, old) for new, old in names.items() if new in here and old in there]
     apart = np.array([np.linalg.norm(here[new] - there[old]) for new, old in pairs])
     across = np.array([(here[new][0], there[old][0]) for new, old in pairs])
@@ -103,8 +117,14 @@ def lab_set(folder: Path, body: BodyModel) -> list[dict]:
     rows = []
     for layout in ("discover", str(folder / "MarkerSet.xml")):
         fit, seconds = fitted(folder / "KneeltoProne01.c3d", body, layout)
-        across = {label: place[0] for label, place in on_template(fit).items() if abs(place[0]) > CLEAR}
-        told = [np.sign(x) == (1.0 if label[0] == "L" else -1.0) for label, x in across.items() if label[0] in "LR"]
+        across = {
+            label: place[0] for label, place in on_template(fit).items() if abs(place[0]) > CLEAR
+        }
+        told = [
+            np.sign(x) == (1.0 if label[0] == "L" else -1.0)
+            for label, x in across.items()
+            if label[0] in "LR"
+        ]
         rows.append(
             {
                 "capture": "KneeltoProne01",
@@ -126,7 +146,9 @@ def table(rows: list[dict], title: str) -> Table:
     for head in (heads + "<5 cm|promised|CPU s|said").split("|"):
         shown.add_column(head, justify="left" if head in ("capture", "said") else "right")
     for r in rows:
-        both = [r[which][key] for key in ("pose_mm", "soft_tissue_mm") for which in ("true", "found")]
+        both = [
+            r[which][key] for key in ("pose_mm", "soft_tissue_mm") for which in ("true", "found")
+        ]
         places = [r["places_mm"][key] for key in ("mean", "median", "p90")]
         shares = [f"{r['right_side']:.0%}", f"{r['within_5_cm']:.0%}", f"{r['promised']:.0%}"]
         said = " ".join(r["doubts"]) or "–"
@@ -137,12 +159,15 @@ def table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all that is not in the JSON yet, print the table, write JSON after every capture."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--captures", nargs="+", default=NAMES, metavar="NAME")
     parser.add_argument("--labelling", type=Path, default=LABELLED, metavar="FOLDER")
     parser.add_argument("--out", type=Path, default=Path("discover.json"))
     options = parser.parse_args()
-    where, body = machine(), habitus.load_body("default")
+    where = machine()
+    body = habitus.load_body("default")
     compile_kernels(body)
     rows = written_rows(options.out, "rows")
     own = written_rows(options.out, "lab_set")
@@ -161,8 +186,11 @@ def main() -> None:
         write_json(options.out, {"machine": where, "rows": rows, "lab_set": own})
     Console(width=190).print(table(rows, f"renamed captures: {in_words(where)}"))
     for r in own:
-        print(f"{r['capture']} with {r['layout']}: {r['pose_mm']:.1f} mm, p95 {r['p95_mm']:.1f}, soft tissue "
-              f"{r['soft_tissue_mm']:.1f}, right side {r['right_side']:.0%}; {r['verdict']}")  # fmt: skip
+        print(
+            f"{r['capture']} with {r['layout']}: {r['pose_mm']:.1f} mm, p95 {r['p95_mm']:.1f}, "
+            "soft tissue "
+            f"{r['soft_tissue_mm']:.1f}, right side {r['right_side']:.0%}; {r['verdict']}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Soft tissue in motion: are planted dynamics found on the default body, how fast is prediction, does it come to rest?
+"""Soft tissue in motion: are planted dynamics found on the default body, how fast is prediction,
+does it come to rest?
 
-Smooth blend shapes of the default body's coarse level swing as damped oscillators that its joints drive. People of
-other shapes move (`habitus.population.captures.smooth_motion`), and the training sees their surfaces, with noise.
+Smooth blend shapes of the default body's coarse level swing as damped oscillators that its joints
+drive. People of other shapes move (`habitus.population.captures.smooth_motion`), and the training
+sees their surfaces, with noise.
 """
 
 import argparse
@@ -30,34 +32,48 @@ from habitus.mesh.registrations import Registrations
 from habitus.parallel.workers import Threads
 from habitus.population.captures import smooth_motion
 
-RATE, COUNT, JOINTS = 60.0, 8, SMPL.joint_names[:22]
+RATE = 60.0
+COUNT = 8
+JOINTS = SMPL.joint_names[:22]
 
 
 def planted(body: BodyModel, seed: int = 0) -> BodyModel:
-    """The body with eight smooth blend shapes of 3 to 10 mm, which swing at 3 to 8 Hz, the more so the larger it is."""
+    """The body with eight smooth blend shapes of 3 to 10 mm, which swing at 3 to 8 Hz, the more so
+    the larger it is.
+    """
     rng = np.random.default_rng(seed)
-    waves = [np.sin(9.0 * body.v_template @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3)) for _ in range(COUNT)]
+    waves = [
+        np.sin(9.0 * body.v_template @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3))
+        for _ in range(COUNT)
+    ]
     axes = np.linalg.qr(np.reshape(waves, (COUNT, -1)).T)[0] * np.sqrt(body.num_vertices)
     directions = (axes * np.linspace(0.010, 0.003, COUNT)).reshape(-1, 3, COUNT)
-    angle, radius = 2 * np.pi * np.linspace(3.0, 8.0, COUNT) / RATE, np.linspace(0.93, 0.85, COUNT)
+    angle = 2 * np.pi * np.linspace(3.0, 8.0, COUNT) / RATE
+    radius = np.linspace(0.93, 0.85, COUNT)
     history = np.array([np.diag(2 * radius * np.cos(angle)), np.diag(-(radius**2))])
     inputs = np.tile(np.repeat([0.02, 0.05, 0.005], 3), len(JOINTS))
     drive = 0.15 * rng.normal(size=(COUNT, len(inputs))) * inputs
     more = 0.15 * rng.normal(size=drive.shape) * np.abs(drive).mean()
-    reach, limits = np.array([[-3.0], [3.0]]), np.tile(np.repeat([60.0, 20.0, 300.0], 3), len(JOINTS))
+    reach = np.array([[-3.0], [3.0]])
+    limits = np.tile(np.repeat([60.0, 20.0, 300.0], 3), len(JOINTS))
     arrays = np.array([history, 0.002 * history]), np.array([drive, more])
-    return replace(body, dynamics=Dynamics(directions, DynamicsRegressor(*arrays, JOINTS, RATE, limits, reach)))
+    return replace(
+        body, dynamics=Dynamics(directions, DynamicsRegressor(*arrays, JOINTS, RATE, limits, reach))
+    )
 
 
 def moving(body: BodyModel, frames: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A person of random shape in smooth motion: betas, pose, trans."""
-    rng, prior = np.random.default_rng(seed), load_pose_prior().for_joints(body.joint_names)
+    rng = np.random.default_rng(seed)
+    prior = load_pose_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
     spread = np.sqrt(np.diag(prior.covariance))
     return betas, *smooth_motion(np.asarray(prior.mean), spread, frames, RATE, rng)
 
 
-def people(body: BodyModel, count: int, frames: int, noise: float, first: int = 0) -> list[MovingSurface]:
+def people(
+    body: BodyModel, count: int, frames: int, noise: float, first: int = 0
+) -> list[MovingSurface]:
     """People whose surfaces are known, two sequences each."""
     found = []
     for k in range(2 * count):
@@ -65,9 +81,17 @@ def people(body: BodyModel, count: int, frames: int, noise: float, first: int = 
         betas = moving(body, 3, 1000 + first + k // 2)[0]
         delta = simulate_soft_tissue(body, betas, pose, trans, RATE)
         surfaces = body(betas, pose, trans, dynamics=delta).vertices
-        surfaces = (surfaces + noise * np.random.default_rng(k).normal(size=surfaces.shape)).astype(np.float32)
-        subject, names = f"p{first + k // 2}", tuple(f"p{first + k // 2}_{k}:{t}" for t in range(frames))
-        words = {"subject": (subject,) * frames, "sex": ("",) * frames, "set": ("pose",) * frames, "name": names}
+        surfaces = (surfaces + noise * np.random.default_rng(k).normal(size=surfaces.shape)).astype(
+            np.float32
+        )
+        subject = f"p{first + k // 2}"
+        names = tuple(f"p{first + k // 2}_{k}:{t}" for t in range(frames))
+        words = {
+            "subject": (subject,) * frames,
+            "sex": ("",) * frames,
+            "set": ("pose",) * frames,
+            "name": names,
+        }
         meshes = Registrations(surfaces, body.faces, **words)
         found.append(MovingSurface(f"{subject}_{k}", subject, RATE, meshes, betas, pose, trans))
     return found
@@ -76,13 +100,18 @@ def people(body: BodyModel, count: int, frames: int, noise: float, first: int = 
 def prediction(body: BodyModel) -> dict[str, float]:
     """Frames a second, and what is left two seconds after ten minutes of motion."""
     minute = moving(body, 3600, 7)
-    betas, (pose, trans) = minute[0], (np.tile(part, (10, *[1] * (part.ndim - 1))) for part in minute[1:])
+    betas, (pose, trans) = (
+        minute[0],
+        (np.tile(part, (10, *[1] * (part.ndim - 1))) for part in minute[1:]),
+    )
     stop = 240
     pose = np.concatenate([pose, np.tile(pose[-1:], (stop, 1, 1))])
     trans = np.concatenate([trans, np.tile(trans[-1:], (stop, 1))])
-    seconds, own = [], []
+    seconds = []
+    own = []
     for _ in range(3):
-        began, mine = time.perf_counter(), time.thread_time()
+        began = time.perf_counter()
+        mine = time.thread_time()
         found = simulate_soft_tissue(body, betas, pose, trans, RATE)
         seconds.append(time.perf_counter() - began)
         own.append(time.thread_time() - mine)
@@ -102,34 +131,48 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--people", type=int, default=6)
     parser.add_argument("--frames", type=int, default=300, help="of each of two sequences a person")
-    parser.add_argument("--noise", type=float, default=1.0, help="mm of each coordinate of a surface")
+    parser.add_argument(
+        "--noise", type=float, default=1.0, help="mm of each coordinate of a surface"
+    )
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=Path("dynamics.json"))
     options = parser.parse_args()
     told = machine()
     truth = planted(load_body("default"))
     numbers: dict = {"machine": told, "prediction": prediction(truth)}
-    workers, bare = Threads(options.threads), replace(truth, dynamics=None)
+    workers = Threads(options.threads)
+    bare = replace(truth, dynamics=None)
     data = people(truth, options.people, options.frames, 1e-3 * options.noise)
     began = time.perf_counter()
     found = learn_dynamics(bare, data, DynamicsOptions(personal=False), workers)
     frames = sum(map(len, data))
     numbers["training"] = {"frames": frames, "seconds": time.perf_counter() - began}
-    spans = [np.linalg.qr(body.dynamics.directions.reshape(-1, COUNT))[0] for body in (found.body, truth)]
+    spans = [
+        np.linalg.qr(body.dynamics.directions.reshape(-1, COUNT))[0] for body in (found.body, truth)
+    ]
     numbers["cosines_of_spans"] = np.linalg.svd(spans[0].T @ spans[1])[1].tolist()
     numbers["modes"] = {"found": found.modes.tolist(), "planted": swinging(truth.dynamics).tolist()}
     numbers["held_out_error"] = found.choices[0].error
-    errors = [one.errors for one in evaluate_dynamics(found.body, people(truth, 2, options.frames, 0.0, 500), workers)]
+    errors = [
+        one.errors
+        for one in evaluate_dynamics(
+            found.body, people(truth, 2, options.frames, 0.0, 500), workers
+        )
+    ]
     mean = np.sqrt(np.mean(np.square(errors), axis=0))
     numbers["test"] = {
-        way: dict(zip(QUANTITIES, row, strict=True)) for way, row in zip(WAYS, mean.tolist(), strict=True)
+        way: dict(zip(QUANTITIES, row, strict=True))
+        for way, row in zip(WAYS, mean.tolist(), strict=True)
     }
     print(in_words(told))
     print(
         f"prediction: {numbers['prediction']['frames_per_second']:,.0f} frames/s, one thread "
-        f"({numbers['prediction']['frames_per_second_of_processor_time']:,.0f} a second of processor time)"
+        f"({numbers['prediction']['frames_per_second_of_processor_time']:,.0f} a second of "
+        "processor time)"
     )
-    least, most = (edge(numbers["prediction"]["largest_coefficient_by_minute"]) for edge in (min, max))
+    least, most = (
+        edge(numbers["prediction"]["largest_coefficient_by_minute"]) for edge in (min, max)
+    )
     print(f"  largest coefficient in each of ten minutes: {least:.2f} to {most:.2f}")
     print(f"  share left 2 s after it stopped: {numbers['prediction']['left_after_2_s']:.1g}")
     print(
@@ -138,7 +181,10 @@ def main() -> None:
     )
     for hz, ratio in found.modes:
         print(f"  swings at {hz:.2f} Hz, damping {ratio:.3f}")
-    print("people and motions not seen, root mean squares (place mm, velocity mm/s, acceleration m/s²):")
+    print(
+        "people and motions not seen, root mean squares (place mm, velocity mm/s, acceleration "
+        "m/s²):"
+    )
     for way, row in zip(WAYS, mean, strict=True):
         print(f"  {way:10} {row[0]:8.2f} {row[1]:8.1f} {row[2]:8.2f}")
     write_json(options.out, numbers)

@@ -1,9 +1,10 @@
-"""What other programs see of a fit: every format read back and held against the fit's own surface; size and time.
+"""What other programs see of a fit: every format read back and held against the fit's own surface;
+size and time.
 
     python benchmarks/exports.py --body results/85_12/body.npz [--out DIR] [--frames 12]
 
-Read by the tests' own readers of FBX, glTF and BVH, by UsdSkel, and by Blender where it is here (the program, or the
-module bpy). Prints a table, writes exports.json.
+Read by the tests' own readers of FBX, glTF and BVH, by UsdSkel, and by Blender where it is here
+(the program, or the module bpy). Prints a table, writes exports.json.
 """
 
 import argparse
@@ -30,12 +31,15 @@ from habitus.export.seams import seams_of
 
 def main() -> None:
     """Export, read back, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--body", required=True, help="a fit's body.npz")
     parser.add_argument("--out", type=Path, default=Path("out/exports"))
     parser.add_argument("--frames", type=int, default=12, help="how many are read back")
     options = parser.parse_args()
-    here, fit = machine(), habitus.load_fit(options.body)
+    here = machine()
+    fit = habitus.load_fit(options.body)
     frames = np.linspace(0, fit.num_frames - 1, options.frames).astype(int)
     known = np.concatenate([part.vertices for part in fit.surfaces(frames, body=fit.finest_body)])
     rows = []
@@ -54,36 +58,59 @@ def main() -> None:
 
 def _line(row: dict) -> str:
     off = ", ".join(f"{reader} {value:.3f} mm" for reader, value in row["off_mm"].items())
-    return f"{row['format']:5} {row['megabytes']:6.1f} MB {row['seconds']:6.1f} s {row['morphs']:4} morphs  {off}"
+    return (
+        f"{row['format']:5} {row['megabytes']:6.1f} MB {row['seconds']:6.1f} s "
+        f"{row['morphs']:4} morphs  {off}"
+    )
 
 
-def _read_back(fit: habitus.Mosh, path: Path, frames: np.ndarray, known: np.ndarray) -> dict[str, float]:
-    """How far the worst vertex (of .bvh: joint) of these frames is from the fit, in mm, by reader."""
-    turn, kind = up_rotation(fit.up_axis), path.suffix[1:]
+def _read_back(
+    fit: habitus.Mosh, path: Path, frames: np.ndarray, known: np.ndarray
+) -> dict[str, float]:
+    """How far the worst vertex (of .bvh: joint) of these frames is from the fit, in mm, by
+    reader.
+    """
+    turn = up_rotation(fit.up_axis)
+    kind = path.suffix[1:]
     upright = known @ turn.T
     found = {}
     if kind == "fbx":
         read = Fbx(path)
-        found["own reader"] = _worst(read.vertices(frame) - known for frame, known in zip(frames, upright, strict=True))
+        found["own reader"] = _worst(
+            read.vertices(frame) - known for frame, known in zip(frames, upright, strict=True)
+        )
     if kind == "glb":
-        read, source = Glb(path), seams_of(fit.finest_body).source
+        read = Glb(path)
+        source = seams_of(fit.finest_body).source
         times = frames / fit.rate_hz
-        found["own reader"] = _worst(read.vertices(at) - one[source] for at, one in zip(times, upright, strict=True))
+        found["own reader"] = _worst(
+            read.vertices(at) - one[source] for at, one in zip(times, upright, strict=True)
+        )
     if kind == "bvh":
-        read, joints = Bvh(path), fit.joints(list(frames)) @ turn.T
-        placed = (np.array([read.joints(frame)[name] for name in fit.body.joint_names]) / 100 for frame in frames)
+        read = Bvh(path)
+        joints = fit.joints(list(frames)) @ turn.T
+        placed = (
+            np.array([read.joints(frame)[name] for name in fit.body.joint_names]) / 100
+            for frame in frames
+        )
         found["own reader"] = _worst(one - known for one, known in zip(placed, joints, strict=True))
     if kind in ("usdc", "usdz"):
         from pxr import Usd
         from read_usd import skinned
 
         stage = Usd.Stage.Open(str(path))
-        found["UsdSkel"] = _worst(skinned(stage, int(f)) - one for f, one in zip(frames, upright, strict=True))
+        found["UsdSkel"] = _worst(
+            skinned(stage, int(f)) - one for f, one in zip(frames, upright, strict=True)
+        )
     for program, readers in READERS.items():
-        chosen = {reader: operator for reader, (ending, operator) in readers.items() if ending == kind}
+        chosen = {
+            reader: operator for reader, (ending, operator) in readers.items() if ending == kind
+        }
         if PROGRAMS[program] is None or not chosen:
             continue
-        seen = in_blender(program, [(path, operator) for operator in chosen.values()], round(fit.rate_hz), frames)
+        seen = in_blender(
+            program, [(path, operator) for operator in chosen.values()], round(fit.rate_hz), frames
+        )
         source = seams_of(fit.finest_body).source if kind == "glb" else slice(None)
         for reader, surfaces in zip(chosen, seen, strict=True):
             away = (surfaces[frame] - one[source] for frame, one in zip(frames, known, strict=True))

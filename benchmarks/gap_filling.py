@@ -1,8 +1,11 @@
-"""Gaps of a real capture filled from its fit: how far from what was there, against cubics and straight lines.
+"""Gaps of a real capture filled from its fit: how far from what was there, against cubics and
+straight lines.
 
-python benchmarks/gap_filling.py CAPTURE.c3d [--gaps 60] [--seconds 0.25 0.5 1.0] [--out FILE.json] [--picture FILE.png]
+python benchmarks/gap_filling.py CAPTURE.c3d [--gaps 60] [--seconds 0.25 0.5 1.0] [--out FILE.json]
+[--picture FILE.png]
 
-Gaps of single markers are planted where the capture has none, the capture is fitted with them, and the fit fills them.
+Gaps of single markers are planted where the capture has none, the capture is fitted with them, and
+the fit fills them.
 """
 
 import argparse
@@ -19,14 +22,20 @@ from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 
 
-def planted(capture: Capture, gaps: int, seconds: list[float], rng: np.random.Generator) -> tuple[Capture, np.ndarray]:
-    """The capture with gaps, and which samples are hidden (T, M); no two gaps of a marker within a second."""
+def planted(
+    capture: Capture, gaps: int, seconds: list[float], rng: np.random.Generator
+) -> tuple[Capture, np.ndarray]:
+    """The capture with gaps, and which samples are hidden (T, M); no two gaps of a marker within a
+    second.
+    """
     hidden = np.zeros(capture.markers.shape[:2], bool)
-    taken, made = ~np.isfinite(capture.markers[..., 0]), 0
+    taken = ~np.isfinite(capture.markers[..., 0])
+    made = 0
     margin = round(0.5 * capture.rate_hz)
     for _ in range(100 * gaps):
         length = round(seconds[made % len(seconds)] * capture.rate_hz)
-        first, marker = rng.integers(margin, len(capture) - length - margin), rng.integers(capture.markers.shape[1])
+        first = rng.integers(margin, len(capture) - length - margin)
+        marker = rng.integers(capture.markers.shape[1])
         if not taken[first - margin : first + length + margin, marker].any():
             hidden[first : first + length, marker] = taken[first : first + length, marker] = True
             made += 1
@@ -36,7 +45,9 @@ def planted(capture: Capture, gaps: int, seconds: list[float], rng: np.random.Ge
     return Capture(capture.name, capture.labels, markers, capture.rate_hz, capture.up_axis), hidden
 
 
-def interpolated(markers: np.ndarray, marker: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(
+    markers: np.ndarray, marker: int, first: int, last: int
+) -> tuple[np.ndarray, np.ndarray]:
     """A cubic through the samples on both sides, and the straight line."""
     gap = np.arange(first, last + 1)
     near = np.r_[first - 10 : first, last + 1 : last + 11]
@@ -49,7 +60,9 @@ def interpolated(markers: np.ndarray, marker: int, first: int, last: int) -> tup
 
 def main() -> None:
     """Plant, fit, fill, and compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("capture", type=Path)
     parser.add_argument("--gaps", type=int, default=60)
     parser.add_argument("--seconds", type=float, nargs="+", default=[0.25, 0.5, 1.0])
@@ -63,11 +76,18 @@ def main() -> None:
         fit = hb.mosh(Path(folder) / "gappy.c3d")[0]
         found = hb.fill_capture(fit, Path(folder) / "gappy.c3d")
     errors: dict[float, dict[str, list[float]]] = {}
-    left_empty, shown = 0, []
+    left_empty = 0
+    shown = []
     for marker in range(hidden.shape[1]):
         for first, last in runs(hidden[:, marker]):
             gap = slice(first, last + 1)
-            ways = dict(zip(("cubic", "straight"), interpolated(gappy.markers, marker, first, last), strict=True))
+            ways = dict(
+                zip(
+                    ("cubic", "straight"),
+                    interpolated(gappy.markers, marker, first, last),
+                    strict=True,
+                )
+            )
             ways["body"] = found.capture.markers[gap, marker]
             if not np.isfinite(ways["body"]).all():
                 left_empty += 1
@@ -81,12 +101,17 @@ def main() -> None:
         "machine": machine(),
         "capture": truth.name,
         "left_empty": left_empty,
-        "mean_mm": {str(s): {n: float(np.mean(v)) for n, v in each.items()} for s, each in sorted(errors.items())},
+        "mean_mm": {
+            str(s): {n: float(np.mean(v)) for n, v in each.items()}
+            for s, each in sorted(errors.items())
+        },
         "gaps": {str(s): len(each["body"]) for s, each in errors.items()},
     }
     print(f"{truth.name}: {left_empty} gaps left empty")
     for length, each in sorted(errors.items()):
-        told = ", ".join(f"{name} {np.mean(each[name]):.1f} mm" for name in ("body", "cubic", "straight"))
+        told = ", ".join(
+            f"{name} {np.mean(each[name]):.1f} mm" for name in ("body", "cubic", "straight")
+        )
         print(f"{length:.2f} s ({len(each['body'])} gaps): {told}")
     if options.out:
         write_json(options.out, numbers)
@@ -105,10 +130,25 @@ def draw(truth: Capture, shown: list, path: Path) -> None:
     axis = "xyz".index(truth.up_axis[1])
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.2))
     for plot, (marker, first, last, ways) in zip(axes, sorted(shown, key=span)[-3:], strict=True):
-        around, gap = np.arange(max(first - 40, 0), min(last + 41, len(truth))), np.arange(first, last + 1)
-        plot.plot(around / truth.rate_hz, truth.markers[around, marker, axis], color="#566472", lw=3, label="measured")
-        plot.plot(gap / truth.rate_hz, ways["body"][:, axis], color="#d9480f", lw=1.5, label="filled by the body")
-        plot.plot(gap / truth.rate_hz, ways["cubic"][:, axis], "--", color="#0b6e7f", lw=1, label="cubic")
+        around = np.arange(max(first - 40, 0), min(last + 41, len(truth)))
+        gap = np.arange(first, last + 1)
+        plot.plot(
+            around / truth.rate_hz,
+            truth.markers[around, marker, axis],
+            color="#566472",
+            lw=3,
+            label="measured",
+        )
+        plot.plot(
+            gap / truth.rate_hz,
+            ways["body"][:, axis],
+            color="#d9480f",
+            lw=1.5,
+            label="filled by the body",
+        )
+        plot.plot(
+            gap / truth.rate_hz, ways["cubic"][:, axis], "--", color="#0b6e7f", lw=1, label="cubic"
+        )
         plot.set(title=truth.labels[marker], xlabel="s", ylabel="height (m)")
     axes[0].legend(frameon=False, fontsize=8)
     figure.tight_layout()

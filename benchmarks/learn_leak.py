@@ -1,16 +1,19 @@
-"""How much of a pose is taken for shape? Rest surfaces of training against the planted ones, and what it costs.
+"""How much of a pose is taken for shape? Rest surfaces of training against the planted ones, and
+what it costs.
 
     python benchmarks/learn_leak.py [--seeds 3] [--vertices 320] [--out FILE]
 
-A registration tells its pose only together with its shape: turning a limb at rest and back in the pose leaves it as it
-is. Training takes the pose whose edges are nearest to the mean person's (S eq. 15), and where a shape direction turns
-edges on average, that turn goes to the pose: rest surfaces are off by a turn that is linear in the shape coefficients.
+A registration tells its pose only together with its shape: turning a limb at rest and back in the
+pose leaves it as it is. Training takes the pose whose edges are nearest to the mean person's (S eq.
+15), and where a shape direction turns edges on average, that turn goes to the pose: rest surfaces
+are off by a turn that is linear in the shape coefficients.
 
-Each seed plants a body of five shape directions, trains on 96 poses of 8 people and 120 shapes with 0.5 mm RMS noise,
-and builds the shape space three times: with the poses found by edges, with the planted poses, and with poses whose
-significant regressions on the shape coefficients are taken out. Reported: distance of rest surfaces from the planted
-ones (without what they have in common), the part of it that is linear in the planted coefficients, and what counts:
-errors of held-out people (model generalisation) in held-out poses (pose generalisation) against meshes without noise.
+Each seed plants a body of five shape directions, trains on 96 poses of 8 people and 120 shapes with
+0.5 mm RMS noise, and builds the shape space three times: with the poses found by edges, with the
+planted poses, and with poses whose significant regressions on the shape coefficients are taken out.
+Reported: distance of rest surfaces from the planted ones (without what they have in common), the
+part of it that is linear in the planted coefficients, and what counts: errors of held-out people
+(model generalisation) in held-out poses (pose generalisation) against meshes without noise.
 """
 
 import os
@@ -44,7 +47,8 @@ from habitus.population.coarse_bodies import coarse_body
 from habitus.population.planted_body import joints_near_rings, planted_truth
 from habitus.population.registrations import Planted, planted_registrations
 
-BETAS, ALONE = 5, Threads(1)
+BETAS = 5
+ALONE = Threads(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +62,11 @@ class Case:
 
     def surfaces(self, pose: np.ndarray) -> np.ndarray:
         """The shape set in the rest pose, given its poses."""
-        estimate, regressor = self.trained.estimate, self.trained.body.joint_regressor
+        estimate = self.trained.estimate
+        regressor = self.trained.body.joint_regressor
         mean = estimate.templates.mean(0)
-        general, data = RestPerson(mean, regressor @ mean, np.zeros(0)), self.planted.registrations
+        general = RestPerson(mean, regressor @ mean, np.zeros(0))
+        data = self.planted.registrations
         return np.stack(
             [
                 pose_normalized(estimate.rig, regressor, general, p, data.read(k))
@@ -70,35 +76,56 @@ class Case:
 
     def found_poses(self) -> np.ndarray:
         """By edges, as training does."""
-        estimate, regressor = self.trained.estimate, self.trained.body.joint_regressor
+        estimate = self.trained.estimate
+        regressor = self.trained.body.joint_regressor
         mean = estimate.templates.mean(0)
-        general, data = RestPerson(mean, regressor @ mean, np.zeros(0)), self.planted.registrations.take(self.rows)
-        return np.stack([fit.pose for fit in edge_poses(estimate.rig, general, self.template.part, data, ALONE)])
+        general = RestPerson(mean, regressor @ mean, np.zeros(0))
+        data = self.planted.registrations.take(self.rows)
+        return np.stack(
+            [fit.pose for fit in edge_poses(estimate.rig, general, self.template.part, data, ALONE)]
+        )
 
 
 def prepare(seed: int, vertices: int) -> Case:
     """Plant and train."""
     base = coarse_body(load_body("default"), vertices)
     template = body_template(base)
-    truth = planted_truth(base, seed=seed, num_betas=BETAS, joint_regressor=joints_near_rings(template, seed=seed))
+    truth = planted_truth(
+        base, seed=seed, num_betas=BETAS, joint_regressor=joints_near_rings(template, seed=seed)
+    )
     planted = planted_registrations(
-        truth, subjects=8, poses_per_subject=12, shape_people=120, test_subjects=4, test_poses=5, noise_rms=5e-4,
+        truth,
+        subjects=8,
+        poses_per_subject=12,
+        shape_people=120,
+        test_subjects=4,
+        test_poses=5,
+        noise_rms=5e-4,
         seed=seed,
-    )  # fmt: skip
+    )
     options = TrainOptions(
-        rounds=3, tolerance=0.0, num_betas=BETAS, regressor="convex", weights=EnergyWeights(2.0, pose_shapes=0.3)
+        rounds=3,
+        tolerance=0.0,
+        num_betas=BETAS,
+        regressor="convex",
+        weights=EnergyWeights(2.0, pose_shapes=0.3),
     )
     trained = train_body(planted.registrations, template, options, workers=ALONE)
-    return Case(planted, template, trained, np.flatnonzero(np.array(planted.registrations.set) == "shape"))
+    return Case(
+        planted, template, trained, np.flatnonzero(np.array(planted.registrations.set) == "shape")
+    )
 
 
 def uncorrelated(case: Case, pose: np.ndarray) -> np.ndarray:
-    """Poses without what of them goes with the shape coefficients, where that is more than chance."""
+    """Poses without what of them goes with the shape coefficients, where that is more than
+    chance.
+    """
     found = pose
     for _ in range(3):
         surfaces = case.surfaces(found)
         betas = principal_shapes(surfaces, BETAS).coefficients(surfaces)
-        columns, flat = np.c_[np.ones(len(betas)), betas], found.reshape(len(found), -1)
+        columns = np.c_[np.ones(len(betas)), betas]
+        flat = found.reshape(len(found), -1)
         slopes = np.linalg.lstsq(columns, flat, rcond=None)[0]
         chance = (flat - columns @ slopes).var(0) / (len(betas) - columns.shape[1])
         sure = np.clip(1 - chance / np.maximum(slopes[1:] ** 2, 1e-12), 0, 1)
@@ -109,16 +136,21 @@ def uncorrelated(case: Case, pose: np.ndarray) -> np.ndarray:
 
 def measure(case: Case, pose: np.ndarray) -> dict[str, float]:
     """All numbers of one choice of poses (mm)."""
-    planted, regressor, surfaces = case.planted, case.trained.body.joint_regressor, case.surfaces(pose)
-    betas, rest = planted.betas[case.rows], planted.surface.rest_vertices(planted.betas[case.rows])
+    planted = case.planted
+    regressor = case.trained.body.joint_regressor
+    surfaces = case.surfaces(pose)
+    betas = planted.betas[case.rows]
+    rest = planted.surface.rest_vertices(planted.betas[case.rows])
     off = at_one_root(surfaces, regressor, np.zeros(3)) - at_one_root(rest, regressor, np.zeros(3))
     flat = (off - off.mean(0)).reshape(len(off), -1)
     columns = np.c_[np.ones(len(betas)), betas]
     linear = columns @ np.linalg.lstsq(columns, flat, rcond=None)[0]
-    rig, space = case.trained.estimate.rig, principal_shapes(surfaces, BETAS)
+    rig = case.trained.estimate.rig
+    space = principal_shapes(surfaces, BETAS)
     model = PosableBody(assemble("trained", case.template, rig, regressor, space), "trained")
     rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
-    test, clean = planted.registrations.take(rows), planted.clean[rows]
+    test = planted.registrations.take(rows)
+    clean = planted.clean[rows]
     free = model_generalisation(model, test, [BETAS], clean=clean)
     fixed = pose_generalisation(model, test, free, clean=clean)
     mean = (1e3 * np.linalg.norm(each.reshape(off.shape), axis=2).mean() for each in (flat, linear))
@@ -128,7 +160,9 @@ def measure(case: Case, pose: np.ndarray) -> dict[str, float]:
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--vertices", type=int, default=320)
     parser.add_argument("--out", type=Path, default=Path("learn_leak.json"))
@@ -156,7 +190,9 @@ def main() -> None:
     for name, found in results.items():
         table.add_row(name, *(f"{np.mean([one[key] for one in found]):.2f}" for key in found[0]))
     Console(width=120).print(table)
-    write_json(arguments.out, {"machine": machine(), "vertices": arguments.vertices, "results": results})
+    write_json(
+        arguments.out, {"machine": machine(), "vertices": arguments.vertices, "results": results}
+    )
 
 
 if __name__ == "__main__":

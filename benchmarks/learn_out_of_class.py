@@ -1,16 +1,25 @@
-"""What do pose blend shapes buy on surfaces that no model can hold? SMPL, plain skinning, BlendSCAPE on the same data.
+"""What do pose blend shapes buy on surfaces that no model can hold? SMPL, plain skinning,
+BlendSCAPE on the same data.
 
     python benchmarks/learn_out_of_class.py [--people papers] [--vertices 600] [--models ...]
                                             [--keep DIR] [--out learn_out_of_class.json]
 
-Registrations come from dual quaternion skinning plus bulges that follow joint angles in a way that rotation matrices do
-not span, and that grow with a person's girth (`habitus.population.bulging_flesh`), with noise of 1 mm RMS. Every
-model is trained on the same registrations, held-out poses of held-out people are fitted (S 5.1). Errors are mean
-distances of vertices from noisy and from noise-free meshes; shares removed are against the noise-free ones, since
-noise alone is 0.92 mm. Models: SMPL-LBS and SMPL-DQBS; the same without their pose blend shapes, as S 5.1 compares;
-plain skinning trained as such; sparse (S 5.2), of low rank, with L1, shape-dependent (T 5.6); other pose features (T
-5.6) with the neck twist; BlendSCAPE from the poses and weights of SMPL-LBS, as published and trained through its
-stitching. `--people papers`: 40 subjects in 1,786 poses and 3,800 shapes (S 4). The file is written after each model.
+Registrations come from dual quaternion skinning plus bulges that follow joint angles in a way that
+rotation matrices do
+not span, and that grow with a person's girth (`habitus.population.bulging_flesh`), with noise of 1
+mm RMS. Every
+model is trained on the same registrations, held-out poses of held-out people are fitted (S 5.1).
+Errors are mean
+distances of vertices from noisy and from noise-free meshes; shares removed are against the
+noise-free ones, since
+noise alone is 0.92 mm. Models: SMPL-LBS and SMPL-DQBS; the same without their pose blend shapes, as
+S 5.1 compares;
+plain skinning trained as such; sparse (S 5.2), of low rank, with L1, shape-dependent (T 5.6); other
+pose features (T
+5.6) with the neck twist; BlendSCAPE from the poses and weights of SMPL-LBS, as published and
+trained through its
+stitching. `--people papers`: 40 subjects in 1,786 poses and 3,800 shapes (S 4). The file is written
+after each model.
 """
 
 import os
@@ -69,7 +78,9 @@ FEATURES = ("SMPL-LBS", "angles", "sin_cos", "quaternions", "polynomials")
 
 
 def plant(arguments: argparse.Namespace, folder: Path) -> tuple[Any, Planted]:
-    """The template, and registrations of surfaces outside the class; joints are as near the rings as planted ones."""
+    """The template, and registrations of surfaces outside the class; joints are as near the rings
+    as planted ones.
+    """
     body = coarse_body(load_body("default"), arguments.vertices)
     regressor = joints_near_rings(body_template(body), seed=arguments.seed)
     body = replace(body, joint_regressor=regressor)
@@ -85,7 +96,9 @@ def plant(arguments: argparse.Namespace, folder: Path) -> tuple[Any, Planted]:
 
 
 def options_for(planted: Planted, rounds: int, chosen: dict[str, Any]) -> TrainOptions:
-    """The papers' weights, scaled as the data term is: there are fewer registrations and vertices here."""
+    """The papers' weights, scaled as the data term is: there are fewer registrations and vertices
+    here.
+    """
     poses = planted.registrations.set.count("pose")
     scale = planted.registrations.num_vertices / 6890
     weights = EnergyWeights(joints=100 * scale, pose_shapes=25 * poses / 1786)
@@ -94,20 +107,28 @@ def options_for(planted: Planted, rounds: int, chosen: dict[str, Any]) -> TrainO
 
 def errors_of(model: Posable, planted: Planted, arguments: argparse.Namespace) -> dict[str, Any]:
     """Both measures (mm) at each number of shape coefficients."""
-    counts, threads = arguments.counts, arguments.threads
+    counts = arguments.counts
+    threads = arguments.threads
     rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
-    test, clean, workers = planted.registrations.take(rows), planted.clean[rows], Threads(threads)
+    test = planted.registrations.take(rows)
+    clean = planted.clean[rows]
+    workers = Threads(threads)
     free = model_generalisation(model, test, counts, clean=clean, workers=workers)
     fixed = pose_generalisation(model, test, free, clean=clean, workers=workers)
     return {
         "counts": list(free.counts),
         "model": {"noisy": (1e3 * free.means).tolist(), "clean": (1e3 * free.clean_means).tolist()},
-        "pose": {"noisy": (1e3 * fixed.means).tolist(), "clean": (1e3 * fixed.clean_means).tolist()},
+        "pose": {
+            "noisy": (1e3 * fixed.means).tolist(),
+            "clean": (1e3 * fixed.clean_means).tolist(),
+        },
     }
 
 
 def keep_held_out(planted: Planted, folder: Path) -> None:
-    """The test meshes, with noise and without: `habitus evaluate MODEL... held-out.npz` draws the papers' figures."""
+    """The test meshes, with noise and without: `habitus evaluate MODEL... held-out.npz` draws the
+    papers' figures.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
     test = planted.registrations.take(rows)
@@ -115,19 +136,24 @@ def keep_held_out(planted: Planted, folder: Path) -> None:
     write_registrations(replace(test, vertices=planted.clean[rows]), folder / "held-out-clean.npz")
 
 
-def measure(arguments: argparse.Namespace, folder: Path, console: Console) -> Iterator[dict[str, Any]]:
+def measure(
+    arguments: argparse.Namespace, folder: Path, console: Console
+) -> Iterator[dict[str, Any]]:
     """Train every model and hold it against the test meshes; what is known, after each."""
     template, planted = plant(arguments, folder)
     if arguments.keep:
         keep_held_out(planted, arguments.keep)
-    registrations, workers = planted.registrations, Threads(arguments.threads)
+    registrations = planted.registrations
+    workers = Threads(arguments.threads)
     found: dict[str, Any] = {}
     trained: dict[str, TrainedBody] = {}
     for name in [name for name in VARIANTS if name in arguments.models]:
         begun = time.process_time(), time.perf_counter()
         options = options_for(planted, arguments.rounds, VARIANTS[name])
         trained[name] = train_body(registrations, template, options, workers=workers)
-        found[name] = seconds_since(*begun) | errors_of(PosableBody(trained[name].body, name), planted, arguments)
+        found[name] = seconds_since(*begun) | errors_of(
+            PosableBody(trained[name].body, name), planted, arguments
+        )
         if name in ("SMPL-LBS", "SMPL-DQBS"):
             bare = PosableBody(without_pose_shapes(trained[name].body), f"{name} without P")
             found[bare.name] = errors_of(bare, planted, arguments)
@@ -140,7 +166,8 @@ def measure(arguments: argparse.Namespace, folder: Path, console: Console) -> It
         yield found
     for name in [name for name in BLENDSCAPE if name in arguments.models]:
         begun = time.process_time(), time.perf_counter()
-        smpl, known = trained["SMPL-LBS"], registrations.where(set=("pose", "shape"))
+        smpl = trained["SMPL-LBS"]
+        known = registrations.where(set=("pose", "shape"))
         model = train_blendscape(
             known,
             template,
@@ -169,12 +196,15 @@ def report(console: Console, found: dict[str, Any], name: str) -> None:
     last = row["counts"].index(max(row["counts"]))
     console.print(
         f"{name:30} model {row['model']['noisy'][last]:.3f} / {row['model']['clean'][last]:.3f}   "
-        f"pose {row['pose']['noisy'][last]:.3f} / {row['pose']['clean'][last]:.3f}   {row.get('seconds', 0):.0f} s"
+        f"pose {row['pose']['noisy'][last]:.3f} / {row['pose']['clean'][last]:.3f}   "
+        f"{row.get('seconds', 0):.0f} s"
     )
 
 
 def removed(found: dict[str, Any]) -> dict[str, float]:
-    """Shares of plain skinning's pose-generalisation error that pose blend shapes remove (noise-free meshes)."""
+    """Shares of plain skinning's pose-generalisation error that pose blend shapes remove
+    (noise-free meshes).
+    """
     out = {}
     for full, plains in (
         ("SMPL-LBS", ("plain LBS", "SMPL-LBS without P")),
@@ -193,14 +223,19 @@ def table(found: dict[str, Any]) -> Table:
     for heading in ("", "model generalisation", "pose generalisation", "training, s"):
         out.add_column(heading)
     for name, row in found.items():
-        cells = [f"{row[kind]['noisy'][-1]:.3f} / {row[kind]['clean'][-1]:.3f}" for kind in ("model", "pose")]
+        cells = [
+            f"{row[kind]['noisy'][-1]:.3f} / {row[kind]['clean'][-1]:.3f}"
+            for kind in ("model", "pose")
+        ]
         out.add_row(name, *cells, f"{row['seconds']:.0f}" if "seconds" in row else "")
     return out
 
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--vertices", type=int, default=600)
     parser.add_argument("--people", choices=PEOPLE, default="few")
     parser.add_argument("--rounds", type=int, default=6)
@@ -215,13 +250,19 @@ def main() -> None:
         parser.error("BlendSCAPE takes the poses and weights of SMPL-LBS: ask for that as well")
     unknown = {*arguments.models} - {*VARIANTS, *BLENDSCAPE}
     if unknown:
-        parser.error(f"no models {', '.join(sorted(unknown))}; expected some of {', '.join([*VARIANTS, *BLENDSCAPE])}")
+        parser.error(
+            f"no models {', '.join(sorted(unknown))}; expected some of "
+            f"{', '.join([*VARIANTS, *BLENDSCAPE])}"
+        )
     console = Console()
     told = {key: value for key, value in vars(arguments).items() if key not in ("out", "keep")}
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         for found in measure(arguments, Path(folder), console):
-            write_json(arguments.out, {"machine": machine(), **told, "models": found, "removed": removed(found)})
+            write_json(
+                arguments.out,
+                {"machine": machine(), **told, "models": found, "removed": removed(found)},
+            )
     console.print(table(found))
     for name, row in found.items():
         if "neck_twist" in row:

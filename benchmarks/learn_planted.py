@@ -1,15 +1,18 @@
-"""Does training find what was planted? Registrations from a model of SMPL's form with noise, learned from and held out.
+"""Does training find what was planted? Registrations from a model of SMPL's form with noise,
+learned from and held out.
 
     python benchmarks/learn_planted.py [--size toy|middle|papers] [--share 0.5] [--off 10] [--threads 2] [--rounds N]
                                        [--out FILE]
 
-The truth is the default body with planted pose blend shapes, its own skinning weights and shape directions, and joints
-about 10 mm (--off) from the rings that training starts from. Registrations carry noise of 1 mm RMS distance and are
-read from disk. `papers` has the papers' size: 40 subjects in 1,786 poses, 3,800 shapes, 7,099 vertices, and 120
-held-out meshes of six other people; weights are the papers'. The smaller sizes scale lambda_P with the number of
-registrations and lambda_J with the number of vertices, as the data term against which they were chosen.
+The truth is the default body with planted pose blend shapes, its own skinning weights and shape
+directions, and joints about 10 mm (--off) from the rings that training starts from. Registrations
+carry noise of 1 mm RMS distance and are read from disk. `papers` has the papers' size: 40 subjects
+in 1,786 poses, 3,800 shapes, 7,099 vertices, and 120 held-out meshes of six other people; weights
+are the papers'. The smaller sizes scale lambda_P with the number of registrations and lambda_J with
+the number of vertices, as the data term against which they were chosen.
 
-Reported: errors of held-out poses and people against noisy and noise-free meshes (model and pose generalisation, S
+Reported: errors of held-out poses and people against noisy and noise-free meshes (model and pose
+generalisation, S
 5.1), distances from planted joints, whether the energy ever rose, seconds of every stage, memory.
 """
 
@@ -65,10 +68,14 @@ class Clock:
 
     def on_step_end(self, record: Record) -> None:
         """One line a step."""
-        energy, now = record.energy, time.perf_counter() - self.begun
+        energy = record.energy
+        now = time.perf_counter() - self.begun
         rms = 1e3 * (energy.terms["data"] / self.registrations / self.vertices) ** 0.5
         self.seconds["poses by edges" if record.round == 0 else "alternation"] = now
-        self.console.print(f"{record.round} {record.step:15} {energy.total:12.5f}  data {rms:.3f} mm RMS  {now:.0f} s")
+        self.console.print(
+            f"{record.round} {record.step:15} {energy.total:12.5f}  data {rms:.3f} mm RMS  "
+            f"{now:.0f} s"
+        )
 
     def on_state(self, state: TrainingState) -> None:
         """Nothing."""
@@ -87,16 +94,26 @@ class Clock:
 
 
 def plant(size: str, share: float, off: float, folder: Path, seed: int) -> tuple[Any, Planted]:
-    """The template and the planted registrations, on disk; ``share`` of the poses and shapes, joints ``off`` mm."""
+    """The template and the planted registrations, on disk; ``share`` of the poses and shapes,
+    joints ``off`` mm.
+    """
     wanted = dict(SIZES[size])
     poses = np.broadcast_to(wanted["poses_per_subject"], wanted["subjects"])
     wanted["poses_per_subject"] = tuple(round(share * int(n)) for n in poses)
     wanted["shape_people"] = round(share * wanted["shape_people"])
     count = wanted.pop("vertices")
-    body = replace(load_body("default"), posedirs=None) if count is None else coarse_body(load_body("default"), count)
+    body = (
+        replace(load_body("default"), posedirs=None)
+        if count is None
+        else coarse_body(load_body("default"), count)
+    )
     template = body_template(body)
-    truth = planted_truth(body, seed=seed, joint_regressor=joints_near_rings(template, seed=seed, offset=1e-3 * off))
-    planted = planted_registrations(truth, **wanted, test_subjects=6, test_poses=20, seed=seed, out=folder / "data")
+    truth = planted_truth(
+        body, seed=seed, joint_regressor=joints_near_rings(template, seed=seed, offset=1e-3 * off)
+    )
+    planted = planted_registrations(
+        truth, **wanted, test_subjects=6, test_poses=20, seed=seed, out=folder / "data"
+    )
     return template, planted
 
 
@@ -105,31 +122,50 @@ def options_for(size: str, planted: Planted, rounds: int) -> TrainOptions:
     if size == "papers":
         return TrainOptions(rounds=rounds)
     poses = planted.registrations.set.count("pose")
-    weights = EnergyWeights(joints=100 * planted.registrations.num_vertices / 6890, pose_shapes=25 * poses / 1786)
+    weights = EnergyWeights(
+        joints=100 * planted.registrations.num_vertices / 6890, pose_shapes=25 * poses / 1786
+    )
     return TrainOptions(rounds=rounds, weights=weights)
 
 
-def joint_errors(planted: Planted, rows: np.ndarray, joints: np.ndarray, pose: np.ndarray, trans: np.ndarray):
-    """Mean distance (mm) of each joint from where it was planted, in the poses of those registrations."""
+def joint_errors(
+    planted: Planted, rows: np.ndarray, joints: np.ndarray, pose: np.ndarray, trans: np.ndarray
+):
+    """Mean distance (mm) of each joint from where it was planted, in the poses of those
+    registrations.
+    """
     parents = planted.surface.parents
     of = planted.registrations.subject_index
-    found = [skeleton(parents, p).positions(j) + t for j, p, t in zip(joints, pose, trans, strict=True)]
-    truth = [skeleton(parents, planted.pose[k]).positions(planted.joints[of[k]]) + planted.trans[k] for k in rows]
+    found = [
+        skeleton(parents, p).positions(j) + t for j, p, t in zip(joints, pose, trans, strict=True)
+    ]
+    truth = [
+        skeleton(parents, planted.pose[k]).positions(planted.joints[of[k]]) + planted.trans[k]
+        for k in rows
+    ]
     return 1e3 * np.linalg.norm(np.stack(found) - np.stack(truth), axis=-1).mean(0)
 
 
 def held_out(trained: TrainedBody, planted: Planted, threads: int) -> dict[str, Any]:
     """Model and pose generalisation on the test set (mm), and joints."""
     rows = np.flatnonzero(np.array(planted.registrations.set) == "test")
-    test, clean = planted.registrations.take(rows), planted.clean[rows]
+    test = planted.registrations.take(rows)
+    clean = planted.clean[rows]
     model = PosableBody(trained.body, "trained")
-    count, workers = trained.body.num_betas, Threads(threads)
+    count = trained.body.num_betas
+    workers = Threads(threads)
     free = model_generalisation(model, test, [count], clean=clean, workers=workers)
     fixed = pose_generalisation(model, test, free, clean=clean, workers=workers)
     joints = trained.body.rest_joints(free.betas[0])
     return {
-        "model_generalisation_mm": {"noisy": 1e3 * free.means[0], "clean": 1e3 * free.clean_means[0]},
-        "pose_generalisation_mm": {"noisy": 1e3 * fixed.means[0], "clean": 1e3 * fixed.clean_means[0]},
+        "model_generalisation_mm": {
+            "noisy": 1e3 * free.means[0],
+            "clean": 1e3 * free.clean_means[0],
+        },
+        "pose_generalisation_mm": {
+            "noisy": 1e3 * fixed.means[0],
+            "clean": 1e3 * fixed.clean_means[0],
+        },
         "joints_mm": joint_errors(planted, rows, joints, free.pose[0], free.trans[0]).tolist(),
     }
 
@@ -142,16 +178,22 @@ def keep_body(trained: TrainedBody, path: Path | None) -> None:
 
 def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     """Plant, train, hold against the truth."""
-    size, threads = arguments.size, arguments.threads
+    size = arguments.size
+    threads = arguments.threads
     with tempfile.TemporaryDirectory() as folder:
-        template, planted = plant(size, arguments.share, arguments.off, Path(folder), arguments.seed)
+        template, planted = plant(
+            size, arguments.share, arguments.off, Path(folder), arguments.seed
+        )
         registrations = planted.registrations
         poses = np.flatnonzero(np.array(registrations.set) == "pose")
         clock = Clock(console, len(poses), registrations.num_vertices)
         begun = time.perf_counter(), time.process_time()
         options = options_for(size, planted, arguments.rounds)
-        trained = train_body(registrations, template, options, workers=Threads(threads), callback=clock)
-        wall, cpu = time.perf_counter() - begun[0], time.process_time() - begun[1]
+        trained = train_body(
+            registrations, template, options, workers=Threads(threads), callback=clock
+        )
+        wall = time.perf_counter() - begun[0]
+        cpu = time.process_time() - begun[1]
         keep_body(trained, arguments.keep)
         estimate = trained.estimate
         of = registrations.where(set="pose").subject_index
@@ -163,9 +205,13 @@ def measure(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
             "rounds": trained.history[-1].round,
             "seconds": {**clock.seconds, "all": wall, "cpu": cpu},
             "peak_gigabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-            "energy": [{"round": r.round, "step": r.step, **r.energy.terms} for r in trained.history],
+            "energy": [
+                {"round": r.round, "step": r.step, **r.energy.terms} for r in trained.history
+            ],
             "energy_rose": any(b > a * (1 + 1e-12) for a, b in pairwise(energies)),
-            "weights_off": float(np.abs(estimate.rig.weights - planted.surface.skinning_weights).sum(1).mean()),
+            "weights_off": float(
+                np.abs(estimate.rig.weights - planted.surface.skinning_weights).sum(1).mean()
+            ),
             "common_turn_degrees": np.degrees(
                 np.linalg.norm((estimate.pose - planted.pose[poses]).mean(0), axis=-1)
             ).tolist(),
@@ -185,11 +231,21 @@ def table(result: dict[str, Any]) -> Table:
     for kind in ("model", "pose"):
         found = result[f"{kind}_generalisation_mm"]
         for against in ("noisy", "clean"):
-            out.add_row(f"{kind} generalisation, {against}, mm", f"{found[against]:.3f}", str(GOALS[against]))
+            out.add_row(
+                f"{kind} generalisation, {against}, mm",
+                f"{found[against]:.3f}",
+                str(GOALS[against]),
+            )
     for which in ("training_joints_mm", "joints_mm"):
-        joints = np.array(result[which])[1:]  # where the root's joint is, no pose can tell: place makes up for it
+        joints = np.array(result[which])[
+            1:
+        ]  # where the root's joint is, no pose can tell: place makes up for it
         worst = result["joint_names"][1 + int(joints.argmax())]
-        out.add_row(which, f"mean {joints.mean():.2f}, worst {joints.max():.2f} ({worst})", str(GOALS["joints"]))
+        out.add_row(
+            which,
+            f"mean {joints.mean():.2f}, worst {joints.max():.2f} ({worst})",
+            str(GOALS["joints"]),
+        )
     out.add_row("energy rose", str(result["energy_rose"]), "False")
     out.add_row("hours", f"{result['seconds']['all'] / 3600:.2f}", str(GOALS["hours"]))
     out.add_row("CPU hours", f"{result['seconds']['cpu'] / 3600:.2f}", "")
@@ -199,10 +255,14 @@ def table(result: dict[str, Any]) -> Table:
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--size", choices=SIZES, default="toy")
     parser.add_argument("--share", type=float, default=1.0, help="of the size's poses and shapes")
-    parser.add_argument("--off", type=float, default=10.0, help="mm from the rings to the planted joints")
+    parser.add_argument(
+        "--off", type=float, default=10.0, help="mm from the rings to the planted joints"
+    )
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=8)
     parser.add_argument("--seed", type=int, default=0)

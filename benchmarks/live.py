@@ -1,10 +1,13 @@
-"""From a packet to a pose: how long a live fit takes, with the viewer and without, on a quiet and on a busy machine.
+"""From a packet to a pose: how long a live fit takes, with the viewer and without, on a quiet and
+on a busy machine.
 
-python benchmarks/live.py [--seconds 30] [--rate 120] [--layout mosh-67] [--busy] [--browser] [--out FILE.json]
+python benchmarks/live.py [--seconds 30] [--rate 120] [--layout mosh-67] [--busy] [--browser] [--out
+FILE.json]
 
-A process of its own sends NatNet packets of a synthetic capture on loopback, as Motive sends them. The clock runs from
-just before a packet is sent until the pose is handed on. --busy keeps every core occupied meanwhile; --browser opens
-the viewer's page in a headless Chromium, which without a graphics card draws on the processor and keeps it busy, too.
+A process of its own sends NatNet packets of a synthetic capture on loopback, as Motive sends them.
+The clock runs from just before a packet is sent until the pose is handed on. --busy keeps every
+core occupied meanwhile; --browser opens the viewer's page in a headless Chromium, which without a
+graphics card draws on the processor and keeps it busy, too.
 """
 
 import argparse
@@ -72,23 +75,41 @@ def browse(url, folder):
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         sys.exit("no Chromium here")
-    words = "--headless --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
-    command = [chromium, *words.split(), "--remote-debugging-port=0", f"--user-data-dir={folder}", url]
+    words = (
+        "--headless --no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
+    )
+    command = [
+        chromium,
+        *words.split(),
+        "--remote-debugging-port=0",
+        f"--user-data-dir={folder}",
+        url,
+    ]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def run(subject, points, labels, options, view, folder):
     """Latencies (ms) of all frames but the first seconds, and how many were lost or late."""
     context = multiprocessing.get_context("spawn")
-    sent, done = context.RawArray("d", len(points)), np.full(len(points), np.nan)
-    ready, told, browsers, said = context.Queue(), context.Event(), [], []
+    sent = context.RawArray("d", len(points))
+    done = np.full(len(points), np.nan)
+    ready = context.Queue()
+    told = context.Event()
+    browsers = []
+    said = []
 
     def say(text):
         if options.browser and text.startswith("viewer: "):
             browsers.append(browse(text.removeprefix("viewer: "), folder))
 
-    server = context.Process(target=send, args=(points, labels, options.rate, sent, ready, told), daemon=True)
-    others = [context.Process(target=occupied, daemon=True) for _ in range(os.cpu_count() or 1)] if options.busy else []
+    server = context.Process(
+        target=send, args=(points, labels, options.rate, sent, ready, told), daemon=True
+    )
+    others = (
+        [context.Process(target=occupied, daemon=True) for _ in range(os.cpu_count() or 1)]
+        if options.busy
+        else []
+    )
     for each in (server, *others):
         each.start()
     made = [partial(Clock, done), *(sinks((), 8090, say) if view else [])]
@@ -96,7 +117,15 @@ def run(subject, points, labels, options, view, folder):
         address = ready.get(timeout=60)
         until = len(points) / options.rate
         note = lambda text, mark="": said.append(text)  # noqa: E731
-        hb.live("natnet", address, subject=subject, sinks=made, stop_after=until, say=note, on_status=note)
+        hb.live(
+            "natnet",
+            address,
+            subject=subject,
+            sinks=made,
+            stop_after=until,
+            say=note,
+            on_status=note,
+        )
     finally:
         told.set()
         for each in (server, *others):
@@ -114,7 +143,9 @@ def run(subject, points, labels, options, view, folder):
 
 def main() -> None:
     """Make a person, follow them, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=120.0)
     parser.add_argument("--layout", default="mosh-67")
@@ -123,11 +154,20 @@ def main() -> None:
     parser.add_argument("--verbose", action="store_true")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    named, body = machine(), hb.load_body("default")
-    capture = synthetic(body, options.layout, round((options.seconds + PAGE_S + GATHERED_S) * options.rate))
+    named = machine()
+    body = hb.load_body("default")
+    capture = synthetic(
+        body, options.layout, round((options.seconds + PAGE_S + GATHERED_S) * options.rate)
+    )
     subject = hb.Mosh(layout=options.layout, soft_tissue=False).fit(capture[:600], body)
-    print(f"{in_words(named)}; {len(capture.labels)} markers at {options.rate:g} Hz{', busy' if options.busy else ''}")
-    print("| viewer | p50 ms | p99 ms | p99.9 ms | longest ms | frames | not solved |\n|---|---|---|---|---|---|---|")
+    print(
+        f"{in_words(named)}; {len(capture.labels)} markers at {options.rate:g} "
+        f"Hz{', busy' if options.busy else ''}"
+    )
+    print(
+        "| viewer | p50 ms | p99 ms | p99.9 ms | longest ms | frames | not solved "
+        "|\n|---|---|---|---|---|---|---|"
+    )
     rows = []
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for view in (False, True):
@@ -135,15 +175,25 @@ def main() -> None:
             p50, p99, p999 = np.percentile(took, [50, 99, 99.9])
             what = "none" if not view else "and its page" if options.browser else "served"
             rows.append(
-                {"viewer": what, "p50_ms": p50, "p99_ms": p99, "p999_ms": p999, "longest_ms": took.max()}
+                {
+                    "viewer": what,
+                    "p50_ms": p50,
+                    "p99_ms": p99,
+                    "p999_ms": p999,
+                    "longest_ms": took.max(),
+                }
                 | {"frames": len(took), "not_solved": missing}
             )
             print(
-                f"| {what} | {p50:.2f} | {p99:.2f} | {p999:.2f} | {took.max():.1f} | {len(took)} | {missing} |",
+                f"| {what} | {p50:.2f} | {p99:.2f} | {p999:.2f} | {took.max():.1f} | {len(took)} "
+                f"| {missing} |",
                 flush=True,
             )
     if options.out:
-        write_json(options.out, {"machine": named, "busy": options.busy, "rate_hz": options.rate, "rows": rows})
+        write_json(
+            options.out,
+            {"machine": named, "busy": options.busy, "rate_hz": options.rate, "rows": rows},
+        )
 
 
 if __name__ == "__main__":

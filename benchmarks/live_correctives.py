@@ -1,9 +1,12 @@
-"""How much of a body's pose blend shapes do so many that bones can drive keep, in poses that no file's motion has?
+"""How much of a body's pose blend shapes do so many that bones can drive keep, in poses that no
+file's motion has?
 
     python benchmarks/live_correctives.py [--body default] [--poses 200] [--out DIR]
 
-Poses are drawn from the pose prior (people's), and from wider ones as animators may set them (twice its variance and
-0.1 rad in every axis of every joint). Left out is said of vertices at rest, before skinning turns them. Prints a
+Poses are drawn from the pose prior (people's), and from wider ones as animators may set them (twice
+its variance and
+0.1 rad in every axis of every joint). Left out is said of vertices at rest, before skinning turns
+them. Prints a
 table, writes live_correctives.json.
 """
 
@@ -26,7 +29,9 @@ from habitus.rotations import matrix_from_rotvec
 
 def main() -> None:
     """Export, drive, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--body", default="default")
     parser.add_argument("--poses", type=int, default=200)
     parser.add_argument("--out", type=Path, default=Path("out/live_correctives"))
@@ -34,17 +39,30 @@ def main() -> None:
     body = habitus.load_body(options.body)
     still = np.zeros((2, body.num_joints, 3))
     motion = BodyMotion(body, np.zeros(body.num_betas), still, still[:, 0], 30.0)
-    poses = {"people's": _of_people(body, options.poses), "wider": sampled_rotations(body)[: options.poses]}
+    poses = {
+        "people's": _of_people(body, options.poses),
+        "wider": sampled_rotations(body)[: options.poses],
+    }
     rows = []
     for wanted in ("none", "live:48", "live:64", "live:96", "live:128", "all"):
         animation = one_sided(animate(motion, correctives=wanted))
         row = {"wanted": wanted, "channels": len(animation.morph_names)}
         for name, rotations in poses.items():
-            away = np.concatenate([_left_out(animation, some) for some in np.array_split(rotations, 10)])
+            away = np.concatenate(
+                [_left_out(animation, some) for some in np.array_split(rotations, 10)]
+            )
             told = np.sqrt((away**2).mean()), np.quantile(away, 0.99), away.max()
-            row |= {f"{name}, {what}, mm": 1e3 * float(x) for what, x in zip(("rms", "99 %", "max"), told, strict=True)}
+            row |= {
+                f"{name}, {what}, mm": 1e3 * float(x)
+                for what, x in zip(("rms", "99 %", "max"), told, strict=True)
+            }
         rows.append(row)
-        print("  ".join(f"{key} {value:.2f}" if isinstance(value, float) else str(value) for key, value in row.items()))
+        print(
+            "  ".join(
+                f"{key} {value:.2f}" if isinstance(value, float) else str(value)
+                for key, value in row.items()
+            )
+        )
     options.out.mkdir(parents=True, exist_ok=True)
     found = {"machine": machine(), "body": body.name, "rows": rows}
     (options.out / "live_correctives.json").write_text(json.dumps(found, indent=1))
@@ -63,13 +81,16 @@ def _left_out(animation: Animation, rotations: np.ndarray) -> np.ndarray:
     body = animation.body
     turned = (rotations - np.eye(3)).reshape(*rotations.shape[:2], 9)
     known = (
-        turned[:, list(body.drivers)].reshape(len(rotations), -1) @ body.posedirs.reshape(-1, body.posedirs.shape[-1]).T
+        turned[:, list(body.drivers)].reshape(len(rotations), -1)
+        @ body.posedirs.reshape(-1, body.posedirs.shape[-1]).T
     )
     found = np.zeros_like(known)
     if animation.morph_rows.any():
         channels = drivers(animation)["channels"]
         joints = [body.joint_names.index(channel["joint"]) for channel in channels]
-        weights = np.clip((turned[:, joints] * [channel["row"] for channel in channels]).sum(-1), 0, 1)
+        weights = np.clip(
+            (turned[:, joints] * [channel["row"] for channel in channels]).sum(-1), 0, 1
+        )
         found = weights @ animation.morphs.reshape(len(animation.morphs), -1)
     return np.linalg.norm((found - known).reshape(len(known), -1, 3), axis=-1)
 

@@ -1,9 +1,10 @@
-"""Marker selection (M 7): does the linear problem rank sets of markers as fits do, and what is lost with fewer markers.
+"""Marker selection (M 7): does the linear problem rank sets of markers as fits do, and what is lost
+with fewer markers.
 
 python benchmarks/marker_selection.py [--people 12] [--out FILE.json]
 
-Random sets of 8 to 80 of MoSh's markers are judged both ways: by `set_error`, to first order, and by fits with a draw
-of noise for each person. Then the curve of M's Figure 5 and the time it takes.
+Random sets of 8 to 80 of MoSh's markers are judged both ways: by `set_error`, to first order, and
+by fits with a draw of noise for each person. Then the curve of M's Figure 5 and the time it takes.
 """
 
 import argparse
@@ -17,22 +18,34 @@ from scipy.stats import spearmanr
 
 from habitus.fit.selection.full import best_states, full_error
 from habitus.fit.selection.greedy import removals, set_error
-from habitus.fit.selection.problem import NOISE, Candidates, linearised, region_joints, region_vertices
+from habitus.fit.selection.problem import (
+    NOISE,
+    Candidates,
+    linearised,
+    region_joints,
+    region_vertices,
+)
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.population.held_out import held_out_people
 
-SIZES, SETS, ALIKE = (8, 12, 16, 20, 25, 35, 47, 60, 80), 3, (25, 20)
+SIZES = (8, 12, 16, 20, 25, 35, 47, 60, 80)
+SETS = 3
+ALIKE = (25, 20)
 
 
 def main() -> None:
     """Judge sets both ways, say how well the two agree, and draw the curve."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--people", type=int, default=12)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    body, prior, rng = load_body("default"), load_pose_prior(), np.random.default_rng(0)
+    body = load_body("default")
+    prior = load_pose_prior()
+    rng = np.random.default_rng(0)
     drawn = held_out_people([load_body("female"), load_body("male")], prior, options.people, 0)
     people = best_states(body, prior, drawn, np.arange(0, body.num_vertices, 15))
     layout = load_layout("mosh-67")
@@ -51,9 +64,12 @@ def main() -> None:
     first_order = [1e3 * set_error(problem, tuple(some)) for some in sets]
     first_seconds = (time.perf_counter() - began) / len(sets)
     began = time.perf_counter()
-    curve = {len(step.groups): 1e3 * step.error for step in removals(problem, range(len(vertices)), 5)}
+    curve = {
+        len(step.groups): 1e3 * step.error for step in removals(problem, range(len(vertices)), 5)
+    }
     curve_seconds = time.perf_counter() - began
-    spread, alike = slice(0, len(SIZES) * SETS), slice(len(SIZES) * SETS, None)
+    spread = slice(0, len(SIZES) * SETS)
+    alike = slice(len(SIZES) * SETS, None)
     found = {
         "machine": machine(),
         "people": options.people,
@@ -67,11 +83,20 @@ def main() -> None:
     }
     for size, a, b in found["sets"]:
         print(f"{size:3d} markers: fits {a:6.1f} mm, first order {b:6.1f} mm")
-    for name in ("rank_correlation_all_sizes", "rank_correlation_same_size", "median_ratio", "curve_seconds"):
+    for name in (
+        "rank_correlation_all_sizes",
+        "rank_correlation_same_size",
+        "median_ratio",
+        "curve_seconds",
+    ):
         print(f"{name}: {found[name]:.3f}")
     print(
         "curve:",
-        "  ".join(f"{size}: {curve[size]:.1f}" for size in (86, 67, 47, 35, 25, 20, 15, 10, 5) if size in curve),
+        "  ".join(
+            f"{size}: {curve[size]:.1f}"
+            for size in (86, 67, 47, 35, 25, 20, 15, 10, 5)
+            if size in curve
+        ),
     )
     if options.out:
         options.out.write_text(json.dumps(found, indent=1))

@@ -1,12 +1,15 @@
-"""How well does the marker fit explain real captures, and how well does it predict markers that it never saw?
+"""How well does the marker fit explain real captures, and how well does it predict markers that it
+never saw?
 
-    python benchmarks/mosh_accuracy.py [CAPTURE_OR_FOLDER ...] [--captures 85_02 85_12] [--hold-out-every 5]
+    python benchmarks/mosh_accuracy.py [CAPTURE_OR_FOLDER ...] [--captures 85_02 85_12]
+    [--hold-out-every 5]
 
-Fits each capture by itself with the ordinary settings. Prints the mean marker error of the pose stage and with soft
-tissue, the mean error of held-out markers (one in K left out of everything at a time, by rotation, and predicted where
-the prior over placements expects it: MoSh 8.1), the fitted height against the recorded one, and seconds. For pairs of
-trials of one subject it prints how far their rest shapes, found apart, differ (mean vertex distance; pelvis joints
-together). JSON holds all of it. Captures that are not there are named and left out.
+Fits each capture by itself with the ordinary settings. Prints the mean marker error of the pose
+stage and with soft tissue, the mean error of held-out markers (one in K left out of everything at a
+time, by rotation, and predicted where the prior over placements expects it: MoSh 8.1), the fitted
+height against the recorded one, and seconds. For pairs of trials of one subject it prints how far
+their rest shapes, found apart, differ (mean vertex distance; pelvis joints together). JSON holds
+all of it. Captures that are not there are named and left out.
 """
 
 import os
@@ -38,18 +41,24 @@ PAIRS = (
 """Trials of one subject."""
 GOALS = dict.fromkeys(("85_02", "85_12", "HDM_mm_01-02_03_120"), (10.0, 8.0)) | dict.fromkeys(
     (
-        "nick_freeform_001 kinematics_tennis_serve testsample testsample2 HC042A13 HC042A40 anat_pose_ECH right_hip "
+        "nick_freeform_001 kinematics_tennis_serve testsample testsample2 HC042A13 HC042A40 "
+        "anat_pose_ECH right_hip "
         "right_knee static_rotated"
     ).split(),
     (11.0, 9.0),
 )
 """Mean marker errors (mm) that the project set itself: pose stage, with soft tissue."""
-HELD_OUT_GOAL, HELD_OUT_RISE, APART_GOAL, HEIGHT_GOAL = 30.0, 0.5, 6.0, 0.03
+HELD_OUT_GOAL = 30.0
+HELD_OUT_RISE = 0.5
+APART_GOAL = 6.0
+HEIGHT_GOAL = 0.03
 ENDINGS = (".c3d", ".trc", ".csv", ".tsv", ".npz")
 
 
 def found(places: Iterable[Path], names: tuple[str, ...]) -> list[Path]:
-    """Capture files among some files and folders, only those with these names where there are names."""
+    """Capture files among some files and folders, only those with these names where there are
+    names.
+    """
     files: list[Path] = []
     for place in places:
         if place.is_dir():
@@ -66,7 +75,8 @@ def found(places: Iterable[Path], names: tuple[str, ...]) -> list[Path]:
 def row(fit: MarkerFit) -> dict:
     """The numbers of one fit."""
     numbers = metrics(fit)
-    errors, held = numbers["marker_error_mm"], numbers["held_out_error_mm"]
+    errors = numbers["marker_error_mm"]
+    held = numbers["held_out_error_mm"]
     recorded = fit.recorded.get("height_m")
     return {
         "capture": fit.capture_name,
@@ -88,12 +98,19 @@ def row(fit: MarkerFit) -> dict:
 def shortfalls(row: dict) -> list[str]:
     """Which of the project's goals a capture misses."""
     missed = []
-    for key, goal in zip(("pose_mm", "soft_tissue_mm"), GOALS.get(row["capture"], (math.inf, math.inf)), strict=True):
+    for key, goal in zip(
+        ("pose_mm", "soft_tissue_mm"), GOALS.get(row["capture"], (math.inf, math.inf)), strict=True
+    ):
         missed += [f"{key.removesuffix('_mm')} > {goal:g} mm"] if row[key] > goal else []
-    held, softly = row["held_out_pose_mm"], row["held_out_soft_tissue_mm"]
+    held = row["held_out_pose_mm"]
+    softly = row["held_out_soft_tissue_mm"]
     if held is not None and row["capture"] in GOALS:
         missed += [f"held out > {HELD_OUT_GOAL:g} mm"] if softly > HELD_OUT_GOAL else []
-        missed += [f"soft tissue raises held out by {softly - held:.1f} mm"] if softly > held + HELD_OUT_RISE else []
+        missed += (
+            [f"soft tissue raises held out by {softly - held:.1f} mm"]
+            if softly > held + HELD_OUT_RISE
+            else []
+        )
     if row["recorded_height_m"] and abs(row["height_m"] - row["recorded_height_m"]) > HEIGHT_GOAL:
         missed.append(f"height off by {100 * (row['height_m'] - row['recorded_height_m']):+.1f} cm")
     return missed
@@ -108,12 +125,25 @@ def apart(first: MarkerFit, second: MarkerFit) -> float:
 
 def errors_table(rows: list[dict], title: str) -> Table:
     """One row a capture."""
-    table = Table(title=title, caption="errors are means in mm; seconds without reading, writing and held-out fits")
-    heads = "capture frames markers pose soft held|pose held|soft height recorded suspects shape stages missed".split()
+    table = Table(
+        title=title,
+        caption="errors are means in mm; seconds without reading, writing and held-out fits",
+    )
+    heads = (
+        "capture frames markers pose soft held|pose held|soft height recorded suspects shape "
+        "stages missed"
+    ).split()
     for head in heads:
-        table.add_column(head.replace("|", "\n"), justify="left" if head in ("capture", "missed") else "right")
+        table.add_column(
+            head.replace("|", "\n"), justify="left" if head in ("capture", "missed") else "right"
+        )
     for r in rows:
-        lengths = (r["pose_mm"], r["soft_tissue_mm"], r["held_out_pose_mm"], r["held_out_soft_tissue_mm"])
+        lengths = (
+            r["pose_mm"],
+            r["soft_tissue_mm"],
+            r["held_out_pose_mm"],
+            r["held_out_soft_tissue_mm"],
+        )
         heights = (r["height_m"], r["recorded_height_m"])
         stages = [r["seconds"].get(name, 0.0) for name in ("shape", "pose", "soft_tissue")]
         table.add_row(
@@ -132,9 +162,19 @@ def errors_table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES])
-    parser.add_argument("--captures", nargs="+", default=(), metavar="NAME", help="only these, by name without ending")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
+    )
+    parser.add_argument(
+        "--captures",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="only these, by name without ending",
+    )
     parser.add_argument("--hold-out-every", type=int, default=5, metavar="K")
     parser.add_argument("--no-hold-out", action="store_true")
     parser.add_argument("--body", default="default")
@@ -145,13 +185,19 @@ def main() -> None:
     if not files:
         print("no captures; give files or folders")
         return
-    where, body = machine(), habitus.load_body(options.body)
+    where = machine()
+    body = habitus.load_body(options.body)
     compile_kernels(body)
-    every, console = None if options.no_hold_out else options.hold_out_every, Console(width=170)
-    rows, fits, failed = [], {}, {}
+    every = None if options.no_hold_out else options.hold_out_every
+    console = Console(width=170)
+    rows = []
+    fits = {}
+    failed = {}
     for path in files:
         try:
-            new = habitus.mosh(path, body=body, hold_out_every=every, soft_tissue=options.soft_tissue)
+            new = habitus.mosh(
+                path, body=body, hold_out_every=every, soft_tissue=options.soft_tissue
+            )
         except HabitusError as error:
             failed[path.name] = str(error)
             print(f"{path.name}: {error}")
@@ -160,7 +206,9 @@ def main() -> None:
         for r in map(row, new):
             rows.append(r)
             print(
-                f"{r['capture']}: pose {r['pose_mm']:.1f} mm, with soft tissue {r['soft_tissue_mm']:.1f} mm", flush=True
+                f"{r['capture']}: pose {r['pose_mm']:.1f} mm, with soft tissue "
+                f"{r['soft_tissue_mm']:.1f} mm",
+                flush=True,
             )
     console.print(errors_table(rows, f"marker fit on real captures: {in_words(where)}"))
     pairs = [
@@ -168,7 +216,10 @@ def main() -> None:
         for a, b in PAIRS
         if a in fits and b in fits
     ]
-    together = Table(title=f"two trials of one subject, fitted apart: mean vertex distance, goal {APART_GOAL:g} mm")
+    together = Table(
+        title="two trials of one subject, fitted apart: mean vertex distance, goal "
+        f"{APART_GOAL:g} mm"
+    )
     for head in ("first", "second", "mm"):
         together.add_column(head, justify="right" if head == "mm" else "left")
     for pair in pairs:

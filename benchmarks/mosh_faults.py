@@ -1,14 +1,17 @@
-"""What becomes of a fit when markers fall, drift, change labels or vanish? Faults are planted in real captures.
+"""What becomes of a fit when markers fall, drift, change labels or vanish? Faults are planted in
+real captures.
 
-    python benchmarks/mosh_faults.py [CAPTURE_OR_FOLDER ...] [--captures 85_02 ...] [--kinds drift ...] [--frames 360]
+    python benchmarks/mosh_faults.py [CAPTURE_OR_FOLDER ...] [--captures 85_02 ...] [--kinds drift
+    ...] [--frames 360]
 
-Crops each capture, fits it clean, then spoilt in one way at a time and in four ways at once. The clean fit is the
-reference: a marker that it names is not counted as named by mistake in the spoilt one, and such markers are counted by
-themselves. Prints and writes as JSON, for each fit: planted markers that are named; clean ones that are named; the rise
-of the clean markers' mean error; how far the surface moved from the clean fit's; and in gaps the hidden markers' mean
-error against a straight line between the places that the fit gives them on both sides, and against the error that the
-clean fit has there with everything seen: nothing can be expected below that. `--resume` goes on after the captures
-that the JSON holds already.
+Crops each capture, fits it clean, then spoilt in one way at a time and in four ways at once. The
+clean fit is the reference: a marker that it names is not counted as named by mistake in the spoilt
+one, and such markers are counted by themselves. Prints and writes as JSON, for each fit: planted
+markers that are named; clean ones that are named; the rise of the clean markers' mean error; how
+far the surface moved from the clean fit's; and in gaps the hidden markers' mean error against a
+straight line between the places that the fit gives them on both sides, and against the error that
+the clean fit has there with everything seen: nothing can be expected below that. `--resume` goes on
+after the captures that the JSON holds already.
 """
 
 import os
@@ -58,18 +61,23 @@ def crop(path: Path, frames: int) -> Capture:
 
 def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
     """The numbers of one spoilt fit."""
-    capture, clean = scene.capture, scene.clean
+    capture = scene.capture
+    clean = scene.clean
     fit = fitted(replace(capture, markers=spoilt), body)
-    names, before = {s.label for s in fit.suspects}, {s.label for s in clean.suspects}
+    names = {s.label for s in fit.suspects}
+    before = {s.label for s in clean.suspects}
     wrong = {capture.labels[k] for k in planted}
     common = [label for label in clean.labels if label in fit.labels and label not in wrong]
     ours, theirs = ([f.labels.index(label) for label in common] for f in (fit, clean))
-    truth, last = clean.observed_markers[:, theirs], predicted(fit)[:, ours]
+    truth = clean.observed_markers[:, theirs]
+    last = predicted(fit)[:, ours]
     hidden = np.isnan(spoilt[..., 0]) & np.isfinite(capture.markers[..., 0])
     columns = [capture.labels.index(label) for label in common]
     seen = ~hidden[:, columns]
     error = np.linalg.norm(last - truth, axis=2)
-    rows = np.flatnonzero(np.isfinite(spoilt[:, scene.columns, 0]).any(axis=1))[:: max(1, scene.frames // 40)]
+    rows = np.flatnonzero(np.isfinite(spoilt[:, scene.columns, 0]).any(axis=1))[
+        :: max(1, scene.frames // 40)
+    ]
     moved = np.linalg.norm(fit.vertices(rows) - clean.vertices(rows), axis=2)
     clean_error = np.linalg.norm(predicted(clean)[:, theirs] - truth, axis=2)
     result = {
@@ -78,7 +86,9 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         "corrected": sorted(s.label for s in fit.suspects if s.label in wrong and s.corrected),
         "clean_named": sorted(names - wrong - before),
         "clean_markers": len(set(clean.labels) - wrong - before),
-        "reasons": {s.label: s.reason for s in fit.suspects if s.label in wrong or s.label not in before},
+        "reasons": {
+            s.label: s.reason for s in fit.suspects if s.label in wrong or s.label not in before
+        },
         "rise_mm": 1e3 * float(np.nanmean(error[seen]) - np.nanmean(clean_error[seen])),
         "surface_mm": 1e3 * float(moved.mean()),
         "seconds": sum(value for value in fit.stage_seconds.values() if value),
@@ -88,7 +98,9 @@ def outcome(scene: Scene, spoilt: np.ndarray, planted: list[int], body) -> dict:
         if inside.any():
             result["gap_mm"] = 1e3 * float(error[inside].mean())
             result["own_mm"] = 1e3 * float(clean_error[inside].mean())
-            result["straight_mm"] = 1e3 * float(np.linalg.norm(straight(last, hidden) - truth, axis=2)[inside].mean())
+            result["straight_mm"] = 1e3 * float(
+                np.linalg.norm(straight(last, hidden) - truth, axis=2)[inside].mean()
+            )
     return result
 
 
@@ -100,13 +112,18 @@ def lasting(hidden: np.ndarray, missing: np.ndarray) -> bool:
 
 def predicted(fit: MarkerFit) -> np.ndarray:
     """Markers of the last stage."""
-    return fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue
+    return (
+        fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue
+    )
 
 
 def straight(last: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Predicted markers (T, M, 3) on a straight line through the gap, between those of the frames on both sides."""
+    """Predicted markers (T, M, 3) on a straight line through the gap, between those of the frames
+    on both sides.
+    """
     frames = np.flatnonzero(hidden.any(axis=1))
-    before, after = frames[0] - 1, frames[-1] + 1
+    before = frames[0] - 1
+    after = frames[-1] + 1
     share = ((np.arange(len(last)) - before) / (after - before))[:, None, None]
     return last[before] + share * (last[after] - last[before])
 
@@ -131,9 +148,16 @@ def in_line(row: dict) -> str:
     """One fit in a line."""
     if "failed" in row:
         return f"{row['capture']}, {row['kind']}: {row['failed']}"
-    words = f"{row['capture']:28s} {row['kind']:14s} found {len(row['found'])}/{len(row['planted'])}"
-    words += f" clean named {len(row['clean_named'])} rise {row['rise_mm']:5.2f} surface {row['surface_mm']:5.1f} mm"
-    gap = f" gap {row['gap_mm']:.0f} straight {row['straight_mm']:.0f} mm" if "gap_mm" in row else ""
+    words = (
+        f"{row['capture']:28s} {row['kind']:14s} found {len(row['found'])}/{len(row['planted'])}"
+    )
+    words += (
+        f" clean named {len(row['clean_named'])} rise {row['rise_mm']:5.2f} surface "
+        f"{row['surface_mm']:5.1f} mm"
+    )
+    gap = (
+        f" gap {row['gap_mm']:.0f} straight {row['straight_mm']:.0f} mm" if "gap_mm" in row else ""
+    )
     return f"{words}{gap} {row['seconds']:.1f} s {row['reasons'] or ''}"
 
 
@@ -143,7 +167,10 @@ def summary(rows: list[dict]) -> list[dict]:
     done = [row for row in rows if "failed" not in row]
     for kind in [*dict.fromkeys(row["kind"] for row in done), "all"]:
         some = [row for row in done if kind in (row["kind"], "all")]
-        counts = {key: sum(len(row[key]) for row in some) for key in ("planted", "found", "corrected", "clean_named")}
+        counts = {
+            key: sum(len(row[key]) for row in some)
+            for key in ("planted", "found", "corrected", "clean_named")
+        }
         gaps = [row["gap_mm"] / row["straight_mm"] for row in some if "gap_mm" in row]
         over = [row["gap_mm"] - row["own_mm"] for row in some if "gap_mm" in row]
         met = [
@@ -154,8 +181,14 @@ def summary(rows: list[dict]) -> list[dict]:
         table.append(
             {"kind": kind, "fits": len(some), **counts}
             | {"clean_markers": sum(row["clean_markers"] for row in some)}
-            | {name: float(np.mean([row[name] for row in some])) for name in ("rise_mm", "surface_mm")}
-            | {f"worst_{name}": max(row[name] for row in some) for name in ("rise_mm", "surface_mm")}
+            | {
+                name: float(np.mean([row[name] for row in some]))
+                for name in ("rise_mm", "surface_mm")
+            }
+            | {
+                f"worst_{name}": max(row[name] for row in some)
+                for name in ("rise_mm", "surface_mm")
+            }
             | {"gap_over_straight": float(np.median(gaps)) if gaps and kind != "all" else None}
             | {"worst_gap_over_straight": max(gaps) if gaps and kind != "all" else None}
             | {"gap_over_own_mm": float(np.median(over)) if over and kind != "all" else None}
@@ -167,11 +200,14 @@ def summary(rows: list[dict]) -> list[dict]:
 def shown(table: list[dict], title: str) -> Table:
     """One row a kind."""
     caption = (
-        "rise, surface: mean (worst) over the fits; gap: median (worst) share of straight; over own: median mm above "
+        "rise, surface: mean (worst) over the fits; gap: median (worst) share of straight; over "
+        "own: median mm above "
         "the clean fit's error; met: gaps within the goal or the clean fit's error"
     )
     out = Table(title=title, caption=caption)
-    for head in "kind fits found corrected clean|named rise|mm surface|mm gap/straight over|own met".split():
+    for head in (
+        "kind fits found corrected clean|named rise|mm surface|mm gap/straight over|own met".split()
+    ):
         out.add_column(head.replace("|", "\n"), justify="left" if head == "kind" else "right")
     for r in table:
         gap = r["gap_over_straight"]
@@ -192,20 +228,36 @@ def shown(table: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES])
-    parser.add_argument("--captures", nargs="+", default=(), metavar="NAME", help="only these, by name without ending")
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
+    )
+    parser.add_argument(
+        "--captures",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="only these, by name without ending",
+    )
+    parser.add_argument(
+        "--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND"
+    )
     parser.add_argument("--frames", type=int, default=360)
     parser.add_argument("--seeds", type=int, default=1, help="how often each kind is planted")
     parser.add_argument("--out", type=Path, default=Path("mosh_faults.json"))
     parser.add_argument("--resume", action="store_true", help="keep the captures that --out holds")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "(Mean of empty|All-NaN) slice")
-    where, body = machine(), habitus.load_body("default")
+    where = machine()
+    body = habitus.load_body("default")
     compile_kernels(body)
     asked = {"frames": options.frames, "seeds": options.seeds}
-    rows, references = (written_rows(options.out, key, **asked) if options.resume else [] for key in ("rows", "clean"))
+    rows, references = (
+        written_rows(options.out, key, **asked) if options.resume else []
+        for key in ("rows", "clean")
+    )
     for path in found(options.places, tuple(options.captures)):
         capture = crop(path, options.frames)
         if capture.name in {reference["capture"] for reference in references}:
@@ -216,16 +268,29 @@ def main() -> None:
         clean = fitted(capture, body)
         scene = Scene(capture, clean, [capture.labels.index(label) for label in clean.labels])
         references.append(about := reference(clean))
-        print(f"{capture.name}: {about['mean_mm']:.1f} mm, names {', '.join(about['wrong']) or 'nobody'}")
+        print(
+            f"{capture.name}: {about['mean_mm']:.1f} mm, names "
+            f"{', '.join(about['wrong']) or 'nobody'}"
+        )
         rows += spoilt_fits(scene, options.kinds, range(options.seeds), body)
         table = summary(rows)
-        told = {"machine": where, **asked, "goals": GOALS, "summary": table, "clean": references, "rows": rows}
+        told = {
+            "machine": where,
+            **asked,
+            "goals": GOALS,
+            "summary": table,
+            "clean": references,
+            "rows": rows,
+        }
         write_json(options.out, told)
     if not rows:
         print("no captures; give files or folders")
         return
     Console(width=150).print(shown(summary(rows), f"planted faults: {in_words(where)}"))
-    wrong, count = (sum(values) for values in zip(*((len(r["wrong"]), r["markers"]) for r in references), strict=True))
+    wrong, count = (
+        sum(values)
+        for values in zip(*((len(r["wrong"]), r["markers"]) for r in references), strict=True)
+    )
     print(f"clean fits name {wrong} of {count} markers as wrong")
 
 
@@ -236,7 +301,9 @@ def reference(clean: MarkerFit) -> dict:
         "markers": len(clean.labels),
         "mean_mm": float(clean.errors_mm[clean.visible].mean()),
         "wrong": sorted({s.label for s in clean.suspects if not s.corrected}),
-        "suspects": [{"label": s.label, "reason": s.reason, "corrected": s.corrected} for s in clean.suspects],
+        "suspects": [
+            {"label": s.label, "reason": s.reason, "corrected": s.corrected} for s in clean.suspects
+        ],
     }
 
 

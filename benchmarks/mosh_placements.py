@@ -1,12 +1,14 @@
 """Does the prior over placements predict markers of people from whom it learned nothing?
 
-    python benchmarks/mosh_placements.py [FOLDER] [--captures 85_02 85_12] [--seen FILE.json] [--plain FILE.json]
+    python benchmarks/mosh_placements.py [FOLDER] [--captures 85_02 85_12] [--seen FILE.json]
+    [--plain FILE.json]
 
-Leave one person out: for each person a prior is learned from the others alone, and every marker of their captures is
-held out, one in five at a time (MoSh 8.1). It is predicted at the landmark of the layout's file, at the prior's mean
-for all people, and where the prior expects it given where the person's other markers were found. In the last two kept
-markers begin at the prior's means. ``--seen`` is what `tools/placements/learn.py --seen` wrote; without it, that is
-measured first. ``--plain``: `mosh_accuracy.py`'s JSON made without a prior, for the numbers at the landmarks.
+Leave one person out: for each person a prior is learned from the others alone, and every marker of
+their captures is held out, one in five at a time (MoSh 8.1). It is predicted at the landmark of the
+layout's file, at the prior's mean for all people, and where the prior expects it given where the
+person's other markers were found. In the last two kept markers begin at the prior's means.
+``--seen`` is what `tools/placements/learn.py --seen` wrote; without it, that is measured first.
+``--plain``: `mosh_accuracy.py`'s JSON made without a prior, for the numbers at the landmarks.
 """
 
 import os
@@ -41,24 +43,38 @@ sys.path.insert(0, str(ROOT / "tools" / "placements"))
 from learn import EVERY, read_seen, seen_of
 from people import PEOPLE
 
-WAYS = {"landmark": "at the landmark", "mean": "at the prior's mean", "expected": "given the person's others"}
+WAYS = {
+    "landmark": "at the landmark",
+    "mean": "at the prior's mean",
+    "expected": "given the person's others",
+}
 
 
 def held_out_mm(
-    body: BodyModel, path: Path, layouts: Sequence[MarkerLayout], priors: Mapping[str, PlacementPrior]
+    body: BodyModel,
+    path: Path,
+    layouts: Sequence[MarkerLayout],
+    priors: Mapping[str, PlacementPrior],
 ) -> dict[str, dict[str, float]]:
-    """Of each prior over all samples ("") and of each marker the mean held-out error of the pose stage."""
-    who, parts = person([habitus.read_capture(path)], tuple(layouts)), {way: [] for way in priors}
+    """Of each prior over all samples ("") and of each marker the mean held-out error of the pose
+    stage.
+    """
+    who = person([habitus.read_capture(path)], tuple(layouts))
+    parts = {way: [] for way in priors}
     for k in range(EVERY):
         kept, held = leave_out(who, who.layout.labels[k::EVERY])
-        fit = fit_markers(body, prior_of(body), kept.layout, kept.recordings, MoshSettings(soft_tissue=False))[0]
+        fit = fit_markers(
+            body, prior_of(body), kept.layout, kept.recordings, MoshSettings(soft_tissue=False)
+        )[0]
         for way, prior in priors.items():
             parts[way].append(errors_of(fit, held, 0, prior))
     found = {}
     for way, each in parts.items():
         held = merged(each)
         found[way] = {"": 1e3 * float(np.nanmean(held.pose))}
-        found[way] |= {label: 1e3 * float(np.nanmean(held.pose[:, k])) for k, label in enumerate(held.labels)}
+        found[way] |= {
+            label: 1e3 * float(np.nanmean(held.pose[:, k])) for k, label in enumerate(held.labels)
+        }
     return found
 
 
@@ -71,8 +87,14 @@ def table_of(rows: dict[str, dict], title: str) -> Table:
     for name, each in numbers.items():
         table.add_row(name, rows[name]["person"], *(f"{mm:.1f}" for mm in each))
     people = {rows[name]["person"] for name in rows}
-    of_people = [np.mean([numbers[n] for n in rows if rows[n]["person"] == p], axis=0) for p in sorted(people)]
-    for name, means in (("mean of captures", list(numbers.values())), ("mean of people", of_people)):
+    of_people = [
+        np.mean([numbers[n] for n in rows if rows[n]["person"] == p], axis=0)
+        for p in sorted(people)
+    ]
+    for name, means in (
+        ("mean of captures", list(numbers.values())),
+        ("mean of people", of_people),
+    ):
         mean = np.mean(means, axis=0)
         table.add_row(name, "", *(f"{mm:.1f} ({100 * (mm / mean[0] - 1):+.1f} %)" for mm in mean))
     return table
@@ -80,17 +102,23 @@ def table_of(rows: dict[str, dict], title: str) -> Table:
 
 def main() -> None:
     """Learn, hold out, print, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", nargs="?", type=Path, default=CAPTURES)
     parser.add_argument("--captures", nargs="+", default=(), metavar="NAME")
     parser.add_argument("--seen", type=Path)
     parser.add_argument("--plain", type=Path)
     parser.add_argument("--out", type=Path, default=Path("mosh_placements.json"))
     options = parser.parse_args()
-    where, body = machine(), habitus.load_body("default")
+    where = machine()
+    body = habitus.load_body("default")
     compile_kernels(body)
-    everything = read_seen(options.seen.read_text()) if options.seen else seen_of(options.folder, body)
-    plain, rows = [plain_layout(name) for name in list_layouts()], {}
+    everything = (
+        read_seen(options.seen.read_text()) if options.seen else seen_of(options.folder, body)
+    )
+    plain = [plain_layout(name) for name in list_layouts()]
+    rows = {}
     known = json.loads(options.plain.read_text())["rows"] if options.plain else []
     before = {row["capture"]: {"landmark": {"": row["held_out_pose_mm"]}} for row in known}
     for name, files in PEOPLE.items():

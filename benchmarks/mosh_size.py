@@ -1,12 +1,14 @@
-"""How long may a capture be? Peak memory and time a frame of `habitus mosh`, and windows against one solve.
+"""How long may a capture be? Peak memory and time a frame of `habitus mosh`, and windows against
+one solve.
 
-    python benchmarks/mosh_size.py [--frames 10000 100000 1000000] [--capture 85_12.c3d] [--no-agreement]
+    python benchmarks/mosh_size.py [--frames 10000 100000 1000000] [--capture 85_12.c3d]
+    [--no-agreement]
 
-A real capture is played forward and backward until it is long enough, so that its motion never jumps, and written as a
-C3D file; the command is run on it as users run it, in a process of its own. Peak memory is what the operating system
-counted of that process, files that it had mapped included. Then real captures are solved in windows of 1,000 frames
-and of 2,000, and in one: the largest angle between any joint's rotations of the two, and between any two roots'
-places.
+A real capture is played forward and backward until it is long enough, so that its motion never
+jumps, and written as a C3D file; the command is run on it as users run it, in a process of its own.
+Peak memory is what the operating system counted of that process, files that it had mapped included.
+Then real captures are solved in windows of 1,000 frames and of 2,000, and in one: the largest angle
+between any joint's rotations of the two, and between any two roots' places.
 """
 
 import os
@@ -65,16 +67,33 @@ def write_tiled(capture: Capture, frames: int, path: Path) -> None:
     )
     blocks = -(-(len(parameters) + 4) // 512)
     header = struct.pack(
-        "<BBHHHHHfHHf", 2, 80, count, 0, 1, min(frames, 65535), 0, -0.1, 2 + blocks, 1, capture.rate_hz
+        "<BBHHHHHfHHf",
+        2,
+        80,
+        count,
+        0,
+        1,
+        min(frames, 65535),
+        0,
+        -0.1,
+        2 + blocks,
+        1,
+        capture.rate_hz,
     )
     order = frames_of(len(capture), frames)
     with path.open("wb") as file:
-        file.write(header.ljust(512, b"\0") + bytes([1, 80, blocks, 84]) + parameters.ljust(512 * blocks - 4, b"\0"))
+        file.write(
+            header.ljust(512, b"\0")
+            + bytes([1, 80, blocks, 84])
+            + parameters.ljust(512 * blocks - 4, b"\0")
+        )
         for first in range(0, frames, PORTION):
             points = 1e3 * capture.markers[order[first : first + PORTION]]
             missing = ~np.isfinite(points).all(axis=2, keepdims=True)
             file.write(
-                np.concatenate([np.nan_to_num(points), np.where(missing, -1, 0)], axis=2).astype("<f4").tobytes()
+                np.concatenate([np.nan_to_num(points), np.where(missing, -1, 0)], axis=2)
+                .astype("<f4")
+                .tobytes()
             )
 
 
@@ -84,18 +103,25 @@ def _group(number: int, name: str) -> bytes:
 
 def _parameter(group: int, name: str, kind: int, shape: tuple[int, ...], data: bytes) -> bytes:
     content = struct.pack("<bB", kind, len(shape)) + bytes(shape) + data + b"\0"
-    return struct.pack("<bb", len(name), group) + name.encode() + struct.pack("<h", 2 + len(content)) + content
+    return (
+        struct.pack("<bb", len(name), group)
+        + name.encode()
+        + struct.pack("<h", 2 + len(content))
+        + content
+    )
 
 
 def command(capture: Capture, frames: int, folder: Path) -> dict:
     """One run of `habitus mosh` on so many frames: seconds, peak memory, sizes of what it wrote."""
-    path, out = folder / f"tiled_{frames}.c3d", folder / "out"
+    path = folder / f"tiled_{frames}.c3d"
+    out = folder / "out"
     write_tiled(capture, frames, path)
     line = [sys.executable, "-m", "habitus", "mosh", str(path), "--out", str(out), "--quiet"]
     began = time.perf_counter()
     process = subprocess.Popen(line, cwd=ROOT)
     _, status, usage = os.wait4(process.pid, 0)
-    seconds, process.returncode = time.perf_counter() - began, os.waitstatus_to_exitcode(status)
+    seconds = time.perf_counter() - began
+    process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise SystemExit(f"{' '.join(line)} ended with {process.returncode}")
     path.unlink()
@@ -110,23 +136,33 @@ def command(capture: Capture, frames: int, folder: Path) -> dict:
         "cpu_ms_a_frame": 1e3 * (usage.ru_utime + usage.ru_stime) / frames,
         "stage_seconds": numbers["stage_seconds"],
         "mean_error_mm": numbers["marker_error_mm"]["soft_tissue"]["mean"],
-        "megabytes": {file.name: file.stat().st_size / 1e6 for file in sorted(written.iterdir()) if file.is_file()},
+        "megabytes": {
+            file.name: file.stat().st_size / 1e6
+            for file in sorted(written.iterdir())
+            if file.is_file()
+        },
     }
 
 
 def agreement(capture: Capture) -> list[dict]:
     """Windows against one solve of all frames."""
-    someone, prior, body = person([capture], "auto"), load_pose_prior(), habitus.load_body("default")
+    someone = person([capture], "auto")
+    prior = load_pose_prior()
+    body = habitus.load_body("default")
     settings = MoshSettings(longest=1_000_000)
     whole = fit_markers(body, prior, someone.layout, someone.recordings, settings)[0]
     rows = []
     for longest in (1000, 2000):
-        cut = fit_markers(body, prior, someone.layout, someone.recordings, replace(settings, longest=longest))[0]
+        cut = fit_markers(
+            body, prior, someone.layout, someone.recordings, replace(settings, longest=longest)
+        )[0]
         pairs = {"pose": (whole.pose_stage, cut.pose_stage)}
         pairs["soft_tissue"] = ((whole.pose, whole.trans), (cut.pose, cut.trans))
         row = {"capture": capture.name, "frames": len(capture), "window": longest}
         for stage, (one, other) in pairs.items():
-            turned = Rotation.from_rotvec(one[0].reshape(-1, 3)).inv() * Rotation.from_rotvec(other[0].reshape(-1, 3))
+            turned = Rotation.from_rotvec(one[0].reshape(-1, 3)).inv() * Rotation.from_rotvec(
+                other[0].reshape(-1, 3)
+            )
             row[f"{stage}_degrees"] = float(np.degrees(turned.magnitude().max()))
             row[f"{stage}_mm"] = 1e3 * float(np.linalg.norm(one[1] - other[1], axis=1).max())
         rows.append(row)
@@ -136,36 +172,72 @@ def agreement(capture: Capture) -> list[dict]:
 def tables(runs: list[dict], rows: list[dict], title: str) -> list[Table]:
     """Memory and time, then agreement."""
     by_length = Table(title=title, caption=f"goals: {GOALS}")
-    for head in ("frames", "peak GB", "s", "ms a frame", "CPU ms a frame", "mean mm", "npz MB", "glb MB", "page MB"):
+    for head in (
+        "frames",
+        "peak GB",
+        "s",
+        "ms a frame",
+        "CPU ms a frame",
+        "mean mm",
+        "npz MB",
+        "glb MB",
+        "page MB",
+    ):
         by_length.add_column(head, justify="right")
     for r in runs:
         sizes = [f"{r['megabytes'][name]:,.1f}" for name in ("body.npz", "body.glb", "report.html")]
-        numbers = (f"{r['peak_gb']:.2f}", f"{r['seconds']:.0f}", f"{r['ms_a_frame']:.2f}", f"{r['cpu_ms_a_frame']:.2f}")
+        numbers = (
+            f"{r['peak_gb']:.2f}",
+            f"{r['seconds']:.0f}",
+            f"{r['ms_a_frame']:.2f}",
+            f"{r['cpu_ms_a_frame']:.2f}",
+        )
         by_length.add_row(f"{r['frames']:,}", *numbers, f"{r['mean_error_mm']:.2f}", *sizes)
     apart = Table(title="windows against one solve: largest difference of any frame")
-    for head in ("capture", "frames", "window", "pose °", "pose mm", "soft tissue °", "soft tissue mm"):
+    for head in (
+        "capture",
+        "frames",
+        "window",
+        "pose °",
+        "pose mm",
+        "soft tissue °",
+        "soft tissue mm",
+    ):
         apart.add_column(head, justify="left" if head == "capture" else "right")
     for r in rows:
         numbers = (r["pose_degrees"], r["pose_mm"], r["soft_tissue_degrees"], r["soft_tissue_mm"])
-        apart.add_row(r["capture"], str(r["frames"]), str(r["window"]), *(f"{x:.1e}" for x in numbers))
+        apart.add_row(
+            r["capture"], str(r["frames"]), str(r["window"]), *(f"{x:.1e}" for x in numbers)
+        )
     return [by_length, apart]
 
 
 def main() -> None:
     """Measure, print tables, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--frames", nargs="*", type=int, default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--capture", type=Path, default=CAPTURES / "85_12.c3d")
-    parser.add_argument("--no-agreement", action="store_true", help="leave out windows against one solve")
-    parser.add_argument("--folder", type=Path, default=None, help="where captures and results are put; kept then")
+    parser.add_argument(
+        "--no-agreement", action="store_true", help="leave out windows against one solve"
+    )
+    parser.add_argument(
+        "--folder", type=Path, default=None, help="where captures and results are put; kept then"
+    )
     parser.add_argument("--out", type=Path, default=Path("mosh_size.json"))
     options = parser.parse_args()
-    where, capture = machine(), habitus.read_capture(options.capture)
-    runs, rows = [], []
+    where = machine()
+    capture = habitus.read_capture(options.capture)
+    runs = []
+    rows = []
     with tempfile.TemporaryDirectory() as temporary:
         for frames in options.frames:
             runs.append(command(capture, frames, options.folder or Path(temporary)))
-            print(f"{frames:,} frames: {runs[-1]['seconds']:.0f} s, {runs[-1]['peak_gb']:.2f} GB", flush=True)
+            print(
+                f"{frames:,} frames: {runs[-1]['seconds']:.0f} s, {runs[-1]['peak_gb']:.2f} GB",
+                flush=True,
+            )
     if not options.no_agreement:
         for path in (options.capture, CAPTURES / "HDM_mm_01-02_03_120.c3d"):
             if path.is_file():

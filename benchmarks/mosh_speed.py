@@ -1,11 +1,13 @@
-"""How fast is the marker fit? Every stage apart, frame by frame, and the whole command from start to finish.
+"""How fast is the marker fit? Every stage apart, frame by frame, and the whole command from start
+to finish.
 
     python benchmarks/mosh_speed.py [CAPTURE ...] [--runs 5] [--frames 4500] [--no-command]
 
-Without captures: ../shared/mocap/85_12.c3d (41 markers) where it is there, and synthetic captures of 41 and 67 markers.
-Medians of several runs. Kernels are compiled beforehand, and how long the first call of the process took is reported;
-the command is run as users run it, in a process of its own, once with an empty kernel cache and then with a filled one,
-and its peak memory is what the operating system counted.
+Without captures: ../shared/mocap/85_12.c3d (41 markers) where it is there, and synthetic captures
+of 41 and 67 markers. Medians of several runs. Kernels are compiled beforehand, and how long the
+first call of the process took is reported; the command is run as users run it, in a process of its
+own, once with an empty kernel cache and then with a filled one, and its peak memory is what the
+operating system counted.
 """
 
 import os
@@ -21,7 +23,16 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
-from common import CAPTURES, ROOT, compile_kernels, in_words, machine, synthetic, write_json, write_synthetic
+from common import (
+    CAPTURES,
+    ROOT,
+    compile_kernels,
+    in_words,
+    machine,
+    synthetic,
+    write_json,
+    write_synthetic,
+)
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -37,7 +48,13 @@ from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.subjects import Person, person
 from habitus.observe.marker_rig import marker_rig
 
-GOALS = {"shape_s": 10.0, "pose_fps": 3000.0, "with_soft_tissue_fps": 1500.0, "causal_ms": 0.5, "command_s": 25.0}
+GOALS = {
+    "shape_s": 10.0,
+    "pose_fps": 3000.0,
+    "with_soft_tissue_fps": 1500.0,
+    "causal_ms": 0.5,
+    "command_s": 25.0,
+}
 """What the project set itself for two cores: seconds, frames a second, milliseconds a frame."""
 COMMAND_GOAL_GB = 2.0
 
@@ -45,9 +62,15 @@ COMMAND_GOAL_GB = 2.0
 def stages(body: BodyModel, capture: Capture, runs: int) -> dict:
     """Medians of the three stages and of causal steps, in this process."""
     someone = person([capture], "auto")
-    prior, settings = load_pose_prior(), MoshSettings()
-    fits = [fit_markers(body, prior, someone.layout, someone.recordings, settings)[0] for _ in range(runs)]
-    seconds = {name: [fit.stage_seconds[name] for fit in fits] for name in ("shape", "pose", "soft_tissue")}
+    prior = load_pose_prior()
+    settings = MoshSettings()
+    fits = [
+        fit_markers(body, prior, someone.layout, someone.recordings, settings)[0]
+        for _ in range(runs)
+    ]
+    seconds = {
+        name: [fit.stage_seconds[name] for fit in fits] for name in ("shape", "pose", "soft_tissue")
+    }
     middle = {name: median(values) for name, values in seconds.items()}
     frames = fits[0].num_frames
     return {
@@ -65,14 +88,21 @@ def stages(body: BodyModel, capture: Capture, runs: int) -> dict:
 
 
 def causal(body: BodyModel, someone: Person, fit) -> dict:
-    """Milliseconds of each causal step, one frame after another on one thread: median and 99th percentile."""
+    """Milliseconds of each causal step, one frame after another on one thread: median and 99th
+    percentile.
+    """
     prior = load_pose_prior().for_joints(body.joint_names)
-    observed = someone.recordings[0].observed[:, [someone.layout.labels.index(label) for label in fit.labels]]
-    observed, settings = np.ascontiguousarray(observed), MoshSettings()
+    observed = someone.recordings[0].observed[
+        :, [someone.layout.labels.index(label) for label in fit.labels]
+    ]
+    observed = np.ascontiguousarray(observed)
+    settings = MoshSettings()
     rig = marker_rig(body, fit.betas, fit.attachment)
     first = int(np.argmax(np.isfinite(observed[..., 0]).sum(axis=1)))
     with threadpool_limits(1):
-        pose, trans = start_sequence(rig, fit.pose[::100], body.joint_names, observed[first : first + 1])
+        pose, trans = start_sequence(
+            rig, fit.pose[::100], body.joint_names, observed[first : first + 1]
+        )
         scales = np.full(observed.shape[1], settings.robust_scale[1])
         solver = CausalSolver(rig, prior, pose[0], trans[0], sequence_settings(settings), scales)
         seconds = np.empty(len(observed) - first)
@@ -80,11 +110,16 @@ def causal(body: BodyModel, someone: Person, fit) -> dict:
             began = time.perf_counter()
             solver.step(markers)
             seconds[k] = time.perf_counter() - began
-    return {"causal_ms": 1e3 * float(np.median(seconds)), "causal_p99_ms": 1e3 * float(np.percentile(seconds, 99))}
+    return {
+        "causal_ms": 1e3 * float(np.median(seconds)),
+        "causal_p99_ms": 1e3 * float(np.percentile(seconds, 99)),
+    }
 
 
 def command(path: Path, runs: int, body: str) -> dict:
-    """Start to finish of `habitus mosh`, exports and report included: seconds and peak memory, cold and warm cache."""
+    """Start to finish of `habitus mosh`, exports and report included: seconds and peak memory, cold
+    and warm cache.
+    """
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(Path(folder) / "kernels")}
         cold = _measured(path, Path(folder) / "out", body, environment)
@@ -101,7 +136,18 @@ def command(path: Path, runs: int, body: str) -> dict:
 
 def _measured(path: Path, out: Path, body: str, environment: dict[str, str]) -> tuple[float, float]:
     """Wall seconds and peak resident memory (GB) of one run of the command."""
-    line = [sys.executable, "-m", "habitus", "mosh", str(path), "--out", str(out), "--body", body, "--quiet"]
+    line = [
+        sys.executable,
+        "-m",
+        "habitus",
+        "mosh",
+        str(path),
+        "--out",
+        str(out),
+        "--body",
+        body,
+        "--quiet",
+    ]
     began = time.perf_counter()
     process = subprocess.Popen(line, cwd=ROOT, env=environment)
     _, status, usage = os.wait4(process.pid, 0)
@@ -138,18 +184,24 @@ def tables(rows: list[dict], commands: list[dict], title: str) -> list[Table]:
             f"{r['causal_ms']:.2f}",
             f"{r['causal_p99_ms']:.2f}",
         )
-    whole = Table(title=f"start to finish, goal {GOALS['command_s']:g} s and {COMMAND_GOAL_GB:g} GB")
+    whole = Table(
+        title=f"start to finish, goal {GOALS['command_s']:g} s and {COMMAND_GOAL_GB:g} GB"
+    )
     for head in ("capture", "seconds", "peak GB", "first run ever s", "its peak GB"):
         whole.add_column(head, justify="left" if head == "capture" else "right")
     for r in commands:
         numbers = (r["command_s"], r["peak_gb"], r["first_run_s"], r["first_run_peak_gb"])
-        whole.add_row(r["capture"], *(f"{x:.1f}" if k % 2 == 0 else f"{x:.2f}" for k, x in enumerate(numbers)))
+        whole.add_row(
+            r["capture"], *(f"{x:.1f}" if k % 2 == 0 else f"{x:.2f}" for k, x in enumerate(numbers))
+        )
     return [by_stage, whole]
 
 
 def main() -> None:
     """Time all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("captures", nargs="*", type=Path, metavar="CAPTURE")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--frames", type=int, default=4500, help="of the synthetic captures")
@@ -157,14 +209,22 @@ def main() -> None:
     parser.add_argument("--body", default="default")
     parser.add_argument("--out", type=Path, default=Path("mosh_speed.json"))
     options = parser.parse_args()
-    where, body = machine(), habitus.load_body(options.body)
+    where = machine()
+    body = habitus.load_body(options.body)
     first = compile_kernels(body)
-    print(f"first call in this process (imports, kernels compiled or loaded): {first:.1f} s", flush=True)
+    print(
+        f"first call in this process (imports, kernels compiled or loaded): {first:.1f} s",
+        flush=True,
+    )
     real = options.captures or [path for path in (CAPTURES / "85_12.c3d",) if path.is_file()]
     if not real:
         print(f"no real capture in {CAPTURES}; synthetic ones only")
     captures = [habitus.read_capture(path) for path in real]
-    captures += [synthetic(body, name, options.frames) for name in ("cmu-41", "mosh-67") if not options.captures]
+    captures += [
+        synthetic(body, name, options.frames)
+        for name in ("cmu-41", "mosh-67")
+        if not options.captures
+    ]
     rows = []
     for capture in captures:
         rows.append(stages(body, capture, options.runs))
@@ -176,7 +236,13 @@ def main() -> None:
             commands = [command(path, options.runs, options.body) for path in paths]
     for table in tables(rows, commands, f"marker fit: {in_words(where)}"):
         Console(width=150).print(table)
-    content = {"machine": where, "goals": GOALS, "first_call_s": first, "stages": rows, "command": commands}
+    content = {
+        "machine": where,
+        "goals": GOALS,
+        "first_call_s": first,
+        "stages": rows,
+        "command": commands,
+    }
     write_json(options.out, content)
 
 

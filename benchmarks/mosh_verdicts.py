@@ -1,11 +1,14 @@
-"""Does the verdict part sound fits from wrong ones? Clean captures and spoilt copies of them, fitted and judged.
+"""Does the verdict part sound fits from wrong ones? Clean captures and spoilt copies of them,
+fitted and judged.
 
-    python benchmarks/mosh_verdicts.py [CAPTURE_OR_FOLDER ...] [--captures DJ2 85_02] [--kinds "two people" clean]
+    python benchmarks/mosh_verdicts.py [CAPTURE_OR_FOLDER ...] [--captures DJ2 85_02] [--kinds "two
+    people" clean]
 
-Every capture is cut to some frames in its middle and fitted as it is, and again after each way of spoiling it
-(`habitus.population.spoilt`, and another layout than its own). Goals: no spoilt copy is called good, no clean capture
-failed. A spoilt copy that is refused with an error counts as not called good. JSON holds verdicts, reasons and the
-numbers they stand on; `--resume` goes on with what it holds already.
+Every capture is cut to some frames in its middle and fitted as it is, and again after each way of
+spoiling it (`habitus.population.spoilt`, and another layout than its own). Goals: no spoilt copy is
+called good, no clean capture failed. A spoilt copy that is refused with an error counts as not
+called good. JSON holds verdicts, reasons and the numbers they stand on; `--resume` goes on with
+what it holds already.
 """
 
 import os
@@ -33,11 +36,13 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout, shipped_layouts
 from habitus.population.spoilt import SPOILINGS
 
-CLEAN, WRONG_LAYOUT = "clean", "wrong layout"
+CLEAN = "clean"
+WRONG_LAYOUT = "wrong layout"
 KINDS = (CLEAN, *SPOILINGS, WRONG_LAYOUT)
 LEVELS = ("good", "doubtful", "failed", "refused")
 Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
-OTHER_PLACE, OTHERS = 0.05, 0.25  # metres; share of labels that a wrong layout puts elsewhere
+OTHER_PLACE = 0.05
+OTHERS = 0.25  # metres; share of labels that a wrong layout puts elsewhere
 
 
 def middle(capture: Capture, frames: int) -> Capture:
@@ -47,7 +52,9 @@ def middle(capture: Capture, frames: int) -> Capture:
 
 
 def spoilt(capture: Capture, kind: str, body: BodyModel) -> tuple[Capture, str] | None:
-    """A copy spoilt in one way, and the layout to fit it with; None where no other layout would be wrong enough."""
+    """A copy spoilt in one way, and the layout to fit it with; None where no other layout would be
+    wrong enough.
+    """
     if kind == CLEAN:
         return capture, "auto"
     match = match_layout(capture.labels, capture.markers)
@@ -58,19 +65,26 @@ def spoilt(capture: Capture, kind: str, body: BodyModel) -> tuple[Capture, str] 
         return None if name is None else (capture, name)
     order = Z_UP[capture.up_axis[-1]]
     markers = np.empty((len(capture), len(match.columns), 3))
-    markers[..., order] = SPOILINGS[kind](capture.markers[:, match.columns][..., order], np.random.default_rng(0))
+    markers[..., order] = SPOILINGS[kind](
+        capture.markers[:, match.columns][..., order], np.random.default_rng(0)
+    )
     return replace(capture, labels=match.matched, markers=markers), "auto"
 
 
 def most_wrong_layout(capture: Capture, places: dict[str, int], body: BodyModel) -> str | None:
     """The shipped layout that takes this capture's labels and puts most of them elsewhere."""
-    rest, wrong = body.rest_vertices(np.zeros(body.num_betas)), {}
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    wrong = {}
     for layout in shipped_layouts():
         try:
             other = match_layout(capture.labels, capture.markers, [layout]).layout
         except HabitusError:
             continue
-        both = [(v, places[x]) for x, v in zip(other.labels, other.vertices(body), strict=True) if x in places]
+        both = [
+            (v, places[x])
+            for x, v in zip(other.labels, other.vertices(body), strict=True)
+            if x in places
+        ]
         far = [np.linalg.norm(rest[a] - rest[b]) > OTHER_PLACE for a, b in both]
         wrong[layout.name] = float(np.mean(far)) if far else 0.0
     name = max(wrong, key=lambda name: wrong[name], default=None)
@@ -87,7 +101,11 @@ def judged(capture: Capture, kinds: Sequence[str], body: BodyModel) -> Iterator[
         row = {"capture": capture.name, "kind": kind, "layout": case[1]}
         try:
             fit = habitus.Mosh(layout=case[1]).fit(case[0], body)
-            row |= {"level": fit.verdict.level, "reasons": fit.verdict.reasons, "evidence": numbers(evidence(fit))}
+            row |= {
+                "level": fit.verdict.level,
+                "reasons": fit.verdict.reasons,
+                "evidence": numbers(evidence(fit)),
+            }
         except HabitusError as error:
             row |= {"level": "refused", "reasons": (str(error),)}
         yield row | {"seconds": time.perf_counter() - began}
@@ -114,15 +132,26 @@ def table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit and judge all, print the table, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES])
-    parser.add_argument("--captures", nargs="+", default=(), metavar="NAME", help="only these, by name without ending")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
+    )
+    parser.add_argument(
+        "--captures",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="only these, by name without ending",
+    )
     parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--out", type=Path, default=Path("mosh_verdicts.json"))
     parser.add_argument("--resume", action="store_true", help="keep the rows that --out holds")
     options = parser.parse_args()
-    where, body = machine(), habitus.load_body("default")
+    where = machine()
+    body = habitus.load_body("default")
     rows = written_rows(options.out, "rows", frames=options.frames) if options.resume else []
     compile_kernels(body)
     for path in found(options.places, tuple(options.captures)):
@@ -131,9 +160,14 @@ def main() -> None:
             left = [kind for kind in options.kinds if kind not in done]
             for row in judged(middle(capture, options.frames), left, body):
                 rows.append(row)
-                print(f"{row['capture']}, {row['kind']}: {row['level']}: {row['reasons'][0]}", flush=True)
+                print(
+                    f"{row['capture']}, {row['kind']}: {row['level']}: {row['reasons'][0]}",
+                    flush=True,
+                )
             write_json(options.out, {"machine": where, "frames": options.frames, "rows": rows})
-    Console(width=130).print(table(rows, f"verdicts on clean and spoilt captures: {in_words(where)}"))
+    Console(width=130).print(
+        table(rows, f"verdicts on clean and spoilt captures: {in_words(where)}")
+    )
     print(f"{options.out}: {len(rows)} rows")
 
 

@@ -1,13 +1,17 @@
-"""What is left of `habitus mosh` when it is killed at any moment, when the disk is full, when two run in one folder.
+"""What is left of `habitus mosh` when it is killed at any moment, when the disk is full, when two
+run in one folder.
 
-python benchmarks/power_cuts.py [--kills 50] [--frames 60] [--hasty] [--seed 0] [--out power_cuts.json]
+python benchmarks/power_cuts.py [--kills 50] [--frames 60] [--hasty] [--seed 0] [--out
+power_cuts.json]
 
-Fits of a real capture where there is one (../shared/mocap), else of a synthetic one, replace the results of earlier
-fits and get SIGKILL: half of them at a random moment between start and end, half at a random moment after they have
-begun to write. After each kill every folder of results that can be seen must be whole and of one fit, old or new; what
-was finished before must be as it was, byte by byte; nothing may lie outside the folder for results. A last run that is
-left alone must leave nothing but results. With --hasty the shape stage takes one step on three frames: what is written,
-and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit on the size of files.
+Fits of a real capture where there is one (../shared/mocap), else of a synthetic one, replace the
+results of earlier fits and get SIGKILL: half of them at a random moment between start and end, half
+at a random moment after they have begun to write. After each kill every folder of results that can
+be seen must be whole and of one fit, old or new; what was finished before must be as it was, byte
+by byte; nothing may lie outside the folder for results. A last run that is left alone must leave
+nothing but results. With --hasty the shape stage takes one step on three frames: what is written,
+and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit
+on the size of files.
 """
 
 import argparse
@@ -57,21 +61,34 @@ class Bench:
         """A fit of both captures."""
         files = [str(self.folder / f"{name}.c3d") for name in ("one", "two")]
         options = ["--out", str(out or self.out), "--seed", str(seed), "--no-soft-tissue"]
-        return [sys.executable, *(("-c", HASTY) if self.hasty else ("-m", "habitus")), "mosh", *files, *options]
+        return [
+            sys.executable,
+            *(("-c", HASTY) if self.hasty else ("-m", "habitus")),
+            "mosh",
+            *files,
+            *options,
+        ]
 
     def start(self, seed: int, out: Path | None = None, **options: object) -> subprocess.Popen:
         """The same, begun."""
         command = self.command(seed, out)
-        return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)  # type: ignore
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+        )  # type: ignore
 
 
 def prepare(folder: Path, frames: int, hasty: bool) -> Bench:
     """Two short captures of one subject."""
     known = CAPTURES / "testsample.c3d"
-    whole = read_capture(known) if known.exists() else synthetic(load_body("default"), "cmu-41", 2 * frames)
+    whole = (
+        read_capture(known)
+        if known.exists()
+        else synthetic(load_body("default"), "cmu-41", 2 * frames)
+    )
     for name, part in (("one", whole[:frames]), ("two", whole[frames : 2 * frames])):
         write_c3d(
-            Capture(name, part.labels, np.array(part.markers), part.rate_hz, part.up_axis), folder / f"{name}.c3d"
+            Capture(name, part.labels, np.array(part.markers), part.rate_hz, part.up_axis),
+            folder / f"{name}.c3d",
         )
     return Bench(folder, hasty)
 
@@ -79,11 +96,16 @@ def prepare(folder: Path, frames: int, hasty: bool) -> Bench:
 def digests(folder: Path) -> dict[str, str]:
     """Of every file below a folder."""
     files = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+    }
 
 
 def faults(bench: Bench, before: dict[str, dict[str, str]], seed: int) -> list[str]:
-    """What is wrong in the folder for results, in words; ``before`` are the digests of each capture's folder."""
+    """What is wrong in the folder for results, in words; ``before`` are the digests of each
+    capture's folder.
+    """
     found = []
     for name, old in before.items():
         if not (bench.out / name).is_dir():
@@ -96,21 +118,34 @@ def faults(bench: Bench, before: dict[str, dict[str, str]], seed: int) -> list[s
         elif now != old:
             found += [f"{name}: {fault}" for fault in _mixed(bench.out / name, old, now, seed)]
     beside = {path.name for path in bench.folder.iterdir()} - {"one.c3d", "two.c3d", "out"}
-    seen = {path.name for path in bench.out.iterdir() if not path.name.startswith(".")} - {*before, "index.html"}
+    seen = {path.name for path in bench.out.iterdir() if not path.name.startswith(".")} - {
+        *before,
+        "index.html",
+    }
     index = bench.out / "index.html"
     if index.exists() and not index.read_text("utf-8").rstrip().endswith("</html>"):
         found.append("index.html is not whole")
-    return found + [f"{name} lies outside" for name in beside] + [f"{name} is seen" for name in seen]
+    return (
+        found + [f"{name} lies outside" for name in beside] + [f"{name} is seen" for name in seen]
+    )
 
 
 def _mixed(folder: Path, old: dict[str, str], now: dict[str, str], seed: int) -> list[str]:
-    """Faults of a folder that is not the old one: it must be whole, of this run, and hold the user's file."""
+    """Faults of a folder that is not the old one: it must be whole, of this run, and hold the
+    user's file.
+    """
     names = {path.name for path in folder.iterdir()} - {NOTES}
     if names != FILES:
         return [f"holds {', '.join(sorted(names))}"]
-    found = [f"{name} is the old one" for name in ("metrics.json", "report.html") if now[name] == old[name]]
+    found = [
+        f"{name} is the old one"
+        for name in ("metrics.json", "report.html")
+        if now[name] == old[name]
+    ]
     with np.load(folder / "body.npz") as arrays:
-        if int(arrays["seed"]) != seed or not all(np.asarray(arrays[name]).shape is not None for name in arrays.files):
+        if int(arrays["seed"]) != seed or not all(
+            np.asarray(arrays[name]).shape is not None for name in arrays.files
+        ):
             found.append("body.npz is of another run")
     glb = (folder / "body.glb").read_bytes()
     if int.from_bytes(glb[8:12], "little") != len(glb):
@@ -123,7 +158,8 @@ def _mixed(folder: Path, old: dict[str, str], now: dict[str, str], seed: int) ->
 
 def kill_once(bench: Bench, seed: int, chance: random.Random, seconds: float, writing: bool) -> str:
     """Start a fit and kill it; says in which state it was."""
-    process, began = bench.start(seed), time.monotonic()
+    process = bench.start(seed)
+    began = time.monotonic()
     if writing:
         known = set(bench.out.glob(".*.partial-*"))
         while process.poll() is None and not set(bench.out.glob(".*.partial-*")) - known:
@@ -135,20 +171,33 @@ def kill_once(bench: Bench, seed: int, chance: random.Random, seconds: float, wr
     process.send_signal(signal.SIGKILL)
     process.communicate()
     hidden = [path.name for path in bench.out.glob(".*") if path.name != ".lock"]
-    state = "ended" if ended else "writing" if any(".partial-" in name for name in hidden) else "working"
-    print(f"  killed after {time.monotonic() - began:6.2f} s, {state}; left hidden: {len(hidden)}", flush=True)
+    state = (
+        "ended"
+        if ended
+        else "writing"
+        if any(".partial-" in name for name in hidden)
+        else "working"
+    )
+    print(
+        f"  killed after {time.monotonic() - began:6.2f} s, {state}; left hidden: {len(hidden)}",
+        flush=True,
+    )
     return state
 
 
 def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
     """Fits killed one after another, each begun in what the one before has left."""
-    subprocess.run(bench.command(9_999), check=True, capture_output=True)  # which may compile kernels
+    subprocess.run(
+        bench.command(9_999), check=True, capture_output=True
+    )  # which may compile kernels
     began = time.monotonic()
     subprocess.run(bench.command(10_000), check=True, capture_output=True)
     seconds = time.monotonic() - began
     (bench.out / "one" / NOTES).write_text("mine")
     shutil.copytree(bench.out / "two", bench.out / "finished before")
-    chance, states, found = random.Random(seed), [], []
+    chance = random.Random(seed)
+    states = []
+    found = []
     before = {name: digests(bench.out / name) for name in ("one", "two", "finished before")}
     for k in range(count):
         states.append(kill_once(bench, k, chance, seconds, writing=k % 2 == 0))
@@ -161,16 +210,23 @@ def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
     left = [path.name for path in bench.out.iterdir() if path.name.startswith(".")]
     kept = (bench.out / "one" / NOTES).exists()
     states_told = {state: states.count(state) for state in sorted(set(states))}
-    return {"kills": count, "seconds_of_a_run": seconds, "states": states_told, "faults": found, "left_over": left} | {
-        "users_file_kept": kept
-    }
+    return {
+        "kills": count,
+        "seconds_of_a_run": seconds,
+        "states": states_told,
+        "faults": found,
+        "left_over": left,
+    } | {"users_file_kept": kept}
 
 
 def two_at_once(bench: Bench) -> dict[str, object]:
     """Two runs in one folder: one fits, the other is refused in one line."""
     runs = [bench.start(30_000 + k) for k in range(2)]
     said = [run.communicate()[1] for run in runs]
-    return {"exit_codes": sorted(run.returncode for run in runs), "said": [line for line in said if line]}
+    return {
+        "exit_codes": sorted(run.returncode for run in runs),
+        "said": [line for line in said if line],
+    }
 
 
 def full_disk(bench: Bench) -> dict[str, object]:
@@ -178,7 +234,10 @@ def full_disk(bench: Bench) -> dict[str, object]:
     disk = bench.folder.parent / "disk"
     disk.mkdir()
     mounted = (
-        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], capture_output=True).returncode == 0
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", disk], capture_output=True
+        ).returncode
+        == 0
     )
     limit = {} if mounted else {"preexec_fn": _small_files}
     run = bench.start(1, disk / "out", **limit)
@@ -186,7 +245,12 @@ def full_disk(bench: Bench) -> dict[str, object]:
     there = sorted(str(path.relative_to(disk)) for path in disk.rglob("*"))
     if mounted:
         subprocess.run(["umount", disk], check=True)
-    return {"kind": "tmpfs of 1 MB" if mounted else "limit", "exit_code": run.returncode, "said": said, "there": there}
+    return {
+        "kind": "tmpfs of 1 MB" if mounted else "limit",
+        "exit_code": run.returncode,
+        "said": said,
+        "there": there,
+    }
 
 
 def _small_files() -> None:
@@ -197,7 +261,9 @@ def _small_files() -> None:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--hasty", action="store_true")
@@ -216,7 +282,10 @@ def main() -> None:
         }
     print(json.dumps(found, indent=1))
     if options.out:
-        write_json(options.out, {"machine": where, "frames": options.frames, "hasty": options.hasty, **found})
+        write_json(
+            options.out,
+            {"machine": where, "frames": options.frames, "hasty": options.hasty, **found},
+        )
 
 
 if __name__ == "__main__":

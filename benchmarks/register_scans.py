@@ -1,16 +1,20 @@
-"""How near does `habitus register` come to the truth, from nothing, on people whom the body does not know?
+"""How near does `habitus register` come to the truth, from nothing, on people whom the body does
+not know?
 
-    python benchmarks/register_scans.py [--scans 60] [--others 6] [--peers 3] [--flesh FILE …] [--quick] [--out FILE]
+    python benchmarks/register_scans.py [--scans 60] [--others 6] [--peers 3] [--flesh FILE …]
+    [--quick] [--out FILE]
 
-People are drawn from the neutral body (or ``--space female``), in ten poses that people are scanned in, looking
-anywhere; their skin lies off what any model knows by 4 mm (sd) along its normals, alike over some 8 cm, a quarter of
-that on hands, feet and head; 100,000 points without normals or triangles are drawn from the body's full level of
-detail, with 0.5 mm of noise along each axis and holes in 8 % of them. Errors are distances of all vertices that can
-be seen from outside from where they truly are, those in holes too. ``--people`` takes people at rest whom no body made
-(`tools/default_body/new_people.py`) and poses them as the default body bends; ``--flesh`` surfaces of simulated flesh
-instead, registrations with ``set`` "test" in the topology of the full level. Then the same scans from the front
-alone, in other axes and units, a chair, and non-rigid ICP of trimesh, begun from our model. Results are kept one by
-one beside ``--out`` and taken from there by a later run.
+People are drawn from the neutral body (or ``--space female``), in ten poses that people are scanned
+in, looking anywhere; their skin lies off what any model knows by 4 mm (sd) along its normals, alike
+over some 8 cm, a quarter of that on hands, feet and head; 100,000 points without normals or
+triangles are drawn from the body's full level of detail, with 0.5 mm of noise along each axis and
+holes in 8 % of them. Errors are distances of all vertices that can be seen from outside from where
+they truly are, those in holes too. ``--people`` takes people at rest whom no body made
+(`tools/default_body/new_people.py`) and poses them as the default body bends; ``--flesh`` surfaces
+of simulated flesh instead, registrations with ``set`` "test" in the topology of the full level.
+Then the same scans from the front alone, in other axes and units, a chair, and non-rigid ICP of
+trimesh, begun from our model. Results are kept one by one beside ``--out`` and taken from there by
+a later run.
 """
 
 import os
@@ -44,7 +48,15 @@ from habitus.mesh.intersections import intersecting_pairs
 from habitus.population.scans import STANCES, Scanner, person, scanned, stance
 from habitus.rotations import matrix_from_rotvec
 
-GOALS = {"mean_mm": 2.0, "p95_mm": 5.0, "median_mm": 0.5, "seen_mm": 4.0, "height_cm": 2.0, "seconds": 20.0, "gb": 3.0}
+GOALS = {
+    "mean_mm": 2.0,
+    "p95_mm": 5.0,
+    "median_mm": 0.5,
+    "seen_mm": 4.0,
+    "height_cm": 2.0,
+    "seconds": 20.0,
+    "gb": 3.0,
+}
 FRONT = Scanner(points=60_000, sides=((0.0, 0.1, 1.0), (0.5, 0.1, 0.85), (-0.5, 0.1, 0.85)))
 
 
@@ -62,7 +74,9 @@ def full(space: str) -> BodyModel:
 
 @cache
 def people(path: Path) -> np.ndarray:
-    """Vertices (N, V, 3; m) at rest of people whom no body made, in the default level's topology."""
+    """Vertices (N, V, 3; m) at rest of people whom no body made, in the default level's
+    topology.
+    """
     with np.load(path) as file:
         return file["vertices"].astype(float)
 
@@ -71,7 +85,8 @@ def outside(vertices: int | None = None) -> np.ndarray:
     """Faces of the full level, or of that with so many vertices, that can be seen."""
     own = registrar().body
     body = own if vertices == own.num_vertices else full("neutral")
-    faces, hidden = body.faces, hidden_vertices(body)
+    faces = body.faces
+    hidden = hidden_vertices(body)
     return faces[~hidden[faces].all(1)]
 
 
@@ -84,19 +99,27 @@ def made(k: int, options: argparse.Namespace, scanner: Scanner) -> tuple[np.ndar
         name = f"flesh {k}"
         facing = turn
     elif options.people:
-        body, names = registrar().body, list(STANCES)
+        body = registrar().body
+        names = list(STANCES)
         pose = stance(names[k % len(names)], body.joint_names, rng)
         rest = people(options.people)[k]
         vertices = body.prepare().carried(rest, body.joint_regressor @ rest, pose)
-        facing, turn, name = matrix_from_rotvec(pose[0]), np.eye(3), f"{k} {names[k % len(names)]}"
+        facing = matrix_from_rotvec(pose[0])
+        turn = np.eye(3)
+        name = f"{k} {names[k % len(names)]}"
     else:
-        body, names = full(options.space), list(STANCES)
+        body = full(options.space)
+        names = list(STANCES)
         pose = stance(names[k % len(names)], body.joint_names, rng)
         facing = matrix_from_rotvec(pose[0])
-        vertices, turn, name = person(body, pose, rng), np.eye(3), f"{k} {names[k % len(names)]}"
+        vertices = person(body, pose, rng)
+        turn = np.eye(3)
+        name = f"{k} {names[k % len(names)]}"
     vertices = vertices @ turn.T
     sides = [tuple(facing @ np.array(side) / np.linalg.norm(side)) for side in scanner.sides]
-    return vertices, scanned(vertices, outside(len(vertices)), replace(scanner, sides=sides), rng, name)
+    return vertices, scanned(
+        vertices, outside(len(vertices)), replace(scanner, sides=sides), rng, name
+    )
 
 
 def flesh(k: int, paths: list[Path]) -> np.ndarray:
@@ -106,7 +129,9 @@ def flesh(k: int, paths: list[Path]) -> np.ndarray:
         return file["vertices"][rows[(7 * k) % len(rows)]].astype(float)
 
 
-def errors(fit: ScanFit, surface: np.ndarray, truth: np.ndarray, seen: bool = False) -> dict[str, float]:
+def errors(
+    fit: ScanFit, surface: np.ndarray, truth: np.ndarray, seen: bool = False
+) -> dict[str, float]:
     """Mean and 95 % of distances (mm) of vertices from where they are."""
     body = registrar().body
     true = truth @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
@@ -118,7 +143,8 @@ def errors(fit: ScanFit, surface: np.ndarray, truth: np.ndarray, seen: bool = Fa
 
 def timed(scan: Scan, **asked: str) -> tuple[ScanFit, dict[str, float]]:
     """The fit, and what it took."""
-    begun, used = time.perf_counter(), time.process_time()
+    begun = time.perf_counter()
+    used = time.process_time()
     (fit,) = registrar().register([scan], **asked)
     seconds = time.perf_counter() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
@@ -131,11 +157,19 @@ def whole(k: int, options: argparse.Namespace) -> dict:
     fit, took = timed(scan)
     median, p95 = np.percentile(1e3 * fit.to_surface, (50, 95))
     return {
-        "scan": scan.name, "surface": errors(fit, fit.vertices, truth), "seen": errors(fit, fit.vertices, truth, True),
-        "model": errors(fit, fit.model_vertices, truth), "scan_median_mm": float(median), "scan_p95_mm": float(p95),
-        "share_seen": fit.seen, "lost": fit.lost, "verdict": fit.verdict.level, "reasons": list(fit.verdict.reasons),
-        "new_intersections": intersections(fit.vertices) - intersections(fit.model_vertices), **took,
-    }  # fmt: skip
+        "scan": scan.name,
+        "surface": errors(fit, fit.vertices, truth),
+        "seen": errors(fit, fit.vertices, truth, True),
+        "model": errors(fit, fit.model_vertices, truth),
+        "scan_median_mm": float(median),
+        "scan_p95_mm": float(p95),
+        "share_seen": fit.seen,
+        "lost": fit.lost,
+        "verdict": fit.verdict.level,
+        "reasons": list(fit.verdict.reasons),
+        "new_intersections": intersections(fit.vertices) - intersections(fit.model_vertices),
+        **took,
+    }
 
 
 def intersections(vertices: np.ndarray) -> int:
@@ -156,30 +190,44 @@ def front(k: int, options: argparse.Namespace) -> dict:
         betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
         height = body.measure(betas)["height_m"]
     return {
-        "scan": scan.name, "seen": errors(fit, fit.vertices, truth, True),
-        "all": errors(fit, fit.vertices, truth), "height_cm": 100 * (fit.measurements["height_m"] - height),
-        "share_seen": fit.seen, "verdict": fit.verdict.level, "reasons": list(fit.verdict.reasons), **took,
-    }  # fmt: skip
+        "scan": scan.name,
+        "seen": errors(fit, fit.vertices, truth, True),
+        "all": errors(fit, fit.vertices, truth),
+        "height_cm": 100 * (fit.measurements["height_m"] - height),
+        "share_seen": fit.seen,
+        "verdict": fit.verdict.level,
+        "reasons": list(fit.verdict.reasons),
+        **took,
+    }
 
 
 def turned(k: int, options: argparse.Namespace) -> dict:
     """A scan in other axes, in millimetres or centimetres, with a floor and dust."""
     truth, scan = made(k, options, options.scanner)
-    rng, axis, unit = np.random.default_rng(k), UP[k % len(UP)], (1000.0, 100.0)[k % 2]
+    rng = np.random.default_rng(k)
+    axis = UP[k % len(UP)]
+    unit = (1000.0, 100.0)[k % 2]
     points = scan.points
     if k % 3 == 0:
         low = points[:, 1].min()
-        floor = np.column_stack([rng.uniform(-1.2, 1.2, 20_000), np.full(20_000, low), rng.uniform(-1.2, 1.2, 20_000)])
+        floor = np.column_stack(
+            [rng.uniform(-1.2, 1.2, 20_000), np.full(20_000, low), rng.uniform(-1.2, 1.2, 20_000)]
+        )
         floor[:, 1] += 0.001 * rng.normal(size=len(floor))
-        points = np.concatenate([points, floor, rng.normal(size=(300, 3)) * 0.03 + [0.9, low + 1.5, 0.9]])
+        points = np.concatenate(
+            [points, floor, rng.normal(size=(300, 3)) * 0.03 + [0.9, low + 1.5, 0.9]]
+        )
     points = unit * points @ up_rotation(axis)  # the inverse turn
     fit, took = timed(replace(scan, points=points))
     truth = unit * truth @ up_rotation(axis)
     return {
         "scan": f"{scan.name}, {axis} up, {unit:g} a metre{', floor' if k % 3 == 0 else ''}",
-        "surface": errors(fit, fit.vertices, truth), "up_found": fit.up_axis, "verdict": fit.verdict.level,
-        "notes": list(fit.notes), **took,
-    }  # fmt: skip
+        "surface": errors(fit, fit.vertices, truth),
+        "up_found": fit.up_axis,
+        "verdict": fit.verdict.level,
+        "notes": list(fit.notes),
+        **took,
+    }
 
 
 def chair(k: int, options: argparse.Namespace) -> dict:
@@ -190,14 +238,24 @@ def chair(k: int, options: argparse.Namespace) -> dict:
     parts = []
     for middle, size in boxes:
         count = int(40_000 * np.prod(size) ** (2 / 3) / 0.3)
-        points, axis = rng.uniform(-0.5, 0.5, (count, 3)), rng.integers(0, 3, count)
+        points = rng.uniform(-0.5, 0.5, (count, 3))
+        axis = rng.integers(0, 3, count)
         points[np.arange(count), axis] = rng.choice([-0.5, 0.5], count)
         parts.append(np.array(middle) + points * size)
     try:
-        fit, took = timed(Scan("chair", np.concatenate(parts) + 0.0005 * rng.normal(size=(sum(map(len, parts)), 3))))
+        fit, took = timed(
+            Scan(
+                "chair", np.concatenate(parts) + 0.0005 * rng.normal(size=(sum(map(len, parts)), 3))
+            )
+        )
     except HabitusError as error:
         return {"scan": "chair", "error": str(error)}
-    return {"scan": "chair", "verdict": fit.verdict.level, "reasons": list(fit.verdict.reasons), **took}
+    return {
+        "scan": "chair",
+        "verdict": fit.verdict.level,
+        "reasons": list(fit.verdict.reasons),
+        **took,
+    }
 
 
 STIFF = [[0.2, 0, 0.5, 10], [0.1, 0, 0.5, 10], [0.05, 0, 0.5, 10], [0.02, 0, 0.0, 10]]
@@ -207,26 +265,36 @@ STIFF = [[0.2, 0, 0.5, 10], [0.1, 0, 0.5, 10], [0.05, 0, 0.5, 10], [0.02, 0, 0.0
 def peer(k: int, options: argparse.Namespace) -> dict:
     """trimesh's `nricp_amberg` from our model, and our free surface, on one scan.
 
-    With the steps that its documentation has by default (up to ten iterations each, normals weighed in), and with
-    stiffer ones; it gets the cleaned scan in metres, and a reach of 5 cm in place of a tenth of the body.
+    With the steps that its documentation has by default (up to ten iterations each, normals weighed
+    in), and with stiffer ones; it gets the cleaned scan in metres, and a reach of 5 cm in place of
+    a tenth of the body.
     """
     import trimesh
 
     truth, scan = made(k, options, options.scanner)
     fit, took = timed(scan)
-    body, found = registrar().body, {}
+    body = registrar().body
+    found = {}
     source = trimesh.Trimesh(fit.model_vertices, body.faces, process=False)
     target = trimesh.PointCloud(fit.cloud.points[: options.peer_points])
     for name, steps in (("default", None), ("stiff", STIFF)):
         begun = time.process_time()
         moved = trimesh.registration.nricp_amberg(
-            source, target, steps=steps, distance_threshold=0.05 / source.scale, use_faces=False, neighbors_count=16
+            source,
+            target,
+            steps=steps,
+            distance_threshold=0.05 / source.scale,
+            use_faces=False,
+            neighbors_count=16,
         )
         found[name] = {**errors(fit, moved, truth), "cpu_seconds": time.process_time() - begun}
     return {
-        "scan": scan.name, "model": errors(fit, fit.model_vertices, truth), "ours": errors(fit, fit.vertices, truth),
-        "peer": found, **took,
-    }  # fmt: skip
+        "scan": scan.name,
+        "model": errors(fit, fit.model_vertices, truth),
+        "ours": errors(fit, fit.vertices, truth),
+        "peer": found,
+        **took,
+    }
 
 
 PARTS: dict[str, Callable[[int, argparse.Namespace], dict]] = {
@@ -251,19 +319,36 @@ def rows(options: argparse.Namespace, known: Path) -> Iterator[tuple[str, dict]]
 
 def summary(found: list[tuple[str, dict]]) -> dict[str, object]:
     """The numbers to be held against the goals."""
-    whole, front, turned = ([row for part, row in found if part == name] for name in ("whole", "front", "turned"))
-    good = [r["surface"]["mean"] <= GOALS["mean_mm"] and r["surface"]["p95"] <= GOALS["p95_mm"] for r in whole]
+    whole, front, turned = (
+        [row for part, row in found if part == name] for name in ("whole", "front", "turned")
+    )
+    good = [
+        r["surface"]["mean"] <= GOALS["mean_mm"] and r["surface"]["p95"] <= GOALS["p95_mm"]
+        for r in whole
+    ]
     out: dict[str, object] = {"scans": len(whole), "within_2_and_5_mm": sum(good)}
     for key in ("surface", "seen", "model"):
         for which in ("mean", "p95"):
             values = [r[key][which] for r in whole]
             if values:
-                out[f"{key}_{which}_mm"] = {"median": float(np.median(values)), "worst": float(max(values))}
-    for key in ("scan_median_mm", "scan_p95_mm", "seconds", "cpu_seconds", "gb", "new_intersections"):
+                out[f"{key}_{which}_mm"] = {
+                    "median": float(np.median(values)),
+                    "worst": float(max(values)),
+                }
+    for key in (
+        "scan_median_mm",
+        "scan_p95_mm",
+        "seconds",
+        "cpu_seconds",
+        "gb",
+        "new_intersections",
+    ):
         values = [r[key] for r in whole]
         if values:
             out[key] = {"median": float(np.median(values)), "worst": float(max(values))}
-    out["verdicts"] = {level: sum(r["verdict"] == level for r in whole) for level in ("good", "doubtful", "failed")}
+    out["verdicts"] = {
+        level: sum(r["verdict"] == level for r in whole) for level in ("good", "doubtful", "failed")
+    }
     if front:
         out["front_seen_mean_mm"] = [round(r["seen"]["mean"], 2) for r in front]
         out["front_height_cm"] = [round(r["height_cm"], 2) for r in front]
@@ -279,34 +364,55 @@ def show(found: list[tuple[str, dict]], console: Console) -> None:
         told = row.get("surface") or row.get("seen") or row.get("ours") or {}
         line = [part, row["scan"], *(f"{told[key]:.2f}" if told else "" for key in ("mean", "p95"))]
         if part == "peer":
-            told = (f"{name} {one['mean']:.2f}, {one['p95']:.2f}" for name, one in row["peer"].items())
+            told = (
+                f"{name} {one['mean']:.2f}, {one['p95']:.2f}" for name, one in row["peer"].items()
+            )
             line[1] += f"; nricp {'; '.join(told)}"
         median = f"{row['scan_median_mm']:.2f}" if "scan_median_mm" in row else ""
-        table.add_row(*line, median, f"{row.get('seconds', 0.0):.1f}", row.get("verdict", row.get("error", "")))
+        table.add_row(
+            *line,
+            median,
+            f"{row.get('seconds', 0.0):.1f}",
+            row.get("verdict", row.get("error", "")),
+        )
     console.print(table)
 
 
 def main() -> None:
     """Run what is asked for, print it and write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--scans", type=int, default=60)
     parser.add_argument(
-        "--seed", type=int, default=17, help="other people, poses and noise; 17 was looked at in development"
+        "--seed",
+        type=int,
+        default=17,
+        help="other people, poses and noise; 17 was looked at in development",
     )
-    parser.add_argument("--others", type=int, default=6, help="scans from the front, and in other axes and units")
+    parser.add_argument(
+        "--others", type=int, default=6, help="scans from the front, and in other axes and units"
+    )
     parser.add_argument("--peers", type=int, default=3, help="scans that non-rigid ICP gets, too")
     parser.add_argument("--peer-points", type=int, default=40_000)
     parser.add_argument("--space", default="neutral", choices=("neutral", "female", "male"))
     parser.add_argument("--flesh", type=Path, nargs="*", default=[])
-    parser.add_argument("--people", type=Path, help="people whom no body made, of tools/default_body/new_people.py")
-    parser.add_argument("--quick", action="store_true", help="three scans, one of each other kind, 30,000 points")
+    parser.add_argument(
+        "--people", type=Path, help="people whom no body made, of tools/default_body/new_people.py"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="three scans, one of each other kind, 30,000 points"
+    )
     parser.add_argument("--out", type=Path, default=Path("register_scans.json"))
     options = parser.parse_args()
     options.scanner = Scanner(points=30_000 if options.quick else 100_000)
     if options.quick:
-        options.scans, options.others, options.peers = 3, 1, 1
+        options.scans = 3
+        options.others = 1
+        options.peers = 1
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    where, console = machine(), Console()
+    where = machine()
+    console = Console()
     registrar().register([made(0, options, Scanner(points=5000))[1]], up="+y")  # compiles
     found = list(rows(options, options.out.with_suffix(".jsonl")))
     show(found, console)

@@ -2,13 +2,14 @@
 
     python benchmarks/register_textures.py [--people 3] [--kinds natural painted] [--out FILE]
 
-Women are drawn from the women's body, which the neutral one knows only in part, each with skin off it by 4 mm along its
-normals, the same in three poses; 60,000 points a scan and colours at 400,000 places, lit from somewhere else in each
-scan, noisy, and off by 0.3 mm (sd) along each axis, alike over some 8 cm and other in every scan. Skin is natural
-(patches, freckles, moles, hair, striped shirt, shorts) or painted all over with stamps. The scans are registered from
-nothing with the default body, without colours and then with them. Told, in mm: how far vertices are from where they are
-(mean, 95 %); of that what all scans of a woman share, which colours cannot tell; and what each has of its own, all
-carried to rest by true turns.
+Women are drawn from the women's body, which the neutral one knows only in part, each with skin off
+it by 4 mm along its normals, the same in three poses; 60,000 points a scan and colours at 400,000
+places, lit from somewhere else in each scan, noisy, and off by 0.3 mm (sd) along each axis, alike
+over some 8 cm and other in every scan. Skin is natural (patches, freckles, moles, hair, striped
+shirt, shorts) or painted all over with stamps. The scans are registered from nothing with the
+default body, without colours and then with them. Told, in mm: how far vertices are from where they
+are (mean, 95 %); of that what all scans of a woman share, which colours cannot tell; and what each
+has of its own, all carried to rest by true turns.
 """
 
 import os
@@ -40,20 +41,27 @@ SCANNER = Scanner(points=60_000)
 
 def woman(k: int, seed: int, painted: bool) -> dict:
     """True surfaces (m) in all poses, the turns (V, 3, 3) that took the skin there, and scans."""
-    body, rng = full("female"), np.random.default_rng([seed, k])
+    body = full("female")
+    rng = np.random.default_rng([seed, k])
     bony = [j for j, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
     betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
     off = (
-        FLESH * smooth_field(body.v_template, rng)[:, :1] * (1 - 0.75 * body.skinning_weights[:, bony].sum(1))[:, None]
+        FLESH
+        * smooth_field(body.v_template, rng)[:, :1]
+        * (1 - 0.75 * body.skinning_weights[:, bony].sum(1))[:, None]
     )
     skin = PaintedSkin.of(body, np.random.default_rng([seed, k, 5]), painted)
-    surfaces, turns, scans = [], [], []
+    surfaces = []
+    turns = []
+    scans = []
     for i, name in enumerate(POSES):
         pose = stance(name, body.joint_names, rng)
         surface = np.asarray(body(betas, pose).vertices)
         surfaces.append(surface + off * vertex_normals(surface, body.faces))
         motions = posed_skeleton(body, body.rest_joints(betas), pose).motions[..., :3]
-        u, _, v = np.linalg.svd(np.einsum("vk,vkij->vij", body.skinning_value, motions[body.skinning_index]))
+        u, _, v = np.linalg.svd(
+            np.einsum("vk,vkij->vij", body.skinning_value, motions[body.skinning_index])
+        )
         turns.append(u @ v)
         own = np.random.default_rng([seed, k, i])
         scans.append(scanned(surfaces[-1], outside(), SCANNER, own, f"{k} {name}", skin))
@@ -61,8 +69,11 @@ def woman(k: int, seed: int, painted: bool) -> dict:
 
 
 def errors(made: dict, fits: list[ScanFit]) -> dict[str, float]:
-    """How far vertices are from where they are (mm): all of it, what a woman's scans share, what is each one's own."""
-    body, off = registrar().body, []
+    """How far vertices are from where they are (mm): all of it, what a woman's scans share, what is
+    each one's own.
+    """
+    body = registrar().body
+    off = []
     for truth, turn, fit in zip(made["surfaces"], made["turns"], fits, strict=True):
         true = (truth @ fit.to_body[:3, :3].T + fit.to_body[:3, 3])[body.full_vertices]
         off.append(np.einsum("vij,vi->vj", turn[body.full_vertices], 1e3 * (fit.vertices - true)))
@@ -78,33 +89,59 @@ def errors(made: dict, fits: list[ScanFit]) -> dict[str, float]:
 
 def main() -> None:
     """Run what is asked for, print it and write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--people", type=int, default=3)
-    parser.add_argument("--kinds", nargs="*", default=["natural", "painted"], choices=("natural", "painted"))
+    parser.add_argument(
+        "--kinds", nargs="*", default=["natural", "painted"], choices=("natural", "painted")
+    )
     parser.add_argument("--seed", type=int, default=88, help="88 was looked at in development")
     parser.add_argument("--out", type=Path, default=Path("register_textures.json"))
     options = parser.parse_args()
-    where, console, rows = machine(), Console(), []
+    where = machine()
+    console = Console()
+    rows = []
     for k in range(options.people):
-        plain, cpu = None, 0.0
+        plain = None
+        cpu = 0.0
         for kind in options.kinds:
             made = woman(k, options.seed, kind == "painted")
             if plain is None:  # geometry is the same
                 begun = time.process_time()
-                plain = registrar().register([replace(scan, colours=None) for scan in made["scans"]], up="+y")
+                plain = registrar().register(
+                    [replace(scan, colours=None) for scan in made["scans"]], up="+y"
+                )
                 cpu = (time.process_time() - begun) / len(plain)
-                rows.append({"woman": k, "colours": "none", "cpu_seconds": cpu, **errors(made, plain)})
+                rows.append(
+                    {"woman": k, "colours": "none", "cpu_seconds": cpu, **errors(made, plain)}
+                )
             begun = time.process_time()
             fits = with_colours(registrar().settled(plain[0]), plain, made["scans"])
             more = (time.process_time() - begun) / len(fits)
             tones = [[fit.colours.before, fit.colours.after] for fit in fits]
-            rows.append({"woman": k, "colours": kind, "cpu_seconds": cpu + more, "tones": tones, **errors(made, fits)})
+            rows.append(
+                {
+                    "woman": k,
+                    "colours": kind,
+                    "cpu_seconds": cpu + more,
+                    "tones": tones,
+                    **errors(made, fits),
+                }
+            )
             console.print(rows[-1])
     table = Table("colours", "all, mean and 95 %", "shared", "own", "CPU seconds a scan", box=None)
     for kind in ("none", *options.kinds):
         some = [row for row in rows if row["colours"] == kind]
-        means = {key: np.mean([row[key] for row in some]) for key in some[0] if isinstance(some[0][key], float)}
-        pairs = (f"{means[f'{name}_mean']:.2f}, {means[f'{name}_p95']:.2f}" for name in ("all", "shared", "own"))
+        means = {
+            key: np.mean([row[key] for row in some])
+            for key in some[0]
+            if isinstance(some[0][key], float)
+        }
+        pairs = (
+            f"{means[f'{name}_mean']:.2f}, {means[f'{name}_p95']:.2f}"
+            for name in ("all", "shared", "own")
+        )
         table.add_row(kind, *pairs, f"{means['cpu_seconds']:.1f}")
     console.print(table)
     console.print(in_words(where))

@@ -1,18 +1,22 @@
-"""Pictures by exact areas, to hold the renderer against: what of each triangle shows in a pixel, as polygons.
+"""Pictures by exact areas, to hold the renderer against: what of each triangle shows in a pixel, as
+polygons.
 
-It shares no code and no idea with the renderer: no centres, no edges, no fragments. In each pixel every triangle is
-clipped to the pixel, and from what is left is cut away where another triangle covers it and is nearer: 1 / depth is
-linear on the screen, so that is a convex region, also where surfaces pass through each other. What remains are convex
-polygons, over which colours, linear in space, are integrated by the midpoints of sides (exact up to squares). A picture
-is a smooth function of the vertices to rounding, so its central differences over 1e-4 pixels are derivatives, and
-whole pictures take seconds.
+It shares no code and no idea with the renderer: no centres, no edges, no fragments. In each pixel
+every triangle is clipped to the pixel, and from what is left is cut away where another triangle
+covers it and is nearer: 1 / depth is linear on the screen, so that is a convex region, also where
+surfaces pass through each other. What remains are convex polygons, over which colours, linear in
+space, are integrated by the midpoints of sides (exact up to squares). A picture is a smooth
+function of the vertices to rounding, so its central differences over 1e-4 pixels are derivatives,
+and whole pictures take seconds.
 """
 
 import numpy as np
 from numba import njit, prange
 
 CORNERS, PIECES = 16, 96
-"""Room for the corners of a polygon (a pixel's square and at most four cuts more each) and for pieces of a triangle."""
+"""Room for the corners of a polygon (a pixel's square and at most four cuts more each) and for
+pieces of a triangle.
+"""
 EMPTY = 1e-13
 """Square pixels below which nothing is left."""
 
@@ -22,7 +26,8 @@ def exact_picture(
 ) -> np.ndarray:
     """The picture (H, W, C), box-filtered. Pixels that are not `only` (H, W) stay background.
 
-    screen (V, 3): u, v in pixels and depth, all in front of the camera; values (V, C), linear on triangles in space.
+    screen (V, 3): u, v in pixels and depth, all in front of the camera; values (V, C), linear on
+    triangles in space.
     """
     height, width = only.shape
     corners = screen[faces]
@@ -44,7 +49,8 @@ def _bins(width, height, only, solid, low, high):
     for fill in range(2):
         if fill:
             start = np.concatenate((np.zeros(1, np.int64), np.cumsum(start[:-1])))
-            member, place = np.empty(start[-1], np.int64), start.copy()
+            member = np.empty(start[-1], np.int64)
+            place = start.copy()
         for face in np.flatnonzero(solid):
             for row in range(max(low[face, 1], 0), min(high[face, 1], height - 1) + 1):
                 for column in range(max(low[face, 0], 0), min(high[face, 0], width - 1) + 1):
@@ -64,17 +70,22 @@ def _fill(picture, only, start, member, corners, values, background):
     height, width, channels = picture.shape
     full = 0
     for row in prange(height):
-        pieces, sizes = np.empty((PIECES, CORNERS, 2)), np.empty(PIECES, np.int64)
-        rest, cut, part = np.empty((CORNERS, 2)), np.empty((CORNERS, 2)), np.empty((CORNERS, 2))
+        pieces = np.empty((PIECES, CORNERS, 2))
+        sizes = np.empty(PIECES, np.int64)
+        rest = np.empty((CORNERS, 2))
+        cut = np.empty((CORNERS, 2))
+        part = np.empty((CORNERS, 2))
         for column in range(width):
             pixel = row * width + column
-            first, last = start[pixel], start[pixel + 1]
+            first = start[pixel]
+            last = start[pixel + 1]
             if first == last or not only[row, column]:
                 continue
             planes = np.empty((last - first, 4, 3))
             for n in range(last - first):
                 _lines(corners[member[first + n]], column, row, planes[n])
-            total, area = np.zeros(channels), 0.0
+            total = np.zeros(channels)
+            area = 0.0
             for n in range(last - first):
                 count = _visible(planes, n, pieces, sizes, rest, cut, part)
                 full += count < 0
@@ -93,12 +104,16 @@ def _fill(picture, only, start, member, corners, values, background):
 
 @njit(cache=True, error_model="numpy")
 def _lines(corner, column, row, out):
-    """Of a triangle: the three lines of its sides, positive inside, and its 1 / depth; each as a x + b y + c."""
-    x, y = corner[:, 0] - column, corner[:, 1] - row
+    """Of a triangle: the three lines of its sides, positive inside, and its 1 / depth; each as a x
+    + b y + c.
+    """
+    x = corner[:, 0] - column
+    y = corner[:, 1] - row
     area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
     out[3] = 0.0
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
+        i = (k + 1) % 3
+        j = (k + 2) % 3
         out[k, 0], out[k, 1] = (y[i] - y[j]) / area, (x[j] - x[i]) / area
         out[k, 2] = (x[i] * y[j] - x[j] * y[i]) / area
         out[3] += out[k] / corner[k, 2]
@@ -106,7 +121,9 @@ def _lines(corner, column, row, out):
 
 @njit(cache=True, error_model="numpy")
 def _visible(planes, n, pieces, sizes, rest, cut, part):
-    """What shows of triangle n in its pixel: convex polygons, their number; -1 if there is no room for them."""
+    """What shows of triangle n in its pixel: convex polygons, their number; -1 if there is no room
+    for them.
+    """
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     rest[:4] = square
     size = 4
@@ -116,7 +133,8 @@ def _visible(planes, n, pieces, sizes, rest, cut, part):
     if _area(rest, size) < EMPTY:
         return 0
     pieces[0, :size], sizes[0] = rest[:size], size
-    count, nearer = 1, np.empty((4, 3))
+    count = 1
+    nearer = np.empty((4, 3))
     for other in range(len(planes)):
         if other == n:
             continue
@@ -137,7 +155,9 @@ def _visible(planes, n, pieces, sizes, rest, cut, part):
             size = sizes[piece]
             rest[:size] = pieces[piece, :size]
             count -= 1
-            if piece < count:  # the last takes the place of the one that is cut up; new ones go behind
+            if (
+                piece < count
+            ):  # the last takes the place of the one that is cut up; new ones go behind
                 pieces[piece], sizes[piece] = pieces[count], sizes[count]
             fresh = count
             for k in range(4):
@@ -155,7 +175,9 @@ def _visible(planes, n, pieces, sizes, rest, cut, part):
 
 @njit(cache=True, error_model="numpy")
 def _clip(polygon, size, line, sign, out):
-    """The part of a convex polygon where sign * line >= 0 (Sutherland and Hodgman 1974); its number of corners."""
+    """The part of a convex polygon where sign * line >= 0 (Sutherland and Hodgman 1974); its number
+    of corners.
+    """
     count = 0
     for k in range(size):
         following = (k + 1) % size
@@ -175,8 +197,10 @@ def _clip(polygon, size, line, sign, out):
 def _area(polygon, size):
     double = 0.0
     for k in range(1, size - 1):
-        ax, ay = polygon[k, 0] - polygon[0, 0], polygon[k, 1] - polygon[0, 1]
-        bx, by = polygon[k + 1, 0] - polygon[0, 0], polygon[k + 1, 1] - polygon[0, 1]
+        ax = polygon[k, 0] - polygon[0, 0]
+        ay = polygon[k, 1] - polygon[0, 1]
+        bx = polygon[k + 1, 0] - polygon[0, 0]
+        by = polygon[k + 1, 1] - polygon[0, 1]
         double += ax * by - ay * bx
     return abs(double) / 2.0
 
@@ -185,18 +209,24 @@ def _area(polygon, size):
 def _add(total, polygon, corner, value, column, row):
     """Add a triangle's colour, integrated over a polygon of it; the polygon's area."""
     area = 0.0
-    x, y = corner[:, 0] - column, corner[:, 1] - row
+    x = corner[:, 0] - column
+    y = corner[:, 1] - row
     for k in range(1, len(polygon) - 1):
-        a, b, c = polygon[0], polygon[k], polygon[k + 1]
+        a = polygon[0]
+        b = polygon[k]
+        c = polygon[k + 1]
         piece = abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) / 2.0
         area += piece
         for i in range(3):
             p, q = (a, b) if i == 0 else ((b, c) if i == 1 else (c, a))
-            u, v = (p[0] + q[0]) / 2.0, (p[1] + q[1]) / 2.0
+            u = (p[0] + q[0]) / 2.0
+            v = (p[1] + q[1]) / 2.0
             f = ((x[2] - x[1]) * (v - y[1]) - (y[2] - y[1]) * (u - x[1])) / corner[0, 2]
             g = ((x[0] - x[2]) * (v - y[2]) - (y[0] - y[2]) * (u - x[2])) / corner[1, 2]
             h = ((x[1] - x[0]) * (v - y[0]) - (y[1] - y[0]) * (u - x[0])) / corner[2, 2]
             share = piece / 3.0 / (f + g + h)
             for channel in range(len(total)):
-                total[channel] += share * (f * value[0, channel] + g * value[1, channel] + h * value[2, channel])
+                total[channel] += share * (
+                    f * value[0, channel] + g * value[1, channel] + h * value[2, channel]
+                )
     return area

@@ -1,11 +1,14 @@
-"""Draws the derivative images that `render_gradients.py` measures, and the thesis' Fig 4-7, for docs/gallery.md.
+"""Draws the derivative images that `render_gradients.py` measures, and the thesis' Fig 4-7, for
+docs/gallery.md.
 
 python benchmarks/render_gradient_pictures.py [--out docs/images]
 """
 
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # libgomp's spinning makes two threads slower at random
+os.environ.setdefault(
+    "OMP_WAIT_POLICY", "passive"
+)  # libgomp's spinning makes two threads slower at random
 
 import argparse
 from pathlib import Path
@@ -21,7 +24,9 @@ SHOWN = {"translation": 0, "rotation": 2, "focal": 0, "light": 0, "vertex": 0}
 
 
 def derivative_row(scene: GradientScene) -> list[np.ndarray]:
-    """The scene and its derivative images in the default mode (thesis Fig 1-5), cut to the square in the middle."""
+    """The scene and its derivative images in the default mode (thesis Fig 1-5), cut to the square
+    in the middle.
+    """
     panels = [scene.draw(scene.start, "antialias").numpy()]
     for name, axis in SHOWN.items():
         unit = torch.eye(len(scene.start[name]), dtype=torch.float64)[axis]
@@ -31,25 +36,34 @@ def derivative_row(scene: GradientScene) -> list[np.ndarray]:
 
 
 def turning_quadrilateral(height: int = 48) -> list[list[np.ndarray]]:
-    """Thesis Fig 4-7: a quadrilateral, the predicted change as it turns in the plane, finite differences.
+    """Thesis Fig 4-7: a quadrilateral, the predicted change as it turns in the plane, finite
+    differences.
 
-    The upper row: pixels sampled at centres; the image filter's prediction; finite differences with a step of half a
-    pixel at the corners. The lower row: the antialiased picture, its derivative, and the reference of the benchmark.
+    The upper row: pixels sampled at centres; the image filter's prediction; finite differences with
+    a step of half a pixel at the corners. The lower row: the antialiased picture, its derivative,
+    and the reference of the benchmark.
     """
     scene = quadrilateral_scene(height)
     turn = {"rotation": torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)}
     rows = []
     for mode, step, samples in (("filter", 0.5, 1), ("antialias", 0.02, 256)):
         changes = derivative(scene, turn, mode), finite_difference(scene, turn, step, samples)
-        rows.append((scene.draw(scene.start, mode).numpy(), *(change.mean(-1) for change in changes)))
+        rows.append(
+            (scene.draw(scene.start, mode).numpy(), *(change.mean(-1) for change in changes))
+        )
     most = np.abs(rows[1][2]).max()
-    return [[picture, *(red_and_blue(change, most) for change in changes)] for picture, *changes in rows]
+    return [
+        [picture, *(red_and_blue(change, most) for change in changes)] for picture, *changes in rows
+    ]
 
 
 def red_and_blue(change: np.ndarray, most: float) -> np.ndarray:
-    """Red for `most`, white for 0, blue for -`most`, as (H, W, 3); by square roots, so that faint changes are seen."""
+    """Red for `most`, white for 0, blue for -`most`, as (H, W, 3); by square roots, so that faint
+    changes are seen.
+    """
     strength = np.sqrt(np.abs(change).clip(max=most) / most)
-    up, down = strength * (change > 0), strength * (change < 0)
+    up = strength * (change > 0)
+    down = strength * (change < 0)
     return np.stack([1 - down, 1 - up - down, 1 - up], -1)
 
 
@@ -60,10 +74,13 @@ def middle(panel: np.ndarray) -> np.ndarray:
 
 
 def close_up(panel: np.ndarray, least: int) -> np.ndarray:
-    """The square around what is not white, at least so many pixels, each enlarged, as high as the panel."""
+    """The square around what is not white, at least so many pixels, each enlarged, as high as the
+    panel.
+    """
     height, width = panel.shape[:2]
     places = np.argwhere((panel < 0.9).any(-1))
-    low, high = places.min(0), places.max(0) + 1
+    low = places.min(0)
+    high = places.max(0) + 1
     times = max(1, height // max(least, *(high - low + 4)))
     size = height // times
     top, left = np.clip((low + high - size) // 2, 0, (height - size, width - size))
@@ -80,14 +97,18 @@ def enlarged(image: np.ndarray, times: int) -> np.ndarray:
 def write(path: Path, rows: list[list[np.ndarray]], gutter: int = 4) -> None:
     """One picture of rows of pictures, with white between them."""
     space = ((gutter, gutter), (gutter, gutter), (0, 0))
-    whole = np.concatenate([np.concatenate([np.pad(x, space, constant_values=1.0) for x in row], 1) for row in rows])
+    whole = np.concatenate(
+        [np.concatenate([np.pad(x, space, constant_values=1.0) for x in row], 1) for row in rows]
+    )
     Image.fromarray((255 * whole.clip(0, 1)).round().astype(np.uint8)).save(path, optimize=True)
     print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 def main() -> None:
     """Write both pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     out = parser.parse_args().out
     write(out / "render-derivatives.png", [derivative_row(scene(144)) for scene in SCENES.values()])

@@ -1,23 +1,29 @@
-"""Are the renderer's derivative images right? Against finite differences of exact pictures, pixel for pixel.
+"""Are the renderer's derivative images right? Against finite differences of exact pictures, pixel
+for pixel.
 
-    python benchmarks/render_gradients.py [--height 480] [--scenes cube sphere body side] [--vertices 100]
+    python benchmarks/render_gradients.py [--height 480] [--scenes cube sphere body side]
+    [--vertices 100]
                                           [--out render_gradients.json]
 
-Scenes (`render_gradient_scenes.py`) change by one number at a time: translation, rotation, focal length, a light, a
-vertex. The reference is the central difference of two pictures that share no code with the renderer: by exact areas
-(`render_exact.py`, apart by 2e-4 pixels), or, of textures, ray-cast (`render_gradient_reference.py`) with `--samples`²
-rays a pixel, apart by twice `--step` pixels. Five times the step (half the samples a side and twice the step) tells its
-own error. Boundary modes are compared with it by the cosine between derivative images and the ratio of their norms:
-over the whole picture, and apart over pixels crossed by an outline before the background ("boundary"), by one before
-another part of the mesh ("occlusion"), by a seam between colours ("seam"), and the rest ("interior").
+Scenes (`render_gradient_scenes.py`) change by one number at a time: translation, rotation, focal
+length, a light, a vertex. The reference is the central difference of two pictures that share no
+code with the renderer: by exact areas (`render_exact.py`, apart by 2e-4 pixels), or, of textures,
+ray-cast (`render_gradient_reference.py`) with `--samples`² rays a pixel, apart by twice `--step`
+pixels. Five times the step (half the samples a side and twice the step) tells its own error.
+Boundary modes are compared with it by the cosine between derivative images and the ratio of their
+norms: over the whole picture, and apart over pixels crossed by an outline before the background
+("boundary"), by one before another part of the mesh ("occlusion"), by a seam between colours
+("seam"), and the rest ("interior").
 
-Then single vertices and single triangles: random ones that show, each moved in a random direction in space, shading and
-all. How many keep within cosine .99 and 3 % of the norm?
+Then single vertices and single triangles: random ones that show, each moved in a random direction
+in space, shading and all. How many keep within cosine .99 and 3 % of the norm?
 """
 
 import os
 
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # libgomp's spinning makes two threads slower at random
+os.environ.setdefault(
+    "OMP_WAIT_POLICY", "passive"
+)  # libgomp's spinning makes two threads slower at random
 
 import argparse
 import itertools
@@ -45,26 +51,35 @@ MARGIN = 8
 def derivative(scene: GradientScene, direction: Parameters, boundary: str) -> np.ndarray:
     """The renderer's derivative image (H, W, C), by forward mode."""
     zero = {name: torch.zeros_like(value) for name, value in scene.start.items()}
-    _, derivative = torch.func.jvp(lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},))
+    _, derivative = torch.func.jvp(
+        lambda given: scene.draw(given, boundary), (scene.start,), ({**zero, **direction},)
+    )
     return derivative.numpy()
 
 
-def finite_difference(scene: GradientScene, direction: Parameters, step: float, samples: int) -> np.ndarray:
-    """The reference (H, W, C). `step`: how far the fastest vertex moves to each side, in pixels; where none does 1e-3.
+def finite_difference(
+    scene: GradientScene, direction: Parameters, step: float, samples: int
+) -> np.ndarray:
+    """The reference (H, W, C). `step`: how far the fastest vertex moves to each side, in pixels;
+    where none does 1e-3.
 
-    Two grids of an eighth of the samples go first. Where they differ by 1 % of the strong pixels, and around there, all
-    samples are taken: a thin part may slip through both grids, but not in its neighbours too.
+    Two grids of an eighth of the samples go first. Where they differ by 1 % of the strong pixels,
+    and around there, all samples are taken: a thin part may slip through both grids, but not in its
+    neighbours too.
     """
     speed = _speed(scene, direction)
     size = step / speed if speed > 0 else 1e-3
     plus, minus = (_moved(scene, direction, length) for length in (size, -size))
 
     def difference(samples: int, only: np.ndarray | None = None) -> np.ndarray:
-        return (scene.reference(plus, samples, only) - scene.reference(minus, samples, only)) / (2 * size)
+        return (scene.reference(plus, samples, only) - scene.reference(minus, samples, only)) / (
+            2 * size
+        )
 
     if samples < 16:
         return difference(samples)
-    rough, other = difference(samples // 8), difference(samples // 8 + 1)
+    rough = difference(samples // 8)
+    other = difference(samples // 8 + 1)
     differ = (np.abs(rough - other) > 0.01 * np.quantile(np.abs(rough).max(-1), 0.99)).any(-1)
     around = maximum_filter(differ, 3)
     return np.where(around[..., None], difference(samples, around), other)
@@ -89,12 +104,19 @@ def _moved(scene: GradientScene, direction: Parameters, length: float) -> Parame
 
 
 def regions(scene: GradientScene) -> dict[str, np.ndarray]:
-    """Masks (H, W) that share the picture out among `REGIONS`; of several edges in a pixel, occlusions go first."""
+    """Masks (H, W) that share the picture out among `REGIONS`; of several edges in a pixel,
+    occlusions go first.
+    """
     frame, _ = scene.frame(scene.start, "antialias")
-    fragments, masks = frame.visibility.fragments, {}
+    fragments = frame.visibility.fragments
+    masks = {}
     taken = np.zeros(frame.height * frame.width, bool)
     hidden = fragments.outer_face >= 0
-    kinds = {"occlusion": ~fragments.seam & hidden, "boundary": ~fragments.seam & ~hidden, "seam": fragments.seam}
+    kinds = {
+        "occlusion": ~fragments.seam & hidden,
+        "boundary": ~fragments.seam & ~hidden,
+        "seam": fragments.seam,
+    }
     for name, chosen in kinds.items():
         mask = np.zeros_like(taken)
         mask[fragments.pixel[chosen].numpy()] = True
@@ -104,12 +126,19 @@ def regions(scene: GradientScene) -> dict[str, np.ndarray]:
     return {name: mask.reshape(frame.height, frame.width) for name, mask in masks.items()}
 
 
-def compare(image: np.ndarray, reference: np.ndarray, masks: dict[str, np.ndarray]) -> dict[str, dict]:
-    """Cosine and norm ratio over the whole and over each mask, and the mask's share of the reference's squared norm."""
-    total, found = np.linalg.norm(reference), {}
+def compare(
+    image: np.ndarray, reference: np.ndarray, masks: dict[str, np.ndarray]
+) -> dict[str, dict]:
+    """Cosine and norm ratio over the whole and over each mask, and the mask's share of the
+    reference's squared norm.
+    """
+    total = np.linalg.norm(reference)
+    found = {}
     for name, mask in {"whole": np.ones(image.shape[:2], bool), **masks}.items():
-        a, b = image[mask].ravel(), reference[mask].ravel()
-        long, norm = np.linalg.norm(a), np.linalg.norm(b)
+        a = image[mask].ravel()
+        b = reference[mask].ravel()
+        long = np.linalg.norm(a)
+        norm = np.linalg.norm(b)
         if norm > 1e-6 * total:
             cosine = a @ b / max(long * norm, 1e-300)
             numbers = {"cosine": cosine, "ratio": long / norm, "share": (norm / total) ** 2}
@@ -119,25 +148,35 @@ def compare(image: np.ndarray, reference: np.ndarray, masks: dict[str, np.ndarra
 
 def measure(scene: GradientScene, step: float, samples: int) -> list[dict]:
     """One row for each component of each parameter."""
-    masks, rows = regions(scene), []
+    masks = regions(scene)
+    rows = []
     for name in PARAMETERS:
         for axis, unit in enumerate(torch.eye(len(scene.start[name]), dtype=torch.float64)):
             direction = {name: unit}
             if scene.texture is None:
-                reference, other = (exact_difference(scene, direction, size) for size in (1e-4, 5e-4))
+                reference, other = (
+                    exact_difference(scene, direction, size) for size in (1e-4, 5e-4)
+                )
             else:
                 reference = finite_difference(scene, direction, step, samples)
                 other = finite_difference(scene, direction, 2 * step, samples // 2)
             images = {mode: derivative(scene, direction, mode) for mode in MODES}
-            found = {kind: compare(image, reference, masks) for kind, image in {**images, "reference": other}.items()}
+            found = {
+                kind: compare(image, reference, masks)
+                for kind, image in {**images, "reference": other}.items()
+            }
             rows.append({"scene": scene.name, "parameter": name, "component": axis, **found})
     return rows
 
 
 def measure_singles(scene: GradientScene, count: int, corners: int) -> list[dict]:
-    """One row for each of `count` random places that show: vertices (corners = 1) or triangles (3), moved alone."""
-    random, rows = np.random.default_rng(0), []
-    screen, faces = scene.screen(scene.start), np.asarray(scene.faces)
+    """One row for each of `count` random places that show: vertices (corners = 1) or triangles (3),
+    moved alone.
+    """
+    random = np.random.default_rng(0)
+    rows = []
+    screen = scene.screen(scene.start)
+    faces = np.asarray(scene.faces)
     for vertex in random.permutation(len(screen)):
         if len(rows) == count:
             break
@@ -147,9 +186,14 @@ def measure_singles(scene: GradientScene, count: int, corners: int) -> list[dict
         moved = np.array([vertex]) if corners == 1 else face
         unit = torch.from_numpy(random.normal(size=3))
         direction = {"vertex": unit / unit.norm()}
-        alone = replace(scene, moved=torch.from_numpy(moved)).part(*around(screen, faces, scene.size, moved))
+        alone = replace(scene, moved=torch.from_numpy(moved)).part(
+            *around(screen, faces, scene.size, moved)
+        )
         reference = exact_difference(alone, direction)
-        found = {mode: compare(derivative(alone, direction, mode), reference, {})["whole"] for mode in MODES}
+        found = {
+            mode: compare(derivative(alone, direction, mode), reference, {})["whole"]
+            for mode in MODES
+        }
         rows.append({"scene": scene.name, "corners": corners, "moved": moved.tolist(), **found})
     return rows
 
@@ -164,7 +208,8 @@ def shows(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], vertex: 
 
     shares = np.stack([side(b, c), side(c, a), side(a, b)], 1)
     inside = ((shares > 0).all(1) | (shares < 0).all(1)) & ~(faces == vertex).any(1)
-    over, corners = shares[inside], np.stack([a, b, c], 1)[inside]
+    over = shares[inside]
+    corners = np.stack([a, b, c], 1)[inside]
     hidden = (over / corners[..., 2]).sum(1) / over.sum(1) > 1 / depth
     return bool(0 < x < size[0] and 0 < y < size[1] and not hidden.any())
 
@@ -172,27 +217,49 @@ def shows(screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], vertex: 
 def around(
     screen: np.ndarray, faces: np.ndarray, size: tuple[int, int], moved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (column, row) between which a picture may change with vertices: `MARGIN` around the faces whose normals'
-    vertices they belong to.
+    """Pixels (column, row) between which a picture may change with vertices: `MARGIN` around the
+    faces whose normals' vertices they belong to.
     """
     near = np.unique(faces[np.isin(faces, moved).any(1)])
     points = screen[np.unique(faces[np.isin(faces, near).any(1)]), :2]
-    low, high = np.floor(points.min(0)).astype(int) - MARGIN, np.ceil(points.max(0)).astype(int) + MARGIN
+    low = np.floor(points.min(0)).astype(int) - MARGIN
+    high = np.ceil(points.max(0)).astype(int) + MARGIN
     return low.clip(0), high.clip(None, size)
 
 
 def singles_table(rows: list[dict], title: str) -> Table:
     """For each scene, kind and mode: how many hold, and quantiles of cosines and norm ratios."""
-    heads = "scene", "alone", "mode", "hold", "cosine: least", "5 %", "10 %", "median", "ratio: 5 %", "median", "95 %"
+    heads = (
+        "scene",
+        "alone",
+        "mode",
+        "hold",
+        "cosine: least",
+        "5 %",
+        "10 %",
+        "median",
+        "ratio: 5 %",
+        "median",
+        "95 %",
+    )
     result = Table(*heads, title=title)
-    for (scene, corners), group in itertools.groupby(rows, lambda row: (row["scene"], row["corners"])):
+    for (scene, corners), group in itertools.groupby(
+        rows, lambda row: (row["scene"], row["corners"])
+    ):
         found = list(group)
         for mode in MODES:
-            cosine, ratio = (np.array([row[mode][key] for row in found]) for key in ("cosine", "ratio"))
+            cosine, ratio = (
+                np.array([row[mode][key] for row in found]) for key in ("cosine", "ratio")
+            )
             hold = np.mean([not misses(row[mode]) for row in found])
-            numbers = [*np.quantile(cosine, [0, 0.05, 0.1, 0.5]), *np.quantile(ratio, [0.05, 0.5, 0.95])]
+            numbers = [
+                *np.quantile(cosine, [0, 0.05, 0.1, 0.5]),
+                *np.quantile(ratio, [0.05, 0.5, 0.95]),
+            ]
             kind = f"{len(found)} {'vertices' if corners == 1 else 'triangles'}"
-            result.add_row(scene, kind, mode, f"{hold:.0%}", *(f"{number:.4f}" for number in numbers))
+            result.add_row(
+                scene, kind, mode, f"{hold:.0%}", *(f"{number:.4f}" for number in numbers)
+            )
     return result
 
 
@@ -202,10 +269,18 @@ def misses(whole: dict) -> bool:
 
 
 def table(rows: list[dict], title: str) -> Table:
-    """The worst component of each parameter, cosine and norm ratio, with its share of the squared norm in brackets."""
-    result = Table("scene", "d", "reference", *(f"{mode}: whole" for mode in MODES), *REGIONS, title=title)
-    for (scene, parameter), group in itertools.groupby(rows, lambda row: (row["scene"], row["parameter"])):
-        worst = min(group, key=lambda row: row["antialias"]["whole"]["cosine"])  # the default mode's
+    """The worst component of each parameter, cosine and norm ratio, with its share of the squared
+    norm in brackets.
+    """
+    result = Table(
+        "scene", "d", "reference", *(f"{mode}: whole" for mode in MODES), *REGIONS, title=title
+    )
+    for (scene, parameter), group in itertools.groupby(
+        rows, lambda row: (row["scene"], row["parameter"])
+    ):
+        worst = min(
+            group, key=lambda row: row["antialias"]["whole"]["cosine"]
+        )  # the default mode's
         whole = (_words(worst[kind].get("whole")) for kind in ("reference", *MODES))
         apart = (_words(worst["antialias"].get(region), share=True) for region in REGIONS)
         result.add_row(scene, f"{parameter} {worst['component']}", *whole, *apart)
@@ -215,32 +290,53 @@ def table(rows: list[dict], title: str) -> Table:
 def _words(found: dict | None, share: bool = False) -> str:
     if found is None:
         return ""
-    return f"{found['cosine']:.4f} {found['ratio']:.3f}" + (f" ({100 * found['share']:.0f} %)" if share else "")
+    return f"{found['cosine']:.4f} {found['ratio']:.3f}" + (
+        f" ({100 * found['share']:.0f} %)" if share else ""
+    )
 
 
 def main() -> None:
     """Measure, write JSON, print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--height", type=int, default=480, help="of the pictures, in pixels; they are 4/3 as wide")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--height", type=int, default=480, help="of the pictures, in pixels; they are 4/3 as wide"
+    )
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
-    parser.add_argument("--step", type=float, default=0.02, help="of the fastest vertex in finite differences, pixels")
+    parser.add_argument(
+        "--step",
+        type=float,
+        default=0.02,
+        help="of the fastest vertex in finite differences, pixels",
+    )
     parser.add_argument("--samples", type=int, default=256, help="rays a pixel along each axis")
-    parser.add_argument("--vertices", type=int, default=100, help="single ones, and triangles, of bodies; or 0")
+    parser.add_argument(
+        "--vertices", type=int, default=100, help="single ones, and triangles, of bodies; or 0"
+    )
     parser.add_argument("--out", type=Path, default=Path("render_gradients.json"))
     options = parser.parse_args()
-    host, rows, singles = machine(), [], []
+    host = machine()
+    rows = []
+    singles = []
     settings = {"height": options.height, "step": options.step, "samples": options.samples}
     for name in options.scenes:
         scene = SCENES[name](options.height)
         rows += measure(scene, options.step, options.samples)
         for corners in (1, 3) if name in BODIES and options.vertices else ():
             singles += measure_singles(scene, options.vertices, corners)
-        write_json(options.out, {"machine": host, "settings": settings, "rows": rows, "singles": singles})
+        write_json(
+            options.out, {"machine": host, "settings": settings, "rows": rows, "singles": singles}
+        )
     console = Console(width=190)
     console.print(table(rows, f"derivative images, {options.height} lines: {in_words(host)}"))
     console.print(singles_table(singles, f"single vertices and triangles, {options.height} lines"))
     for mode in MODES:
-        short = [f"{row['scene']} {row['parameter']} {row['component']}" for row in rows if misses(row[mode]["whole"])]
+        short = [
+            f"{row['scene']} {row['parameter']} {row['component']}"
+            for row in rows
+            if misses(row[mode]["whole"])
+        ]
         words = f"{', '.join(short) or 'none'} of {len(rows)}"
         print(f"{mode}: short of cosine {LEAST_COSINE} and {MOST_OFF:.0%} of the norm: {words}")
 

@@ -1,12 +1,14 @@
-"""How does the renderer's time grow? Against pixels and against triangles (T 4.6, Fig 4-6), OpenGL beside it.
+"""How does the renderer's time grow? Against pixels and against triangles (T 4.6, Fig 4-6), OpenGL
+beside it.
 
     python benchmarks/render_growth.py [--runs 20] [--plots docs/images] [--out render_growth.json]
 
-The torus of `render_scenes.py` from 160x120 to 2048x2048, and at 640x480 with a thousand to a million triangles: colour
-and depth, and the gradient of a mean squared difference with respect to everything. That time grows no faster than
-pixels plus triangles shows in the fit time = fixed + pixels + triangles, none of them negative, and in the exponents of
-growth between the two largest of each sweep: 1 is in proportion. Medians of `--runs` calls after one that is not
-counted, taken in turns.
+The torus of `render_scenes.py` from 160x120 to 2048x2048, and at 640x480 with a thousand to a
+million triangles: colour and depth, and the gradient of a mean squared difference with respect to
+everything. That time grows no faster than pixels plus triangles shows in the fit time = fixed +
+pixels + triangles, none of them negative, and in the exponents of growth between the two largest of
+each sweep: 1 is in proportion. Medians of `--runs` calls after one that is not counted, taken in
+turns.
 """
 
 import os
@@ -31,12 +33,16 @@ WORKS = {"image": "colour and depth", "gradient": "gradient to everything"}
 
 
 def sweep(cases: Iterable[tuple[tuple[int, int], int]], runs: int) -> list[dict]:
-    """Medians in ms of image and gradient, and of OpenGL's image where it is there, for each (size, triangles)."""
+    """Medians in ms of image and gradient, and of OpenGL's image where it is there, for each (size,
+    triangles).
+    """
     rows = []
     for size, triangles in cases:
         scene = torus_scene(size, triangles)
-        colours, leaves = scene.colours, scene.leaves()
-        target, peer = forward(moved(scene), colours)[0], _opengl(scene)
+        colours = scene.colours
+        leaves = scene.leaves()
+        target = forward(moved(scene), colours)[0]
+        peer = _opengl(scene)
         works = {
             "image": lambda s=scene, c=colours: forward(s, c),
             "gradient": lambda s=leaves, t=target: gradient(s, t),
@@ -45,7 +51,14 @@ def sweep(cases: Iterable[tuple[tuple[int, int], int]], runs: int) -> list[dict]
         if peer:
             peer.context.release()
         medians = {f"{name}_ms": median(values) for name, values in times.items()}
-        rows.append({"size": size, "pixels": math.prod(size), "triangles": len(scene.triangles.faces), **medians})
+        rows.append(
+            {
+                "size": size,
+                "pixels": math.prod(size),
+                "triangles": len(scene.triangles.faces),
+                **medians,
+            }
+        )
         print(f"{size[0]}x{size[1]}, {rows[-1]['triangles']:,} triangles: done", flush=True)
     return rows
 
@@ -58,15 +71,23 @@ def _opengl(scene) -> OpenGL | None:
 
 
 def fit(by_pixels: list[dict], by_triangles: list[dict], what: str) -> dict:
-    """time = fixed + pixels + triangles by least relative squares, and exponents between the two largest."""
+    """time = fixed + pixels + triangles by least relative squares, and exponents between the two
+    largest.
+    """
     rows = by_pixels + by_triangles
     times = np.array([row[what] for row in rows])
     terms = np.array([[1.0, row["pixels"], row["triangles"]] for row in rows])
     found, _ = nnls(terms / times[:, None], np.ones(len(rows)))
-    result = {"fixed_ms": found[0], "ns_per_pixel": 1e6 * found[1], "ns_per_triangle": 1e6 * found[2]}
+    result = {
+        "fixed_ms": found[0],
+        "ns_per_pixel": 1e6 * found[1],
+        "ns_per_triangle": 1e6 * found[2],
+    }
     result["furthest_off"] = float(np.abs(terms @ found / times - 1).max())
     for name, (small, large) in (("pixels", by_pixels[-2:]), ("triangles", by_triangles[-2:])):
-        result[f"exponent_{name}"] = math.log(large[what] / small[what]) / math.log(large[name] / small[name])
+        result[f"exponent_{name}"] = math.log(large[what] / small[what]) / math.log(
+            large[name] / small[name]
+        )
     return result
 
 
@@ -86,9 +107,17 @@ def plot(rows: list[dict], against: str, fits: dict[str, dict], title: str, path
     at = [row[against] for row in rows]
     for axes, (what, words) in zip(figure.subplots(1, 2), WORKS.items(), strict=True):
         axes.loglog(at, [row[f"{what}_ms"] for row in rows], "o-", label="habitus")
-        axes.loglog(at, [fitted(fits[what], row) for row in rows], "k:", label="fixed + pixels + triangles")
+        axes.loglog(
+            at, [fitted(fits[what], row) for row in rows], "k:", label="fixed + pixels + triangles"
+        )
         if what == "image" and all("opengl_ms" in row for row in rows):
-            axes.loglog(at, [row["opengl_ms"] for row in rows], "s--", color="0.6", label="OpenGL (llvmpipe)")
+            axes.loglog(
+                at,
+                [row["opengl_ms"] for row in rows],
+                "s--",
+                color="0.6",
+                label="OpenGL (llvmpipe)",
+            )
         axes.set(title=words, xlabel=against, ylabel="ms")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
@@ -102,9 +131,13 @@ def plot(rows: list[dict], against: str, fits: dict[str, dict], title: str, path
 
 def main() -> None:
     """Measure, print both sweeps and the fits, write JSON and, if asked, plots."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--runs", type=int, default=20, help="calls of each, counted")
-    parser.add_argument("--plots", type=Path, metavar="FOLDER", help="where to draw render-speed-*.png")
+    parser.add_argument(
+        "--plots", type=Path, metavar="FOLDER", help="where to draw render-speed-*.png"
+    )
     parser.add_argument("--out", type=Path, default=Path("render_growth.json"))
     options = parser.parse_args()
     where = machine()
@@ -118,7 +151,11 @@ def main() -> None:
     show(f"ms: {title}", heads, [a + b for a, b in zip(cells, times, strict=True)])
     fits = {what: fit(by_pixels, by_triangles, f"{what}_ms") for what in WORKS}
     heads = ("", *(name.replace("_", " ") for name in fits["image"]))
-    show("time = fixed + pixels + triangles", heads, [(WORKS[what], *found.values()) for what, found in fits.items()])
+    show(
+        "time = fixed + pixels + triangles",
+        heads,
+        [(WORKS[what], *found.values()) for what, found in fits.items()],
+    )
     if options.plots:
         place = title.split(", load")[0]
         head = f"{TRIANGLES:,} triangles; {place}"
@@ -126,7 +163,10 @@ def main() -> None:
         plot(by_pixels, "pixels", fits, head, options.plots / "render-speed-pixels.png")
         head = f"{SIZE[0]}x{SIZE[1]}; {place}"
         plot(by_triangles, "triangles", fits, head, options.plots / "render-speed-triangles.png")
-    write_json(options.out, {"machine": where, "by_pixels": by_pixels, "by_triangles": by_triangles, "fits": fits})
+    write_json(
+        options.out,
+        {"machine": where, "by_pixels": by_pixels, "by_triangles": by_triangles, "fits": fits},
+    )
 
 
 if __name__ == "__main__":

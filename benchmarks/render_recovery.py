@@ -1,12 +1,14 @@
-"""Does the globe of `examples/globe.py` find back from 30 degrees and a quarter of its diameter off?
+"""Does the globe of `examples/globe.py` find back from 30 degrees and a quarter of its diameter
+off?
 
     python benchmarks/render_recovery.py [--starts 20] [--out render_recovery.json]
 
-Each start has a globe of its own: turned at random, four metres away, in a random light. The fit begins exactly 30
-degrees off about a random axis and half a metre off in a random direction, under plain light, and looks for 15 numbers.
-What counts is where it ends: within 0.1 degree, and within 0.1 % of its distance. The recipe is the example's: five
-iterations of the translation alone, ten of everything on small pictures, then (these are counted) on all. Beside it the
-last stage alone, and noise in the picture. Nothing is tried twice.
+Each start has a globe of its own: turned at random, four metres away, in a random light. The fit
+begins exactly 30 degrees off about a random axis and half a metre off in a random direction, under
+plain light, and looks for 15 numbers. What counts is where it ends: within 0.1 degree, and within
+0.1 % of its distance. The recipe is the example's: five iterations of the translation alone, ten of
+everything on small pictures, then (these are counted) on all. Beside it the last stage alone, and
+noise in the picture. Nothing is tried twice.
 """
 
 import os
@@ -31,7 +33,9 @@ import globe
 
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-TURN, OFFSET, DISTANCE = math.radians(30), 0.5, 4.0
+TURN = math.radians(30)
+OFFSET = 0.5
+DISTANCE = 4.0
 DEGREES, PERCENT = 0.1, 0.1
 """Targets: of the rotation, and of the translation as a share of the distance."""
 RECIPES = {
@@ -56,14 +60,22 @@ def case(seed: int) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     truth = {"translation": torch.zeros(3).double(), "rotation": rotation, "light": light.double()}
     turned = matrix_from_rotvec(TURN * direction()) @ matrix_from_rotvec(rotation)
     plain = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0, 0]).double()
-    return truth, {"translation": OFFSET * direction(), "rotation": rotvec_from_matrix(turned), "light": plain}
+    return truth, {
+        "translation": OFFSET * direction(),
+        "rotation": rotvec_from_matrix(turned),
+        "light": plain,
+    }
 
 
 def recover(seed: int, noise: float = 0.0, **recipe) -> dict:
     """One fit, and how far off it ends."""
     truth, start = case(seed)
     observed = globe.render(**truth)
-    observed = observed + noise * torch.randn(observed.shape, generator=torch.Generator().manual_seed(seed)).double()
+    observed = (
+        observed
+        + noise
+        * torch.randn(observed.shape, generator=torch.Generator().manual_seed(seed)).double()
+    )
     began = time.perf_counter()
     found = globe.recover(observed, start, **recipe)
     seconds = time.perf_counter() - began
@@ -72,33 +84,67 @@ def recover(seed: int, noise: float = 0.0, **recipe) -> dict:
     percent = 100 * metres / DISTANCE
     reached = degrees <= DEGREES and percent <= PERCENT
     off = {"degrees": degrees, "percent": percent, "light": light, "reached": reached}
-    return {"seed": seed, **off, "iterations": found.iterations, "seconds": seconds, "status": found.status}
+    return {
+        "seed": seed,
+        **off,
+        "iterations": found.iterations,
+        "seconds": seconds,
+        "status": found.status,
+    }
 
 
 def summary(name: str, rows: list[dict]) -> tuple:
     """A recipe's row of the table."""
-    columns = {key: [row[key] for row in rows] for key in ("degrees", "percent", "iterations", "seconds")}
-    ends = [cell for key in ("degrees", "percent") for cell in (median(columns[key]), max(columns[key]))]
+    columns = {
+        key: [row[key] for row in rows] for key in ("degrees", "percent", "iterations", "seconds")
+    }
+    ends = [
+        cell for key in ("degrees", "percent") for cell in (median(columns[key]), max(columns[key]))
+    ]
     reached = f"{sum(row['reached'] for row in rows)} of {len(rows)}"
-    return (name, reached, *ends, round(median(columns["iterations"])), round(median(columns["seconds"]), 1))
+    return (
+        name,
+        reached,
+        *ends,
+        round(median(columns["iterations"])),
+        round(median(columns["seconds"]), 1),
+    )
 
 
 def main() -> None:
     """Fit every globe with every recipe, and say where each fit ended."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("render_recovery.json"))
     options = parser.parse_args()
-    where, results = machine(), {}
+    where = machine()
+    results = {}
     for name, recipe in RECIPES.items():
         results[name] = [recover(seed, **recipe) for seed in range(options.starts)]
         for row in results[name]:
             if not row["reached"]:
-                print(f"{name}: start {row['seed']} ends {row['degrees']:.3g} degrees, {row['percent']:.3g} % off")
-    heads = ("", "reached", "degrees off", "worst", "% of distance off", "worst", "iterations", "seconds")
+                print(
+                    f"{name}: start {row['seed']} ends {row['degrees']:.3g} degrees, "
+                    f"{row['percent']:.3g} % off"
+                )
+    heads = (
+        "",
+        "reached",
+        "degrees off",
+        "worst",
+        "% of distance off",
+        "worst",
+        "iterations",
+        "seconds",
+    )
     caption = f"reached: {DEGREES} degrees and {PERCENT} % of the distance; otherwise medians"
     show(f"globe: {in_words(where)}", heads, [summary(*each) for each in results.items()], caption)
-    write_json(options.out, {"machine": where, "targets": {"degrees": DEGREES, "percent": PERCENT}, "fits": results})
+    write_json(
+        options.out,
+        {"machine": where, "targets": {"degrees": DEGREES, "percent": PERCENT}, "fits": results},
+    )
 
 
 if __name__ == "__main__":

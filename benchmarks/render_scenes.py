@@ -1,9 +1,11 @@
-"""What the renderer's speed is measured on: a lit torus seen at an angle, drawn by `habitus` and put to work.
+"""What the renderer's speed is measured on: a lit torus seen at an angle, drawn by `habitus` and
+put to work.
 
-    python benchmarks/render_scenes.py [--triangles 13776] [--size 640 480] [--out render_scenes.png]
+    python benchmarks/render_scenes.py [--triangles 13776] [--size 640 480] [--out
+    render_scenes.png]
 
-Run by itself it draws the torus, so that one sees what is timed. The torus hides parts of itself, is lit by nine
-spherical harmonics, and covers 58 % of the image.
+Run by itself it draws the torus, so that one sees what is timed. The torus hides parts of itself,
+is lit by nine spherical harmonics, and covers 58 % of the image.
 """
 
 import os
@@ -37,16 +39,24 @@ SIZE = (640, 480)
 TRIANGLES = 13_776
 FOCAL_LENGTH = 820.0
 """Pixels, for an image of `SIZE`."""
-DISTANCE, ELEVATION = 4.0, math.radians(27)
-LIGHT = ((0.75, 0.72, 0.68), (0.35, 0.3, 0.25), (0.2, 0.25, 0.3), (0.1, 0.0, -0.1), *(((0.04, 0.03, 0.02),) * 5))
+DISTANCE = 4.0
+ELEVATION = math.radians(27)
+LIGHT = (
+    (0.75, 0.72, 0.68),
+    (0.35, 0.3, 0.25),
+    (0.2, 0.25, 0.3),
+    (0.1, 0.0, -0.1),
+    *(((0.04, 0.03, 0.02),) * 5),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class TorusScene:
-    """Everything that an image of the torus follows from, one dtype; all but the triangles can be differentiated.
+    """Everything that an image of the torus follows from, one dtype; all but the triangles can be
+    differentiated.
 
-    vertices (V, 3) metres, albedo (V, 3), light (9, 3); the camera's numbers as in `Camera`, whose distortion is None
-    where the scene is only looked at.
+    vertices (V, 3) metres, albedo (V, 3), light (9, 3); the camera's numbers as in `Camera`, whose
+    distortion is None where the scene is only looked at.
     """
 
     size: tuple[int, int]
@@ -63,27 +73,45 @@ class TorusScene:
     @property
     def camera(self) -> Camera:
         """The camera made of the scene's numbers."""
-        numbers = (self.focal_length, self.principal_point, self.rotation, self.translation, self.distortion)
+        numbers = (
+            self.focal_length,
+            self.principal_point,
+            self.rotation,
+            self.translation,
+            self.distortion,
+        )
         return Camera(*self.size, *numbers)
 
     @property
     def colours(self) -> Tensor:
         """Lit colours of the vertices (V, 3)."""
-        return self.albedo * spherical_harmonics(vertex_normals(self.vertices, self.triangles.faces), self.light)
+        return self.albedo * spherical_harmonics(
+            vertex_normals(self.vertices, self.triangles.faces), self.light
+        )
 
     def draw(self, boundary: str = "antialias", cull: bool = False) -> Frame:
         """What the camera sees."""
         return draw(self.camera, self.vertices, self.triangles, boundary, cull)
 
     def leaves(self) -> "Scene":
-        """The same scene, with zero distortion if there was none, as leaves to be differentiated with respect to."""
+        """The same scene, with zero distortion if there was none, as leaves to be differentiated
+        with respect to.
+        """
         distortion = self.translation.new_zeros(8) if self.distortion is None else self.distortion
-        numbers = {"distortion": distortion, **{name: getattr(self, name) for name in self.numbers()}}
-        return replace(self, **{name: value.detach().clone().requires_grad_() for name, value in numbers.items()})
+        numbers = {
+            "distortion": distortion,
+            **{name: getattr(self, name) for name in self.numbers()},
+        }
+        return replace(
+            self,
+            **{name: value.detach().clone().requires_grad_() for name, value in numbers.items()},
+        )
 
     def numbers(self) -> list[str]:
         """Names of the fields that can be differentiated."""
-        return [field.name for field in fields(self) if isinstance(getattr(self, field.name), Tensor)]
+        return [
+            field.name for field in fields(self) if isinstance(getattr(self, field.name), Tensor)
+        ]
 
 
 def torus_scene(
@@ -94,7 +122,12 @@ def torus_scene(
     shape = torus(max(3, round(triangles / 2 / across)), across)
     x, y, z = shape.vertices.T
     albedo = torch.stack(
-        [0.6 + 0.3 * torch.sin(3 * x + y), 0.6 + 0.3 * torch.cos(4 * z), 0.6 + 0.3 * torch.sin(5 * y)], 1
+        [
+            0.6 + 0.3 * torch.sin(3 * x + y),
+            0.6 + 0.3 * torch.cos(4 * z),
+            0.6 + 0.3 * torch.sin(5 * y),
+        ],
+        1,
     )
     zoom = min(size[0] / SIZE[0], size[1] / SIZE[1])
     numbers = {
@@ -114,8 +147,11 @@ def torus_scene(
 
 
 def moved(scene: TorusScene) -> TorusScene:
-    """The scene after a step aside of 2 cm and a turn of 1 degree: what a pixel loss compares with."""
-    step, turn = scene.translation.new_tensor([0.02, -0.01, 0.03]), scene.rotation.new_tensor([0.017, 0.0, 0.0])
+    """The scene after a step aside of 2 cm and a turn of 1 degree: what a pixel loss compares
+    with.
+    """
+    step = scene.translation.new_tensor([0.02, -0.01, 0.03])
+    turn = scene.rotation.new_tensor([0.017, 0.0, 0.0])
     return replace(scene, translation=scene.translation + step, rotation=scene.rotation + turn)
 
 
@@ -129,10 +165,14 @@ def forward(
 
 
 def gradient(scene: TorusScene, target: Tensor, boundary: str = "antialias") -> dict[str, Tensor]:
-    """Derivatives of the mean squared difference to `target` with respect to every number of a scene of leaves."""
+    """Derivatives of the mean squared difference to `target` with respect to every number of a
+    scene of leaves.
+    """
     loss = mse_loss(scene.draw(boundary).image(scene.colours), target)
     names = scene.numbers()
-    return dict(zip(names, torch.autograd.grad(loss, [getattr(scene, name) for name in names]), strict=True))
+    return dict(
+        zip(names, torch.autograd.grad(loss, [getattr(scene, name) for name in names]), strict=True)
+    )
 
 
 def vertex_gradient(scene: TorusScene, colours: Tensor, target: Tensor) -> np.ndarray:
@@ -143,12 +183,15 @@ def vertex_gradient(scene: TorusScene, colours: Tensor, target: Tensor) -> np.nd
 
 
 def take_turns(works: dict[str, Callable], runs: int) -> dict[str, list[float]]:
-    """Milliseconds of `runs` calls of each, in a new order each round, after one of each that is not counted.
+    """Milliseconds of `runs` calls of each, in a new order each round, after one of each that is
+    not counted.
 
-    What one leaves behind (threads that still wind down, a cache full of its own) then hits all alike.
+    What one leaves behind (threads that still wind down, a cache full of its own) then hits all
+    alike.
     """
     times: dict[str, list[float]] = {name: [] for name in works}
-    order, random = list(works), Random(0)
+    order = list(works)
+    random = Random(0)
     for run in range(runs + 1):
         random.shuffle(order)
         for name in order:
@@ -178,7 +221,9 @@ def save_picture(image: np.ndarray, path: Path) -> None:
 
 def main() -> None:
     """Draw the torus."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--triangles", type=int, default=TRIANGLES)
     parser.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--out", type=Path, default=Path("render_scenes.png"))
@@ -187,7 +232,10 @@ def main() -> None:
     colour, depth = forward(scene, scene.colours)
     save_picture(colour.numpy(), options.out)
     covered = float(depth.isfinite().double().mean())
-    print(f"{len(seen.triangles.faces):,} triangles cover {covered:.0%} of the image; wrote {options.out}")
+    print(
+        f"{len(seen.triangles.faces):,} triangles cover {covered:.0%} of the image; wrote "
+        f"{options.out}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""The thesis' figures 4-8 and 4-9 with our numbers and people: bars of RMSE and explained variance, and fits.
+"""The thesis' figures 4-8 and 4-9 with our numbers and people: bars of RMSE and explained variance,
+and fits.
 
 python benchmarks/rgbd_figures.py --rows rgbd_people.json --people people.npz --out docs/images
 """
@@ -21,10 +22,18 @@ from habitus.population.rgbd_people import rgbd_scene
 from habitus.report.rgbd.pictures import view_pictures
 
 SHOWN = (
-    "Depth observed", "Depth of the body", "Depth observed less the body's", "Colour observed", "Rendered",
-    "Albedo", "Light",
-)  # fmt: skip
-NAMES = {name: name.removesuffix("_m").replace("_circumference", "").replace("_", " ") for name in MEASURES}
+    "Depth observed",
+    "Depth of the body",
+    "Depth observed less the body's",
+    "Colour observed",
+    "Rendered",
+    "Albedo",
+    "Light",
+)
+NAMES = {
+    name: name.removesuffix("_m").replace("_circumference", "").replace("_", " ")
+    for name in MEASURES
+}
 
 
 def main() -> None:
@@ -44,11 +53,14 @@ def _bars(rows: list[dict[str, Any]], path: Path) -> None:
     true = {name: np.array([row["true"][name] for row in rows]) for name in MEASURES}
     guesses = {
         "guess the mean": {name: np.full(len(rows), true[name].mean()) for name in MEASURES},
-        f"depth views ({rows[0]['sensor']})": {n: np.array([r["measured"][n] for r in rows]) for n in MEASURES},
+        f"depth views ({rows[0]['sensor']})": {
+            n: np.array([r["measured"][n] for r in rows]) for n in MEASURES
+        },
         "registered scan": {n: np.array([r["registered"][n] for r in rows]) for n in MEASURES},
     }
     for k, (label, found) in enumerate(guesses.items()):
-        colour, aside = ("#b9c2ca", "#0b6e7f", "#e67700")[k], 0.27 * (k - 1)
+        colour = ("#b9c2ca", "#0b6e7f", "#e67700")[k]
+        aside = 0.27 * (k - 1)
         error = np.array([np.mean((found[name] - true[name]) ** 2) for name in MEASURES])
         variance = np.array([true[name].var() for name in MEASURES])
         left.bar(place + aside, 100 * np.sqrt(error), 0.25, color=colour, label=label)
@@ -70,7 +82,9 @@ def _people(options: argparse.Namespace, path: Path) -> None:
     body = load_body("default")
     with np.load(options.people) as file:
         rests = file["vertices"].astype(float)
-    figure, axes = plt.subplots(len(options.which), len(SHOWN), figsize=(11, 3.2 * len(options.which)))
+    figure, axes = plt.subplots(
+        len(options.which), len(SHOWN), figsize=(11, 3.2 * len(options.which))
+    )
     for line, k in zip(np.atleast_2d(axes), options.which, strict=True):
         rng = np.random.default_rng([0, k, 17])
         scene = rgbd_scene(body, rests[k], rng, arms=(45.0, 45.0, 10.0)[k % 3])
@@ -85,7 +99,9 @@ def _people(options: argparse.Namespace, path: Path) -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rows", type=Path, required=True, help="JSON of rgbd_people.py")
     parser.add_argument("--people", type=Path, help="people.npz, for the second figure")
     parser.add_argument("--which", type=int, nargs="+", default=[3, 12, 20])

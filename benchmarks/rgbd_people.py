@@ -1,15 +1,16 @@
-"""How near does `habitus rgbd` come to people that no body model made, under the noise of real sensors? (T 4.6.1)
+"""How near does `habitus rgbd` come to people that no body model made, under the noise of real
+sensors? (T 4.6.1)
 
     python benchmarks/rgbd_people.py --people people.npz --count 40 --out rgbd.json
 
-Each person is seen in two views 45 degrees apart and fitted, nothing being told of pose, place, turn and sex; the table
-holds surfaces, measurements beside "guess the mean" and the best body of the person's sex ("registered scan"),
-convergence, time. people.npz comes from
-`tools/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth skin off it, which is
-easier. --cases measures what is lost without colour, without the empty room, with one view, with the neutral body and
-without the steps with colour, at a third of the resolution, with forearms folded before the belly, and a start
-that is a metre and 30 degrees off in place of ours; rows are kept in the file as
-they are made, so that a run that was stopped goes on.
+Each person is seen in two views 45 degrees apart and fitted, nothing being told of pose, place,
+turn and sex; the table holds surfaces, measurements beside "guess the mean" and the best body of
+the person's sex ("registered scan"), convergence, time. people.npz comes from
+`tools/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth
+skin off it, which is easier. --cases measures what is lost without colour, without the empty room,
+with one view, with the neutral body and without the steps with colour, at a third of the
+resolution, with forearms folded before the belly, and a start that is a metre and 30 degrees off in
+place of ours; rows are kept in the file as they are made, so that a run that was stopped goes on.
 """
 
 import argparse
@@ -35,16 +36,27 @@ from habitus.observe.depth_views import RgbdCapture
 from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene
 
 MEASURES = {
-    "height_m": 1.0, "waist_circumference_m": 1.2, "chest_circumference_m": 1.5, "hip_circumference_m": 1.5,
+    "height_m": 1.0,
+    "waist_circumference_m": 1.2,
+    "chest_circumference_m": 1.5,
+    "hip_circumference_m": 1.5,
     "arm_length_m": 1.2,
-}  # fmt: skip
+}
 """What is reported, and the RMSE (cm) that is wanted."""
 LOST = 0.05
 """Metres of mean vertex distance beyond which a fit has not come home."""
 CASES = (
-    "full", "no-colour", "no-background", "one-view", "depth-only", "neutral", "no-steps", "third", "folded",
+    "full",
+    "no-colour",
+    "no-background",
+    "one-view",
+    "depth-only",
+    "neutral",
+    "no-steps",
+    "third",
+    "folded",
     "far-start",
-)  # fmt: skip
+)
 
 
 def main() -> None:
@@ -52,7 +64,10 @@ def main() -> None:
     options = _options()
     body = load_body("default")
     rest, female = _people(body, options)
-    settings = {"people_file": options.people.name if options.people else "planted", "seed": options.seed}
+    settings = {
+        "people_file": options.people.name if options.people else "planted",
+        "seed": options.seed,
+    }
     rows = written_rows(options.out, "rows", **settings)
     done = {(row["person"], row["sensor"], row["case"]) for row in rows}
     info = machine()
@@ -63,7 +78,11 @@ def main() -> None:
                     rows.append(_row(body, rest[k], bool(female[k]), k, sensor, case, options))
                     print(_told(rows[-1]), flush=True)
                     write_json_quietly(options.out, {**settings, "machine": info, "rows": rows})
-    tables = {f"{sensor} {case}": _table(rows, sensor, case) for sensor in options.sensors for case in options.cases}
+    tables = {
+        f"{sensor} {case}": _table(rows, sensor, case)
+        for sensor in options.sensors
+        for case in options.cases
+    }
     for name, table in tables.items():
         print(f"\n{name}: {in_words(info)}")
         for what, value in table.items():
@@ -86,23 +105,40 @@ def _people(body: BodyModel, options: argparse.Namespace) -> tuple[np.ndarray, n
             return file["vertices"][: options.count].astype(float), file["female"][: options.count]
     rngs = [np.random.default_rng([options.seed, k]) for k in range(options.count)]
     models = [load_body(("female", "male")[k % 2]) for k in range(2)]
-    return np.stack([planted_rest(models[k % 2], rng) for k, rng in enumerate(rngs)]), np.arange(options.count) % 2 == 0
+    return np.stack([planted_rest(models[k % 2], rng) for k, rng in enumerate(rngs)]), np.arange(
+        options.count
+    ) % 2 == 0
 
 
 def _row(
-    body: BodyModel, rest: np.ndarray, female: bool, k: int, sensor: str, case: str, options: argparse.Namespace
+    body: BodyModel,
+    rest: np.ndarray,
+    female: bool,
+    k: int,
+    sensor: str,
+    case: str,
+    options: argparse.Namespace,
 ) -> dict[str, Any]:
     rng = np.random.default_rng([options.seed, k, 17])
     arms = (45.0, 45.0, 10.0)[k % 3]
-    more: dict[str, Any] = {"folded": {"arms": 68.0, "folded": True}, "third": {"arms": arms, "scale": 1 / 3}}
+    more: dict[str, Any] = {
+        "folded": {"arms": 68.0, "folded": True},
+        "third": {"arms": arms, "scale": 1 / 3},
+    }
     scene = rgbd_scene(body, rest, rng, sensor=sensor, **more.get(case, {"arms": arms}))
     capture, kept = _as_case(scene, case)
-    bodies = body if case == "neutral" else {name: _loaded(name) for name in ("neutral", "female", "male")}
+    bodies = (
+        body
+        if case == "neutral"
+        else {name: _loaded(name) for name in ("neutral", "female", "male")}
+    )
     settings = RgbdSettings(colour_levels=()) if case == "no-steps" else RgbdSettings()
     start = _far(body, scene, rng) if case == "far-start" else None
-    began, worked = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
+    worked = time.process_time()
     fit = fit_views(capture, bodies, settings, start=start)
-    seconds, cpu = time.perf_counter() - began, time.process_time() - worked
+    seconds = time.perf_counter() - began
+    cpu = time.process_time() - worked
     surfaces = fit.vertices()
     found = []
     for place, (sight, surface) in enumerate(zip(fit.sights, surfaces, strict=True)):
@@ -111,7 +147,9 @@ def _row(
     best = registered(body if case == "neutral" else _loaded("female" if female else "male"), rest)
     betas = fit.body.rest_vertices(fit.betas)
     skin = along_normals(betas, fit.skin, fit.body)
-    measured, by_betas, true, ideal = (_measures(fit.body, one) for one in (skin, betas, rest, best))
+    measured, by_betas, true, ideal = (
+        _measures(fit.body, one) for one in (skin, betas, rest, best)
+    )
     return {
         "person": k,
         "female": female,
@@ -139,7 +177,9 @@ def _loaded(name: str) -> BodyModel:
 
 
 def _far(body: BodyModel, scene: Scene, rng: np.random.Generator) -> np.ndarray:
-    """An A-pose 30 degrees off the truth of each view; where it stands is not told: the mask says it."""
+    """An A-pose 30 degrees off the truth of each view; where it stands is not told: the mask says
+    it.
+    """
     poses = []
     for view, surface in zip(scene.capture.views, scene.surfaces, strict=True):
         sight = Sight.of(view, segment(view))
@@ -154,7 +194,10 @@ def _turn(stands: np.ndarray, true: np.ndarray) -> float:
     """The turn about the upright that takes one surface nearest to another."""
     a, b = (points - points.mean(0) for points in (stands, true))
     return float(
-        np.arctan2((a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]).sum(), (a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]).sum())
+        np.arctan2(
+            (a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]).sum(),
+            (a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]).sum(),
+        )
     )
 
 
@@ -164,12 +207,18 @@ def _as_case(scene: Scene, case: str) -> tuple[RgbdCapture, list[int]]:
     kept = list(range(len(capture.views)))
     if case == "one-view":
         return replace(capture, views=capture.views[:1]), kept[:1]
-    without = {"no-colour": ("colour",), "no-background": ("background",), "depth-only": ("colour", "background")}
+    without = {
+        "no-colour": ("colour",),
+        "no-background": ("background",),
+        "depth-only": ("colour", "background"),
+    }
     return capture.without(*without.get(case, ())), kept
 
 
 def registered(body: BodyModel, rest: np.ndarray) -> np.ndarray:
-    """The body of the model nearest to a person at rest: what a perfect scan, perfectly registered, would give."""
+    """The body of the model nearest to a person at rest: what a perfect scan, perfectly registered,
+    would give.
+    """
     basis = body.shapedirs.reshape(-1, body.num_betas)
     offset = (rest - body.v_template).reshape(-1)
     shift = np.tile(np.eye(3), (len(rest), 1))
@@ -191,11 +240,18 @@ def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]
     vertex = np.array([np.mean(row["vertex_mm"]) for row in some])
     table: dict[str, Any] = {
         "people": len(some),
-        "vertex_mm median, p90, worst": [round(float(v), 1) for v in (*np.percentile(vertex, (50, 90)), vertex.max())],
+        "vertex_mm median, p90, worst": [
+            round(float(v), 1) for v in (*np.percentile(vertex, (50, 90)), vertex.max())
+        ],
         "sex": f"{sum(r['body'] == ('female' if r['female'] else 'male') for r in some)} told",
         "came home": int((np.array([max(row["vertex_mm"]) for row in some]) < 1e3 * LOST).sum()),
-        "verdicts": {level: sum(row["verdict"] == level for row in some) for level in ("good", "doubtful", "failed")},
-        "seconds median, worst": [round(float(v), 1) for v in np.percentile([r["seconds"] for r in some], (50, 100))],
+        "verdicts": {
+            level: sum(row["verdict"] == level for row in some)
+            for level in ("good", "doubtful", "failed")
+        },
+        "seconds median, worst": [
+            round(float(v), 1) for v in np.percentile([r["seconds"] for r in some], (50, 100))
+        ],
         "cpu seconds median": round(float(np.median([row["cpu_seconds"] for row in some])), 1),
     }
     for name, wanted in MEASURES.items():
@@ -209,23 +265,35 @@ def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]
             "betas alone": round(float(100 * np.sqrt(np.mean((betas - true) ** 2))), 2),
             "guess the mean": round(float(100 * spread), 2),
             "registered scan": round(float(100 * np.sqrt(np.mean((scan - true) ** 2))), 2),
-            "explained %": round(float(100 * (1 - np.mean((found - true) ** 2) / max(spread**2, 1e-12))), 1),
-            "explained by scan %": round(float(100 * (1 - np.mean((scan - true) ** 2) / max(spread**2, 1e-12))), 1),
+            "explained %": round(
+                float(100 * (1 - np.mean((found - true) ** 2) / max(spread**2, 1e-12))), 1
+            ),
+            "explained by scan %": round(
+                float(100 * (1 - np.mean((scan - true) ** 2) / max(spread**2, 1e-12))), 1
+            ),
         }
     return table
 
 
 def _told(row: dict[str, Any]) -> str:
-    off = {name.split("_")[0]: f"{100 * (row['measured'][name] - row['true'][name]):+.1f}" for name in MEASURES}
+    off = {
+        name.split("_")[0]: f"{100 * (row['measured'][name] - row['true'][name]):+.1f}"
+        for name in MEASURES
+    }
     vertex = "/".join(f"{value:.1f}" for value in row["vertex_mm"])
-    return f"{row['person']:3} {row['sensor']} {row['case']}: {vertex} mm, cm off {off}, {row['verdict']}, " + (
-        f"{row['seconds']:.1f} s ({row['cpu_seconds']:.1f} cpu)"
+    return (
+        f"{row['person']:3} {row['sensor']} {row['case']}: {vertex} mm, cm off {off}, "
+        f"{row['verdict']}, " + (f"{row['seconds']:.1f} s ({row['cpu_seconds']:.1f} cpu)")
     )
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--people", type=Path, help="people.npz of tools/default_body/new_people.py")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--people", type=Path, help="people.npz of tools/default_body/new_people.py"
+    )
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])
     parser.add_argument("--cases", nargs="+", choices=CASES, default=["full"])

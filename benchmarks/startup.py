@@ -1,9 +1,11 @@
-"""How long a person waits: importing habitus, the command's help, a first fit (which compiles) and the second.
+"""How long a person waits: importing habitus, the command's help, a first fit (which compiles) and
+the second.
 
 python benchmarks/startup.py [--repeats 5] [--frames 400] [--out startup.json]
 
-The fit is `habitus mosh` from its call to its end on a synthetic capture of 41 markers. The first run finds an empty
-NUMBA_CACHE_DIR, the second what the first left there. CPU seconds count all threads; they say more on a busy machine.
+The fit is `habitus mosh` from its call to its end on a synthetic capture of 41 markers. The first
+run finds an empty NUMBA_CACHE_DIR, the second what the first left there. CPU seconds count all
+threads; they say more on a busy machine.
 """
 
 import argparse
@@ -42,11 +44,15 @@ def whole_process(arguments: list[str]) -> float:
 
 def import_alone() -> float:
     """Seconds of ``import habitus`` inside a fresh Python."""
-    return float(subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, check=True).stdout)
+    return float(
+        subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, check=True).stdout
+    )
 
 
 def first_and_second_fit(frames: int, repeats: int) -> dict[str, dict[str, float]]:
-    """Wall and CPU seconds of a fit that has to compile its kernels, and medians of those after it."""
+    """Wall and CPU seconds of a fit that has to compile its kernels, and medians of those after
+    it.
+    """
     with tempfile.TemporaryDirectory() as folder:
         capture = write_synthetic(load_body("default"), "cmu-41", frames, Path(folder))
         environment = os.environ | {"NUMBA_CACHE_DIR": f"{folder}/kernels"}
@@ -59,15 +65,19 @@ def first_and_second_fit(frames: int, repeats: int) -> dict[str, dict[str, float
 
 
 def _timed(command: list[str], environment: dict[str, str]) -> tuple[float, float]:
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.perf_counter()
     subprocess.run(command, env=environment, capture_output=True, check=True)
-    wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    wall = time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--frames", type=int, default=400)
     parser.add_argument("--out", type=Path)
@@ -81,9 +91,17 @@ def main() -> None:
         print(f"{name:26s} {1e3 * seconds:8.1f} ms")
     fits = first_and_second_fit(options.frames, options.repeats)
     for name, seconds in fits.items():
-        print(f"habitus mosh, {name + ' run':12s} {seconds['wall']:8.2f} s wall {seconds['cpu']:8.2f} s CPU")
+        print(
+            f"habitus mosh, {name + ' run':12s} {seconds['wall']:8.2f} s wall "
+            f"{seconds['cpu']:8.2f} s CPU"
+        )
     if options.out:
-        content = {"machine": where, "seconds": found, "frames": options.frames, "mosh_seconds": fits}
+        content = {
+            "machine": where,
+            "seconds": found,
+            "frames": options.frames,
+            "mosh_seconds": fits,
+        }
         options.out.write_text(json.dumps(content, indent=2) + "\n", "utf-8")
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packs the Blender add-on: python blender/build.py [habitus_body.zip]. Needs habitus, whose bodies go in."""
+"""Packs the Blender add-on: python blender/build.py [habitus_body.zip]. Needs habitus, whose bodies
+go in.
+"""
 
 import io
 import sys
@@ -17,7 +19,9 @@ from habitus.body.measurements import volume
 
 HERE = Path(__file__).resolve().parent
 NEAR = 0.06
-"""Metres from the highest and the lowest point of the template within which anybody's are looked for."""
+"""Metres from the highest and the lowest point of the template within which anybody's are looked
+for.
+"""
 
 
 def body_arrays(name: str) -> dict[str, np.ndarray]:
@@ -36,7 +40,9 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
         "people_mean": model.people_mean,
         "age_years": model.ages.years,
         "age_directions": _short(model.ages.directions),
-        "joint_age_directions": np.einsum("jv,vca->jca", model.joint_regressor, model.ages.directions),
+        "joint_age_directions": np.einsum(
+            "jv,vca->jca", model.joint_regressor, model.ages.directions
+        ),
         "age_statures": model.ages.statures,
         "age_adult": np.array(model.ages.adult),
     }
@@ -75,9 +81,11 @@ def _dynamics(model: Any) -> dict[str, np.ndarray]:
 
 
 def _measures(model: Any) -> dict[str, np.ndarray]:
-    """Where the points that measurements look at lie, along the coefficients (1, ages' shares, betas), last axis.
+    """Where the points that measurements look at lie, along the coefficients (1, ages' shares,
+    betas), last axis.
 
-    Tapes lie on the adult's template (``tape_chest_0``) and on those of the ages' mean people (1 and on).
+    Tapes lie on the adult's template (``tape_chest_0``) and on those of the ages' mean people (1
+    and on).
     """
     ways = np.concatenate([model.ages.directions, model.shapedirs], -1)
     people = np.concatenate([model.v_template[None], model.v_template + np.moveaxis(ways, -1, 0)])
@@ -91,7 +99,10 @@ def _measures(model: Any) -> dict[str, np.ndarray]:
         points |= {f"tape_{name}_{k}": each for name, each in _tapes(one, people).items()}
     full = model.full
     density = 1000.0 * volume(model.v_template, model.faces) / volume(full.v_template, full.faces)
-    found = {name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1)) for name, p in points.items()}
+    found = {
+        name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1))
+        for name, p in points.items()
+    }
     rarest = chdtri(np.arange(1, 7), 2 * ndtr(-MOST_SD))  # sums of so many squares, so rare as that
     return found | {"density": np.array(density), "rarest": rarest}
 
@@ -100,14 +111,21 @@ def _tapes(model: Any, people: np.ndarray) -> dict[str, np.ndarray]:
     """Points of tapes across their axes (N, K, 2), on surfaces at rest (N, V, 3)."""
     kit = model.measuring_kit
     standing = kit.standing
-    posed = standing.prepared.carried(people[:, standing.vertices], model.joint_regressor @ people, standing.pose)
-    found = {name: standing.tapes[name].points(posed) @ standing.tapes[name].axes.T for name in ("chest", "hip")}
+    posed = standing.prepared.carried(
+        people[:, standing.vertices], model.joint_regressor @ people, standing.pose
+    )
+    found = {
+        name: standing.tapes[name].points(posed) @ standing.tapes[name].axes.T
+        for name in ("chest", "hip")
+    }
     (waist,) = (tape.rings[0] for tape in kit.tapes if tape.name == "waist")
     return found | {"waist": waist.points(people) @ waist.axes.T}
 
 
 def build(path: Path, small: bool = True) -> Path:
-    """The zip that Blender installs; with ``small`` its bodies are packed, which takes some seconds."""
+    """The zip that Blender installs; with ``small`` its bodies are packed, which takes some
+    seconds.
+    """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for source in sorted((HERE / "habitus_body").glob("*.*")):
             archive.write(source, f"habitus_body/{source.name}")

@@ -1,4 +1,5 @@
-"""A synthetic capture of a known body, fitted with the ordinary command: what was recovered against what is true.
+"""A synthetic capture of a known body, fitted with the ordinary command: what was recovered against
+what is true.
 
 python examples/demo.py [--out demo_out] [--frames 600] [--seed 1]
 """
@@ -23,8 +24,11 @@ RATE_HZ = 120.0
 SWAPPED = ("LWRA", "LWRB")
 
 
-def make_capture(body: BodyModel, frames: int, seed: int) -> tuple[SyntheticCapture, tuple[str, ...]]:
-    """A moving body with all markers of the MoSh 67 layout and its extras: placement errors (1 cm), noise (1 mm), gaps.
+def make_capture(
+    body: BodyModel, frames: int, seed: int
+) -> tuple[SyntheticCapture, tuple[str, ...]]:
+    """A moving body with all markers of the MoSh 67 layout and its extras: placement errors (1 cm),
+    noise (1 mm), gaps.
 
     Gaps take 3 % of the samples, and a pair is swapped for a third of the time.
     """
@@ -32,18 +36,29 @@ def make_capture(body: BodyModel, frames: int, seed: int) -> tuple[SyntheticCapt
     layout = load_layout("mosh-67")
     prior = load_pose_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(scale=1.0, size=body.num_betas), -2, 2)
-    pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), frames, RATE_HZ, rng)
+    pose, trans = smooth_motion(
+        prior.mean, np.sqrt(np.diag(prior.covariance)), frames, RATE_HZ, rng
+    )
     pair = tuple(layout.labels.index(label) for label in SWAPPED)
     faults = Faults(swapped=(*pair, frames // 3, 2 * frames // 3))
-    capture = simulate_capture(body, betas, pose, trans, layout.vertices(body), layout.distances(), faults, rng)
+    capture = simulate_capture(
+        body, betas, pose, trans, layout.vertices(body), layout.distances(), faults, rng
+    )
     return capture, layout.labels
 
 
-def compare(body: BodyModel, truth: SyntheticCapture, labels: tuple[str, ...], folder: Path) -> dict[str, float | bool]:
-    """Recovered against true, in millimetres: posed surface, shape alone, latent markers; and was the swap found."""
+def compare(
+    body: BodyModel, truth: SyntheticCapture, labels: tuple[str, ...], folder: Path
+) -> dict[str, float | bool]:
+    """Recovered against true, in millimetres: posed surface, shape alone, latent markers; and was
+    the swap found.
+    """
     with np.load(folder / "body.npz") as found:
-        betas, latent, names = found["betas"], found["markers_latent"], [str(x) for x in found["latent_labels"]]
-        pose, trans = found["poses"].reshape(len(found["poses"]), -1, 3), found["trans"]
+        betas = found["betas"]
+        latent = found["markers_latent"]
+        names = [str(x) for x in found["latent_labels"]]
+        pose = found["poses"].reshape(len(found["poses"]), -1, 3)
+        trans = found["trans"]
         soft = found["soft_tissue_betas"]
     every = slice(None, None, 10)
     true = body(truth.betas, truth.pose[every], truth.trans[every]).vertices
@@ -54,14 +69,17 @@ def compare(body: BodyModel, truth: SyntheticCapture, labels: tuple[str, ...], f
     return {
         "posed surface": 1e3 * float(np.linalg.norm(true - ours, axis=-1).mean()),
         "rest shape": 1e3 * float(np.linalg.norm(shape[0] - shape[1], axis=-1).mean()),
-        "latent markers": 1e3 * float(np.linalg.norm(latent[order] - truth.latent_markers, axis=1).mean()),
+        "latent markers": 1e3
+        * float(np.linalg.norm(latent[order] - truth.latent_markers, axis=1).mean()),
         "swap found": {x["label"] for x in suspects if "swapped" in x["reason"]} == set(SWAPPED),
     }
 
 
 def main() -> None:
     """Make, fit, compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("demo_out"))
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--seed", type=int, default=1)
@@ -75,10 +93,14 @@ def main() -> None:
         f"wrote {file}: {options.frames} frames, {len(labels)} markers, "
         f"{SWAPPED[0]} and {SWAPPED[1]} swapped for a third of them"
     )
-    subprocess.run([sys.executable, "-m", "habitus", "mosh", str(file), "--out", str(options.out)], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "habitus", "mosh", str(file), "--out", str(options.out)], check=True
+    )
     print("\nrecovered against true")
     for name, value in compare(body, truth, labels, options.out / "demo").items():
-        print(f"  {name:15s} {'yes' if value is True else 'no' if value is False else f'{value:.2f} mm'}")
+        print(
+            f"  {name:15s} {'yes' if value is True else 'no' if value is False else f'{value:.2f} mm'}"
+        )
     print(f"\nthe report lies at {options.out / 'demo' / 'report.html'}")
 
 

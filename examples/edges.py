@@ -1,4 +1,5 @@
-"""A cube's pose, found from edges of a picture that has more light than the model knows of (T figure 4-5).
+"""A cube's pose, found from edges of a picture that has more light than the model knows of (T
+figure 4-5).
 
 python examples/edges.py
 """
@@ -18,9 +19,14 @@ from habitus.rotations import matrix_from_rotvec
 from habitus.solve.minimize import minimize
 
 box = cube()
-V, F, A = box.vertices, Triangles.of(box.faces, box.vertices), box.vertices + 0.5  # colours say where a corner is
+V = box.vertices
+F = Triangles.of(box.faces, box.vertices)
+A = box.vertices + 0.5  # colours say where a corner is
 U = Camera.of(160, 120, focal_length=150, translation=(0, 0, 3))
-truth = {"translation": torch.tensor([0.1, -0.1, 0.0]).double(), "rotation": torch.tensor([0.5, 0.6, 0.1]).double()}
+truth = {
+    "translation": torch.tensor([0.1, -0.1, 0.0]).double(),
+    "rotation": torch.tensor([0.5, 0.6, 0.1]).double(),
+}
 
 
 def render(translation: Tensor, rotation: Tensor) -> Tensor:
@@ -29,11 +35,15 @@ def render(translation: Tensor, rotation: Tensor) -> Tensor:
 
 
 def recover(observed: Tensor, start: dict[str, Tensor], use_edges: bool) -> dict[str, Tensor]:
-    """The pose at which the two pictures differ least, pixel by pixel or edge by edge: moved first, then turned too."""
+    """The pose at which the two pictures differ least, pixel by pixel or edge by edge: moved first,
+    then turned too.
+    """
 
     def difference(translation: Tensor, rotation: Tensor) -> Tensor:
         levels = gaussian_pyramid(render(translation, rotation) - observed, num_levels=5)
-        return as_vector([edge for level in levels for edge in edges(level)] if use_edges else levels)
+        return as_vector(
+            [edge for level in levels for edge in edges(level)] if use_edges else levels
+        )
 
     place = partial(difference, rotation=start["rotation"])
     moved = minimize(place, {"translation": start["translation"]}, max_iterations=5)
@@ -41,7 +51,9 @@ def recover(observed: Tensor, start: dict[str, Tensor], use_edges: bool) -> dict
 
 
 def main() -> None:
-    """Ten centimetres and eight degrees off; a quarter of white is added to every pixel, as haze or a lamp would."""
+    """Ten centimetres and eight degrees off; a quarter of white is added to every pixel, as haze or
+    a lamp would.
+    """
     observed = render(**truth) + 0.25
     start = {
         "translation": truth["translation"] + torch.tensor([0.06, -0.08, 0.0]),
@@ -50,7 +62,10 @@ def main() -> None:
     poses = {name: recover(observed, start, name == "edges") for name in ("pixels", "edges")}
     for name, pose in {"start": start, **poses}.items():
         off = {key: (value - truth[key]).norm() for key, value in pose.items()}
-        print(f"{name:6s}  {1e3 * off['translation']:.3f} mm, {math.degrees(off['rotation']):.3f} degrees off")
+        print(
+            f"{name:6s}  {1e3 * off['translation']:.3f} mm, {math.degrees(off['rotation']):.3f} "
+            "degrees off"
+        )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ import numpy as np
 import habitus as hb
 from habitus.body.motion import BodyMotion
 
-body, rate = hb.load_body("default"), 30.0
+body = hb.load_body("default")
+rate = 30.0
 seconds = np.arange(90) / rate
 pose = np.zeros((len(seconds), body.num_joints, 3))
 pose[:, body.joint_names.index("left_shoulder"), 2] = 0.9

@@ -1,4 +1,5 @@
-"""A globe's place, turn and light, found from one picture of it: the thesis' hello world (T figures 4-2 to 4-4).
+"""A globe's place, turn and light, found from one picture of it: the thesis' hello world (T figures
+4-2 to 4-4).
 
 python examples/globe.py
 """
@@ -21,28 +22,39 @@ from habitus.solve.minimize import Minimized, minimize
 
 
 def continents(height: int = 256) -> Tensor:
-    """A map (height, 2 height, 3) of a planet that is not ours: land where the sum of random waves in space is high."""
+    """A map (height, 2 height, 3) of a planet that is not ours: land where the sum of random waves
+    in space is high.
+    """
     random = torch.Generator().manual_seed(5)
     latitude = torch.pi * (0.5 - (torch.arange(height).double() + 0.5) / height)[:, None]
     longitude = torch.pi * ((torch.arange(2 * height).double() + 0.5) / height - 1)
-    x, y, z = latitude.cos() * longitude.sin(), latitude.sin().expand(-1, 2 * height), latitude.cos() * longitude.cos()
+    x = latitude.cos() * longitude.sin()
+    y = latitude.sin().expand(-1, 2 * height)
+    z = latitude.cos() * longitude.cos()
     waves = torch.randn(3, 80, generator=random).double() * torch.linspace(1, 9, 80)
-    ground = (torch.stack([x, y, z], -1) @ waves + 7 * torch.rand(80, generator=random)).cos() @ (1 / waves.norm(dim=0))
+    ground = (torch.stack([x, y, z], -1) @ waves + 7 * torch.rand(80, generator=random)).cos() @ (
+        1 / waves.norm(dim=0)
+    )
     land = (16 * ground[..., None] / ground.std() - 2).sigmoid()
     dry = (2 * ground[..., None] / ground.std() - 2).sigmoid()
-    sea, grass, sand = torch.tensor([[0.06, 0.2, 0.5], [0.2, 0.42, 0.15], [0.8, 0.68, 0.42]]).double()
+    sea, grass, sand = torch.tensor(
+        [[0.06, 0.2, 0.5], [0.2, 0.42, 0.15], [0.8, 0.68, 0.42]]
+    ).double()
     return (1 - land) * sea + land * ((1 - dry) * grass + dry * sand)
 
 
 # Geometry, texture and camera: the globe turns about the origin, 4 m before a camera that has y up.
 globe = sphere(32, 64)
-V, F = globe.vertices, Triangles.of(globe.faces, globe.vertices)
+V = globe.vertices
+F = Triangles.of(globe.faces, globe.vertices)
 U = Camera.of(160, 120, focal_length=150, rotation=(math.pi, 0, 0), translation=(0, 0, 4))
 texture = Texture.of(continents())
 
 
 def render(translation: Tensor, rotation: Tensor, light: Tensor, camera: Camera = U) -> Tensor:
-    """The picture (H, W, 3) of the globe at a place (3,), turned by a rotation vector (3,), in a light (9,)."""
+    """The picture (H, W, 3) of the globe at a place (3,), turned by a rotation vector (3,), in a
+    light (9,).
+    """
     turned = V @ matrix_from_rotvec(rotation).mT
     A = spherical_harmonics(turned, light)
     return draw(camera, turned + translation, F).textured(texture, globe.uv, brightness=A)
@@ -51,16 +63,22 @@ def render(translation: Tensor, rotation: Tensor, light: Tensor, camera: Camera 
 def recover(
     observed: Tensor, start: dict[str, Tensor], method: str = "dogleg", stages: bool = True, **more
 ) -> Minimized:
-    """Place alone; then all 15 numbers, first on small pictures, where coasts 30 degrees apart still overlap."""
+    """Place alone; then all 15 numbers, first on small pictures, where coasts 30 degrees apart
+    still overlap.
+    """
 
     def difference(finest: int, translation: Tensor, rotation: Tensor, light: Tensor) -> Tensor:
         error = render(translation, rotation, light) - observed
-        return as_vector(gaussian_pyramid(error, num_levels=6, normalization="SSE", reference=observed)[finest:])
+        return as_vector(
+            gaussian_pyramid(error, num_levels=6, normalization="SSE", reference=observed)[finest:]
+        )
 
     values = dict(start)
     if stages:
         place = partial(difference, 0, rotation=start["rotation"], light=start["light"])
-        values |= minimize(place, {"translation": start["translation"]}, method, max_iterations=5, **more).values
+        values |= minimize(
+            place, {"translation": start["translation"]}, method, max_iterations=5, **more
+        ).values
         values |= minimize(partial(difference, 3), values, method, max_iterations=10, **more).values
     return minimize(partial(difference, 0), values, method, **more)
 
@@ -91,7 +109,10 @@ def main() -> None:
     for name, values in (("start", start), ("end", found.values)):
         metres, degrees = errors(values, truth)
         light = (values["light"] - truth["light"]).abs().max()
-        print(f"{name:5s}  place {1e3 * metres:.3f} mm, turn {degrees:.3f} degrees, light {light:.3f} off")
+        print(
+            f"{name:5s}  place {1e3 * metres:.3f} mm, turn {degrees:.3f} degrees, light "
+            f"{light:.3f} off"
+        )
 
 
 if __name__ == "__main__":

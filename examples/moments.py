@@ -1,4 +1,5 @@
-"""A cube's pose, found from eighteen numbers about its picture: area, centroid and spread of each colour (T 4.5).
+"""A cube's pose, found from eighteen numbers about its picture: area, centroid and spread of each
+colour (T 4.5).
 
 python examples/moments.py
 """
@@ -17,19 +18,30 @@ from habitus.rotations import matrix_from_rotvec
 from habitus.solve.minimize import minimize
 
 box = cube()
-V, F, A = box.vertices, Triangles.of(box.faces, box.vertices), box.vertices + 0.5  # colours say where a corner is
+V = box.vertices
+F = Triangles.of(box.faces, box.vertices)
+A = box.vertices + 0.5  # colours say where a corner is
 U = Camera.of(160, 120, focal_length=150, translation=(0, 0, 3))
-truth = {"translation": torch.tensor([0.1, -0.1, 0.0]).double(), "rotation": torch.tensor([0.5, 0.6, 0.1]).double()}
+truth = {
+    "translation": torch.tensor([0.1, -0.1, 0.0]).double(),
+    "rotation": torch.tensor([0.5, 0.6, 0.1]).double(),
+}
 
 
 def summary(translation: Tensor, rotation: Tensor) -> Tensor:
-    """The moments (6, 3) of the cube's picture at a place (3,), turned by a rotation vector (3,)."""
+    """The moments (6, 3) of the cube's picture at a place (3,), turned by a rotation vector
+    (3,).
+    """
     return central_moments(draw(U, V @ matrix_from_rotvec(rotation).mT + translation, F).image(A))
 
 
 def recover(observed: Tensor, start: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The pose whose moments are those observed; as shares of these, since areas and spreads differ by far in size."""
-    return minimize(lambda translation, rotation: summary(translation, rotation) / observed - 1, start).values
+    """The pose whose moments are those observed; as shares of these, since areas and spreads differ
+    by far in size.
+    """
+    return minimize(
+        lambda translation, rotation: summary(translation, rotation) / observed - 1, start
+    ).values
 
 
 def main() -> None:
@@ -41,7 +53,10 @@ def main() -> None:
     }
     for name, values in (("start", start), ("end", recover(observed, start))):
         off = {key: (value - truth[key]).norm() for key, value in values.items()}
-        print(f"{name:5s}  {1e3 * off['translation']:.3f} mm, {math.degrees(off['rotation']):.3f} degrees off")
+        print(
+            f"{name:5s}  {1e3 * off['translation']:.3f} mm, {math.degrees(off['rotation']):.3f} "
+            "degrees off"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""A person before a depth camera, made up and found again: views on disk, shape, girths, pictures (T 4.6.1).
+"""A person before a depth camera, made up and found again: views on disk, shape, girths, pictures
+(T 4.6.1).
 
 python examples/rgbd.py [FOLDER]
 """
@@ -14,8 +15,11 @@ from habitus.population.rgbd_people import planted_rest, rgbd_scene
 
 
 def main(folder: str = "rgbd-example", scale: float = 0.5) -> None:
-    """Two views, 45 degrees apart, under the noise of a Kinect, in images `scale` times as large."""
-    body, rng = hb.load_body("default"), np.random.default_rng(3)
+    """Two views, 45 degrees apart, under the noise of a Kinect, in images `scale` times as
+    large.
+    """
+    body = hb.load_body("default")
+    rng = np.random.default_rng(3)
     scene = rgbd_scene(body, rest := planted_rest(body, rng), rng, sensor="kinect-v1", scale=scale)
     write_views(scene.capture, Path(folder) / "views")
     fit = hb.fit_rgbd(hb.read_views(Path(folder) / "views"), body)

@@ -1,4 +1,5 @@
-"""The corners of a tetrahedron, found from its silhouettes in three views: no colour, no light, no correspondence.
+"""The corners of a tetrahedron, found from its silhouettes in three views: no colour, no light, no
+correspondence.
 
 python examples/silhouettes.py
 """
@@ -15,14 +16,19 @@ from habitus.rotations import matrix_from_rotvec
 from habitus.solve.minimize import minimize
 
 solid = tetrahedron()
-V, F = solid.vertices, Triangles.of(solid.faces, solid.vertices)
+V = solid.vertices
+F = Triangles.of(solid.faces, solid.vertices)
 eyes = torch.tensor([[0.0, 1.0, 4.0], [3.5, 1.0, -2.0], [-3.5, 1.0, -2.0]]).double()
 rotations, translations = look_at(eyes, torch.zeros(3).double())
-U = Camera.of(160, 120, focal_length=150, rotation=rotations, translation=translations)  # three cameras around it
+U = Camera.of(
+    160, 120, focal_length=150, rotation=rotations, translation=translations
+)  # three cameras around it
 
 
 def silhouettes(corners: Tensor) -> Tensor:
-    """How much of each pixel the solid with these corners (4, 3) covers, in each view (3, 120, 160, 1)."""
+    """How much of each pixel the solid with these corners (4, 3) covers, in each view (3, 120, 160,
+    1).
+    """
     return draw(U, corners, F).silhouette()[..., None]
 
 

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How bones drive a body's pose blend shapes: plain Python, for Maya, Unreal and any program that runs Python 3.7.
+"""How bones drive a body's pose blend shapes: plain Python, for Maya, Unreal and any program that
+runs Python 3.7.
 
-`habitus export walk/body.npz --to walk.fbx --bake-correctives all` writes walk.correctives.json beside the mesh. The
-weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1: R is how its joint is turned against its parent,
-both counted from rest, in the body's axes (x to its left, y up, z forward).
+`habitus export walk/body.npz --to walk.fbx --bake-correctives all` writes walk.correctives.json
+beside the mesh. The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1: R is how
+its joint is turned against its parent, both counted from rest, in the body's axes (x to its left, y
+up, z forward).
 """
 
 import json
@@ -15,8 +17,8 @@ ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (1, 0, 2), (2, 1, 0))
 class Correctives:
     """What a .correctives.json says. Raises ValueError for text that is none.
 
-    ``joints`` are all names, root first; ``needed`` those whose turns the weights need; ``channels`` the names of the
-    blend shapes, in the order of `weights`.
+    ``joints`` are all names, root first; ``needed`` those whose turns the weights need;
+    ``channels`` the names of the blend shapes, in the order of `weights`.
     """
 
     def __init__(self, text):
@@ -33,25 +35,32 @@ class Correctives:
         for place, channel in enumerate(told["channels"]):
             self._driven.setdefault(channel["joint"], []).append((place, channel["row"]))
         self.needed = [
-            name for name in self.joints if name in self._driven or name in map(self._parents.get, self._driven)
+            name
+            for name in self.joints
+            if name in self._driven or name in map(self._parents.get, self._driven)
         ]
 
     def axes(self, places):
-        """Which axes of a mesh are the body's, from where joints rest in it: {name: (x, y, z)}, in any unit.
+        """Which axes of a mesh are the body's, from where joints rest in it: {name: (x, y, z)}, in
+        any unit.
 
-        Importers turn and mirror meshes, each in its own way; this tells how: for each axis of the body an axis of the
-        mesh, and a sign. Raises ValueError where fewer than four joints are known.
+        Importers turn and mirror meshes, each in its own way; this tells how: for each axis of the
+        body an axis of the mesh, and a sign. Raises ValueError where fewer than four joints are
+        known.
         """
         known = [name for name in self.joints if name in places]
         if len(known) < 4:
             raise ValueError("names joints of another skeleton")
         here, there = [_less_mean([p[name] for name in known]) for p in (self.rests, places)]
-        together = [[sum(t[a] * h[b] for t, h in zip(there, here)) for b in range(3)] for a in range(3)]
+        together = [
+            [sum(t[a] * h[b] for t, h in zip(there, here)) for b in range(3)] for a in range(3)
+        ]
         order = max(ORDERS, key=lambda order: sum(abs(together[order[b]][b]) for b in range(3)))
         return tuple((order[b], 1.0 if together[order[b]][b] >= 0 else -1.0) for b in range(3))
 
     def weights(self, turns, axes):
-        """A weight for each of ``channels``. turns: of joints from rest, in the mesh's axes ({name: 3 rows of 3}).
+        """A weight for each of ``channels``. turns: of joints from rest, in the mesh's axes ({name:
+        3 rows of 3}).
 
         Raises ValueError where a joint of ``needed`` is missing.
         """
@@ -62,7 +71,9 @@ class Correctives:
                     raise ValueError(f"needs the joint {missing}")
             local = _times_transposed(turns[self._parents[name]], turns[name])
             entries = [
-                sign * other * local[row][column] - (row == column) for row, sign in axes for column, other in axes
+                sign * other * local[row][column] - (row == column)
+                for row, sign in axes
+                for column, other in axes
             ]
             for place, row in channels:
                 found[place] = min(1.0, max(0.0, sum(r * e for r, e in zip(row, entries))))
@@ -70,17 +81,24 @@ class Correctives:
 
 
 def from_matrices(before, now):
-    """A joint's turn from rest (3 rows of 3) from matrices of 16 numbers, row after row, that points stand in front of.
+    """A joint's turn from rest (3 rows of 3) from matrices of 16 numbers, row after row, that
+    points stand in front of.
 
-    before: from the mesh's space to the joint's at rest (a bind-pre matrix); now: from the joint's to the world's.
+    before: from the mesh's space to the joint's at rest (a bind-pre matrix); now: from the joint's
+    to the world's.
     """
-    columns = [[sum(before[4 * r + k] * now[4 * k + c] for k in range(3)) for c in range(3)] for r in range(3)]
+    columns = [
+        [sum(before[4 * r + k] * now[4 * k + c] for k in range(3)) for c in range(3)]
+        for r in range(3)
+    ]
     sizes = [sum(x * x for x in column) ** 0.5 or 1.0 for column in columns]
     return [[columns[c][r] / sizes[c] for c in range(3)] for r in range(3)]
 
 
 def from_quaternions(rest, now):
-    """A joint's turn from rest (3 rows of 3) from how it rests and how it is now, both (x, y, z, w)."""
+    """A joint's turn from rest (3 rows of 3) from how it rests and how it is now, both (x, y, z,
+    w).
+    """
     (a, b, c, d), (x, y, z, w) = now, (-rest[0], -rest[1], -rest[2], rest[3])
     x, y, z, w = (
         d * x + a * w + b * z - c * y,

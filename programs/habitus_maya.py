@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""habitus in Maya: pose blend shapes that follow the joints, by a node of its own. Python API 2.0, Maya 2022 and later.
+"""habitus in Maya: pose blend shapes that follow the joints, by a node of its own. Python API 2.0,
+Maya 2022 and later.
 
     import habitus_maya
     habitus_maya.attach("walk.correctives.json", "body")  # the mesh that the FBX brought
 
-The node, habitusCorrectives, takes the joints' world matrices and drives the blend shape node; it keeps what the JSON
-says in the scene. Scenes that have it need this file and habitus_correctives.py in MAYA_PLUG_IN_PATH and
-MAYA_SCRIPT_PATH.
+The node, habitusCorrectives, takes the joints' world matrices and drives the blend shape node; it
+keeps what the JSON says in the scene. Scenes that have it need this file and habitus_correctives.py
+in MAYA_PLUG_IN_PATH and MAYA_SCRIPT_PATH.
 """
 
 import functools
@@ -30,7 +31,9 @@ def _read(text):
 
 
 class HabitusCorrectives(om.MPxNode):
-    """From data (the JSON's text), strength, worldMatrix[k] and bindPreMatrix[k] of its k-th joint, weight[channel]."""
+    """From data (the JSON's text), strength, worldMatrix[k] and bindPreMatrix[k] of its k-th joint,
+    weight[channel].
+    """
 
     data = strength = world = bind = weight = None
 
@@ -42,7 +45,11 @@ class HabitusCorrectives(om.MPxNode):
     @classmethod
     def initialize(cls):
         """Its attributes."""
-        typed, matrix, number = om.MFnTypedAttribute(), om.MFnMatrixAttribute(), om.MFnNumericAttribute()
+        typed, matrix, number = (
+            om.MFnTypedAttribute(),
+            om.MFnMatrixAttribute(),
+            om.MFnNumericAttribute(),
+        )
         cls.data = typed.create("data", "dat", om.MFnData.kString)
         cls.strength = number.create("strength", "str", om.MFnNumericData.kDouble, 1.0)
         number.keyable = True
@@ -66,9 +73,15 @@ class HabitusCorrectives(om.MPxNode):
         told = _read(block.inputValue(self.data).asString())
         strength = block.inputValue(self.strength).asDouble()
         binds, worlds = (_by_index(block.inputArrayValue(each)) for each in (self.bind, self.world))
-        known = [(told.joints[k], binds[k], worlds[k]) for k in sorted(binds) if k in worlds and k < len(told.joints)]
+        known = [
+            (told.joints[k], binds[k], worlds[k])
+            for k in sorted(binds)
+            if k in worlds and k < len(told.joints)
+        ]
         axes = told.axes({name: _rest(bind) for name, bind, _ in known})
-        turns = {name: from_matrices(_numbers(bind), _numbers(world)) for name, bind, world in known}
+        turns = {
+            name: from_matrices(_numbers(bind), _numbers(world)) for name, bind, world in known
+        }
         handle = block.outputArrayValue(self.weight)
         builder = handle.builder()
         for channel, weight in enumerate(told.weights(turns, axes)):
@@ -107,10 +120,11 @@ def uninitializePlugin(plugin):
 
 
 def attach(path, mesh=None):
-    """Let the joints of a skinned mesh drive its blend shapes, as a .correctives.json says; the new node comes back.
+    """Let the joints of a skinned mesh drive its blend shapes, as a .correctives.json says; the new
+    node comes back.
 
-    mesh: its transform or shape; what is selected, if left out. Baked weights of these channels are disconnected; soft
-    tissue's stay. Raises ValueError where mesh and JSON do not belong together.
+    mesh: its transform or shape; what is selected, if left out. Baked weights of these channels are
+    disconnected; soft tissue's stay. Raises ValueError where mesh and JSON do not belong together.
     """
     with open(path, encoding="utf-8") as file:
         text = file.read()
@@ -122,7 +136,9 @@ def attach(path, mesh=None):
     missing += [name for name in told.channels if name not in shapes]
     if missing:
         named = ", ".join(missing[:3])
-        raise ValueError(f"{path}: {mesh} has no {named}; export both with the same --bake-correctives")
+        raise ValueError(
+            f"{path}: {mesh} has no {named}; export both with the same --bake-correctives"
+        )
     if not cmds.pluginInfo(os.path.basename(__file__), query=True, loaded=True):
         cmds.loadPlugin(os.path.abspath(__file__))
     node = cmds.createNode(NODE, name="habitus_correctives")
@@ -141,14 +157,22 @@ def attach(path, mesh=None):
 def _deformer(mesh, kind):
     found = cmds.ls(cmds.listHistory(mesh) or [], type=kind) if mesh else []
     if not found:
-        raise ValueError(f"{mesh or 'nothing'} has no {kind}; name or select the mesh that the FBX brought")
+        raise ValueError(
+            f"{mesh or 'nothing'} has no {kind}; name or select the mesh that the FBX brought"
+        )
     return found[0]
 
 
 def _influences(skin):
     """Joints by their plain names: their nodes, and their places in the skin."""
-    pairs = cmds.listConnections(skin + ".matrix", source=True, destination=False, connections=True) or []
-    return {plain(joint): (joint, int(plug.rpartition("[")[2][:-1])) for plug, joint in zip(pairs[::2], pairs[1::2])}
+    pairs = (
+        cmds.listConnections(skin + ".matrix", source=True, destination=False, connections=True)
+        or []
+    )
+    return {
+        plain(joint): (joint, int(plug.rpartition("[")[2][:-1]))
+        for plug, joint in zip(pairs[::2], pairs[1::2])
+    }
 
 
 def _shapes(blend):

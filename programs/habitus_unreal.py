@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""habitus in Unreal's editor (5.0 and later, plug-ins Python Editor Script and Editor Scripting Utilities).
+"""habitus in Unreal's editor (5.0 and later, plug-ins Python Editor Script and Editor Scripting
+Utilities).
 
     import habitus_unreal
     habitus_unreal.import_person("C:/walk.fbx", "/Game/People")  # mesh, skeleton, morph targets, take
     habitus_unreal.bake("/Game/dance", "C:/walk.correctives.json", "/Game/People/walk")  # another motion of it
 
-`bake` writes the weights of the pose blend shapes into an animation as curves that are called like the morph targets,
-so that skin bulges in any motion: of another take, retargeted, or keyed by hand. It is an editor's script: it runs once
-for an animation, not in the game.
+`bake` writes the weights of the pose blend shapes into an animation as curves that are called like
+the morph targets, so that skin bulges in any motion: of another take, retargeted, or keyed by hand.
+It is an editor's script: it runs once for an animation, not in the game.
 """
 
 import os
@@ -19,8 +20,8 @@ from habitus_correctives import Correctives, from_quaternions
 def import_person(path, folder, skeleton=None):
     """Import an .fbx of habitus export; paths of what was made come back.
 
-    The capture's own rate is kept. skeleton: path of one that is there already, whose animations it shall share.
-    Raises ValueError where nothing was imported.
+    The capture's own rate is kept. skeleton: path of one that is there already, whose animations it
+    shall share. Raises ValueError where nothing was imported.
     """
     options = unreal.FbxImportUI()
     chosen = {
@@ -37,10 +38,18 @@ def import_person(path, folder, skeleton=None):
     if skeleton:
         options.set_editor_property("skeleton", unreal.load_asset(skeleton))
     mesh = options.get_editor_property("skeletal_mesh_import_data")
-    for name, value in {"import_morph_targets": True, "convert_scene": True, "convert_scene_unit": True}.items():
+    for name, value in {
+        "import_morph_targets": True,
+        "convert_scene": True,
+        "convert_scene_unit": True,
+    }.items():
         mesh.set_editor_property(name, value)
     motion = options.get_editor_property("anim_sequence_import_data")
-    for name, value in {"use_default_sample_rate": False, "custom_sample_rate": 0, "convert_scene": True}.items():
+    for name, value in {
+        "use_default_sample_rate": False,
+        "custom_sample_rate": 0,
+        "convert_scene": True,
+    }.items():
         motion.set_editor_property(name, value)
     task = unreal.AssetImportTask()
     for name, value in {
@@ -60,11 +69,12 @@ def import_person(path, folder, skeleton=None):
 
 
 def bake(animation, path, mesh):
-    """Write the weights of pose blend shapes into an animation as curves; the number of curves comes back.
+    """Write the weights of pose blend shapes into an animation as curves; the number of curves
+    comes back.
 
-    animation, mesh: paths of an animation sequence and of a skeletal mesh of habitus export; path: its
-    .correctives.json. Curves of these names are replaced; those that stay below a thousandth are left out. Raises
-    ValueError where these do not belong together.
+    animation, mesh: paths of an animation sequence and of a skeletal mesh of habitus export; path:
+    its .correctives.json. Curves of these names are replaced; those that stay below a thousandth
+    are left out. Raises ValueError where these do not belong together.
     """
     with open(path, encoding="utf-8") as file:
         told = Correctives(file.read())
@@ -104,7 +114,9 @@ def _known(told, pose):
 def _rests(told, pose):
     found = {}
     for name in _known(told, pose):
-        place = unreal.AnimPoseExtensions.get_ref_bone_pose(pose, name, unreal.AnimPoseSpaces.WORLD).translation
+        place = unreal.AnimPoseExtensions.get_ref_bone_pose(
+            pose, name, unreal.AnimPoseSpaces.WORLD
+        ).translation
         found[name] = (place.x, place.y, place.z)
     return found
 
@@ -114,5 +126,7 @@ def _turns(told, pose):
     for name in _known(told, pose):
         rest = unreal.AnimPoseExtensions.get_ref_bone_pose(pose, name, space).rotation
         now = unreal.AnimPoseExtensions.get_bone_pose(pose, name, space).rotation
-        found[name] = from_quaternions((rest.x, rest.y, rest.z, rest.w), (now.x, now.y, now.z, now.w))
+        found[name] = from_quaternions(
+            (rest.x, rest.y, rest.z, rest.w), (now.x, now.y, now.z, now.w)
+        )
     return found

@@ -1,6 +1,8 @@
-"""Fixtures shared by all tests, and how many threads they use: each worker of the suite has one core to itself.
+"""Fixtures shared by all tests, and how many threads they use: each worker of the suite has one
+core to itself.
 
-Threads that wait for work by spinning, as OpenMP's and OpenBLAS' do, would keep the other worker's from theirs.
+Threads that wait for work by spinning, as OpenMP's and OpenBLAS' do, would keep the other worker's
+from theirs.
 """
 
 import os
@@ -13,17 +15,45 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-# Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the hook would wrap, nor
-# in those that say themselves what is wrong with a shape.
+# Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the
+# hook would wrap, nor in those that say themselves what is wrong with a shape.
 RENDER = (
-    "triangles", "clipping", "edge_fragments", "frame", "filters", "visibility", "rasterize", "operators",
-    "derivatives", "reference",
-)  # fmt: skip
+    "triangles",
+    "clipping",
+    "edge_fragments",
+    "frame",
+    "filters",
+    "visibility",
+    "rasterize",
+    "operators",
+    "derivatives",
+    "reference",
+)
 BODY = (
-    "ages", "blend_shapes", "body_arrays", "detail", "fast", "inputs", "jacobians", "joint_sets", "keypoints",
-    "kinematics", "measured", "measurements", "mesh", "model", "pose_features", "pose_shapes", "prepared", "prior",
-    "rings", "skinning", "standing", "state", "views",
-)  # fmt: skip
+    "ages",
+    "blend_shapes",
+    "body_arrays",
+    "detail",
+    "fast",
+    "inputs",
+    "jacobians",
+    "joint_sets",
+    "keypoints",
+    "kinematics",
+    "measured",
+    "measurements",
+    "mesh",
+    "model",
+    "pose_features",
+    "pose_shapes",
+    "prepared",
+    "prior",
+    "rings",
+    "skinning",
+    "standing",
+    "state",
+    "views",
+)
 CHECKED = (
     "rotations", "mesh.normals", "mesh.shapes",
     *(f"body.{name}" for name in BODY), *(f"render.{name}" for name in RENDER),

@@ -1,4 +1,6 @@
-"""The documentation is built as a site without a warning; its reference holds the whole public face."""
+"""The documentation is built as a site without a warning; its reference holds the whole public
+face.
+"""
 
 import inspect
 import re
@@ -37,7 +39,9 @@ def test_every_page_is_in_the_site_and_none_leads_to_the_checkout(site):
     written = {page.stem for page in (ROOT / "docs").glob("*.md")}
     assert written <= {page.stem for page in site.glob("*.html")}
     links = [
-        link for page in site.glob("*.html") for link in re.findall(r'href="(?!http)([^"#]+)', page.read_text("utf-8"))
+        link
+        for page in site.glob("*.html")
+        for link in re.findall(r'href="(?!http)([^"#]+)', page.read_text("utf-8"))
     ]
     lost = {link for link in links if not (site / link.split("?")[0]).exists()}
     assert len(links) > 1000 and not lost
@@ -56,5 +60,7 @@ def test_public_methods_are_told():
 
     for kind in (habitus.Mosh, habitus.MoshWeights, MarkerFit, LiveFit):
         members = {name: member for name, member in vars(kind).items() if not name.startswith("_")}
-        untold = [name for name, one in members.items() if callable(one) and not inspect.getdoc(one)]
+        untold = [
+            name for name, one in members.items() if callable(one) and not inspect.getdoc(one)
+        ]
         assert not untold

@@ -13,4 +13,7 @@ def test_the_citation_is_of_this_version_and_names_the_three_papers():
     assert re.search(r"^version: (.+)$", text, re.MULTILINE)[1] == habitus.__version__
     own, references = text.split("references:")
     assert "name: The habitus developers" in own and "given-names" not in own
-    assert re.findall(r"year: (\d+)", references) == ["2014", "2015", "2017"] and references.count("title:") == 3
+    assert (
+        re.findall(r"year: (\d+)", references) == ["2014", "2015", "2017"]
+        and references.count("title:") == 3
+    )

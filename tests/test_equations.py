@@ -1,4 +1,6 @@
-"""The table of equations leads to functions that are there, and the glossary to names that the code has."""
+"""The table of equations leads to functions that are there, and the glossary to names that the code
+has.
+"""
 
 import ast
 import re
@@ -7,7 +9,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PLACES = sorted(set(re.findall(r"`([\w/]+\.py):([\w.]+)`", (ROOT / "docs" / "equations.md").read_text())))
+PLACES = sorted(
+    set(re.findall(r"`([\w/]+\.py):([\w.]+)`", (ROOT / "docs" / "equations.md").read_text()))
+)
 
 
 @pytest.mark.parametrize(("file", "name"), PLACES, ids=lambda part: str(part))

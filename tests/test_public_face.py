@@ -1,4 +1,6 @@
-"""The public face: what ``import habitus`` offers, that it costs nothing, and that its words agree."""
+"""The public face: what ``import habitus`` offers, that it costs nothing, and that its words
+agree.
+"""
 
 import ast
 import inspect
@@ -17,9 +19,12 @@ from habitus.errors import HabitusError
 from habitus.fit.mosh.suspects import Suspect
 
 LISTED = set(
-    "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements compare evaluate exaggerate "
-    "export_file fill_capture fit_rgbd label live load_body load_fit load_layout load_motion minimize mosh "
-    "open_registrations read_capture read_views register_scans retarget select_markers select_poses "
+    "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements compare "
+    "evaluate exaggerate "
+    "export_file fill_capture fit_rgbd label live load_body load_fit load_layout load_motion "
+    "minimize mosh "
+    "open_registrations read_capture read_views register_scans retarget select_markers "
+    "select_poses "
     "simulate_soft_tissue terms train train_dynamics virtual_markers write_surface write_trc".split()
 )
 
@@ -30,7 +35,10 @@ def test_dir_shows_the_public_face_and_nothing_else():
 
 @pytest.mark.parametrize("name", sorted(LISTED))
 def test_every_name_is_there_and_tells_what_it_is(name):
-    if name == "Trainer" and "class Trainer" not in (Path(habitus.__file__).parent / "jobs/train.py").read_text():
+    if (
+        name == "Trainer"
+        and "class Trainer" not in (Path(habitus.__file__).parent / "jobs/train.py").read_text()
+    ):
         pytest.skip("jobs/train.py has no Trainer yet")
     found = getattr(habitus, name)
     assert name == "__version__" or (inspect.getdoc(found) or "").strip()
@@ -39,9 +47,14 @@ def test_every_name_is_there_and_tells_what_it_is(name):
 def test_the_stub_names_what_the_module_loads():
     stub = ast.parse(Path(habitus.__file__).with_suffix(".pyi").read_text())
     told = {
-        name.asname: node.module for node in ast.walk(stub) if isinstance(node, ast.ImportFrom) for name in node.names
+        name.asname: node.module
+        for node in ast.walk(stub)
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
     }
-    modules = {name: f"{where}.{name}" if name == "terms" else where for name, where in told.items()}
+    modules = {
+        name: f"{where}.{name}" if name == "terms" else where for name, where in told.items()
+    }
     assert modules == habitus._MODULES | {"HabitusError": "habitus.errors"}
     assert (Path(habitus.__file__).parent / "py.typed").exists()
 
@@ -49,21 +62,33 @@ def test_the_stub_names_what_the_module_loads():
 def test_the_type_checker_reads_every_name():
     """`make types` holds it to what the names promise."""
     read = ast.walk(ast.parse((Path(__file__).parent / "typed_public_face.py").read_text()))
-    used = {node.attr for node in read if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "hb"}
+    used = {
+        node.attr
+        for node in read
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "hb"
+    }
     assert used >= LISTED, LISTED - used
 
 
-@pytest.mark.parametrize("first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"])
+@pytest.mark.parametrize(
+    "first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"]
+)
 def test_a_package_of_the_same_name_does_not_hide_a_function(first):
-    code = f"import {first}, habitus; print(habitus.evaluate.__name__, callable(habitus.evaluate), habitus.train)"
+    code = (
+        f"import {first}, habitus; print(habitus.evaluate.__name__, "
+        "callable(habitus.evaluate), habitus.train)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.startswith("evaluate True <function train"), done.stderr
 
 
 def test_import_takes_no_time():
-    code = "import time, sys; t = time.process_time(); import habitus; print(time.process_time() - t)"
+    code = (
+        "import time, sys; t = time.process_time(); import habitus; print(time.process_time() - t)"
+    )
     taken = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout) for _ in range(5)
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout)
+        for _ in range(5)
     ]
     assert min(taken) < 0.02
 
@@ -77,34 +102,50 @@ def test_a_misspelt_name_is_answered_with_the_right_one():
 
 
 def test_the_verbs_agree_in_their_words():
-    verbs = {verb: inspect.signature(getattr(habitus, verb)).parameters for verb in ("mosh", "train", "evaluate")}
+    verbs = {
+        verb: inspect.signature(getattr(habitus, verb)).parameters
+        for verb in ("mosh", "train", "evaluate")
+    }
     shared = {"progress", "workers", "gender", "seed", "out"}
     for one in verbs.values():
         for other in verbs.values():
             for word in shared & set(one) & set(other):
                 assert _kind(one[word].annotation) == _kind(other[word].annotation), word
-    assert {"progress", "workers", "out"} <= set(verbs["mosh"]) and {"progress", "workers", "out"} <= set(
-        verbs["evaluate"]
-    )
+    assert {"progress", "workers", "out"} <= set(verbs["mosh"]) and {
+        "progress",
+        "workers",
+        "out",
+    } <= set(verbs["evaluate"])
 
 
 def _kind(annotation: object) -> str:
-    """The last kind that a parameter takes: one verb may take looser ones beside it (a number of threads, say)."""
-    return [part for part in inspect.formatannotation(annotation).split(" | ") if part != "None"][-1]
+    """The last kind that a parameter takes: one verb may take looser ones beside it (a number of
+    threads, say).
+    """
+    return [part for part in inspect.formatannotation(annotation).split(" | ") if part != "None"][
+        -1
+    ]
 
 
 def test_every_option_of_the_command_is_one_in_python():
     from habitus.cli.mosh import Mosh as Command
 
     renamed = {"no_soft_tissue": "soft_tissue", "rate": "rate_hz"}
-    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {"quiet", "strict"}
+    options = {renamed.get(name, name) for name in Command.__dataclass_fields__} - {
+        "quiet",
+        "strict",
+    }
     assert options <= set(inspect.signature(habitus.mosh).parameters)
-    words = set(inspect.signature(habitus.Mosh).parameters) | set(inspect.signature(habitus.Mosh.fit).parameters)
+    words = set(inspect.signature(habitus.Mosh).parameters) | set(
+        inspect.signature(habitus.Mosh.fit).parameters
+    )
     assert set(inspect.signature(habitus.mosh).parameters) <= words
 
 
 def test_weights_reach_the_stages_they_are_named_for():
-    settings = habitus.Mosh(weights=habitus.MoshWeights(surface=50, acceleration=3, shape_pose=2, data=1)).settings
+    settings = habitus.Mosh(
+        weights=habitus.MoshWeights(surface=50, acceleration=3, shape_pose=2, data=1)
+    ).settings
     assert (settings.shape.surface, settings.shape.pose, settings.shape.data) == (50, 2, 1)
     assert (settings.pose.acceleration, settings.pose.pose, settings.pose.data) == (3, 1, 1)
     assert habitus.Mosh().settings == type(settings)()
@@ -128,9 +169,15 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
     images = {told.pop(name) for name in ("fit_rgbd", "read_views")}
-    assert all("needs PyTorch, which is not installed" in line and "habitus[torch]" in line for line in images)
+    assert all(
+        "needs PyTorch, which is not installed" in line and "habitus[torch]" in line
+        for line in images
+    )
     assert set(told) == {"Trainer", "evaluate", "train", "train_dynamics"}
-    assert all("need torch, which is not installed" in line and "habitus[train]" in line for line in told.values())
+    assert all(
+        "need torch, which is not installed" in line and "habitus[train]" in line
+        for line in told.values()
+    )
 
 
 def test_a_module_that_needs_torch_says_so_for_who_asked():
@@ -143,10 +190,14 @@ def test_a_module_that_needs_torch_says_so_for_who_asked():
     assert "HabitusError: drawing needs PyTorch" in said and "habitus[torch]" in said
 
 
-@pytest.mark.parametrize("words", [["train", "x", "--out", "y"], ["evaluate", "x", "y", "--out", "z"]])
+@pytest.mark.parametrize(
+    "words", [["train", "x", "--out", "y"], ["evaluate", "x", "y", "--out", "z"]]
+)
 def test_a_command_that_needs_torch_says_so_in_one_line(words):
     done = _without_torch(f"from habitus.cli.main import main; main({words})")
-    assert done.returncode == 2 and done.stderr.startswith("habitus: training body models and evaluating them need")
+    assert done.returncode == 2 and done.stderr.startswith(
+        "habitus: training body models and evaluating them need"
+    )
     assert "habitus[train]" in done.stderr and done.stderr.count("\n") == 1
 
 
@@ -156,7 +207,7 @@ def _without_torch(code: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", blocked], capture_output=True, text=True)
 
 
-# -- a result can be used ---------------------------------------------------------------------------------------------
+# -- a result can be used --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("soft", [True, False])
@@ -245,7 +296,9 @@ def test_surfaces_that_cannot_be_written(tmp_path):
     with pytest.raises(HabitusError, match=r"faces=body\.faces"):
         habitus.write_surface(SimpleNamespace(vertices=surface.vertices), tmp_path / "posed.ply")
     with pytest.raises(HabitusError, match="all its vertices"):
-        habitus.write_surface(SimpleNamespace(vertices=surface.vertices[:3], faces=surface.faces), tmp_path / "p.ply")
+        habitus.write_surface(
+            SimpleNamespace(vertices=surface.vertices[:3], faces=surface.faces), tmp_path / "p.ply"
+        )
     assert list(tmp_path.iterdir()) == []
 
 

@@ -7,7 +7,21 @@ from hypothesis import strategies as st
 
 from habitus import rotations as rot
 
-ANGLES = (0.0, 1e-160, 1e-12, 1e-6, 1e-3, 0.1, 0.70710677, 0.7071068, 1.0, 2.0, math.pi - 1e-3, math.pi - 1e-7, math.pi)
+ANGLES = (
+    0.0,
+    1e-160,
+    1e-12,
+    1e-6,
+    1e-3,
+    0.1,
+    0.70710677,
+    0.7071068,
+    1.0,
+    2.0,
+    math.pi - 1e-3,
+    math.pi - 1e-7,
+    math.pi,
+)
 EPS = {torch.float32: 2e-6, torch.float64: 5e-15}
 both = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 
@@ -15,7 +29,9 @@ both = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def axes(count: int = 6, dtype: torch.dtype = torch.float64) -> torch.Tensor:
     generator = torch.Generator().manual_seed(count)
     random = torch.randn(count, 3, generator=generator, dtype=torch.float64)
-    return torch.nn.functional.normalize(torch.cat([torch.eye(3, dtype=torch.float64), -random]), dim=-1).to(dtype)
+    return torch.nn.functional.normalize(
+        torch.cat([torch.eye(3, dtype=torch.float64), -random]), dim=-1
+    ).to(dtype)
 
 
 def rotvecs(dtype: torch.dtype = torch.float64) -> torch.Tensor:
@@ -32,12 +48,18 @@ def test_matrices_are_the_exponential_of_the_cross_matrix(dtype):
 
 @both
 def test_vectors_come_back_from_matrices_and_quaternions(dtype):
-    count = -1 if dtype == torch.float64 else -2  # at pi, and within a rounding of it, both signs are right
+    count = (
+        -1 if dtype == torch.float64 else -2
+    )  # at pi, and within a rounding of it, both signs are right
     v = rotvecs(dtype)[:count]
     assert (rot.rotvec_from_matrix(rot.matrix_from_rotvec(v)) - v).abs().max() < 10 * EPS[dtype]
-    assert (rot.rotvec_from_quaternion(rot.quaternion_from_rotvec(v)) - v).abs().max() < 10 * EPS[dtype]
+    assert (rot.rotvec_from_quaternion(rot.quaternion_from_rotvec(v)) - v).abs().max() < 10 * EPS[
+        dtype
+    ]
     matrix = rot.matrix_from_rotvec(rotvecs(dtype))
-    assert (rot.matrix_from_rotvec(rot.rotvec_from_matrix(matrix)) - matrix).abs().max() < 10 * EPS[dtype]
+    assert (rot.matrix_from_rotvec(rot.rotvec_from_matrix(matrix)) - matrix).abs().max() < 10 * EPS[
+        dtype
+    ]
 
 
 @both
@@ -66,9 +88,12 @@ vectors = st.lists(st.floats(-3, 3, width=32), min_size=3, max_size=3).map(
 @settings(max_examples=60, deadline=None)
 @given(vectors, vectors, vectors)
 def test_products_compose(a, b, point):
-    p, q = rot.quaternion_from_rotvec(a), rot.quaternion_from_rotvec(b)
+    p = rot.quaternion_from_rotvec(a)
+    q = rot.quaternion_from_rotvec(b)
     matrix = rot.matrix_from_rotvec(a) @ rot.matrix_from_rotvec(b)
-    assert torch.allclose(rot.matrix_from_quaternion(rot.quaternion_multiply(p, q)), matrix, atol=1e-14)
+    assert torch.allclose(
+        rot.matrix_from_quaternion(rot.quaternion_multiply(p, q)), matrix, atol=1e-14
+    )
     turned = rot.quaternion_multiply(
         rot.quaternion_multiply(q, rot.pure_quaternion(point)), rot.quaternion_conjugate(q)
     )
@@ -113,7 +138,9 @@ def test_first_and_second_derivatives_are_right_at_every_angle(name, angle):
 @pytest.mark.parametrize("angle", ANGLES[:-1])
 def test_there_and_back_has_the_identity_as_derivative(angle, dtype):
     v = angle * axes(dtype=dtype)
-    jacobian = torch.func.vmap(torch.func.jacrev(lambda x: rot.rotvec_from_matrix(rot.matrix_from_rotvec(x))))(v)
+    jacobian = torch.func.vmap(
+        torch.func.jacrev(lambda x: rot.rotvec_from_matrix(rot.matrix_from_rotvec(x)))
+    )(v)
     loss_near_pi = 1 / max(math.pi - angle, 1e-6) if angle > 3 else 10
     assert (jacobian - torch.eye(3)).abs().max() < 20 * loss_near_pi * EPS[dtype]
 
@@ -133,12 +160,16 @@ def test_procrustes_finds_the_motion_that_was_made(dtype):
     shift = torch.randn(5, 2, 3, dtype=dtype)
     target = source @ matrix.mT + shift[..., None, :]
     found, moved = rot.procrustes(source, target)
-    assert (found - matrix).abs().max() < 10 * EPS[dtype] and (moved - shift).abs().max() < 10 * EPS[dtype]
+    assert (found - matrix).abs().max() < 10 * EPS[dtype] and (
+        moved - shift
+    ).abs().max() < 10 * EPS[dtype]
     weights = torch.rand(5, 2, 20, dtype=dtype)
     weights[..., 3] = 0
     target[..., 3, :] += 100
     found, moved = rot.procrustes(source, target, weights)
-    assert (found - matrix).abs().max() < 10 * EPS[dtype] and (moved - shift).abs().max() < 10 * EPS[dtype]
+    assert (found - matrix).abs().max() < 10 * EPS[dtype] and (
+        moved - shift
+    ).abs().max() < 10 * EPS[dtype]
 
 
 def test_procrustes_is_the_best_proper_rotation_even_for_mirror_images():
@@ -150,7 +181,9 @@ def test_procrustes_is_the_best_proper_rotation_even_for_mirror_images():
     assert torch.allclose(torch.linalg.det(matrix), torch.ones(4, dtype=torch.float64))
 
     def cost(matrix, shift):
-        return (weights * ((source @ matrix.mT + shift[..., None, :] - target) ** 2).sum(-1)).sum(-1)
+        return (weights * ((source @ matrix.mT + shift[..., None, :] - target) ** 2).sum(-1)).sum(
+            -1
+        )
 
     best = cost(matrix, shift)
     for scale in (1e-3, 0.1, 1.0, 3.0):

@@ -1,4 +1,6 @@
-"""From a body to its surface, and from a capture to its files, torch is not imported: here it cannot be."""
+"""From a body to its surface, and from a capture to its files, torch is not imported: here it
+cannot be.
+"""
 
 import subprocess
 import sys
@@ -18,7 +20,10 @@ sys.meta_path.insert(0, NoTorch())
 
 def run(code: str, *arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", BLOCKED + textwrap.dedent(code), *arguments], capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", BLOCKED + textwrap.dedent(code), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

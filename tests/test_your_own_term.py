@@ -14,10 +14,16 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "your-own-term.md"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A fitted walk whose markers are two centimetres too low: the feet sink into the floor at height 0."""
+    """A fitted walk whose markers are two centimetres too low: the feet sink into the floor at
+    height 0.
+    """
     planted = plant(frames=20)
-    soles = np.asarray(planted.body(planted.betas, planted.pose, planted.trans).vertices)[..., 1].min()
-    found = fit(planted, planted.observed - [0.0, soles + 0.02, 0.0], settings(annealing=(10.0, 1.0)))
+    soles = np.asarray(planted.body(planted.betas, planted.pose, planted.trans).vertices)[
+        ..., 1
+    ].min()
+    found = fit(
+        planted, planted.observed - [0.0, soles + 0.02, 0.0], settings(annealing=(10.0, 1.0))
+    )
     folder = tmp_path_factory.mktemp("walk")
     found.save(folder / "results" / "walk")
     return folder
@@ -30,8 +36,12 @@ def test_the_code_of_the_page_lifts_the_feet(folder, monkeypatch, capsys):
     names: dict = {}
     monkeypatch.setattr(hb, "load_fit", lambda path: loaded(path))
     exec(compile(code.group(1), str(PAGE), "exec"), names)
-    before, after = names["fit"].state(names["frames"]), names["found"].values
-    sunk = [-names["floor"](s["pose"], s["trans"], s["soft_tissue"]).min() for s in (vars(before), after)]
+    before = names["fit"].state(names["frames"])
+    after = names["found"].values
+    sunk = [
+        -names["floor"](s["pose"], s["trans"], s["soft_tissue"]).min()
+        for s in (vars(before), after)
+    ]
     assert sunk[0] > 0.005 and sunk[1] < 0.2 * sunk[0]
     assert set(names["found"].costs) >= {"data", "pose", "acceleration", "soft_tissue", "floor"}
     assert "floor" in capsys.readouterr().out

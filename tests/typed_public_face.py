@@ -1,4 +1,6 @@
-"""What typed programs do with the public face: `make types` reads it with mypy, strictly; nobody runs it."""
+"""What typed programs do with the public face: `make types` reads it with mypy, strictly; nobody
+runs it.
+"""
 
 from pathlib import Path
 from typing import Any, assert_type
@@ -78,7 +80,9 @@ def scans_and_images() -> None:
 
 
 def models() -> None:
-    trained = hb.Trainer(skinning="lbs").fit(hb.open_registrations("people.npz"), template="default")
+    trained = hb.Trainer(skinning="lbs").fit(
+        hb.open_registrations("people.npz"), template="default"
+    )
     print(trained)
     hb.train(["people.npz"], "trained", template="template.npz")
     hb.train_dynamics(["people.npz"], "moving", body="default")

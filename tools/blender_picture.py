@@ -14,7 +14,10 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-RATE_HZ, WIDTH, HEIGHT, SAMPLES = 120, 400, 560, 64
+RATE_HZ = 120
+WIDTH = 400
+HEIGHT = 560
+SAMPLES = 64
 
 
 def main(glb: str, out: str, frames: list[int]) -> None:
@@ -23,7 +26,10 @@ def main(glb: str, out: str, frames: list[int]) -> None:
     scene = bpy.context.scene
     scene.render.fps = RATE_HZ  # before the import: the importer turns seconds into frames by it
     bpy.ops.import_scene.gltf(filepath=glb)
-    body = max((one for one in bpy.data.objects if one.type == "MESH"), key=lambda one: len(one.data.vertices))
+    body = max(
+        (one for one in bpy.data.objects if one.type == "MESH"),
+        key=lambda one: len(one.data.vertices),
+    )
     ground, camera = _studio(scene)
     with tempfile.TemporaryDirectory() as folder:
         pictures = []
@@ -61,7 +67,8 @@ def _studio(scene) -> tuple:
     camera.data.lens = 68
     for one in (sun, camera):
         scene.collection.objects.link(one)
-    scene.camera, scene.world = camera, bpy.data.worlds.new("sky")
+    scene.camera = camera
+    scene.world = bpy.data.worlds.new("sky")
     scene.world.use_nodes = True
     sky = scene.world.node_tree.nodes["Background"].inputs
     sky[0].default_value, sky[1].default_value = (0.55, 0.62, 0.72, 1.0), 0.45
@@ -83,7 +90,8 @@ def _pixels(path: str) -> np.ndarray:
 def _save(pixels: np.ndarray, path: str) -> None:
     image = bpy.data.images.new("all", pixels.shape[1], pixels.shape[0])
     image.pixels = pixels.ravel()
-    image.filepath_raw, image.file_format = str(Path(path).resolve()), "PNG"
+    image.filepath_raw = str(Path(path).resolve())
+    image.file_format = "PNG"
     image.save()
 
 

@@ -1,6 +1,8 @@
-"""Builds the reference of the public face from its docstrings: python tools/build_reference.py build/reference.
+"""Builds the reference of the public face from its docstrings: python tools/build_reference.py
+build/reference.
 
-Opens offline: build/reference/index.html. Warnings (an annotation or a docstring that cannot be read) are errors.
+Opens offline: build/reference/index.html. Warnings (an annotation or a docstring that cannot be
+read) are errors.
 """
 
 import re
@@ -28,8 +30,12 @@ HIDDEN = "!habitus.evaluate"  # the package; the function of this name is the pu
 
 
 def build(folder: Path) -> list[Path]:
-    """Write the pages into a folder and return them. Raises a warning as an error, and for names that are not there."""
-    pdoc.render.configure(docformat="markdown", footer_text="habitus", show_source=False, search=True)
+    """Write the pages into a folder and return them. Raises a warning as an error, and for names
+    that are not there.
+    """
+    pdoc.render.configure(
+        docformat="markdown", footer_text="habitus", show_source=False, search=True
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         warnings.simplefilter("error", RuntimeWarning)

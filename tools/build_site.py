@@ -1,7 +1,7 @@
 """Builds the documentation as a site that opens offline: python tools/build_site.py build/site.
 
-The pages are docs/*.md and the few texts that lie elsewhere; the reference of the public face is built beside them.
-Warnings (a link that leads nowhere, a page that no menu has) are errors.
+The pages are docs/*.md and the few texts that lie elsewhere; the reference of the public face is
+built beside them. Warnings (a link that leads nowhere, a page that no menu has) are errors.
 """
 
 import re
@@ -46,10 +46,23 @@ MENU = {
         "selecting-markers",
         "amass",
     ),
-    "Bodies and models": ("default-body", "adding-a-body-model", "training", "evaluating", "dynamics"),
+    "Bodies and models": (
+        "default-body",
+        "adding-a-body-model",
+        "training",
+        "evaluating",
+        "dynamics",
+    ),
     "Images and scans": ("registering-scans", "rgbd", "rendering", "gallery", "renderer"),
     "Notebooks": ("markers_to_body", "differentiable_rendering", "people_from_measurements"),
-    "How it works": ("mosh", "your-own-term", "equations", "glossary", "conventions", "architecture"),
+    "How it works": (
+        "mosh",
+        "your-own-term",
+        "equations",
+        "glossary",
+        "conventions",
+        "architecture",
+    ),
     "How good it is": ("how-accurate", "evaluation-of-mosh", "compared", "benchmarks"),
     "Project": ("readme", "contributing", "changes"),
 }
@@ -64,7 +77,18 @@ def build(site: Path) -> list[Path]:
     shutil.rmtree(site, ignore_errors=True)
     with tempfile.TemporaryDirectory() as folder:
         gather(Path(folder) / "docs")
-        command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", site.resolve()]
+        command = [
+            sys.executable,
+            "-m",
+            "sphinx",
+            "-W",
+            "--keep-going",
+            "-q",
+            "-b",
+            "html",
+            "docs",
+            site.resolve(),
+        ]
         subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
     shutil.rmtree(site / ".doctrees", ignore_errors=True)
     build_reference.build(site / "reference")
@@ -72,7 +96,9 @@ def build(site: Path) -> list[Path]:
 
 
 def gather(source: Path) -> None:
-    """All pages and pictures in one folder, links between them put right, and the menu in the first page."""
+    """All pages and pictures in one folder, links between them put right, and the menu in the first
+    page.
+    """
     shutil.copytree(ROOT / "docs", source)
     for path, page in ELSEWHERE.items():
         shutil.copy(ROOT / path, source / page)
@@ -82,16 +108,30 @@ def gather(source: Path) -> None:
         homes[f"{path.stem}.md"] = path.parent
     for page in sorted(source.glob("*.md")):
         home = homes.get(page.name, ROOT / "docs")
-        text = page.read_text("utf-8").replace("](docs/images/", "](images/").replace("](../docs/images/", "](images/")
+        text = (
+            page.read_text("utf-8")
+            .replace("](docs/images/", "](images/")
+            .replace("](../docs/images/", "](images/")
+        )
         page.write_text(LINK.sub(lambda link, home=home: _link(link, home), text), "utf-8")
     with (source / "index.md").open("a", encoding="utf-8") as index:
         for caption, pages in MENU.items():
-            index.write("\n```{toctree}\n:hidden:\n:caption: " + caption + "\n\n" + "\n".join(pages) + "\n```\n")
+            index.write(
+                "\n```{toctree}\n:hidden:\n:caption: "
+                + caption
+                + "\n\n"
+                + "\n".join(pages)
+                + "\n```\n"
+            )
 
 
 def _link(link: re.Match[str], home: Path) -> str:
-    """A link of a page that lay in ``home``: to a page of the site, or where it leads to code, its words alone."""
-    words, target, anchor = link[1], link[2], link[3] or ""
+    """A link of a page that lay in ``home``: to a page of the site, or where it leads to code, its
+    words alone.
+    """
+    words = link[1]
+    target = link[2]
+    anchor = link[3] or ""
     if "://" in target or target.startswith("mailto:"):
         return link[0]
     path = (home / target).resolve()

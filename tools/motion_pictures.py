@@ -1,7 +1,9 @@
-"""Draws pictures of bodies in motion for the docs: several motions below each other, at the same moments.
+"""Draws pictures of bodies in motion for the docs: several motions below each other, at the same
+moments.
 
-python tools/motion_pictures.py walk.npz walk_x2.npz --at 0.5 1.2 2.0 --out docs/images/exaggerated.png
-python tools/motion_pictures.py walk.npz hero.npz --at 0.5 1.2 --moved --out docs/images/retargeted.png
+python tools/motion_pictures.py walk.npz walk_x2.npz --at 0.5 1.2 2.0 --out
+docs/images/exaggerated.png python tools/motion_pictures.py walk.npz hero.npz --at 0.5 1.2 --moved
+--out docs/images/retargeted.png
 """
 
 import argparse
@@ -14,9 +16,11 @@ import habitus as hb
 from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
 
-SCALE, TWICE = 150.0, 2  # pixels a metre; drawn larger and made smaller again
+SCALE = 150.0
+TWICE = 2  # pixels a metre; drawn larger and made smaller again
 LIGHT = np.array([-0.4, 0.6, 0.7]) / np.linalg.norm([-0.4, 0.6, 0.7])
-GREY, MOST = np.array([205, 196, 186.0]), 0.05  # metres of soft tissue that are drawn red
+GREY = np.array([205, 196, 186.0])
+MOST = 0.05  # metres of soft tissue that are drawn red
 
 
 def panel(
@@ -27,17 +31,26 @@ def panel(
     world = up_rotation(motion.up_axis)
     vertices = motion.vertices(frame) @ world.T
     vertices -= np.array([*vertices.mean(axis=0)[[0, 2]], ground])[[0, 2, 1]]
-    cosine, sine = np.cos(turn), np.sin(turn)
+    cosine = np.cos(turn)
+    sine = np.sin(turn)
     vertices = vertices @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
-    pixels = TWICE * SCALE * vertices[:, :2] * [1, -1] + TWICE * np.array([size[0] / 2, size[1] - 25])
+    pixels = TWICE * SCALE * vertices[:, :2] * [1, -1] + TWICE * np.array(
+        [size[0] / 2, size[1] - 25]
+    )
     corners = vertices[body.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     shade = (0.45 + 0.55 * np.clip(normal @ LIGHT, 0, 1))[:, None]
-    colour = np.clip(shade * _colours(motion, frame, moved)[body.faces].mean(axis=1), 0, 255).astype(int)
+    colour = np.clip(
+        shade * _colours(motion, frame, moved)[body.faces].mean(axis=1), 0, 255
+    ).astype(int)
     image = Image.new("RGB", (TWICE * size[0], TWICE * size[1]), "white")
     draw = ImageDraw.Draw(image)
-    draw.line([(0, TWICE * (size[1] - 25)), (TWICE * size[0], TWICE * (size[1] - 25))], fill=(150, 150, 150), width=2)
+    draw.line(
+        [(0, TWICE * (size[1] - 25)), (TWICE * size[0], TWICE * (size[1] - 25))],
+        fill=(150, 150, 150),
+        width=2,
+    )
     front = np.flatnonzero(normal[:, 2] > 0)
     for face in front[np.argsort(corners[front, :, 2].mean(axis=1))]:
         draw.polygon([tuple(point) for point in pixels[body.faces[face]]], fill=tuple(colour[face]))
@@ -55,7 +68,9 @@ def _colours(motion: BodyMotion, frame: int, moved: bool) -> np.ndarray:
 
 def main() -> None:
     """Draw each motion's moments side by side, the motions below each other."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("motions", type=Path, nargs="+")
     parser.add_argument("--at", type=float, nargs="+", required=True, help="seconds")
     parser.add_argument("--moved", action="store_true", help="colour soft tissue")
@@ -70,7 +85,9 @@ def main() -> None:
         low = [(motion.vertices(int(k)) @ up_rotation(motion.up_axis).T)[:, 1].min() for k in some]
         frames = [round(t * motion.rate_hz) for t in options.at]
         given = tuple(options.size), float(np.median(low)), options.moved, np.deg2rad(options.turn)
-        rows.append(np.concatenate([np.asarray(panel(motion, frame, *given)) for frame in frames], axis=1))
+        rows.append(
+            np.concatenate([np.asarray(panel(motion, frame, *given)) for frame in frames], axis=1)
+        )
     Image.fromarray(np.concatenate(rows)).save(options.out, optimize=True)
     print(f"wrote {options.out}: {options.out.stat().st_size / 1e3:.0f} kB")
 

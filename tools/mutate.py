@@ -1,15 +1,18 @@
-"""Do the tests notice? Breaks the code at random, one small change at a time, and runs the tests that should fail.
+"""Do the tests notice? Breaks the code at random, one small change at a time, and runs the tests
+that should fail.
 
-    python tools/mutate.py --count 300 --seed 1 --jobs 2 [--folders fit solve] [--without-kernels] [--again]
+    python tools/mutate.py --count 300 --seed 1 --jobs 2 [--folders fit solve] [--without-kernels]
+    [--again]
 
-A mutant is one changed expression or statement: a comparison or a sign turned, a number changed, a condition negated,
-arguments exchanged, a statement or a returned value left out; docstrings, annotations, decorators and error messages
-stay. First all tests run once and it is noted which of them execute which line (`who_executes.py`). A mutant then gets
-the tests that execute its statement, up to --seconds of them, the likely and the quick ones first; one outside
-functions those that execute anything of its file or of a file that imports it. It is killed when a test fails or takes
-far too long, and survives at once where no test executes it. Tests run in copies of the tree, with compiled kernels of
-their own. Results are written after each mutant, and a run that was stopped goes on where it was; --again tries those
-that survived once more.
+A mutant is one changed expression or statement: a comparison or a sign turned, a number changed, a
+condition negated, arguments exchanged, a statement or a returned value left out; docstrings,
+annotations, decorators and error messages stay. First all tests run once and it is noted which of
+them execute which line (`who_executes.py`). A mutant then gets the tests that execute its
+statement, up to --seconds of them, the likely and the quick ones first; one outside functions those
+that execute anything of its file or of a file that imports it. It is killed when a test fails or
+takes far too long, and survives at once where no test executes it. Tests run in copies of the tree,
+with compiled kernels of their own. Results are written after each mutant, and a run that was
+stopped goes on where it was; --again tries those that survived once more.
 """
 
 import argparse
@@ -38,26 +41,51 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("src/habitus")
 FOLDERS = ("fit", "residuals", "solve", "markers")  # under src/habitus: their code is broken
-BELOW = ("assets", "body", "fuzz", "helpers", "kernels", "mesh", "observe", "parallel", "render")  # tests that use none
+BELOW = (
+    "assets",
+    "body",
+    "fuzz",
+    "helpers",
+    "kernels",
+    "mesh",
+    "observe",
+    "parallel",
+    "render",
+)  # tests that use none
 LONGEST_S = 40.0  # a longer test is not asked
 SHARED_S = 0.5  # tests that share a fixture which takes longer stay together
 
-PROCESSES = multiprocessing.get_context("forkserver")  # pytest and what takes long to import are imported once
+PROCESSES = multiprocessing.get_context(
+    "forkserver"
+)  # pytest and what takes long to import are imported once
 PROCESSES.set_forkserver_preload(
     ["pytest", "torch", "numba", "scipy.spatial", "hypothesis", "beartype", "rich.console"]
 )
 
 PAIRS = (
-    (ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.BitAnd, ast.BitOr), (ast.Lt, ast.GtE), (ast.Gt, ast.LtE),
-    (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn), (ast.And, ast.Or),
-)  # fmt: skip
+    (ast.Add, ast.Sub),
+    (ast.Mult, ast.Div),
+    (ast.BitAnd, ast.BitOr),
+    (ast.Lt, ast.GtE),
+    (ast.Gt, ast.LtE),
+    (ast.Eq, ast.NotEq),
+    (ast.Is, ast.IsNot),
+    (ast.In, ast.NotIn),
+    (ast.And, ast.Or),
+)
 SAME_EITHER_WAY = ("min", "max", "minimum", "maximum", "hypot")
-TURNED = dict(PAIRS) | {b: a for a, b in PAIRS} | {ast.Pow: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.FloorDiv}
+TURNED = (
+    dict(PAIRS)
+    | {b: a for a, b in PAIRS}
+    | {ast.Pow: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.FloorDiv}
+)
 
 
 @dataclass
 class Mutant:
-    """One change of one file, and what became of it: killed, timeout, survived, or empty while it waits."""
+    """One change of one file, and what became of it: killed, timeout, survived, or empty while it
+    waits.
+    """
 
     file: str
     line: int
@@ -71,7 +99,9 @@ class Mutant:
 
 
 class Trial(NamedTuple):
-    """A mutant, the whole text of its file, and the lines of its statement; none outside functions."""
+    """A mutant, the whole text of its file, and the lines of its statement; none outside
+    functions.
+    """
 
     mutant: Mutant
     text: str
@@ -87,15 +117,21 @@ def mutants(path: Path) -> Iterator[Trial]:
         for operator, changed in _changes(node):
             line = text.splitlines()[node.lineno - 1].strip()
             name = str(path.relative_to(ROOT))
-            mutant = Mutant(name, node.lineno, node.col_offset, operator, line, " ".join(changed.split()))
+            mutant = Mutant(
+                name, node.lineno, node.col_offset, operator, line, " ".join(changed.split())
+            )
             yield Trial(mutant, _splice(text, node, changed), statements.get(node))
 
 
 def _statements(tree: ast.Module) -> dict[ast.AST, range]:
-    """Lines of the innermost statement around each node inside a function; of a compound one those before its body."""
+    """Lines of the innermost statement around each node inside a function; of a compound one those
+    before its body.
+    """
     inside: dict[ast.AST, range] = {}
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    for outer in (statement for function in functions for statement in function.body):  # outer functions come first
+    for outer in (
+        statement for function in functions for statement in function.body
+    ):  # outer functions come first
         for statement in (node for node in ast.walk(outer) if isinstance(node, ast.stmt)):
             body = getattr(statement, "body", None)
             lines = range(statement.lineno, body[0].lineno if body else statement.end_lineno + 1)
@@ -104,14 +140,19 @@ def _statements(tree: ast.Module) -> dict[ast.AST, range]:
 
 
 def _nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """Nodes that are code: no imports, annotations, decorators, strings, assertions or error messages."""
+    """Nodes that are code: no imports, annotations, decorators, strings, assertions or error
+    messages.
+    """
     if isinstance(node, ast.Import | ast.ImportFrom | ast.Raise | ast.Assert | ast.JoinedStr):
         return
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return
     yield node
     for name, value in ast.iter_fields(node):
-        if name in ("annotation", "returns", "decorator_list", "bases") or getattr(node, "arg", "") == "axis":
+        if (
+            name in ("annotation", "returns", "decorator_list", "bases")
+            or getattr(node, "arg", "") == "axis"
+        ):
             continue
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST):
@@ -138,18 +179,31 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, str]]:
         case ast.Constant(value=bool()):
             yield "constant changed", str(not node.value)
         case ast.Constant(value=int() | float()):
-            yield "constant changed", repr(node.value + 1 if isinstance(node.value, int) else 2 * node.value or 1.0)
-        case ast.Call(args=[first, second, *others]) if not isinstance(first, ast.Starred | ast.GeneratorExp):
+            yield (
+                "constant changed",
+                repr(node.value + 1 if isinstance(node.value, int) else 2 * node.value or 1.0),
+            )
+        case ast.Call(args=[first, second, *others]) if not isinstance(
+            first, ast.Starred | ast.GeneratorExp
+        ):
             told_apart = not isinstance(second, ast.Starred) and ast.dump(first) != ast.dump(second)
             if told_apart and ast.unparse(node.func).rpartition(".")[2] not in SAME_EITHER_WAY:
                 yield expression("arguments exchanged", args=[second, first, *others])
-        case ast.AugAssign() | ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Subscript() | ast.Attribute()]):
+        case (
+            ast.AugAssign()
+            | ast.Expr(value=ast.Call())
+            | ast.Assign(targets=[ast.Subscript() | ast.Attribute()])
+        ):
             yield "statement left out", "pass"
-        case ast.Return(value=ast.AST() as value) if not (isinstance(value, ast.Constant) and value.value is None):
+        case ast.Return(value=ast.AST() as value) if not (
+            isinstance(value, ast.Constant) and value.value is None
+        ):
             yield "returns nothing", "return None"
         case ast.Continue() | ast.Break():
             yield "statement left out", "pass"
-        case ast.If(test=test) if not isinstance(test, ast.UnaryOp | ast.Compare):  # these are turned by themselves
+        case ast.If(test=test) if not isinstance(
+            test, ast.UnaryOp | ast.Compare
+        ):  # these are turned by themselves
             yield "condition negated", f"(not ({ast.unparse(test)}))"
 
 
@@ -157,8 +211,11 @@ def _splice(text: str, node: ast.AST, changed: str) -> str:
     """The text with a node's own piece replaced; of an ``if`` that is its condition."""
     piece = node.test if isinstance(node, ast.If) else node
     lines = text.encode().splitlines(keepends=True)
-    first, last = piece.lineno - 1, piece.end_lineno - 1
-    joined = lines[first][: piece.col_offset] + changed.encode() + lines[last][piece.end_col_offset :]
+    first = piece.lineno - 1
+    last = piece.end_lineno - 1
+    joined = (
+        lines[first][: piece.col_offset] + changed.encode() + lines[last][piece.end_col_offset :]
+    )
     return b"".join([*lines[:first], joined, *lines[last + 1 :]]).decode()
 
 
@@ -174,7 +231,9 @@ def find(folders: list[str], with_kernels: bool) -> list[Trial]:
 
 @dataclass(frozen=True)
 class Record:
-    """What `who_executes.py` wrote: seconds by name, fixtures by test, by file and line the names that execute it."""
+    """What `who_executes.py` wrote: seconds by name, fixtures by test, by file and line the names
+    that execute it.
+    """
 
     names: list[str]
     seconds: list[float]
@@ -182,9 +241,15 @@ class Record:
     lines: dict[str, dict[str, list[int]]]
 
     def tests_of(self, trial: Trial, budget: float) -> list[str]:
-        """Tests that may see a mutant, in the order in which they are to run, as many as there is time for."""
-        file, chosen, left = Path(trial.mutant.file), [], budget
-        for fixture, tests in sorted(self._groups(self._executing(trial)), key=lambda each: self._rank(file, *each)):
+        """Tests that may see a mutant, in the order in which they are to run, as many as there is
+        time for.
+        """
+        file = Path(trial.mutant.file)
+        chosen = []
+        left = budget
+        for fixture, tests in sorted(
+            self._groups(self._executing(trial)), key=lambda each: self._rank(file, *each)
+        ):
             left -= self._cost(fixture)
             for test in sorted(tests, key=lambda test: self._cost([test])):
                 left -= self._cost([test])
@@ -192,23 +257,37 @@ class Record:
         return chosen
 
     def _executing(self, trial: Trial) -> set[str]:
-        files = [trial.mutant.file] if trial.lines else [trial.mutant.file, *_importing(trial.mutant.file)]
+        files = (
+            [trial.mutant.file]
+            if trial.lines
+            else [trial.mutant.file, *_importing(trial.mutant.file)]
+        )
         lines = [str(line) for line in trial.lines] if trial.lines else None
         seen = [self.lines.get(file, {}) for file in files]
         names = {self.names[k] for by in seen for line in lines or by for k in by.get(line, ())}
-        return {test for test, fixtures in self.fixtures.items() if test in names or not names.isdisjoint(fixtures)}
+        return {
+            test
+            for test, fixtures in self.fixtures.items()
+            if test in names or not names.isdisjoint(fixtures)
+        }
 
     def _groups(self, tests: set[str]) -> list[tuple[list[str], list[str]]]:
-        """(long fixtures, tests that share them) of tests that are not too long; other tests are by themselves."""
+        """(long fixtures, tests that share them) of tests that are not too long; other tests are by
+        themselves.
+        """
         together = defaultdict(list)
         for test in sorted(tests):
             if self._cost([test, *self.fixtures[test]]) <= LONGEST_S:
                 long = [name for name in self.fixtures[test] if self._cost([name]) > SHARED_S]
                 together[tuple(long) or test].append(test)
-        return [([] if isinstance(key, str) else list(key), tests) for key, tests in together.items()]
+        return [
+            ([] if isinstance(key, str) else list(key), tests) for key, tests in together.items()
+        ]
 
     def _rank(self, file: Path, fixtures: list[str], tests: list[str]) -> tuple[bool, bool, float]:
-        """Tests named after the file come first, then those of its room, the quick ones before the slow ones."""
+        """Tests named after the file come first, then those of its room, the quick ones before the
+        slow ones.
+        """
         path = Path(tests[0].partition("::")[0])
         room = file.relative_to(PACKAGE).parts[0]
         quickest = min(self._cost([test]) for test in tests)
@@ -227,8 +306,16 @@ def _importing(file: str) -> list[str]:
     module = ".".join(Path(file).with_suffix("").parts[1:])
     found = []
     for path in (ROOT / PACKAGE).rglob("*.py"):
-        imports = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)]
-        if any(module in (node.module, f"{node.module}.{name.name}") for node in imports for name in node.names):
+        imports = [
+            node
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.ImportFrom)
+        ]
+        if any(
+            module in (node.module, f"{node.module}.{name.name}")
+            for node in imports
+            for name in node.names
+        ):
             found.append(str(path.relative_to(ROOT)))
     return found
 
@@ -239,17 +326,30 @@ class Worker:
     def __init__(self, folder: Path):
         self.tree = folder / "tree"
         for name in ("src", "tests", "examples", "docs", "benchmarks", "tools"):
-            shutil.copytree(ROOT / name, self.tree / name)  # keeps times: kernels that are compiled stay so
+            shutil.copytree(
+                ROOT / name, self.tree / name
+            )  # keeps times: kernels that are compiled stay so
         shutil.copy2(ROOT / "pyproject.toml", self.tree)
         if (ROOT.parent / "shared").is_dir():
             (folder / "shared").symlink_to(ROOT.parent / "shared")
 
     def record(self, out: Path) -> None:
-        """Run the tests of all rooms that may use the code which is broken, and note what they execute."""
-        rooms = [path for path in sorted((ROOT / "tests").iterdir()) if path.is_dir() and path.name not in BELOW]
-        tests = [str(path.relative_to(ROOT)) for path in (*rooms, *sorted((ROOT / "tests").glob("test_*.py")))]
+        """Run the tests of all rooms that may use the code which is broken, and note what they
+        execute.
+        """
+        rooms = [
+            path
+            for path in sorted((ROOT / "tests").iterdir())
+            if path.is_dir() and path.name not in BELOW
+        ]
+        tests = [
+            str(path.relative_to(ROOT))
+            for path in (*rooms, *sorted((ROOT / "tests").glob("test_*.py")))
+        ]
         folders = [str(PACKAGE / folder) for folder in FOLDERS]
-        result, test = self.run(["--record", str(out), "--record-of", *folders, "--", *tests], 3600.0)
+        result, test = self.run(
+            ["--record", str(out), "--record-of", *folders, "--", *tests], 3600.0
+        )
         if result != "survived":
             sys.exit(f"the tests fail as they are, {test}: mend that first")
 
@@ -265,7 +365,11 @@ class Worker:
         said = _said(self.tree).read_text().strip()
         if process.exitcode in (0, 5):
             return "survived", ""
-        failed = [line.split(" - ")[0] for line in said.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+        failed = [
+            line.split(" - ")[0]
+            for line in said.splitlines()
+            if line.startswith(("FAILED ", "ERROR "))
+        ]
         if process.exitcode not in (1, 2) or not failed:  # pytest itself failed: no verdict
             raise RuntimeError(f"pytest ended with {process.exitcode}: {said[-300:]}")
         return "killed", failed[0]
@@ -274,9 +378,12 @@ class Worker:
         """Write the mutant, run its tests, put the file and the compiled kernels back."""
         mutant, text, _ = trial
         if not tests:
-            mutant.result, mutant.test = "survived", "no test executes it"
+            mutant.result = "survived"
+            mutant.test = "no test executes it"
             return
-        path, chosen, began = self.tree / mutant.file, self.tree.parent / "chosen.json", time.perf_counter()
+        path = self.tree / mutant.file
+        chosen = self.tree.parent / "chosen.json"
+        began = time.perf_counter()
         path.write_text(text)
         chosen.write_text(json.dumps(tests))
         files = dict.fromkeys(test.partition("::")[0] for test in tests)
@@ -300,23 +407,40 @@ def _pytest(tree: Path, arguments: list[str]) -> None:
         os.dup2(said.fileno(), 1)
         os.dup2(said.fileno(), 2)
     paths = [str(tree / name) for name in ("src", "tools")]
-    os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "PYTHONDONTWRITEBYTECODE": "1", "OMP_WAIT_POLICY": "passive"}
+    os.environ |= {
+        "PYTHONPATH": os.pathsep.join(paths),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "OMP_WAIT_POLICY": "passive",
+    }
     sys.path[:0], sys.dont_write_bytecode = paths, True
-    sys.exit(pytest.main(["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "who_executes", *arguments]))
+    sys.exit(
+        pytest.main(
+            ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-p", "who_executes", *arguments]
+        )
+    )
 
 
 def main() -> None:
     """Draw mutants, try them, tell."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
-        "--seconds", type=float, default=60.0, help="of tests, as they ran at first, that a mutant gets"
+        "--seconds",
+        type=float,
+        default=60.0,
+        help="of tests, as they ran at first, that a mutant gets",
     )
     parser.add_argument("--folders", nargs="+", choices=FOLDERS, default=list(FOLDERS))
     parser.add_argument("--again", action="store_true", help="try those that survived once more")
-    parser.add_argument("--without-kernels", action="store_true", help="no files with compiled code, which takes long")
+    parser.add_argument(
+        "--without-kernels",
+        action="store_true",
+        help="no files with compiled code, which takes long",
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutants.json")
     options = parser.parse_args()
     every = find(options.folders, not options.without_kernels)
@@ -332,7 +456,10 @@ def main() -> None:
         _try_all(drawn, options, Path(folder))
     survivors = [trial.mutant for trial in drawn if trial.mutant.result == "survived"]
     print("\nsurvived:", *map(_row, survivors), sep="\n  ")
-    print(f"{len(drawn) - len(survivors)} of {len(drawn)} killed ({1 - len(survivors) / max(len(drawn), 1):.0%})")
+    print(
+        f"{len(drawn) - len(survivors)} of {len(drawn)} killed "
+        f"({1 - len(survivors) / max(len(drawn), 1):.0%})"
+    )
 
 
 def _try_all(drawn: list[Trial], options: argparse.Namespace, folder: Path) -> None:
@@ -345,20 +472,30 @@ def _try_all(drawn: list[Trial], options: argparse.Namespace, folder: Path) -> N
     def attempt(trial: Trial) -> Mutant:
         worker = idle.get()
         try:
-            worker.attempt(trial, record.tests_of(trial, options.seconds), 120.0 + 4.0 * options.seconds)
+            worker.attempt(
+                trial, record.tests_of(trial, options.seconds), 120.0 + 4.0 * options.seconds
+            )
         finally:
             idle.put(worker)
         return trial.mutant
 
     with ThreadPoolExecutor(options.jobs) as pool:
-        for future in as_completed([pool.submit(attempt, each) for each in drawn if not each.mutant.result]):
-            print(f"{future.result().result:9}{future.result().seconds:6.0f} s  {_row(future.result())}", flush=True)
+        for future in as_completed(
+            [pool.submit(attempt, each) for each in drawn if not each.mutant.result]
+        ):
+            print(
+                f"{future.result().result:9}{future.result().seconds:6.0f} s  "
+                f"{_row(future.result())}",
+                flush=True,
+            )
             _keep(options.out, [trial.mutant for trial in drawn])
 
 
 def _record(worker: Worker, path: Path) -> Record:
     """What tests execute, noted anew where code or tests are younger than the record."""
-    youngest = max(file.stat().st_mtime for name in ("src", "tests") for file in (ROOT / name).rglob("*.py"))
+    youngest = max(
+        file.stat().st_mtime for name in ("src", "tests") for file in (ROOT / name).rglob("*.py")
+    )
     if not path.exists() or path.stat().st_mtime < youngest:
         path.parent.mkdir(parents=True, exist_ok=True)
         worker.record(path)

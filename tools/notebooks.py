@@ -1,4 +1,6 @@
-"""Runs the notebooks of examples/notebooks and writes what their cells print into them: python tools/notebooks.py."""
+"""Runs the notebooks of examples/notebooks and writes what their cells print into them: python
+tools/notebooks.py.
+"""
 
 import io
 import json
@@ -28,18 +30,25 @@ def run(notebook: dict[str, Any]) -> list[str]:
 
 def with_outputs(notebook: dict[str, Any], said: list[str]) -> dict[str, Any]:
     """The same notebook with these texts as the outputs of its code cells."""
-    left, cells = iter(said), []
+    left = iter(said)
+    cells = []
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
             text = next(left)
-            outputs = [{"name": "stdout", "output_type": "stream", "text": text.splitlines(True)}] if text else []
+            outputs = (
+                [{"name": "stdout", "output_type": "stream", "text": text.splitlines(True)}]
+                if text
+                else []
+            )
             cell = cell | {"execution_count": None, "outputs": outputs}
         cells.append(cell)
     return notebook | {"cells": cells}
 
 
 def page(notebook: dict[str, Any]) -> str:
-    """The notebook as a page of Markdown: text, code, and what the code printed when it was last run."""
+    """The notebook as a page of Markdown: text, code, and what the code printed when it was last
+    run.
+    """
     parts = []
     for cell in notebook["cells"]:
         text = "".join(cell["source"])

@@ -13,9 +13,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-FLAGS = "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader"
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader "
+    "--enable-unsafe-swiftshader"
+)
 LAYERS = "body,observed,predicted"
-WINDOW, BOX = (1280, 1160), (400, 500, 900, 1080)  # of a moment, within the player, in pixels of the page
+WINDOW = (1280, 1160)
+BOX = (400, 500, 900, 1080)  # of a moment, within the player, in pixels of the page
 
 
 def moment(report: Path, seconds: float, folder: Path) -> Image.Image:
@@ -23,15 +27,27 @@ def moment(report: Path, seconds: float, folder: Path) -> Image.Image:
     picture = folder / f"{seconds:g}.png"
     url = f"{report.resolve().as_uri()}#t={seconds:g}&theme=light&layers={LAYERS}"
     size = f"--window-size={WINDOW[0]},{WINDOW[1]}"
-    command = [shutil.which("chromium") or "google-chrome", *FLAGS.split(), "--hide-scrollbars", size]
-    command += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=1500", f"--screenshot={picture}", url]
+    command = [
+        shutil.which("chromium") or "google-chrome",
+        *FLAGS.split(),
+        "--hide-scrollbars",
+        size,
+    ]
+    command += [
+        f"--user-data-dir={folder / 'profile'}",
+        "--virtual-time-budget=1500",
+        f"--screenshot={picture}",
+        url,
+    ]
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     return Image.open(picture).convert("RGB").crop(BOX)
 
 
 def main() -> None:
     """Draw each moment, put them side by side, write a small file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("report", type=Path)
     parser.add_argument("seconds", type=float, nargs="+")
     parser.add_argument("--out", type=Path, required=True)

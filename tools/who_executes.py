@@ -3,8 +3,9 @@
     PYTHONPATH=tools python -m pytest -p who_executes --record lines.json --record-of src/habitus/fit  tests/fit
     PYTHONPATH=tools python -m pytest -p who_executes --chosen tests.json  tests/fit
 
-The record holds seconds and lines of each test and of each fixture that several tests share; a test answers for the
-lines of its fixtures as for its own. Lines of compiled kernels and of other processes are not seen.
+The record holds seconds and lines of each test and of each fixture that several tests share; a test
+answers for the lines of its fixtures as for its own. Lines of compiled kernels and of other
+processes are not seen.
 """
 
 import json
@@ -20,8 +21,16 @@ import pytest
 def pytest_addoption(parser: pytest.Parser) -> None:
     """The options of both uses."""
     parser.addoption("--record", type=Path, help="file to write")
-    parser.addoption("--record-of", type=str, nargs="+", default=["src"], help="folders whose lines are of interest")
-    parser.addoption("--chosen", type=Path, help="a JSON list of tests: these are run, in this order")
+    parser.addoption(
+        "--record-of",
+        type=str,
+        nargs="+",
+        default=["src"],
+        help="folders whose lines are of interest",
+    )
+    parser.addoption(
+        "--chosen", type=Path, help="a JSON list of tests: these are run, in this order"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -34,15 +43,22 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the chosen tests, in their order."""
     if config.getoption("--chosen"):
-        place = {name: k for k, name in enumerate(json.loads(config.getoption("--chosen").read_text()))}
-        items[:] = sorted((item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid])
+        place = {
+            name: k for k, name in enumerate(json.loads(config.getoption("--chosen").read_text()))
+        }
+        items[:] = sorted(
+            (item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid]
+        )
 
 
 class Recorder:
-    """Has coverage note lines under the name of the test or of the shared fixture that is being made."""
+    """Has coverage note lines under the name of the test or of the shared fixture that is being
+    made.
+    """
 
     def __init__(self, config: pytest.Config):
-        self.root, self.out = Path(config.rootpath), config.getoption("--record")
+        self.root = Path(config.rootpath)
+        self.out = config.getoption("--record")
         folders = [str(self.root / folder) for folder in config.getoption("--record-of")]
         self.coverage = coverage.Coverage(data_file=None, source=folders, config_file=False)
         self.coverage.start()
@@ -55,12 +71,20 @@ class Recorder:
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
         """A test with its own fixtures."""
         known = getattr(item, "_fixtureinfo", None)
-        definitions = [each for several in known.name2fixturedefs.values() for each in several] if known else []
-        self.fixtures[item.nodeid] = sorted({_name(each) for each in definitions if each.scope != "function"})
+        definitions = (
+            [each for several in known.name2fixturedefs.values() for each in several]
+            if known
+            else []
+        )
+        self.fixtures[item.nodeid] = sorted(
+            {_name(each) for each in definitions if each.scope != "function"}
+        )
         return (yield from self._under(item.nodeid))
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef) -> Generator[None, object, object]:
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef
+    ) -> Generator[None, object, object]:
         """A fixture that other tests use too has a name of its own."""
         if fixturedef.scope == "function":
             return (yield)
@@ -83,12 +107,16 @@ class Recorder:
         self.began = now
 
     def pytest_sessionfinish(self) -> None:
-        """Write the record: names and their seconds, fixtures by test, places in the list of names by file and line."""
+        """Write the record: names and their seconds, fixtures by test, places in the list of names
+        by file and line.
+        """
         self.coverage.stop()
-        data, number = self.coverage.get_data(), {name: k for k, name in enumerate(self.seconds)}
+        data = self.coverage.get_data()
+        number = {name: k for k, name in enumerate(self.seconds)}
         lines = {
             str(Path(file).relative_to(self.root)): {
-                line: [number[name] for name in names if name] for line, names in data.contexts_by_lineno(file).items()
+                line: [number[name] for name in names if name]
+                for line, names in data.contexts_by_lineno(file).items()
             }
             for file in data.measured_files()
         }

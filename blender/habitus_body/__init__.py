@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""habitus in Blender: bodies with sliders, pose blend shapes that follow the bones, motions and their soft tissue."""
+"""habitus in Blender: bodies with sliders, pose blend shapes that follow the bones, motions and
+their soft tissue.
+"""
 
 from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.props import BoolProperty, BoolVectorProperty, EnumProperty, FloatProperty, FloatVectorProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    BoolVectorProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    StringProperty,
+)
 
 from .baking import write_fbx
 from .core import Motion, read_arrays, whose
@@ -32,7 +41,8 @@ bl_info = {
     "version": (0, 2, 0),
     "blender": (3, 4, 0),
     "location": "3D View > Sidebar > habitus; File > Import",
-    "description": "habitus' bodies: sliders for sex, age, measurements; live pose blend shapes; motions, soft tissue",
+    "description": "habitus' bodies: sliders for sex, age, measurements; live pose blend shapes; "
+    "motions, soft tissue",
     "category": "Animation",
 }
 _RANGES = {
@@ -91,9 +101,15 @@ class HABITUS_OT_add(bpy.types.Operator):
 
 
 class HABITUS_OT_body(_OfFile, bpy.types.Operator):
-    """Add the body of a file in SMPL's form, as habitus train, save_body and the SMPL family have them."""
+    """Add the body of a file in SMPL's form, as habitus train, save_body and the SMPL family have
+    them.
+    """
 
-    bl_idname, bl_label, bl_options = "habitus.add_file", "Body of a file (.npz)", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = (
+        "habitus.add_file",
+        "Body of a file (.npz)",
+        {"REGISTER", "UNDO"},
+    )
 
     def execute(self, context):
         """Add it."""
@@ -109,18 +125,32 @@ class HABITUS_OT_body(_OfFile, bpy.types.Operator):
 
 
 class HABITUS_OT_import(_OfFile, bpy.types.Operator):
-    """Import a fit's body.npz or another motion: of habitus' bodies, or of the selected body of a file."""
+    """Import a fit's body.npz or another motion: of habitus' bodies, or of the selected body of a
+    file.
+    """
 
-    bl_idname, bl_label, bl_options = "habitus.import_npz", "habitus or AMASS motion (.npz)", {"REGISTER", "UNDO"}
-    markers: BoolProperty(name="Markers", description="Add the fit's markers as empties", default=False)
+    bl_idname, bl_label, bl_options = (
+        "habitus.import_npz",
+        "habitus or AMASS motion (.npz)",
+        {"REGISTER", "UNDO"},
+    )
+    markers: BoolProperty(
+        name="Markers", description="Add the fit's markers as empties", default=False
+    )
 
     def execute(self, context):
         """Import it."""
         try:
             arrays = read_arrays(self.filepath)
-            name = whose(arrays) or (context.object.habitus_file if is_person(context.object) else "")
+            name = whose(arrays) or (
+                context.object.habitus_file if is_person(context.object) else ""
+            )
             if "poses" in arrays and not name:
-                told = str(arrays.get("surface_model_type", arrays.get("body", "a body that it does not name")))
+                told = str(
+                    arrays.get(
+                        "surface_model_type", arrays.get("body", "a body that it does not name")
+                    )
+                )
                 raise ValueError(f"is of {told}; add that body's file, select it, and import again")
             motion = Motion(self.filepath, arrays, body_called(name or "neutral"))
         except (OSError, ValueError, KeyError) as error:
@@ -132,14 +162,20 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
         context.view_layer.objects.active = person
         if motion.missing:
             some = ", ".join(motion.missing[:3])
-            self.report({"WARNING"}, f"{len(motion.missing)} joints turn that this body has not: {some}, …")
+            self.report(
+                {"WARNING"}, f"{len(motion.missing)} joints turn that this body has not: {some}, …"
+            )
         if motion.left_out:
-            self.report({"INFO"}, "soft tissue was left out; habitus export has it, or simulate it here")
+            self.report(
+                {"INFO"}, "soft tissue was left out; habitus export has it, or simulate it here"
+            )
         return {"FINISHED"}
 
 
 class HABITUS_OT_export(_OfFile, _OfPerson, bpy.types.Operator):
-    """Write the scene's frames as an npz under AMASS's names: habitus export makes FBX, USD, glTF, BVH of it."""
+    """Write the scene's frames as an npz under AMASS's names: habitus export makes FBX, USD, glTF,
+    BVH of it.
+    """
 
     bl_idname, bl_label = "habitus.export_npz", "habitus motion (.npz)"
 
@@ -155,7 +191,9 @@ class HABITUS_OT_export(_OfFile, _OfPerson, bpy.types.Operator):
 
 
 class HABITUS_OT_fbx(_OfFile, _OfPerson, bpy.types.Operator):
-    """Write the scene's frames as FBX, with keyed blend shapes in the place of those that follow the bones here."""
+    """Write the scene's frames as FBX, with keyed blend shapes in the place of those that follow
+    the bones here.
+    """
 
     bl_idname, bl_label = "habitus.export_fbx", "habitus body in motion (.fbx)"
     filter_glob: StringProperty(default="*.fbx", options={"HIDDEN"})
@@ -174,7 +212,11 @@ class HABITUS_OT_fbx(_OfFile, _OfPerson, bpy.types.Operator):
 class HABITUS_OT_tissue(_OfPerson, bpy.types.Operator):
     """Key the soft tissue that the scene's frames shake."""
 
-    bl_idname, bl_label, bl_options = "habitus.soft_tissue", "Simulate soft tissue", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = (
+        "habitus.soft_tissue",
+        "Simulate soft tissue",
+        {"REGISTER", "UNDO"},
+    )
     strength: FloatProperty(name="Strength", default=1.0, min=0.0, soft_max=3.0)
 
     def execute(self, context):
@@ -201,7 +243,9 @@ class HABITUS_OT_ground(_OfPerson, bpy.types.Operator):
         points = np.empty(3 * len(mesh.vertices), np.float32)
         mesh.vertices.foreach_get("co", points)
         world = np.array(seen.matrix_world)
-        person.parent.location.z -= float((points.reshape(-1, 3) @ world[2, :3] + world[2, 3]).min())
+        person.parent.location.z -= float(
+            (points.reshape(-1, 3) @ world[2, :3] + world[2, 3]).min()
+        )
         seen.to_mesh_clear()
         return {"FINISHED"}
 
@@ -218,7 +262,12 @@ class HABITUS_PT_panel(bpy.types.Panel):
             layout.operator(operator)
         if not is_person(person):
             return
-        for operator in ("habitus.ground", "habitus.soft_tissue", "habitus.export_npz", "habitus.export_fbx"):
+        for operator in (
+            "habitus.ground",
+            "habitus.soft_tissue",
+            "habitus.export_npz",
+            "habitus.export_fbx",
+        ):
             layout.operator(operator)
         if not person.habitus_file:
             layout.prop(person, "habitus_sex", text="Sex")
@@ -261,11 +310,15 @@ def _properties():
         "file": StringProperty(name="Body's file"),
         "sex": EnumProperty(name="Sex", items=sexes, update=fit_measures),
         "age": FloatProperty(name="Age", min=0.0, max=80.0, update=fit_measures),
-        "betas": FloatVectorProperty(name="Shape", size=BETAS, soft_min=-3.0, soft_max=3.0, update=by_hand),
+        "betas": FloatVectorProperty(
+            name="Shape", size=BETAS, soft_min=-3.0, soft_max=3.0, update=by_hand
+        ),
         "known": BoolVectorProperty(name="Known", size=len(NAMES), update=fit_measures),
     }
     for name, (least, most) in _RANGES.items():
-        found[name] = FloatProperty(name=name, min=0.1, soft_min=least, soft_max=most, precision=3, update=tell(name))
+        found[name] = FloatProperty(
+            name=name, min=0.1, soft_min=least, soft_max=most, precision=3, update=tell(name)
+        )
     return found
 
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An FBX of a person in motion: what follows the bones here is keyed, so that other programs show it, too."""
+"""An FBX of a person in motion: what follows the bones here is keyed, so that other programs show
+it, too.
+"""
 
 import bpy
 import numpy as np
@@ -14,8 +16,8 @@ ENTRIES = [f"{row}{column}" for row in "xyz" for column in "xyz"]
 def write_fbx(context, person, path):
     """The scene's frames as FBX; how many blend shapes follow the bones comes back.
 
-    These are the body's own, entry by entry of R - I, called as `habitus export --bake-correctives all` calls them, so
-    that a .correctives.json of that drives them in other poses.
+    These are the body's own, entry by entry of R - I, called as `habitus export --bake-correctives
+    all` calls them, so that a .correctives.json of that drives them in other poses.
     """
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_fbx"):
         bpy.ops.preferences.addon_enable(module="io_scene_fbx")
@@ -55,7 +57,9 @@ class _baked:
             moved[vertices] += shape
             key = person.shape_key_add(name=name, from_mix=False)
             key.data.foreach_set("co", moved.ravel())
-            key_curve(curves, f'key_blocks["{name}"].value', None, frames.astype(np.float32), values)
+            key_curve(
+                curves, f'key_blocks["{name}"].value', None, frames.astype(np.float32), values
+            )
             self.names.append(name)
         for key in tissue:
             key.value = 0.0
@@ -103,17 +107,26 @@ class _selected:
 
 
 def _both_ways(keys, weights, rest):
-    """Soft tissue's shape keys forth and back, weights between 0 and 1: other programs cut off what is not."""
+    """Soft tissue's shape keys forth and back, weights between 0 and 1: other programs cut off what
+    is not.
+    """
     for key, values in zip(keys, weights, strict=True):
         shape = points_of(key) - rest
         for sign, end in ((1.0, "_forth"), (-1.0, "_back")):
             most = np.maximum(sign * values, 0.0).max(initial=0.0)
             if most > 1e-6:
-                yield key.name + end, slice(None), sign * most * shape, np.maximum(sign * values, 0.0) / most
+                yield (
+                    key.name + end,
+                    slice(None),
+                    sign * most * shape,
+                    np.maximum(sign * values, 0.0) / most,
+                )
 
 
 def _drivable(model, rotations, tall):
-    """Names, vertices, shapes (N, 3) and weights (T,) of the blend shapes that these turns (T, J, 3, 3) need."""
+    """Names, vertices, shapes (N, 3) and weights (T,) of the blend shapes that these turns (T, J,
+    3, 3) need.
+    """
     arrays = model.arrays
     for k, joint in enumerate(model.drivers):
         rows = slice(arrays["pose_start"][k], arrays["pose_start"][k + 1])

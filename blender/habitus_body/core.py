@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The body's arrays and what follows from them: NumPy alone, so that Blender's own Python runs it."""
+"""The body's arrays and what follows from them: NumPy alone, so that Blender's own Python runs
+it.
+"""
 
 from pathlib import Path
 
@@ -7,9 +9,11 @@ import numpy as np
 
 
 class Body:
-    """A body of V vertices, J joints, B betas, metres, +y up, facing +z, as `blender/build.py` packs it.
+    """A body of V vertices, J joints, B betas, metres, +y up, facing +z, as `blender/build.py`
+    packs it.
 
-    ``ages`` (A,) are the years of its mean people, none for most bodies of files; ``faces`` are quads or triangles.
+    ``ages`` (A,) are the years of its mean people, none for most bodies of files; ``faces`` are
+    quads or triangles.
     """
 
     def __init__(self, arrays: dict, name: str):
@@ -27,7 +31,9 @@ class Body:
             return cls({name: file[name] for name in file.files}, path.stem)
 
     def grown(self, age: float) -> tuple[np.ndarray, float]:
-        """How much of each of the ages' mean people there is at an age (A,), and how tall over the adult; 0: no age."""
+        """How much of each of the ages' mean people there is at an age (A,), and how tall over the
+        adult; 0: no age.
+        """
         if age <= 0 or not len(self.ages):
             return np.zeros(len(self.ages)), 1.0
         years = np.clip(age, self.ages[0], self.ages[-1])
@@ -44,14 +50,18 @@ class Body:
 
     def correctives(self, rotations: np.ndarray, age: float = 0.0) -> np.ndarray:
         """Pose blend shapes (V, 3; m at rest) for the joints' local rotations (J, 3, 3)."""
-        start, vertices, values = (self.arrays[f"pose_{name}"] for name in ("start", "vertices", "values"))
+        start, vertices, values = (
+            self.arrays[f"pose_{name}"] for name in ("start", "vertices", "values")
+        )
         found = np.zeros_like(self.arrays["v_template"])
         for k, joint in enumerate(self.drivers):
             rows = slice(start[k], start[k + 1])
             found[vertices[rows]] += values[rows] @ (rotations[joint] - np.eye(3)).reshape(9)
         return self.grown(age)[1] * found
 
-    def _shaped(self, template: str, directions: str, ages: str, betas: np.ndarray, age: float) -> np.ndarray:
+    def _shaped(
+        self, template: str, directions: str, ages: str, betas: np.ndarray, age: float
+    ) -> np.ndarray:
         shares, tall = self.grown(age)
         found = self.arrays[template] + tall * (self.arrays[directions] @ self.padded(betas))
         return found + self.arrays[ages] @ shares if shares.any() else found
@@ -75,17 +85,21 @@ RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 
 
 class Motion:
-    """What an npz says of a body in motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), ``betas``, ``rate`` (Hz).
+    """What an npz says of a body in motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m),
+    ``betas``, ``rate`` (Hz).
 
-    ``age`` is 0 where none is told; ``missing`` are joints that turn in the file and that this body has not;
-    ``dynamics`` (T, D) are coefficients of the body's soft tissue, or None. Raises ValueError for a file that holds no
-    motion of this body.
+    ``age`` is 0 where none is told; ``missing`` are joints that turn in the file and that this body
+    has not; ``dynamics`` (T, D) are coefficients of the body's soft tissue, or None. Raises
+    ValueError for a file that holds no motion of this body.
     """
 
     def __init__(self, path: str, arrays: dict, body: Body):
         missing = [name for name in ("poses", "trans") if name not in arrays]
         if missing:
-            raise ValueError(f"holds no {missing[0]}; expected the body.npz of a fit, or an npz as AMASS has them")
+            raise ValueError(
+                f"holds no {missing[0]}; expected the body.npz of a fit, or an npz as AMASS has "
+                "them"
+            )
         rates = [float(arrays[name]) for name in RATES if name in arrays]
         if not rates or not rates[0] > 0:
             raise ValueError("does not say its frames a second, mocap_framerate")
@@ -95,18 +109,28 @@ class Motion:
             names = layouts().get(pose.shape[1])
         if names is None or len(names) != pose.shape[1]:
             raise ValueError(f"poses of {pose.shape[1]} joints without their names")
-        self.missing = [name for k, name in enumerate(names) if name not in body.joint_names and pose[:, k].any()]
+        self.missing = [
+            name
+            for k, name in enumerate(names)
+            if name not in body.joint_names and pose[:, k].any()
+        ]
         self.pose = np.zeros((len(pose), len(body.joint_names), 3))
         for joint, name in enumerate(body.joint_names):
             if name in names:
                 self.pose[:, joint] = pose[:, names.index(name)]
         self.name = Path(path).parent.name if Path(path).name == "body.npz" else Path(path).stem
         self.trans = np.asarray(arrays["trans"], np.float64)
-        self.betas = np.asarray(arrays.get("body_betas", arrays.get("betas", np.zeros(0))), np.float64)
+        self.betas = np.asarray(
+            arrays.get("body_betas", arrays.get("betas", np.zeros(0))), np.float64
+        )
         self.age, self.rate = float(arrays.get("age_years", 0.0)), rates[0]
         self.upright = np.array(UP[str(arrays.get("up_axis", "+z"))], np.float64)
-        self.dynamics = np.asarray(arrays["soft_tissue_dynamics"]) if "soft_tissue_dynamics" in arrays else None
-        self.left_out = bool(np.any(arrays.get("soft_tissue_betas", 0)) or np.any(arrays.get("dmpls", 0)))
+        self.dynamics = (
+            np.asarray(arrays["soft_tissue_dynamics"]) if "soft_tissue_dynamics" in arrays else None
+        )
+        self.left_out = bool(
+            np.any(arrays.get("soft_tissue_betas", 0)) or np.any(arrays.get("dmpls", 0))
+        )
 
 
 def read_arrays(path: str) -> dict:
@@ -116,7 +140,9 @@ def read_arrays(path: str) -> dict:
 
 
 def whose(arrays: dict) -> str:
-    """The name of the shipped body that a motion's betas belong to; "" where they belong to another."""
+    """The name of the shipped body that a motion's betas belong to; "" where they belong to
+    another.
+    """
     told = str(arrays.get("surface_model_type", arrays.get("body", "")))
     return "" if "character_vertices" in arrays else SHIPPED.get(told, "")
 
@@ -130,7 +156,9 @@ def layouts() -> dict:
 def quaternions(vectors: np.ndarray) -> np.ndarray:
     """Rotation vectors (…, 3) as quaternions (…, 4), w first."""
     angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(angle / 2), vectors * (0.5 * np.sinc(angle / (2 * np.pi)))], axis=-1)
+    return np.concatenate(
+        [np.cos(angle / 2), vectors * (0.5 * np.sinc(angle / (2 * np.pi)))], axis=-1
+    )
 
 
 def rotation_vectors(turns: np.ndarray) -> np.ndarray:

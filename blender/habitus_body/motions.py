@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Motions on a person's bones: keyed from a file, read back from whatever moves the bones, and their soft tissue."""
+"""Motions on a person's bones: keyed from a file, read back from whatever moves the bones, and
+their soft tissue.
+"""
 
 import bpy
 import numpy as np
@@ -14,19 +16,26 @@ _UNIT = 10.0
 
 
 def animate(context, person, motion: Motion):
-    """Key a motion on the person's bones, a key a frame from frame 1 on, at the scene's new rate."""
+    """Key a motion on the person's bones, a key a frame from frame 1 on, at the scene's new
+    rate.
+    """
     armature, frames, names = person.parent, len(motion.pose), body_of(person).joint_names
     context.scene.render.fps = max(1, round(motion.rate))
     context.scene.render.fps_base = context.scene.render.fps / motion.rate
     context.scene.frame_start, context.scene.frame_end = 1, frames
     armature.matrix_world = Matrix((np.array(UPRIGHT.to_3x3()) @ motion.upright).tolist()).to_4x4()
-    curves, times = add_curves(armature, motion.name, "OBJECT"), np.arange(1, frames + 1, dtype=np.float32)
+    curves, times = (
+        add_curves(armature, motion.name, "OBJECT"),
+        np.arange(1, frames + 1, dtype=np.float32),
+    )
     for joint, name in enumerate(names):
         values = quaternions(motion.pose[:, joint])
         flips = np.cumsum((values[1:] * values[:-1]).sum(-1) < 0) % 2
         values[1:][flips == 1] *= -1
         for part in range(4):
-            key_curve(curves, f'pose.bones["{name}"].rotation_quaternion', part, times, values[:, part])
+            key_curve(
+                curves, f'pose.bones["{name}"].rotation_quaternion', part, times, values[:, part]
+            )
     for part in range(3):
         key_curve(curves, f'pose.bones["{names[0]}"].location', part, times, motion.trans[:, part])
     if motion.dynamics is not None and "dynamics_drive" in body_of(person).arrays:
@@ -35,7 +44,8 @@ def animate(context, person, motion: Motion):
 
 
 def add_markers(context, person, arrays):
-    """Markers of a fit as empties, keyed where they were seen; their parent, which stands as the person, comes back.
+    """Markers of a fit as empties, keyed where they were seen; their parent, which stands as the
+    person, comes back.
 
     arrays: those of the fit's body.npz. None where it holds no markers.
     """
@@ -44,7 +54,9 @@ def add_markers(context, person, arrays):
     parent = bpy.data.objects.new("markers", None)
     context.collection.objects.link(parent)
     parent.matrix_world = person.parent.matrix_world
-    for label, course in zip(arrays["labels_obs"], np.moveaxis(arrays["markers_obs"], 1, 0), strict=True):
+    for label, course in zip(
+        arrays["labels_obs"], np.moveaxis(arrays["markers_obs"], 1, 0), strict=True
+    ):
         marker = bpy.data.objects.new(str(label), None)
         marker.empty_display_type, marker.empty_display_size = "SPHERE", 0.01
         context.collection.objects.link(marker)
@@ -58,7 +70,8 @@ def add_markers(context, person, arrays):
 
 
 def recorded(context, person) -> tuple:
-    """The motion of the scene's frames: pose (T, J, 3; rad), trans (T, 3; m), frames' numbers, and their rate (Hz).
+    """The motion of the scene's frames: pose (T, J, 3; rad), trans (T, 3; m), frames' numbers, and
+    their rate (Hz).
 
     In Blender's world, z up, whatever moves bones and armature: keys, constraints, drivers.
     """
@@ -71,7 +84,12 @@ def recorded(context, person) -> tuple:
         posed = armature.evaluated_get(context.evaluated_depsgraph_get())
         whole = [(posed.matrix_world @ posed.pose.bones[name].matrix) for name in names]
         worlds = np.array([each.to_quaternion() for each in whole])
-        turns.append([_against(worlds, joint, parent) for joint, parent in enumerate(body_of(person).parents)])
+        turns.append(
+            [
+                _against(worlds, joint, parent)
+                for joint, parent in enumerate(body_of(person).parents)
+            ]
+        )
         trans.append(np.array(whole[0].translation) - root)
     scene.frame_set(before)
     rate = scene.render.fps / scene.render.fps_base
@@ -92,7 +110,9 @@ def _against(worlds, joint, parent):
 
 
 def write_motion(context, person, path):
-    """The scene's frames as an npz under AMASS's names, which habitus reads. The number of frames comes back."""
+    """The scene's frames as an npz under AMASS's names, which habitus reads. The number of frames
+    comes back.
+    """
     pose, trans, _, rate = recorded(context, person)
     model = body_of(person)
     arrays = {
@@ -107,20 +127,34 @@ def write_motion(context, person, path):
         "made": np.array(["written by Blender"]),
     }
     if person.habitus_age > 0 and len(model.ages):
-        arrays["age_years"] = np.array(float(np.clip(person.habitus_age, model.ages[0], model.ages[-1])))
+        arrays["age_years"] = np.array(
+            float(np.clip(person.habitus_age, model.ages[0], model.ages[-1]))
+        )
     np.savez(path, **arrays)
     return len(pose)
 
 
 def simulate(context, person, strength):
-    """Soft tissue of the scene's frames, keyed. Raises ValueError for bodies without any and for slow rates."""
+    """Soft tissue of the scene's frames, keyed. Raises ValueError for bodies without any and for
+    slow rates.
+    """
     pose, trans, frames, rate = recorded(context, person)
-    found = simulated(body_of(person), np.array(person.habitus_betas), person.habitus_age, pose, trans, rate, strength)
+    found = simulated(
+        body_of(person),
+        np.array(person.habitus_betas),
+        person.habitus_age,
+        pose,
+        trans,
+        rate,
+        strength,
+    )
     key_tissue(person, found, frames.astype(np.float32))
 
 
 def key_tissue(person, coefficients, times):
-    """Shape keys of soft tissue with their coefficients (T, D) keyed, in the place of those that were there."""
+    """Shape keys of soft tissue with their coefficients (T, D) keyed, in the place of those that
+    were there.
+    """
     model = body_of(person)
     clear_tissue(person)
     directions = model.grown(person.habitus_age)[1] * model.arrays["dynamics_directions"]
@@ -142,7 +176,9 @@ def clear_tissue(person):
 
 
 def add_curves(thing, name, kind):
-    """The curves of a new action, in old Blenders and in those whose actions have layers and slots."""
+    """The curves of a new action, in old Blenders and in those whose actions have layers and
+    slots.
+    """
     action = bpy.data.actions.new(name)
     data = thing.animation_data_create()
     data.action = action
@@ -150,13 +186,22 @@ def add_curves(thing, name, kind):
         return action.fcurves
     slot = action.slots.new(kind, thing.name)
     data.action_slot = slot
-    return action.layers.new("motion").strips.new(type="KEYFRAME").channelbag(slot, ensure=True).fcurves
+    return (
+        action.layers.new("motion")
+        .strips.new(type="KEYFRAME")
+        .channelbag(slot, ensure=True)
+        .fcurves
+    )
 
 
 def key_curve(curves, path, part, times, values):
-    """One curve of values (T,) at frames (T,), straight lines between them; ``part`` of a vector, or None."""
+    """One curve of values (T,) at frames (T,), straight lines between them; ``part`` of a vector,
+    or None.
+    """
     curve = curves.new(path) if part is None else curves.new(path, index=part)
     curve.keyframe_points.add(len(times))
     curve.keyframe_points.foreach_set("co", np.stack([times, values], 1).astype(np.float32).ravel())
-    curve.keyframe_points.foreach_set("interpolation", np.ones(len(times), np.int32))  # straight lines
+    curve.keyframe_points.foreach_set(
+        "interpolation", np.ones(len(times), np.int32)
+    )  # straight lines
     curve.update()

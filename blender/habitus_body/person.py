@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A person in Blender: an armature, a mesh with its skin, and shape keys that follow shape, bones and motion."""
+"""A person in Blender: an armature, a mesh with its skin, and shape keys that follow shape, bones
+and motion.
+"""
 
 from pathlib import Path
 
@@ -22,7 +24,11 @@ _busy: set = set()
 def body_called(name: str) -> Body:
     """One that came with the add-on, or that of a file; read once."""
     if name not in _loaded:
-        _loaded[name] = Body.packed(Path(__file__).parent / f"{name}.npz") if name in SHIPPED else read_body(name)
+        _loaded[name] = (
+            Body.packed(Path(__file__).parent / f"{name}.npz")
+            if name in SHIPPED
+            else read_body(name)
+        )
     return _loaded[name]
 
 
@@ -37,7 +43,9 @@ def is_person(thing) -> bool:
 
 
 def add_person(context, name="neutral", betas=(), age=0.0):
-    """A new person: an armature, and under it the mesh with its skin and its live blend shapes. The mesh comes back."""
+    """A new person: an armature, and under it the mesh with its skin and its live blend shapes. The
+    mesh comes back.
+    """
     model = body_called(name)
     armature = bpy.data.objects.new("habitus", bpy.data.armatures.new("habitus"))
     mesh = bpy.data.meshes.new("habitus body")
@@ -47,7 +55,9 @@ def add_person(context, name="neutral", betas=(), age=0.0):
         context.collection.objects.link(each)
     if "uv" in model.arrays:
         layer = mesh.uv_layers.new(name="UVMap")
-        layer.data.foreach_set("uv", model.arrays["uv"][model.arrays["face_uv"]].ravel().astype(np.float32))
+        layer.data.foreach_set(
+            "uv", model.arrays["uv"][model.arrays["face_uv"]].ravel().astype(np.float32)
+        )
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
     _make_bones(context, armature, model)
     _make_skin(person, model)
@@ -133,7 +143,12 @@ def reshape(person, context):
     """Bring vertices, bones and measurements to the person's betas, age and sex."""
     if person.name_full in _busy:
         return
-    model, betas, age, armature = body_of(person), np.array(person.habitus_betas), person.habitus_age, person.parent
+    model, betas, age, armature = (
+        body_of(person),
+        np.array(person.habitus_betas),
+        person.habitus_age,
+        person.parent,
+    )
     points = model.rest(betas, age).astype(np.float32)
     keys = person.data.shape_keys.key_blocks
     before = points_of(keys["Basis"])
@@ -163,7 +178,9 @@ def by_hand(person, context):
 
 
 def tell(name):
-    """What happens when a measurement is set: it is known from then on, and the likeliest such person is shown."""
+    """What happens when a measurement is set: it is known from then on, and the likeliest such
+    person is shown.
+    """
 
     def told(person, context):
         if person.name_full not in _busy:
@@ -206,7 +223,9 @@ def points_of(key) -> np.ndarray:
 
 def rotations_of(person) -> np.ndarray:
     """How the bones are turned against their parents, in the body's axes (J, 3, 3)."""
-    return np.stack([_local(person.parent.pose.bones[name]) for name in body_of(person).joint_names])
+    return np.stack(
+        [_local(person.parent.pose.bones[name]) for name in body_of(person).joint_names]
+    )
 
 
 def correct(person):

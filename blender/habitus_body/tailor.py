@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measurements of a body, and the likeliest body with some of them: habitus' own tapes and its own sums, in NumPy.
+"""Measurements of a body, and the likeliest body with some of them: habitus' own tapes and its own
+sums, in NumPy.
 
-Every point that a tape or a yardstick looks at moves along straight lines with the person's coefficients
-c = (1, shares of the ages' mean people, betas times how tall the age is); `blender/build.py` packs these lines.
+Every point that a tape or a yardstick looks at moves along straight lines with the person's
+coefficients c = (1, shares of the ages' mean people, betas times how tall the age is);
+`blender/build.py` packs these lines.
 """
 
 import numpy as np
@@ -20,7 +22,8 @@ def measure(body: Body, betas: np.ndarray, age: float = 0.0) -> tuple[np.ndarray
     shares, tall = body.grown(age)
     c = np.concatenate([[1.0], shares, tall * body.padded(betas)])
     sole, crown, crotch = (
-        _end(body.arrays[name], c, sign) for name, sign in (("sole", -1), ("crown", 1), ("crotch", -1))
+        _end(body.arrays[name], c, sign)
+        for name, sign in (("sole", -1), ("crown", 1), ("crotch", -1))
     )
     weight = _weight(body, betas, age)
     found = [
@@ -40,10 +43,14 @@ def _end(points: np.ndarray, c: np.ndarray, sign: int) -> tuple[float, np.ndarra
 
 
 def _girth(arrays: dict, name: str, shares: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray]:
-    """Of a tape as it lies on the adult, or between how it lies on the two nearest ages' mean people."""
+    """Of a tape as it lies on the adult, or between how it lies on the two nearest ages' mean
+    people.
+    """
     parts = [(share, k + 1) for k, share in enumerate(shares) if share > 0] or [(1.0, 0)]
     found = [(share, *_tape(arrays[f"tape_{name}_{k}"], c)) for share, k in parts]
-    return sum(share * value for share, value, _ in found), sum(share * slope for share, _, slope in found)
+    return sum(share * value for share, value, _ in found), sum(
+        share * slope for share, _, slope in found
+    )
 
 
 def _tape(points: np.ndarray, c: np.ndarray) -> tuple[float, np.ndarray]:
@@ -74,13 +81,19 @@ def _weight(body: Body, betas: np.ndarray, age: float) -> tuple[float, np.ndarra
 
 
 def tailored(body: Body, wanted: dict, age: float = 0.0) -> np.ndarray:
-    """The betas (B,) of the likeliest person of an age with some measurements, {name of NAMES: m or kg}.
+    """The betas (B,) of the likeliest person of an age with some measurements, {name of NAMES: m or
+    kg}.
 
-    Betas are normal with unit variance about the mean person's, a measurement is known to 0.2 %: Gauss-Newton steps of
-    the conditional mean, as habitus' body_from_measurements takes them. Raises ValueError for people such as nobody is.
+    Betas are normal with unit variance about the mean person's, a measurement is known to 0.2 %:
+    Gauss-Newton steps of the conditional mean, as habitus' body_from_measurements takes them.
+    Raises ValueError for people such as nobody is.
     """
     adult = age <= 0 or age >= 18
-    mean = body.arrays["people_mean"] if adult and "people_mean" in body.arrays else np.zeros(body.num_betas)
+    mean = (
+        body.arrays["people_mean"]
+        if adult and "people_mean" in body.arrays
+        else np.zeros(body.num_betas)
+    )
     rows = [NAMES.index(name) for name in wanted]
     values = np.array([wanted[name] for name in wanted], np.float64)
     noise, betas = PRECISION * values, mean.copy()

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Soft tissue in motion: coefficients of a body's dynamic blend shapes from how its joints move (SMPL 6), in NumPy."""
+"""Soft tissue in motion: coefficients of a body's dynamic blend shapes from how its joints move
+(SMPL 6), in NumPy.
+"""
 
 import numpy as np
 
@@ -9,11 +11,19 @@ REST_SECONDS, REST_SHARE = 2.0, 0.01
 
 
 def simulated(
-    body: Body, betas: np.ndarray, age: float, pose: np.ndarray, trans: np.ndarray, rate: float, strength: float = 1.0
+    body: Body,
+    betas: np.ndarray,
+    age: float,
+    pose: np.ndarray,
+    trans: np.ndarray,
+    rate: float,
+    strength: float = 1.0,
 ) -> np.ndarray:
-    """Coefficients (T, D) for a motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), frames a second.
+    """Coefficients (T, D) for a motion: ``pose`` (T, J, 3; rad), ``trans`` (T, 3; m), frames a
+    second.
 
-    As habitus.simulate_soft_tissue. Raises ValueError for a body without dynamics, and below 10 frames a second.
+    As habitus.simulate_soft_tissue. Raises ValueError for a body without dynamics, and below 10
+    frames a second.
     """
     arrays = body.arrays
     if "dynamics_drive" not in arrays:
@@ -38,11 +48,17 @@ def _of_person(arrays: dict, betas: np.ndarray, rate: float) -> tuple[np.ndarray
     companion = np.block([[history[0], history[1]], [np.eye(count), np.zeros((count, count))]])
     radius = float(np.abs(np.linalg.eigvals(companion)).max(initial=0.0))
     shrink = min(1.0, REST_SHARE ** (1 / (REST_SECONDS * rate)) / radius) if radius > 0 else 1.0
-    return history * np.array([shrink, shrink**2])[:, None, None], np.tensordot(factors, arrays["dynamics_drive"], 1)
+    return history * np.array([shrink, shrink**2])[:, None, None], np.tensordot(
+        factors, arrays["dynamics_drive"], 1
+    )
 
 
-def _controls(body: Body, joints: np.ndarray, pose: np.ndarray, trans: np.ndarray, rate: float) -> np.ndarray:
-    """Of each joint, in its own frame: linear acceleration, angular velocity, angular acceleration."""
+def _controls(
+    body: Body, joints: np.ndarray, pose: np.ndarray, trans: np.ndarray, rate: float
+) -> np.ndarray:
+    """Of each joint, in its own frame: linear acceleration, angular velocity, angular
+    acceleration.
+    """
     chosen = [body.joint_names.index(str(name)) for name in body.arrays["dynamics_joints"]]
     if len(pose) < 3:
         return np.zeros((len(pose), 9 * len(chosen)))
@@ -53,7 +69,9 @@ def _controls(body: Body, joints: np.ndarray, pose: np.ndarray, trans: np.ndarra
             world[:, joint], places[:, joint] = local[:, joint], joints[joint] + trans
         else:
             world[:, joint] = world[:, parent] @ local[:, joint]
-            places[:, joint] = places[:, parent] + world[:, parent] @ (joints[joint] - joints[parent])
+            places[:, joint] = places[:, parent] + world[:, parent] @ (
+                joints[joint] - joints[parent]
+            )
     world = world[:, chosen]
     acceleration = _differences(np.diff(places[:, chosen], axis=0), rate)[1]
     spin, spin_up = _differences(_vectors(world[:-1].swapaxes(-1, -2) @ world[1:]), rate)
@@ -88,7 +106,9 @@ def _resampled(values: np.ndarray, rate: float, to: float) -> np.ndarray:
     at = np.arange(int((len(values) - 1) * to / rate + 1e-9) + 1) * (rate / to)
     if to > rate:
         return _at_frames(values, at)
-    summed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]), axis=0)])
+    summed = np.concatenate(
+        [np.zeros((1, values.shape[1])), np.cumsum(0.5 * (values[1:] + values[:-1]), axis=0)]
+    )
     half, last = 0.5 * rate / to, len(values) - 1.0
     begin, end = np.maximum(at - half, 0.0), np.minimum(at + half, last)
     return (_at_frames(summed, end) - _at_frames(summed, begin)) / (end - begin)[:, None]

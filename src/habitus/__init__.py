@@ -1,4 +1,5 @@
-"""habitus: the state of the human body (shape, pose, soft tissue), estimated by inverting forward models.
+"""habitus: the state of the human body (shape, pose, soft tissue), estimated by inverting forward
+models.
 
 ```python
 import habitus as hb
@@ -11,7 +12,7 @@ fit.save("results/walk")
 
 `habitus.mosh("walk.c3d", "results")` does what the command ``habitus mosh walk.c3d --out results`` does. Lengths are
 metres, angles radians, and a capture keeps its own world frame; the project's ``docs/conventions.md`` says the rest.
-"""
+"""  # noqa: E501
 
 import sys
 
@@ -90,7 +91,8 @@ _MODULES = {
     "virtual_markers": "habitus.jobs.virtual_markers",
     "write_surface": "habitus.export.surface",
     "write_trc": "habitus.export.trc",
-    # what methods of results call, so that numerics import nothing that writes; not part of the public face
+    # what methods of results call, so that numerics import nothing that writes; not part of the
+    # public face
     "export_motion": "habitus.export.motion",
     "guess": "habitus.fit.mosh.guessing",
     "judge": "habitus.fit.mosh.judge",
@@ -107,9 +109,13 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> object:
-    """Load a name of the public face when it is first asked for: ``import habitus`` alone costs nothing."""
+    """Load a name of the public face when it is first asked for: ``import habitus`` alone costs
+    nothing.
+    """
     if name not in _MODULES:
-        raise AttributeError(f"module 'habitus' has no attribute {name!r}{_did_you_mean(name)}", name=name)
+        raise AttributeError(
+            f"module 'habitus' has no attribute {name!r}{_did_you_mean(name)}", name=name
+        )
     from importlib import import_module
 
     with TorchIsAnExtra(f"habitus.{name}"):
@@ -120,7 +126,9 @@ def __getattr__(name: str) -> object:
 
 
 class _PublicFace(type(sys)):
-    """Keeps `habitus.evaluate` the function when the package of that name is imported, which would take its place."""
+    """Keeps `habitus.evaluate` the function when the package of that name is imported, which would
+    take its place.
+    """
 
     def __setattr__(self, name: str, value: object) -> None:
         if not (name in _MODULES and name not in _WHOLE_MODULES and isinstance(value, type(sys))):
@@ -136,4 +144,8 @@ def _did_you_mean(name: str) -> str:
     from difflib import get_close_matches
 
     near = get_close_matches(name, __all__, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(n for n in __all__ if n[0] != '_')}"
+    return (
+        f"; did you mean {near[0]!r}?"
+        if near
+        else f"; there are {', '.join(n for n in __all__ if n[0] != '_')}"
+    )

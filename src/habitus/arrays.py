@@ -1,7 +1,8 @@
 """NumPy arrays and torch tensors under one spelling.
 
-Most of what the body computes reads the same in both libraries: ``xp = namespace(x)``, then ``xp.stack(rows, -1)``. The
-functions here are for the few things that do not. torch is never imported: a tensor cannot come without it.
+Most of what the body computes reads the same in both libraries: ``xp = namespace(x)``, then
+``xp.stack(rows, -1)``. The functions here are for the few things that do not. torch is never
+imported: a tensor cannot come without it.
 """
 
 import sys
@@ -23,11 +24,16 @@ def is_tensor(value: Any) -> bool:
 def namespace(*arrays: Any) -> Any:
     """The library that computes with these: torch if any is a tensor, otherwise NumPy."""
     torch = sys.modules.get("torch")
-    return torch if torch is not None and any(isinstance(array, torch.Tensor) for array in arrays) else np
+    return (
+        torch
+        if torch is not None and any(isinstance(array, torch.Tensor) for array in arrays)
+        else np
+    )
 
 
 def to_numpy(array: ArrayLike, dtype: Any = None) -> np.ndarray:
-    """A tensor (on any device, dense or sparse, with or without gradient) or array-like as a C-ordered NumPy array.
+    """A tensor (on any device, dense or sparse, with or without gradient) or array-like as a
+    C-ordered NumPy array.
 
     It may share memory with what was given.
     """
@@ -38,7 +44,9 @@ def to_numpy(array: ArrayLike, dtype: Any = None) -> np.ndarray:
 
 
 class Kind(NamedTuple):
-    """What arrays are: their library (numpy or torch), floating dtype and device (None for NumPy)."""
+    """What arrays are: their library (numpy or torch), floating dtype and device (None for
+    NumPy).
+    """
 
     xp: Any
     dtype: Any
@@ -59,7 +67,9 @@ class Kind(NamedTuple):
     def zeros(self, *shape: int) -> Array:
         """Zeros."""
         return (
-            np.zeros(shape, self.dtype) if self.xp is np else self.xp.zeros(shape, dtype=self.dtype, device=self.device)
+            np.zeros(shape, self.dtype)
+            if self.xp is np
+            else self.xp.zeros(shape, dtype=self.dtype, device=self.device)
         )
 
     @property
@@ -73,18 +83,23 @@ class Kind(NamedTuple):
 
 
 def kind_of(*values: Any) -> Kind:
-    """The kind in which these are computed together; None and plain Python numbers and sequences have no say.
+    """The kind in which these are computed together; None and plain Python numbers and sequences
+    have no say.
 
-    Tensors decide where there is one: the widest of their floating dtypes, the device of the first. Otherwise it is
-    NumPy's float32 where all arrays are float32 (or float16), and float64 else.
+    Tensors decide where there is one: the widest of their floating dtypes, the device of the first.
+    Otherwise it is NumPy's float32 where all arrays are float32 (or float16), and float64 else.
     """
     torch = sys.modules.get("torch")
-    tensors = [] if torch is None else [value for value in values if isinstance(value, torch.Tensor)]
+    tensors = (
+        [] if torch is None else [value for value in values if isinstance(value, torch.Tensor)]
+    )
     if torch is None or not tensors:
         dtypes = {value.dtype for value in values if isinstance(value, (np.ndarray, np.generic))}
         small = bool(dtypes) and dtypes <= {np.dtype(np.float16), np.dtype(np.float32)}
         return Kind(np, np.dtype(np.float32 if small else np.float64))
-    dtypes = {tensor.dtype for tensor in tensors if tensor.is_floating_point()} or {torch.get_default_dtype()}
+    dtypes = {tensor.dtype for tensor in tensors if tensor.is_floating_point()} or {
+        torch.get_default_dtype()
+    }
     dtype = dtypes.pop()
     for other in dtypes:
         dtype = torch.promote_types(dtype, other)
@@ -94,7 +109,8 @@ def kind_of(*values: Any) -> Kind:
 def broadcast_shapes(*shapes: Iterable[int]) -> tuple[int, ...]:
     """The shape that all broadcast to; ValueError where they do not.
 
-    torch's own function of this name loads a system of computer algebra when first called, which takes half a second.
+    torch's own function of this name loads a system of computer algebra when first called, which
+    takes half a second.
     """
     return np.broadcast_shapes(*(tuple(shape) for shape in shapes))
 
@@ -126,9 +142,12 @@ def flatten(array: Array, first: int, last: int = -1) -> Array:
     """Axes ``first`` to ``last`` as one; empty arrays included."""
     if is_tensor(array):
         return array.flatten(first, last)
-    first, last = first % array.ndim, last % array.ndim
+    first = first % array.ndim
+    last = last % array.ndim
     shape = array.shape
-    return array.reshape(*shape[:first], int(np.prod(shape[first : last + 1], dtype=np.int64)), *shape[last + 1 :])
+    return array.reshape(
+        *shape[:first], int(np.prod(shape[first : last + 1], dtype=np.int64)), *shape[last + 1 :]
+    )
 
 
 def unflatten(array: Array, axis: int, shape: Sequence[int]) -> Array:
@@ -147,7 +166,9 @@ def take(array: Array, index: Array, axis: int) -> Array:
 
 
 def take_along(array: Array, index: Array, axis: int) -> Array:
-    """The elements of an axis that ``index`` names at each place; the other axes are equally long in both."""
+    """The elements of an axis that ``index`` names at each place; the other axes are equally long
+    in both.
+    """
     return array.gather(axis, index) if is_tensor(array) else np.take_along_axis(array, index, axis)
 
 

@@ -7,9 +7,11 @@ LONGEST_MESSAGE = 499
 
 
 class HabitusError(Exception):
-    """Bad input, said in one line: what arrived, what was expected, what to do. The command exits with 2.
+    """Bad input, said in one line: what arrived, what was expected, what to do. The command exits
+    with 2.
 
-    Whatever the message quotes, it is one line of fewer than 500 characters that a terminal shows as they are.
+    Whatever the message quotes, it is one line of fewer than 500 characters that a terminal shows
+    as they are.
     """
 
     def __init__(self, message: object = ""):
@@ -20,8 +22,9 @@ class HabitusError(Exception):
 def shown(text: object, limit: int = 80) -> str:
     """A name out of a file, safe to show on one line: in a message, a terminal or a page.
 
-    Control characters, marks that turn the direction of writing, halves of characters and whatever else cannot be seen
-    are written as ``\\x1b`` or ``\\u202e``; what is longer than ``limit`` characters (at least 3) is cut in its middle.
+    Control characters, marks that turn the direction of writing, halves of characters and whatever
+    else cannot be seen are written as ``\\x1b`` or ``\\u202e``; what is longer than ``limit``
+    characters (at least 3) is cut in its middle.
     """
     raw = str(text)
     if len(raw) > 2 * limit:  # far too long: only the ends will be seen
@@ -44,11 +47,19 @@ def _visible(character: str) -> str:
     if character.isprintable():
         return character
     code = ord(character)
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+    return (
+        f"\\x{code:02x}"
+        if code < 0x100
+        else f"\\u{code:04x}"
+        if code < 0x10000
+        else f"\\U{code:08x}"
+    )
 
 
 def require_extra(module: str, what: str, extra: str = "train") -> ModuleType:
-    """A module that comes with an extra. Raises HabitusError, saying how to get it, where it is not installed."""
+    """A module that comes with an extra. Raises HabitusError, saying how to get it, where it is not
+    installed.
+    """
     import importlib
 
     try:
@@ -67,12 +78,15 @@ def check_extra(module: str, what: str, extra: str = "train") -> None:
 
 def _missing(module: str, what: str, extra: str) -> HabitusError:
     return HabitusError(
-        f"{what} need {module}, which is not installed; install it with: pip install 'habitus[{extra}]'"
+        f"{what} need {module}, which is not installed; install it with: pip install "
+        f"'habitus[{extra}]'"
     )
 
 
 class TorchIsAnExtra:
-    """Around a block that may need PyTorch: a HabitusError says how to get it where it is not installed."""
+    """Around a block that may need PyTorch: a HabitusError says how to get it where it is not
+    installed.
+    """
 
     def __init__(self, what: str):
         self.what = what
@@ -83,6 +97,7 @@ class TorchIsAnExtra:
     def __exit__(self, kind: object, error: object, traceback: object) -> None:
         if isinstance(error, ModuleNotFoundError) and error.name == "torch":
             raise HabitusError(
-                f"{self.what} needs PyTorch, which is not installed; install it with: pip install 'habitus[torch]' "
+                f"{self.what} needs PyTorch, which is not installed; install it with: pip install "
+                "'habitus[torch]' "
                 "(or habitus[train], habitus[images])"
             ) from error

@@ -1,11 +1,12 @@
-"""Rotations in the forms a body needs: vectors, matrices, quaternions, dual quaternions, and the best rigid fit.
+"""Rotations in the forms a body needs: vectors, matrices, quaternions, dual quaternions, and the
+best rigid fit.
 
-All functions are batched over leading axes, take NumPy arrays or torch tensors (float32 or float64) and answer in kind.
-In torch they have finite first and second derivatives at the zero rotation: near it, power series in the squared angle
-replace the closed forms.
+All functions are batched over leading axes, take NumPy arrays or torch tensors (float32 or float64)
+and answer in kind. In torch they have finite first and second derivatives at the zero rotation:
+near it, power series in the squared angle replace the closed forms.
 
-A rotation vector is axis times angle in radians (S 3, eq. 1). Quaternions are (w, x, y, z). Rigid motions map ``x`` to
-``R x + t``.
+A rotation vector is axis times angle in radians (S 3, eq. 1). Quaternions are (w, x, y, z). Rigid
+motions map ``x`` to ``R x + t``.
 """
 
 from jaxtyping import Float
@@ -13,11 +14,14 @@ from jaxtyping import Float
 from habitus.arrays import cast, eye, namespace, take_along, unbind
 from habitus.types import Array
 
-_SERIES_BELOW = 0.5  # squared angle (rad^2); eight terms leave less than one unit in the last place of float64 there
+# squared angle (rad^2); eight terms leave less than one unit in the last place of float64 there
+_SERIES_BELOW = 0.5
 
 
 def _series(x: Array, first: float, n: int) -> Array:
-    """Eight terms of the power series in x from ``first`` on; each next is -x / ((n + 1) (n + 2)) times the last."""
+    """Eight terms of the power series in x from ``first`` on; each next is -x / ((n + 1) (n + 2))
+    times the last.
+    """
     coefficients = [first]
     for k in range(n, n + 14, 2):
         coefficients.append(-coefficients[-1] / ((k + 1) * (k + 2)))
@@ -28,7 +32,9 @@ def _series(x: Array, first: float, n: int) -> Array:
 
 
 def _near_and_far(squared: Array) -> tuple[Array, Array, Array]:
-    """Where the series hold; the squared angles for them; and those for the closed forms, kept away from zero."""
+    """Where the series hold; the squared angles for them; and those for the closed forms, kept away
+    from zero.
+    """
     small = squared < _SERIES_BELOW
     xp = namespace(squared)
     return small, xp.where(small, squared, 0.0), xp.where(small, 1.0, squared)
@@ -72,15 +78,33 @@ def matrix_from_rotvec(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch
     x, y, z = unbind(rotvec)
     ax, ay, az = unbind(a * rotvec)
     bx, by, bz = unbind(b * rotvec)
-    xx, yy, zz, xy, xz, yz = bx * x, by * y, bz * z, bx * y, bx * z, by * z
-    rows = [1 - yy - zz, xy - az, xz + ay, xy + az, 1 - xx - zz, yz - ax, xz - ay, yz + ax, 1 - xx - yy]
+    xx = bx * x
+    yy = by * y
+    zz = bz * z
+    xy = bx * y
+    xz = bx * z
+    yz = by * z
+    rows = [
+        1 - yy - zz,
+        xy - az,
+        xz + ay,
+        xy + az,
+        1 - xx - zz,
+        yz - ax,
+        xz - ay,
+        yz + ax,
+        1 - xx - yy,
+    ]
     return _matrices(rows)
 
 
 def left_jacobian(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """J with ``R(v + dv) = exp([J dv]x) R(v)`` to first order; singular at an angle of 2 pi: keep vectors wrapped."""
+    """J with ``R(v + dv) = exp([J dv]x) R(v)`` to first order; singular at an angle of 2 pi: keep
+    vectors wrapped.
+    """
     squared = (rotvec * rotvec).sum(-1)[..., None]
-    b, c = _sine_over_angle(squared)[1], _angle_less_sine(squared)
+    b = _sine_over_angle(squared)[1]
+    c = _angle_less_sine(squared)
     skew = cross_matrix(rotvec)
     return eye(3, rotvec) + b[..., None] * skew + c[..., None] * (skew @ skew)
 
@@ -101,7 +125,8 @@ def rotvec_from_quaternion(quaternion: Float[Array, "*batch 4"]) -> Float[Array,
     """Rotation vectors with angles in [0, pi] of quaternions of any length and sign."""
     xp = namespace(quaternion)
     quaternion = xp.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-    w, v = quaternion[..., :1], quaternion[..., 1:]
+    w = quaternion[..., :1]
+    v = quaternion[..., 1:]
     squared = (v * v).sum(-1)[..., None]
     small = squared < 1e-2 * w * w
     near_w = xp.where(small, w, 1.0)
@@ -114,7 +139,9 @@ def rotvec_from_quaternion(quaternion: Float[Array, "*batch 4"]) -> Float[Array,
 
 
 def quaternion_from_matrix(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 4"]:
-    """Unit quaternions of rotation matrices: of four equal formulas, the one that divides by the largest number."""
+    """Unit quaternions of rotation matrices: of four equal formulas, the one that divides by the
+    largest number.
+    """
     (a, b, c), (d, e, f), (g, h, i) = (unbind(row) for row in unbind(matrix, -2))
     xp = namespace(matrix)
     squares = xp.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i], -1)
@@ -142,7 +169,9 @@ def matrix_from_quaternion(quaternion: Float[Array, "*batch 4"]) -> Float[Array,
     return _matrices(rows)
 
 
-def quaternion_multiply(p: Float[Array, "*#batch 4"], q: Float[Array, "*#batch 4"]) -> Float[Array, "*batch 4"]:
+def quaternion_multiply(
+    p: Float[Array, "*#batch 4"], q: Float[Array, "*#batch 4"]
+) -> Float[Array, "*batch 4"]:
     """The Hamilton product: first rotate by ``q``, then by ``p``."""
     a, b, c, d = unbind(p)
     w, x, y, z = unbind(q)
@@ -169,16 +198,23 @@ def pure_quaternion(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"
 def dual_quaternion_from_rigid(
     matrix: Float[Array, "*batch 3 3"], translation: Float[Array, "*batch 3"]
 ) -> Float[Array, "*batch 8"]:
-    """Unit dual quaternions (real, dual) of rigid motions; the dual part is half (0, t) times the real part."""
+    """Unit dual quaternions (real, dual) of rigid motions; the dual part is half (0, t) times the
+    real part.
+    """
     real = quaternion_from_matrix(matrix)
-    return namespace(real).concatenate([real, quaternion_multiply(pure_quaternion(translation), real) / 2], -1)
+    return namespace(real).concatenate(
+        [real, quaternion_multiply(pure_quaternion(translation), real) / 2], -1
+    )
 
 
 def rigid_from_dual_quaternion(
     dual_quaternion: Float[Array, "*batch 8"],
 ) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3"]]:
-    """Rotation matrices and translations of dual quaternions, normalised first, so that blends may be passed."""
-    real, dual = dual_quaternion[..., :4], dual_quaternion[..., 4:]
+    """Rotation matrices and translations of dual quaternions, normalised first, so that blends may
+    be passed.
+    """
+    real = dual_quaternion[..., :4]
+    dual = dual_quaternion[..., 4:]
     moved = quaternion_multiply(dual, quaternion_conjugate(real))[..., 1:]
     return matrix_from_quaternion(real), 2 * moved / (real * real).sum(-1)[..., None]
 
@@ -188,17 +224,21 @@ def procrustes(
     target: Float[Array, "*batch N 3"],
     weights: Float[Array, "*batch N"] | None = None,
 ) -> tuple[Float[Array, "*batch 3 3"], Float[Array, "*batch 3"]]:
-    """The rotation R and translation t that minimise ``sum_i w_i |R source_i + t - target_i|^2`` (Kabsch 1976).
+    """The rotation R and translation t that minimise ``sum_i w_i |R source_i + t - target_i|^2``
+    (Kabsch 1976).
 
-    ``weights`` are not negative and have a positive sum; a zero leaves the point out (its value must still be finite).
-    R is a proper rotation even where a reflection would fit better.
+    ``weights`` are not negative and have a positive sum; a zero leaves the point out (its value
+    must still be finite). R is a proper rotation even where a reflection would fit better.
     """
     xp = namespace(source)
     if weights is None:
         weights = xp.ones_like(source[..., 0])
     share = (weights / weights.sum(-1)[..., None])[..., None]
-    source_mean, target_mean = (share * source).sum(-2), (share * target).sum(-2)
-    covariance = (share * (target - target_mean[..., None, :])).mT @ (source - source_mean[..., None, :])
+    source_mean = (share * source).sum(-2)
+    target_mean = (share * target).sum(-2)
+    covariance = (share * (target - target_mean[..., None, :])).mT @ (
+        source - source_mean[..., None, :]
+    )
     u, _, vh = xp.linalg.svd(covariance)
     sign = 1 - 2 * cast(xp.linalg.det(u @ vh) < 0, u)
     u = xp.concatenate([u[..., :2], u[..., 2:] * sign[..., None, None]], -1)

@@ -9,6 +9,8 @@ PathLike = str | os.PathLike[str]
 Progress = Callable[[str, float], None]
 """Told the name of a stage and the share of the work that is done, from 0 to 1."""
 Array = Any
-"""A NumPy array or a torch tensor. It is no union of the two so that naming it does not import torch."""
+"""A NumPy array or a torch tensor. It is no union of the two so that naming it does not import
+torch.
+"""
 ArrayLike = Any
 """A NumPy array, a torch tensor, or anything that ``numpy.asarray`` takes: sequences, numbers."""

@@ -1,4 +1,6 @@
-"""The shipped bodies keep their promises: mesh, rig, shape space, landmarks, ages, size and load time."""
+"""The shipped bodies keep their promises: mesh, rig, shape space, landmarks, ages, size and load
+time.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +15,116 @@ from habitus.io.models.bodies import load_body
 
 ASSETS = Path(__file__).resolve().parents[2] / "src" / "habitus" / "assets"
 MIDLINE = (
-    "head_top", "forehead", "glabella", "sellion", "chin", "head_back", "neck_front", "c7", "t2", "t6", "t10",
-    "t12", "l1", "l3", "l5", "sacrum", "jugular_notch", "sternum_mid", "xiphoid", "navel", "waist_front",
-    "waist_back", "nose_tip",
-)  # fmt: skip
+    "head_top",
+    "forehead",
+    "glabella",
+    "sellion",
+    "chin",
+    "head_back",
+    "neck_front",
+    "c7",
+    "t2",
+    "t6",
+    "t10",
+    "t12",
+    "l1",
+    "l3",
+    "l5",
+    "sacrum",
+    "jugular_notch",
+    "sternum_mid",
+    "xiphoid",
+    "navel",
+    "waist_front",
+    "waist_back",
+    "nose_tip",
+)
 PAIRED = (
-    "front_head", "back_head", "temple", "head_side", "mastoid", "cheek", "neck_side", "acromion",
-    "clavicle_medial", "shoulder_front", "shoulder_back", "trapezius", "scapula_upper", "scapula_mid",
-    "scapula_lower", "back_lower", "breast", "rib_side", "waist_side", "belly_side", "iliac_crest", "asis", "psis",
-    "buttock", "trochanter", "upper_arm_high", "upper_arm", "biceps", "triceps", "elbow_lateral", "elbow_medial",
-    "olecranon", "forearm", "forearm_low", "wrist_radial", "wrist_ulnar", "wrist_dorsal", "hand_back",
-    "hand_radial", "hand_ulnar", "thumb_base", "thumb_tip", "index_tip", "middle_tip", "pinky_tip", "thigh_front",
-    "thigh_front_low", "thigh_lateral", "thigh_lateral_low", "thigh_back", "thigh_medial", "knee_lateral",
-    "knee_medial", "patella", "tibial_tuberosity", "fibula_head", "shin_front", "shank_lateral",
-    "shank_lateral_high", "calf", "ankle_lateral", "ankle_medial", "heel", "heel_high", "heel_lateral",
-    "heel_medial", "midfoot_top", "navicular", "mt1_head", "mt2_head", "mt5_head", "mt1_base", "mt5_base", "hallux",
-    "big_toe", "toe_tip", "little_toe", "eye", "ear",
-)  # fmt: skip
+    "front_head",
+    "back_head",
+    "temple",
+    "head_side",
+    "mastoid",
+    "cheek",
+    "neck_side",
+    "acromion",
+    "clavicle_medial",
+    "shoulder_front",
+    "shoulder_back",
+    "trapezius",
+    "scapula_upper",
+    "scapula_mid",
+    "scapula_lower",
+    "back_lower",
+    "breast",
+    "rib_side",
+    "waist_side",
+    "belly_side",
+    "iliac_crest",
+    "asis",
+    "psis",
+    "buttock",
+    "trochanter",
+    "upper_arm_high",
+    "upper_arm",
+    "biceps",
+    "triceps",
+    "elbow_lateral",
+    "elbow_medial",
+    "olecranon",
+    "forearm",
+    "forearm_low",
+    "wrist_radial",
+    "wrist_ulnar",
+    "wrist_dorsal",
+    "hand_back",
+    "hand_radial",
+    "hand_ulnar",
+    "thumb_base",
+    "thumb_tip",
+    "index_tip",
+    "middle_tip",
+    "pinky_tip",
+    "thigh_front",
+    "thigh_front_low",
+    "thigh_lateral",
+    "thigh_lateral_low",
+    "thigh_back",
+    "thigh_medial",
+    "knee_lateral",
+    "knee_medial",
+    "patella",
+    "tibial_tuberosity",
+    "fibula_head",
+    "shin_front",
+    "shank_lateral",
+    "shank_lateral_high",
+    "calf",
+    "ankle_lateral",
+    "ankle_medial",
+    "heel",
+    "heel_high",
+    "heel_lateral",
+    "heel_medial",
+    "midfoot_top",
+    "navicular",
+    "mt1_head",
+    "mt2_head",
+    "mt5_head",
+    "mt1_base",
+    "mt5_base",
+    "hallux",
+    "big_toe",
+    "toe_tip",
+    "little_toe",
+    "eye",
+    "ear",
+)
 
 FINGERS = tuple(
-    f"{finger}_{part}" for finger in ("index", "middle", "ring", "pinky") for part in ("mcp", "pip", "dip", "tip")
+    f"{finger}_{part}"
+    for finger in ("index", "middle", "ring", "pinky")
+    for part in ("mcp", "pip", "dip", "tip")
 )
 THUMB = ("thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip")
 SPACES = ("neutral", "female", "male")
@@ -69,12 +161,16 @@ def test_both_levels_are_closed_outward_and_symmetric(body) -> None:
     wrist = coarse.joint_template[coarse.joint_names.index("left_wrist"), 0]
     assert (coarse.v_template[:, 0] > wrist).sum() >= 700 and hand
     for level in (body, coarse):
-        vertices, faces, mirror = level.v_template, level.faces, level.mirror
+        vertices = level.v_template
+        faces = level.faces
+        mirror = level.mirror
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         there = {tuple(edge) for edge in edges.tolist()}
         assert len(there) == len(edges), "an edge is used twice in the same direction"
         assert all((b, a) in there for a, b in there), "an edge has one triangle only"
-        assert len(vertices) - len(edges) // 2 + len(faces) == 2 * 3, "not three spheres: skin and two eyes"
+        assert len(vertices) - len(edges) // 2 + len(faces) == 2 * 3, (
+            "not three spheres: skin and two eyes"
+        )
         a, b, c = vertices[faces].transpose(1, 0, 2)
         assert 0.05 < (a * np.cross(b, c)).sum() / 6 < 0.10
         assert np.array_equal(mirror[mirror], np.arange(len(vertices)))
@@ -95,12 +191,17 @@ def test_rig_is_smplxs(body) -> None:
     value = body.skinning_value
     assert value.shape == (body.num_vertices, 4) and value.min() >= 0
     np.testing.assert_allclose(value.sum(1), 1, atol=1e-6)
-    names = [name.replace("left_", "#").replace("right_", "left_").replace("#", "right_") for name in body.joint_names]
+    names = [
+        name.replace("left_", "#").replace("right_", "left_").replace("#", "right_")
+        for name in body.joint_names
+    ]
     twin = [body.joint_names.index(name) for name in names]
     dense = body.skinning_weights
     np.testing.assert_allclose(dense[body.mirror][:, twin], dense, atol=1e-5)
     drivers = {body.joint_names[k] for k in body.pose_joints}
-    assert drivers == set(SMPLX.joint_names[1:22])  # no jaw, eyes and fingers: nothing was simulated there
+    assert drivers == set(
+        SMPLX.joint_names[1:22]
+    )  # no jaw, eyes and fingers: nothing was simulated there
 
 
 def test_rest_pose_is_a_t_pose(body) -> None:
@@ -118,11 +219,14 @@ def test_rest_pose_is_a_t_pose(body) -> None:
 
 
 def test_joints_follow_the_shape(body) -> None:
-    """Shape must not bend the rest pose: arms stay horizontal and the pelvis stays at the origin, whatever the
-    betas.
+    """Shape must not bend the rest pose: arms stay horizontal and the pelvis stays at the origin,
+    whatever the betas.
     """
     joints = body.rest_joints(np.random.default_rng(0).normal(size=(20, body.num_betas)))
-    arm = joints[:, body.joint_names.index("left_wrist")] - joints[:, body.joint_names.index("left_shoulder")]
+    arm = (
+        joints[:, body.joint_names.index("left_wrist")]
+        - joints[:, body.joint_names.index("left_shoulder")]
+    )
     assert np.degrees(np.arctan2(np.abs(arm[:, 1:]).max(1), arm[:, 0])).max() < 4
     assert np.linalg.norm(joints[:, 0], axis=1).max() < 0.02
 
@@ -130,7 +234,8 @@ def test_joints_follow_the_shape(body) -> None:
 def test_shape_space_spans_people(body) -> None:
     dirs = body.shapedirs
     assert dirs.shape[-1] >= 24 and np.isfinite(dirs).all()
-    top, sole = body.landmarks["head_top"], int(body.v_template[:, 1].argmin())
+    top = body.landmarks["head_top"]
+    sole = int(body.v_template[:, 1].argmin())
     stature = body.v_template[top, 1] - body.v_template[sole, 1]
     gain = dirs[top, 1] - dirs[sole, 1]
     middle = {"neutral": (1.62, 1.76), "female": (1.58, 1.68), "male": (1.71, 1.82)}[body.name]
@@ -146,14 +251,17 @@ def test_shape_space_spans_people(body) -> None:
 
 
 def test_people_grow_up_and_old(body) -> None:
-    heights = [np.ptp(body.at_age(years).v_template[:, 1]) for years in (5.0, 8.0, 12.0, 16.0, 25.0)]
+    heights = [
+        np.ptp(body.at_age(years).v_template[:, 1]) for years in (5.0, 8.0, 12.0, 16.0, 25.0)
+    ]
     assert heights == sorted(heights) and 1.0 < heights[0] < 1.2
     old = np.ptp(body.at_age(80.0).v_template[:, 1])
     assert 0.93 * heights[-1] < old < heights[-1]
 
 
 def test_landmarks_are_complete_mirrored_and_in_order(body) -> None:
-    vertex, mirror = body.landmarks, body.mirror
+    vertex = body.landmarks
+    mirror = body.mirror
     assert set(MIDLINE) <= set(vertex)
     for name in (*PAIRED, *FINGERS, *THUMB):
         assert mirror[vertex["left_" + name]] == vertex["right_" + name]
@@ -165,7 +273,20 @@ def test_landmarks_are_complete_mirrored_and_in_order(body) -> None:
         out = [place[f"left_{finger}_{part}"][0] for part in ("mcp", "pip", "dip", "tip")]
         assert out == sorted(out)
     spine = [
-        place[n][1] for n in ["head_back", "c7", "t2", "t6", "t10", "t12", "l1", "l3", "waist_back", "l5", "sacrum"]
+        place[n][1]
+        for n in [
+            "head_back",
+            "c7",
+            "t2",
+            "t6",
+            "t10",
+            "t12",
+            "l1",
+            "l3",
+            "waist_back",
+            "l5",
+            "sacrum",
+        ]
     ]
     front = [
         place[n][1]
@@ -183,33 +304,62 @@ def test_landmarks_are_complete_mirrored_and_in_order(body) -> None:
     ]
     leg = [
         place["left_" + n][1]
-        for n in ["iliac_crest", "asis", "trochanter", "thigh_front", "thigh_front_low", "patella", "tibial_tuberosity"]
+        for n in [
+            "iliac_crest",
+            "asis",
+            "trochanter",
+            "thigh_front",
+            "thigh_front_low",
+            "patella",
+            "tibial_tuberosity",
+        ]
     ]
     assert spine == sorted(spine, reverse=True)
     assert front == sorted(front, reverse=True)
     assert leg == sorted(leg, reverse=True)
     arm = [
         place["left_" + n][0]
-        for n in ["acromion", "upper_arm_high", "upper_arm", "elbow_lateral", "forearm", "forearm_low", "wrist_dorsal"]
+        for n in [
+            "acromion",
+            "upper_arm_high",
+            "upper_arm",
+            "elbow_lateral",
+            "forearm",
+            "forearm_low",
+            "wrist_dorsal",
+        ]
     ]
     assert arm == sorted(arm)
 
 
 def test_landmarks_stand_where_the_survey_measured_them(body) -> None:
     """Heights as shares of stature: means over both sexes of ANSUR II, 6,068 people."""
-    place, floor = _place(body), body.v_template[:, 1].min()
+    place = _place(body)
+    floor = body.v_template[:, 1].min()
     stature = place["head_top"][1] - floor
     shares = {
-        "c7": 0.860, "jugular_notch": 0.818, "navel": 0.602, "left_iliac_crest": 0.608, "left_trochanter": 0.516,
-        "left_patella": 0.277, "left_knee_lateral": 0.283, "left_ankle_lateral": 0.040,
-    }  # fmt: skip
+        "c7": 0.860,
+        "jugular_notch": 0.818,
+        "navel": 0.602,
+        "left_iliac_crest": 0.608,
+        "left_trochanter": 0.516,
+        "left_patella": 0.277,
+        "left_knee_lateral": 0.283,
+        "left_ankle_lateral": 0.040,
+    }
     for name, share in shares.items():
         assert abs((place[name][1] - floor) / stature - share) < 0.016, name
 
 
-@pytest.mark.parametrize(("sex", "acromion", "trochanter"), [("female", 0.8198, 0.5191), ("male", 0.8204, 0.5130)])
-def test_landmarks_of_shoulder_and_hip_stand_where_each_sex_has_them(sex, acromion, trochanter) -> None:
-    """Heights with arms down as shares of stature: means of ANSUR II's women and men, within 10 mm."""
+@pytest.mark.parametrize(
+    ("sex", "acromion", "trochanter"), [("female", 0.8198, 0.5191), ("male", 0.8204, 0.5130)]
+)
+def test_landmarks_of_shoulder_and_hip_stand_where_each_sex_has_them(
+    sex, acromion, trochanter
+) -> None:
+    """Heights with arms down as shares of stature: means of ANSUR II's women and men, within 10
+    mm.
+    """
     person = load_body(sex)
     turns = {"shoulder": 74.0, "collar": 12.0}
     pose = {
@@ -218,7 +368,10 @@ def test_landmarks_of_shoulder_and_hip_stand_where_each_sex_has_them(sex, acromi
         for joint, turn in turns.items()
     }
     stand = np.asarray(person(pose=pose).vertices)
-    floor, stature = stand[:, 1].min(), np.ptp(person.v_template[:, 1])
+    floor = stand[:, 1].min()
+    stature = np.ptp(person.v_template[:, 1])
     for name, share in (("acromion", acromion), ("trochanter", trochanter)):
         for side in ("left", "right"):
-            assert abs(stand[person.landmarks[f"{side}_{name}"], 1] - floor - share * stature) < 0.0101, name
+            assert (
+                abs(stand[person.landmarks[f"{side}_{name}"], 1] - floor - share * stature) < 0.0101
+            ), name

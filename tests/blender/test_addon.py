@@ -1,4 +1,6 @@
-"""The add-on in real Blenders: the body that its sliders and bones make is habitus' own, vertex by vertex."""
+"""The add-on in real Blenders: the body that its sliders and bones make is habitus' own, vertex by
+vertex.
+"""
 
 import importlib.util
 import os
@@ -121,7 +123,9 @@ def addon(tmp_path_factory):
 HERE = [
     pytest.param(
         name,
-        marks=pytest.mark.skipif(command is None, reason=f"no {name} here: apt-get install blender, pip install bpy"),
+        marks=pytest.mark.skipif(
+            command is None, reason=f"no {name} here: apt-get install blender, pip install bpy"
+        ),
     )
     for name, command in PROGRAMS.items()
 ]
@@ -129,7 +133,9 @@ HERE = [
 
 @dataclass
 class Given:
-    """What is shown to Blender: people in poses, a motion of theirs, a body of a file and a motion of that."""
+    """What is shown to Blender: people in poses, a motion of theirs, a body of a file and a motion
+    of that.
+    """
 
     bodies: list
     betas: np.ndarray
@@ -139,15 +145,21 @@ class Given:
 
 
 def written(folder: Path) -> Given:
-    rng, ages = np.random.default_rng(3), [31.0, 0.0, 9.0]
+    rng = np.random.default_rng(3)
+    ages = [31.0, 0.0, 9.0]
     bodies = [hb.load_body(name) for name in ("female", "neutral", "male")]
     bodies = [body.at_age(age) if age else body for body, age in zip(bodies, ages, strict=True)]
-    betas, pose = rng.normal(size=(3, 24)), rng.normal(0, 0.4, (3, 24, 3))
+    betas = rng.normal(size=(3, 24))
+    pose = rng.normal(0, 0.4, (3, 24, 3))
     pose[:, 0] = 0
     angle = np.linalg.norm(pose, axis=-1, keepdims=True)
     turns = np.concatenate([np.cos(angle / 2), pose * 0.5 * np.sinc(angle / (2 * np.pi))], -1)
     np.savez(
-        folder / "given.npz", betas=betas, quaternions=turns, names=np.array(bodies[0].joint_names), ages=np.array(ages)
+        folder / "given.npz",
+        betas=betas,
+        quaternions=turns,
+        names=np.array(bodies[0].joint_names),
+        ages=np.array(ages),
     )
     path = np.cumsum(rng.normal(0, 0.15, (8, 24, 3)), 0), np.cumsum(rng.normal(0, 0.05, (8, 3)), 0)
     motion = BodyMotion(bodies[0], betas[0], *path, 119.88, body_name="female")
@@ -156,7 +168,9 @@ def written(folder: Path) -> Given:
     markers[2:, 1] = np.nan
     with np.load(folder / "motion.npz") as file:
         held = dict(file)
-    np.savez(folder / "motion.npz", **held, markers_obs=markers, labels_obs=np.array(["LKNE", "RKNE"]))
+    np.savez(
+        folder / "motion.npz", **held, markers_obs=markers, labels_obs=np.array(["LKNE", "RKNE"])
+    )
     file = tube_body(posedirs=True)
     save_body(file, folder / "smpl.npz")
     other = BodyMotion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
@@ -181,8 +195,10 @@ def test_the_body_in_blender_is_the_body(tmp_path, addon, program):
     posed_people(given, found)
     people_from_measurements(given, found)
     motions(given, found, tmp_path)
-    assert [any(word in str(said) for word in ("holds no poses", "tubes", "holds no v_template")) for said in
-            found["refused"]] == [True, True, True]  # fmt: skip
+    assert [
+        any(word in str(said) for word in ("holds no poses", "tubes", "holds no v_template"))
+        for said in found["refused"]
+    ] == [True, True, True]
 
 
 def off(found: np.ndarray, known: np.ndarray) -> float:
@@ -193,7 +209,10 @@ def off(found: np.ndarray, known: np.ndarray) -> float:
 def posed_people(given: Given, found: dict[str, np.ndarray]) -> None:
     turn = up_rotation("+z").T  # from +y up to +z up
     for k, body in enumerate(given.bodies):
-        assert off(found[f"posed{k}"], body.full(given.betas[k], given.pose[k]).vertices @ turn.T) < 1e-4
+        assert (
+            off(found[f"posed{k}"], body.full(given.betas[k], given.pose[k]).vertices @ turn.T)
+            < 1e-4
+        )
     assert abs(found["lowest"]) < 1e-5
 
 
@@ -202,19 +221,28 @@ def people_from_measurements(given: Given, found: dict[str, np.ndarray]) -> None
     rest = known.body.rest_vertices
     assert off(rest(found["tailored"]), rest(known.betas)) < 1e-4
     assert found["hip"] == pytest.approx(known.measurements["hip_circumference_m"], abs=3e-4)
-    assert found["known"].tolist() == [True, True, False, False, False, False] and not found["unknown"].any()
+    assert (
+        found["known"].tolist() == [True, True, False, False, False, False]
+        and not found["unknown"].any()
+    )
     assert "nobody" in str(found["said"]) and np.array_equal(found["kept"], found["tailored"])
     waist = hb.load_body("female").measure(given.betas[0])["waist_circumference_m"]
     assert found["waist"] == pytest.approx(waist, abs=1e-4)
 
 
 def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
-    motion, full = given.motion, given.motion.body.full
+    motion = given.motion
+    full = given.motion.body.full
     again = hb.load_motion(folder / "again.npz")
     assert found["rate"] == pytest.approx(119.88, rel=1e-5) == again.rate_hz
-    soft = hb.simulate_soft_tissue(motion.body, motion.betas, motion.pose, motion.trans, 119.88, strength=2.0)
+    soft = hb.simulate_soft_tissue(
+        motion.body, motion.betas, motion.pose, motion.trans, 119.88, strength=2.0
+    )
     for frame in (0, 3, 7):
-        assert off(found[f"frame{frame}"], next(motion.surfaces([frame], body=full)).vertices[0]) < 1e-4
+        assert (
+            off(found[f"frame{frame}"], next(motion.surfaces([frame], body=full)).vertices[0])
+            < 1e-4
+        )
         assert off(again.vertices(frame), motion.vertices(frame)) < 1e-4
         last = (frame, min(frame, 1))  # the second is seen in two frames only
         known = [motion.vertices(at)[vertex] for at, vertex in zip(last, (100, 200), strict=True)]
@@ -223,8 +251,12 @@ def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
         args = given.betas[betas], motion.pose[frame], motion.trans[frame]
         assert off(found[name], full(*args, dynamics=soft[frame]).vertices) < 1e-4
         assert off(found[name], full(*args).vertices) > 1e-3
-    assert found["keys"] == 2 + 8 and off(found["after"], found["soft7"]) < 1e-6  # as before the export
-    assert {"left_knee_xy", "left_knee_xx_back", "soft_tissue_8_back"} <= set(found["channels"].tolist())
+    assert (
+        found["keys"] == 2 + 8 and off(found["after"], found["soft7"]) < 1e-6
+    )  # as before the export
+    assert {"left_knee_xy", "left_knee_xx_back", "soft_tissue_8_back"} <= set(
+        found["channels"].tolist()
+    )
     for frame in (3, 7):
         assert off(found[f"fbx{frame}"], found[f"soft{frame}"]) < 1e-4
     turn = up_rotation("+z").T

@@ -33,7 +33,8 @@ def test_surface_and_joints_are_those_of_the_processor(skinning, dtype):
         replace(habitus.load_body("default"), skinning=skinning),
     ):
         state = random_state(body, 5, dtype)
-        here, there = body(*state), body(*(part.cuda() for part in state))
+        here = body(*state)
+        there = body(*(part.cuda() for part in state))
         for name in ("vertices", "joints", "betas", "faces"):
             found = getattr(there, name)
             assert found.device.type == "cuda" and found.dtype == getattr(here, name).dtype
@@ -45,7 +46,9 @@ def test_surface_and_joints_are_those_of_the_processor(skinning, dtype):
 @skinnings
 def test_gradients_are_those_of_the_processor(skinning):
     body = replace(synthetic_body(), skinning=skinning)
-    weights = torch.randn(4, body.num_vertices, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    weights = torch.randn(
+        4, body.num_vertices, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64
+    )
 
     def gradients(device: str) -> list[torch.Tensor]:
         state = [part.to(device).requires_grad_() for part in random_state(body, 4, torch.float64)]
@@ -59,10 +62,14 @@ def test_gradients_are_those_of_the_processor(skinning):
 def test_jacobians_are_those_of_the_processor():
     body = synthetic_body()
     state = random_state(body, 2, torch.float64)
-    here, there = (surface_jacobian(body, *(part.to(place) for part in state)) for place in ("cpu", "cuda"))
+    here, there = (
+        surface_jacobian(body, *(part.to(place) for part in state)) for place in ("cpu", "cuda")
+    )
     for field in ("vertices_betas", "vertices_pose", "joints_betas", "joints_pose"):
         found = getattr(there, field)
-        assert found.device.type == "cuda" and (found.cpu() - getattr(here, field)).abs().max() < 1e-12, field
+        assert (
+            found.device.type == "cuda" and (found.cpu() - getattr(here, field)).abs().max() < 1e-12
+        ), field
 
 
 def test_a_pose_by_names_and_numbers_beside_a_tensor_follow_its_device():

@@ -19,13 +19,19 @@ def walk() -> BodyMotion:
 def test_the_laws_of_a_factor(walk):
     np.testing.assert_allclose(exaggerated(walk, 1.0).soft_tissue, walk.soft_tissue, atol=1e-15)
     np.testing.assert_allclose(
-        exaggerated(exaggerated(walk, 1.5), 2.0).soft_tissue, exaggerated(walk, 3.0).soft_tissue, atol=1e-12
+        exaggerated(exaggerated(walk, 1.5), 2.0).soft_tissue,
+        exaggerated(walk, 3.0).soft_tissue,
+        atol=1e-12,
     )
     for factor in (0.0, 1.5, 4.0):
         found = exaggerated(walk, factor)
         np.testing.assert_allclose(found.soft_tissue.mean(0), walk.soft_tissue.mean(0), atol=1e-12)
         assert skin_motion(found) == pytest.approx(factor * skin_motion(walk), abs=1e-9)
-        assert found.pose is walk.pose and found.trans is walk.trans and f"{factor:g} times" in found.made[-1]
+        assert (
+            found.pose is walk.pose
+            and found.trans is walk.trans
+            and f"{factor:g} times" in found.made[-1]
+        )
 
 
 def test_skin_motion_is_that_of_the_surface(walk):

@@ -1,4 +1,6 @@
-"""A body from some measurements: it has them, is the likeliest that does, and says what is left open."""
+"""A body from some measurements: it has them, is the likeliest that does, and says what is left
+open.
+"""
 
 from dataclasses import replace
 
@@ -41,12 +43,17 @@ def test_nobody_who_measures_so_is_likelier(body):
 
 
 def test_the_spread_is_that_of_people_who_measure_so(body):
-    """Of many people drawn at random, those of that height and weight are as different as was said."""
+    """Of many people drawn at random, those of that height and weight are as different as was
+    said.
+    """
     rng = np.random.default_rng(1)
     people = body.people_mean + rng.normal(size=(300, 8))
     measured = body.measure_people(people)
     found = estimate_body(body, {"height": (1.70, 0.05), "weight": (78.0, 7.0)})
-    weight = np.exp(-0.5 * ((measured["height_m"] - 1.70) / 0.05) ** 2 - 0.5 * ((measured["mass_kg"] - 78) / 7) ** 2)
+    weight = np.exp(
+        -0.5 * ((measured["height_m"] - 1.70) / 0.05) ** 2
+        - 0.5 * ((measured["mass_kg"] - 78) / 7) ** 2
+    )
     for name in ("chest_circumference_m", "waist_circumference_m", "inseam_m"):
         mean = np.average(measured[name], weights=weight)
         sd = np.sqrt(np.average((measured[name] - mean) ** 2, weights=weight))
@@ -55,14 +62,18 @@ def test_the_spread_is_that_of_people_who_measure_so(body):
 
 
 def test_what_is_told_leaves_less_open(body):
-    nothing, some, more = (estimate_body(body, told) for told in ({}, {"height": 1.8}, {"height": 1.8, "hip": 1.0}))
+    nothing, some, more = (
+        estimate_body(body, told) for told in ({}, {"height": 1.8}, {"height": 1.8, "hip": 1.0})
+    )
     assert (
         np.array_equal(nothing.betas, body.people_mean)
         and np.allclose(nothing.betas_sd, 1)
         and nothing.sd_from_mean == 0
     )
     for name in nothing.spread:
-        assert more.spread[name] <= some.spread[name] * 1.1 + 1e-3 <= nothing.spread[name] * 1.3 + 3e-3
+        assert (
+            more.spread[name] <= some.spread[name] * 1.1 + 1e-3 <= nothing.spread[name] * 1.3 + 3e-3
+        )
 
 
 def test_the_less_sure_a_value_the_less_it_weighs(body):
@@ -99,7 +110,9 @@ def test_the_mean_person_goes_with_the_body(body, tmp_path):
     few = replace(body.with_betas(3), finer=None, people_mean=np.array([0.5, -1.0, 0.25]))
     save_body(few, tmp_path / "few.npz")
     read = load_body(tmp_path / "few.npz")
-    assert np.array_equal(read.people_mean, few.people_mean) and read.with_betas(2).people_mean.tolist() == [0.5, -1.0]
+    assert np.array_equal(read.people_mean, few.people_mean) and read.with_betas(
+        2
+    ).people_mean.tolist() == [0.5, -1.0]
     assert np.array_equal(estimate_body(read, {}).betas, few.people_mean)
     assert replace(few, ages=body.ages).at_age(8).people_mean is None
     template = estimate_body(replace(few, people_mean=None), {})
@@ -107,7 +120,8 @@ def test_the_mean_person_goes_with_the_body(body, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sex", "height", "mass", "waist"), [("female", 1.629, 67.7, 0.862), ("male", 1.756, 81.0, 0.905)]
+    ("sex", "height", "mass", "waist"),
+    [("female", 1.629, 67.7, 0.862), ("male", 1.756, 81.0, 0.905)],
 )
 def test_people_of_mean_height_and_mass_have_the_waists_of_the_survey(sex, height, mass, waist):
     """Means of civilians drawn from ANSUR II (`tools/default_body/population.py`)."""

@@ -50,13 +50,19 @@ def test_each_number_of_betas_has_a_classifier_of_its_own():
         assert few.female_direction[1] == ROWS[1][count - 1]
     twice = body.with_betas(4).with_betas(2)
     np.testing.assert_array_equal(twice.female_direction[0], ROWS[0][1, :2])
-    np.testing.assert_array_equal(BODY.with_betas(2).female_direction[0], [2.0, -1.0])  # weights alone are cut
+    np.testing.assert_array_equal(
+        BODY.with_betas(2).female_direction[0], [2.0, -1.0]
+    )  # weights alone are cut
 
 
 def test_classifiers_are_saved_and_read_back(tmp_path):
-    body = replace(load_body("default").with_betas(6), female_rows=ROWS, female_direction=(ROWS[0][-1], 3.0))
+    body = replace(
+        load_body("default").with_betas(6), female_rows=ROWS, female_direction=(ROWS[0][-1], 3.0)
+    )
     save_body(body, tmp_path / "body.npz")
     read = load_body(tmp_path / "body.npz")
-    for a, b in zip((*read.female_rows, read.female_direction[0]), (*ROWS, ROWS[0][-1]), strict=True):
+    for a, b in zip(
+        (*read.female_rows, read.female_direction[0]), (*ROWS, ROWS[0][-1]), strict=True
+    ):
         np.testing.assert_array_equal(a, b)
     assert read.female_direction[1] == 3.0

@@ -16,7 +16,8 @@ PICK = [0, 17, 33, 101]
 def case(skinning: str, scale: float, family: str = "smpl", **changes):
     body = replace(synthetic_body(family, 120), skinning=skinning, **changes)
     torch.manual_seed(1)
-    betas, trans = torch.randn(body.num_betas).double(), torch.randn(3).double()
+    betas = torch.randn(body.num_betas).double()
+    trans = torch.randn(3).double()
     pose = scale * torch.nn.functional.normalize(torch.randn(body.num_joints, 3).double(), dim=-1)
     return body, betas, pose, trans
 
@@ -33,13 +34,19 @@ def outputs(body, trans):
 @pytest.mark.parametrize("scale", SCALES)
 def test_analytic_is_autodiff_at_every_angle(skinning, scale):
     body, betas, pose, trans = case(skinning, scale)
-    (by_betas, by_pose), (joints_betas, joints_pose) = torch.func.jacrev(outputs(body, trans), (0, 1))(betas, pose)
+    (by_betas, by_pose), (joints_betas, joints_pose) = torch.func.jacrev(
+        outputs(body, trans), (0, 1)
+    )(betas, pose)
     found = surface_jacobian(body, betas, pose, trans, vertices=PICK)
     vertices, joints = outputs(body, trans)(betas, pose)
     pairs = [
-        (found.surface.vertices, vertices), (found.surface.joints, joints), (found.vertices_betas, by_betas),
-        (found.vertices_pose, by_pose), (found.joints_betas, joints_betas), (found.joints_pose, joints_pose),
-    ]  # fmt: skip
+        (found.surface.vertices, vertices),
+        (found.surface.joints, joints),
+        (found.vertices_betas, by_betas),
+        (found.vertices_pose, by_pose),
+        (found.joints_betas, joints_betas),
+        (found.joints_pose, joints_pose),
+    ]
     for ours, theirs in pairs:
         assert ours.shape == theirs.shape and (ours - theirs).abs().max() < 1e-12
 
@@ -47,11 +54,16 @@ def test_analytic_is_autodiff_at_every_angle(skinning, scale):
 @skinnings
 @pytest.mark.parametrize("scale", SCALES)
 def test_analytic_is_what_small_steps_show(skinning, scale):
-    scale = min(scale, 3.0) if skinning == "dqbs" else scale  # neighbours half a turn apart change side there
+    scale = (
+        min(scale, 3.0) if skinning == "dqbs" else scale
+    )  # neighbours half a turn apart change side there
     body, betas, pose, trans = case(skinning, scale)
-    found, run, step = surface_jacobian(body, betas, pose, trans, vertices=PICK), outputs(body, trans), 1e-5
+    found = surface_jacobian(body, betas, pose, trans, vertices=PICK)
+    run = outputs(body, trans)
+    step = 1e-5
     for _ in range(4):
-        along_betas, along_pose = torch.randn_like(betas), torch.randn_like(pose)
+        along_betas = torch.randn_like(betas)
+        along_pose = torch.randn_like(pose)
         ahead = run(betas + step * along_betas, pose + step * along_pose)
         behind = run(betas - step * along_betas, pose - step * along_pose)
         for (a, b), by_betas, by_pose in zip(
@@ -78,8 +90,13 @@ def test_all_pose_features_have_their_exact_derivatives(dtype, joints, name, sha
         by_betas, by_pose = torch.func.jacrev(outputs(body, trans), (0, 1))(betas, pose)[0]
         found = surface_jacobian(body, betas, pose, trans, vertices=PICK)
         tolerance = 2e-5 if dtype == torch.float32 else 1e-12
-        assert (found.surface.vertices - outputs(body, trans)(betas, pose)[0]).abs().max() < tolerance
-        assert found.vertices_betas.dtype == dtype and (found.vertices_betas - by_betas).abs().max() < tolerance
+        assert (
+            found.surface.vertices - outputs(body, trans)(betas, pose)[0]
+        ).abs().max() < tolerance
+        assert (
+            found.vertices_betas.dtype == dtype
+            and (found.vertices_betas - by_betas).abs().max() < tolerance
+        )
         assert (found.vertices_pose - by_pose).abs().max() < tolerance
 
 
@@ -87,7 +104,8 @@ def test_all_pose_features_have_their_exact_derivatives(dtype, joints, name, sha
 def test_batches_of_shapes_that_pose_blend_shapes_depend_on(name):
     body, betas, pose, trans = case("lbs", 0.7, "mano")
     body = with_features(body, name, 3)
-    shapes, poses = torch.stack([betas, -betas]), torch.stack([pose, 0.3 * pose, -pose])[:, None]
+    shapes = torch.stack([betas, -betas])
+    poses = torch.stack([pose, 0.3 * pose, -pose])[:, None]
     batch = surface_jacobian(body, shapes, poses, trans, vertices=PICK)
     alone = surface_jacobian(body, -betas, 0.3 * pose, trans, vertices=PICK)
     shared = surface_jacobian(body, -betas, poses, trans, vertices=PICK)

@@ -1,4 +1,6 @@
-"""Joint angles: a planted flexion comes back under its name, with its sign, on its side; the rest stays zero."""
+"""Joint angles: a planted flexion comes back under its name, with its sign, on its side; the rest
+stays zero.
+"""
 
 from dataclasses import replace
 
@@ -45,7 +47,9 @@ def test_flexion_is_what_its_name_says(side, joint, child, turn, name, toward):
     assert way(f"{side}_{joint}", f"{side}_{child}", turn) @ toward > 0
     found = angles(**{f"{side}_{joint}": turn})
     assert found.pop((name, side)) == pytest.approx(turn[1])
-    others = {key: v for key, v in found.items() if key[0] not in ("shoulder elevation", "elbow flexion")}
+    others = {
+        key: v for key, v in found.items() if key[0] not in ("shoulder elevation", "elbow flexion")
+    }
     assert len(others) == 14 and np.abs(list(others.values())).max() < 1e-9
 
 
@@ -53,22 +57,31 @@ def test_flexion_is_what_its_name_says(side, joint, child, turn, name, toward):
 def test_abduction_and_rotation_are_mirrored(side, outward):
     assert way(f"{side}_hip", f"{side}_knee", (outward * Z, 25)) @ (outward * X) > 0
     assert angles(**{f"{side}_hip": (outward * Z, 25)})["hip abduction", side] == pytest.approx(25)
-    assert angles(**{f"{side}_hip": (-outward * Y, 20)})["hip internal rotation", side] == pytest.approx(20)
+    assert angles(**{f"{side}_hip": (-outward * Y, 20)})[
+        "hip internal rotation", side
+    ] == pytest.approx(20)
 
 
 def test_trunk_and_head():
     found = angles(spine1=(X, 10), spine3=(X, 20), head=(Y, 30), neck=(X, 5))
     assert found["trunk flexion", ""] == pytest.approx(30)
-    assert found["head turn to the left", ""] == pytest.approx(30) and found["head flexion", ""] == pytest.approx(5)
+    assert found["head turn to the left", ""] == pytest.approx(30) and found[
+        "head flexion", ""
+    ] == pytest.approx(5)
     assert angles(spine2=(-Z, 12))["trunk bending to the left", ""] == pytest.approx(12)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
 def test_arms(side, sign):
     rest = angles()
-    assert rest["shoulder elevation", side] == pytest.approx(90, abs=2) and rest["elbow flexion", side] < 3
+    assert (
+        rest["shoulder elevation", side] == pytest.approx(90, abs=2)
+        and rest["elbow flexion", side] < 3
+    )
     hanging = angles(**{f"{side}_shoulder": (Z, -sign * 70), f"{side}_elbow": (Y, -sign * 50)})
-    assert hanging["shoulder elevation", side] == pytest.approx(rest["shoulder elevation", side] - 70, abs=0.1)
+    assert hanging["shoulder elevation", side] == pytest.approx(
+        rest["shoulder elevation", side] - 70, abs=0.1
+    )
     assert hanging["elbow flexion", side] == pytest.approx(50, abs=3)
 
 

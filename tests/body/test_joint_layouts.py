@@ -25,5 +25,9 @@ def test_left_and_right_hang_alike(name):
 
 
 def test_bodies_with_hands_begin_with_the_same_joints():
-    assert LAYOUTS["smplh"].parents[:22] == LAYOUTS["smplx"].parents[:22] == LAYOUTS["smpl"].parents[:22]
+    assert (
+        LAYOUTS["smplh"].parents[:22]
+        == LAYOUTS["smplx"].parents[:22]
+        == LAYOUTS["smpl"].parents[:22]
+    )
     assert find_layout((-1, 0, 0)) is None

@@ -10,7 +10,8 @@ from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 
 COCO = (
-    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+    "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow "
+    "right_elbow left_wrist "
     "right_wrist left_hip right_hip left_knee right_knee left_ankle right_ankle"
 ).split()  # as COCO's annotations list them
 
@@ -40,7 +41,9 @@ def test_keypoints_are_where_a_person_has_them(convention, joints):
     for name, point in named.items():
         if name.startswith("left_"):
             other = named[name.replace("left_", "right_")]
-            assert point[0] > 0.1 > other[0] and np.abs(point - other)[1:].max() < 2e-3  # mirrored about x = 0.1
+            assert (
+                point[0] > 0.1 > other[0] and np.abs(point - other)[1:].max() < 2e-3
+            )  # mirrored about x = 0.1
     if convention == "openpose25":
         assert np.allclose(named["neck"], (joint["left_shoulder"] + joint["right_shoulder"]) / 2)
         assert named["left_heel"][2] < named["left_ankle"][2] < named["left_big_toe"][2]
@@ -48,14 +51,18 @@ def test_keypoints_are_where_a_person_has_them(convention, joints):
     assert [name for name, far in zip(named, moved, strict=True) if far] == ["left_wrist"]
     full = body.full.keypoints(convention, body.full([0.5], pose, [0.1, 0, 0]))
     assert np.abs(full - points).max() < 1e-6
-    betas, turns, place = (torch.tensor(value, dtype=torch.float64) for value in ([0.5], pose, [0.1, 0, 0]))
+    betas, turns, place = (
+        torch.tensor(value, dtype=torch.float64) for value in ([0.5], pose, [0.1, 0, 0])
+    )
     tensors = body.keypoints(convention, body(betas, turns, place))
     assert torch.is_tensor(tensors) and np.abs(tensors.numpy() - points).max() < 1e-9
 
 
 def test_what_a_body_lacks_is_said():
     body = synthetic_body()
-    with pytest.raises(HabitusError, match="neither a joint nor a landmark 'nose_tip', where coco17 has nose"):
+    with pytest.raises(
+        HabitusError, match="neither a joint nor a landmark 'nose_tip', where coco17 has nose"
+    ):
         body.keypoints("coco17", body())
     with pytest.raises(HabitusError, match="keypoints 'coco'; expected one of coco17, openpose25"):
         body.keypoints("coco", body())

@@ -16,10 +16,13 @@ trees = st.lists(st.floats(0, 0.999), min_size=0, max_size=12).map(
 @given(trees, st.integers(0, 1000))
 def test_levels_walk_any_tree_as_a_loop_would(parents, seed):
     generator = torch.Generator().manual_seed(seed)
-    rotations = matrix_from_rotvec(torch.randn(2, len(parents), 3, generator=generator, dtype=torch.float64))
+    rotations = matrix_from_rotvec(
+        torch.randn(2, len(parents), 3, generator=generator, dtype=torch.float64)
+    )
     rest = torch.randn(2, len(parents), 3, generator=generator, dtype=torch.float64)
     found = world_motions(rotations, rest, parents)
-    world, place = [rotations[:, 0]], [rest[:, 0]]
+    world = [rotations[:, 0]]
+    place = [rest[:, 0]]
     for joint, parent in enumerate(parents[1:], 1):
         world.append(world[parent] @ rotations[:, joint])
         bone = (rest[:, joint] - rest[:, parent])[..., None]
@@ -27,7 +30,9 @@ def test_levels_walk_any_tree_as_a_loop_would(parents, seed):
     assert torch.allclose(found[..., :3], torch.stack(world, 1), atol=1e-13)
     assert torch.allclose(found[..., 3], torch.stack(place, 1), atol=1e-12)
     carried = skinning_motions(found, rest)
-    assert torch.allclose((carried[..., :3] @ rest[..., None])[..., 0] + carried[..., 3], found[..., 3], atol=1e-12)
+    assert torch.allclose(
+        (carried[..., :3] @ rest[..., None])[..., 0] + carried[..., 3], found[..., 3], atol=1e-12
+    )
 
 
 @settings(max_examples=60, deadline=None)

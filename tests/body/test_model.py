@@ -16,7 +16,9 @@ both = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 skinnings = pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
 
 
-def random_state(body: BodyModel, *batch: int, seed: int = 0, scale: float = 0.6, dtype=torch.float64):
+def random_state(
+    body: BodyModel, *batch: int, seed: int = 0, scale: float = 0.6, dtype=torch.float64
+):
     generator = torch.Generator().manual_seed(seed)
     normal = lambda *shape: torch.randn(*batch, *shape, generator=generator, dtype=dtype)  # noqa: E731
     return normal(body.num_betas), scale * normal(body.num_joints, 3), normal(3)
@@ -30,7 +32,13 @@ def world_by_the_book(body, betas, pose):
     for k, parent in enumerate(body.parents):
         local = np.eye(4)
         local[:3, :3] = torch.linalg.matrix_exp(
-            torch.tensor([[0, -pose[k, 2], pose[k, 1]], [pose[k, 2], 0, -pose[k, 0]], [-pose[k, 1], pose[k, 0], 0]])
+            torch.tensor(
+                [
+                    [0, -pose[k, 2], pose[k, 1]],
+                    [pose[k, 2], 0, -pose[k, 0]],
+                    [-pose[k, 1], pose[k, 0], 0],
+                ]
+            )
         )
         local[:3, 3] = joints[k] - (joints[parent] if parent >= 0 else 0)
         world.append(world[parent] @ local if parent >= 0 else local)
@@ -61,16 +69,20 @@ def surface_by_the_book(body, betas, pose, trans):
 
 def kavan(vertex, weights, joints, world):
     pivot = None
-    real, dual = np.zeros(4), np.zeros(4)
+    real = np.zeros(4)
+    dual = np.zeros(4)
     for k in np.argsort(-weights, kind="stable"):
         r = world[k][:3, :3]
         t = world[k][:3, 3] - r @ joints[k]
         w = 0.5 * math.sqrt(max(0.0, 1 + np.trace(r)))
-        q = np.array([w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w))])
+        q = np.array(
+            [w, *(np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / (4 * w))]
+        )
         e = 0.5 * np.array([-t @ q[1:], *(q[0] * t + np.cross(t, q[1:]))])
         pivot = q if pivot is None else pivot
         sign = 1 if q @ pivot >= 0 else -1
-        real, dual = real + sign * weights[k] * q, dual + sign * weights[k] * e
+        real = real + sign * weights[k] * q
+        dual = dual + sign * weights[k] * e
     norm = np.linalg.norm(real)
     (a0, a), (e0, e) = (real[0] / norm, real[1:] / norm), (dual[0] / norm, dual[1:] / norm)
     shift = 2 * (a0 * e - e0 * a + np.cross(a, e))
@@ -95,8 +107,12 @@ def test_zero_pose_is_the_shaped_template_whatever_the_skinning(skinning, dtype)
     body = replace(synthetic_body(), skinning=skinning)
     betas, pose, trans = random_state(body, 4, dtype=dtype)
     surface = body(betas, torch.zeros_like(pose), trans)
-    assert (surface.vertices - body.rest_vertices(betas) - trans[:, None]).abs().max() < TOLERANCE[dtype]
-    assert (surface.joints - body.rest_joints(betas) - trans[:, None]).abs().max() < TOLERANCE[dtype]
+    assert (surface.vertices - body.rest_vertices(betas) - trans[:, None]).abs().max() < TOLERANCE[
+        dtype
+    ]
+    assert (surface.joints - body.rest_joints(betas) - trans[:, None]).abs().max() < TOLERANCE[
+        dtype
+    ]
 
 
 @skinnings
@@ -134,7 +150,9 @@ def test_subsets_batches_and_prepared_bodies_say_the_same(skinning, dtype):
     body = replace(synthetic_body(), skinning=skinning)
     betas, pose, trans = random_state(body, 2, 3, dtype=dtype)
     surface = body(betas, pose, trans)
-    assert surface.vertices.shape == (2, 3, body.num_vertices, 3) and surface.vertices.is_contiguous()
+    assert (
+        surface.vertices.shape == (2, 3, body.num_vertices, 3) and surface.vertices.is_contiguous()
+    )
     pick = [7, 3, 3, 200]
     few = body(betas, pose, trans, vertices=pick)
     assert (few.vertices - surface.vertices[..., pick, :]).abs().max() < TOLERANCE[dtype]
@@ -148,7 +166,12 @@ def test_subsets_batches_and_prepared_bodies_say_the_same(skinning, dtype):
         assert (shared.joints - each.joints).abs().max() < TOLERANCE[dtype]
     many = body(betas, pose[0, 0], trans[0, 0])  # many shapes, one pose
     assert (many.vertices[0, 0] - surface.vertices[0, 0]).abs().max() < TOLERANCE[dtype]
-    assert body(betas[:, :0], pose[:, :0], trans[:, :0]).vertices.shape == (2, 0, body.num_vertices, 3)
+    assert body(betas[:, :0], pose[:, :0], trans[:, :0]).vertices.shape == (
+        2,
+        0,
+        body.num_vertices,
+        3,
+    )
 
 
 def test_large_batches_are_cut_into_chunks_without_a_trace():
@@ -163,7 +186,9 @@ def test_gradients_reach_every_input_even_at_rest(skinning):
     body = replace(synthetic_body("smpl", 30), skinning=skinning)
     pick = [0, 4, 9]
     zero = body.state(2)
-    inputs = [torch.tensor(value, requires_grad=True) for value in (zero.betas, zero.pose, zero.trans)]
+    inputs = [
+        torch.tensor(value, requires_grad=True) for value in (zero.betas, zero.pose, zero.trans)
+    ]
 
     def outputs(*state):
         surface = body(*state, vertices=pick)
@@ -176,8 +201,11 @@ def test_soft_tissue_is_shape_that_changes_with_time():
     body = synthetic_body()
     betas, pose, trans = random_state(body, 5)
     soft = 0.1 * torch.randn_like(betas)
-    with_soft, as_shape = body(betas[0], pose, trans, soft_tissue=soft), body(betas[0] + soft, pose, trans)
-    assert torch.equal(with_soft.vertices, as_shape.vertices) and torch.equal(with_soft.joints, as_shape.joints)
+    with_soft = body(betas[0], pose, trans, soft_tissue=soft)
+    as_shape = body(betas[0] + soft, pose, trans)
+    assert torch.equal(with_soft.vertices, as_shape.vertices) and torch.equal(
+        with_soft.joints, as_shape.joints
+    )
 
 
 def test_states_index_over_time():
@@ -192,24 +220,45 @@ def test_models_are_immutable_numpy_and_can_be_cut():
     body = replace(synthetic_body(), pose_prior=prior, female_direction=(np.ones(10), 0.5))
     with pytest.raises(FrozenInstanceError):
         body.name = "other"  # pyright: ignore
-    given = replace(body, v_template=body.v_template.astype(np.float32), faces=body.faces.astype(np.int32))
-    for array in (given.v_template, given.posedirs, given.skinning_value, given.female_direction[0]):
+    given = replace(
+        body, v_template=body.v_template.astype(np.float32), faces=body.faces.astype(np.int32)
+    )
+    for array in (
+        given.v_template,
+        given.posedirs,
+        given.skinning_value,
+        given.female_direction[0],
+    ):
         assert isinstance(array, np.ndarray) and array.dtype == np.float64
     assert given.faces.dtype == np.int64
     few = body.with_betas(3)
     assert few.num_betas == 3 and len(few.female_direction[0]) == 3
     betas, pose, trans = random_state(body)
     betas[3:] = 0
-    assert torch.allclose(few(betas[:3], pose, trans).vertices, body(betas, pose, trans).vertices, atol=1e-14)
+    assert torch.allclose(
+        few(betas[:3], pose, trans).vertices, body(betas, pose, trans).vertices, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize(
     ("betas", "pose", "say"),
     [
-        (torch.zeros(11), torch.zeros(24, 3), r"betas has shape \(11,\); expected \(\*batch, 10\) or fewer"),
+        (
+            torch.zeros(11),
+            torch.zeros(24, 3),
+            r"betas has shape \(11,\); expected \(\*batch, 10\) or fewer",
+        ),
         (torch.tensor(1.0), torch.zeros(24, 3), r"betas has shape \(\)"),
-        (torch.zeros(10), torch.zeros(23, 3), r"pose has shape \(23, 3\); expected \(\*batch, 24, 3\)"),
-        ([0.0], {"left_elbow": (0, 1)}, r"pose\['left_elbow'\] has shape \(2,\); expected \(\*batch, 3\)"),
+        (
+            torch.zeros(10),
+            torch.zeros(23, 3),
+            r"pose has shape \(23, 3\); expected \(\*batch, 24, 3\)",
+        ),
+        (
+            [0.0],
+            {"left_elbow": (0, 1)},
+            r"pose\['left_elbow'\] has shape \(2,\); expected \(\*batch, 3\)",
+        ),
         ([0.0], {"left_elbo": (0, 1, 0)}, r"no joint 'left_elbo'; did you mean left_elbow, "),
     ],
 )
@@ -231,7 +280,13 @@ def test_impossible_trees_and_skinnings_are_refused():
         replace(body, parents=(0, *body.parents[1:]))
     with pytest.raises(HabitusError, match="dqbs"):
         replace(body, skinning="magic")
-    with pytest.raises((HabitusError, TypeCheckError), match=r"expected vertex numbers|parameter 'vertices'"):
+    with pytest.raises(
+        (HabitusError, TypeCheckError), match=r"expected vertex numbers|parameter 'vertices'"
+    ):
         body.prepare(torch.zeros(10, dtype=torch.float64), torch.ones(40, dtype=torch.bool))
     with pytest.raises(HabitusError, match="vertices run from"):
-        body(torch.zeros(10, dtype=torch.float64), torch.zeros(16, 3, dtype=torch.float64), vertices=[0, 40])
+        body(
+            torch.zeros(10, dtype=torch.float64),
+            torch.zeros(16, 3, dtype=torch.float64),
+            vertices=[0, 40],
+        )

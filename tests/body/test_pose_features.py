@@ -7,7 +7,12 @@ import torch
 from scipy.spatial.transform import Rotation
 from synthetic import synthetic_body, with_features
 
-from habitus.body.pose_features import POSE_FEATURES, check_driven_by_rotations, extended, find_pose_features
+from habitus.body.pose_features import (
+    POSE_FEATURES,
+    check_driven_by_rotations,
+    extended,
+    find_pose_features,
+)
 from habitus.body.pose_shapes import of_joints
 from habitus.errors import HabitusError
 from habitus.rotations import left_jacobian, matrix_from_rotvec, rotvec_from_matrix
@@ -19,7 +24,9 @@ PER_JOINT = {"rotations": 9, "angles": 3, "sin_cos": 6, "quaternions": 4, "polyn
 
 def rotvecs(scale: float, *batch: int, dtype=torch.float64) -> torch.Tensor:
     generator = torch.Generator().manual_seed(3)
-    axes = torch.nn.functional.normalize(torch.randn(*batch, 3, generator=generator, dtype=torch.float64), dim=-1)
+    axes = torch.nn.functional.normalize(
+        torch.randn(*batch, 3, generator=generator, dtype=torch.float64), dim=-1
+    )
     return (scale * axes).to(dtype)
 
 
@@ -29,7 +36,14 @@ def by_an_independent_library(rotvec: np.ndarray) -> dict[str, list[float]]:
     return {
         "rotations": list((rotation.as_matrix() - np.eye(3)).ravel()),
         "angles": [x, y, z],
-        "sin_cos": [math.sin(x), math.sin(y), math.sin(z), math.cos(x) - 1, math.cos(y) - 1, math.cos(z) - 1],
+        "sin_cos": [
+            math.sin(x),
+            math.sin(y),
+            math.sin(z),
+            math.cos(x) - 1,
+            math.cos(y) - 1,
+            math.cos(z) - 1,
+        ],
         "quaternions": [w - 1, a, b, c],
         "polynomials": [x, y, z, x * x, y * y, z * z, x * y, x * z, y * z],
     }
@@ -61,7 +75,9 @@ def test_slopes_are_what_small_turns_from_the_left_show(features, scale):
         value = lambda turn: features.value(  # noqa: E731
             rotvec_from_matrix(matrix_from_rotvec(turn) @ matrix_from_rotvec(rotvec))  # noqa: B023
         )
-        for axis, column in zip(step * torch.eye(3, dtype=torch.float64), features.slope(rotvec).mT, strict=True):
+        for axis, column in zip(
+            step * torch.eye(3, dtype=torch.float64), features.slope(rotvec).mT, strict=True
+        ):
             assert ((value(axis) - value(-axis)) / (2 * step) - column).abs().max() < 1e-9
 
 
@@ -70,9 +86,15 @@ def test_slopes_are_what_small_turns_from_the_left_show(features, scale):
 def test_rest_gives_zeros_and_batches_and_precisions_agree(features, dtype):
     assert not features.value(torch.zeros(2, 5, 3, dtype=dtype)).any()
     vectors = rotvecs(1.3, 2, 5)
-    value, slope = features.value(vectors.to(dtype)), features.slope(vectors.to(dtype))
+    value = features.value(vectors.to(dtype))
+    slope = features.slope(vectors.to(dtype))
     assert value.dtype == slope.dtype == dtype
-    assert value.shape == (2, 5, features.per_joint) and slope.shape == (2, 5, features.per_joint, 3)
+    assert value.shape == (2, 5, features.per_joint) and slope.shape == (
+        2,
+        5,
+        features.per_joint,
+        3,
+    )
     tolerance = 1e-6 if dtype == torch.float32 else 1e-15
     assert (value[1, 2] - features.value(vectors[1, 2])).abs().max() < tolerance
     assert (slope[1, 2] - features.slope(vectors[1, 2])).abs().max() < 3 * tolerance
@@ -94,21 +116,31 @@ def test_the_root_drives_nothing_and_matrices_say_the_same(features):
 
 
 def test_quaternions_know_the_rotation_only():
-    """The two vectors of a rotation have one quaternion with positive real part, but two of everything raw."""
+    """The two vectors of a rotation have one quaternion with positive real part, but two of
+    everything raw.
+    """
     near = rotvecs(2.5, 4)
     far = near * (1 - 2 * math.pi / 2.5)
-    for name, same in (("rotations", True), ("quaternions", True), ("angles", False), ("polynomials", False)):
+    for name, same in (
+        ("rotations", True),
+        ("quaternions", True),
+        ("angles", False),
+        ("polynomials", False),
+    ):
         value = POSE_FEATURES[name].value
         assert ((value(near) - value(far)).abs().max() < 1e-13) == same, name
 
 
 def test_extended_features_are_products_with_the_first_coefficients():
-    feature, betas = torch.randn(4, 1, 6), torch.randn(3, 5)
+    feature = torch.randn(4, 1, 6)
+    betas = torch.randn(3, 5)
     assert extended(feature, betas, 0) is feature
     found = extended(feature, betas, 2)
     assert found.shape == (4, 3, 18)
     for n, factor in enumerate((torch.ones(3), betas[:, 0], betas[:, 1])):
-        assert torch.equal(found[..., 6 * n : 6 * n + 6], (factor[:, None] * feature).expand(4, 3, 6))
+        assert torch.equal(
+            found[..., 6 * n : 6 * n + 6], (factor[:, None] * feature).expand(4, 3, 6)
+        )
 
 
 def test_unknown_features_are_refused():
@@ -130,19 +162,27 @@ SOME = (11, 3, 7)
 @pytest.mark.parametrize("shapes", [0, 2])
 @every
 def test_a_body_adds_its_features_one_by_one(features, shapes, skinning, joints):
-    """Offsets worked out joint by joint with an independent library; skinning is that of a body without any."""
-    body = with_features(replace(synthetic_body("mano", 60), skinning=skinning), features.name, shapes, joints)
+    """Offsets worked out joint by joint with an independent library; skinning is that of a body
+    without any.
+    """
+    body = with_features(
+        replace(synthetic_body("mano", 60), skinning=skinning), features.name, shapes, joints
+    )
     betas, pose, trans = random_state(body)
     driving = pose[1:] if joints is None else pose[list(joints)]
     each = [by_an_independent_library(turn)[features.name] for turn in driving.numpy()]
     joint_by_joint = np.concatenate(each)
-    offset, count = np.zeros((60, 3)), len(joint_by_joint)
+    offset = np.zeros((60, 3))
+    count = len(joint_by_joint)
     for block, factor in enumerate([1.0, *betas[:shapes].tolist()]):
         offset += factor * body.posedirs[..., count * block : count * (block + 1)] @ joint_by_joint
     plain = replace(body, posedirs=None, v_template=body.v_template + offset)
     keeps_joints = torch.as_tensor(body.joint_template - plain.joint_template)
-    found, known = body(betas, pose, trans), plain.prepare(betas)
-    known = replace(known, rest_joints=known.rest_joints + keeps_joints)(pose, trans)  # offsets move no joint
+    found = body(betas, pose, trans)
+    known = plain.prepare(betas)
+    known = replace(known, rest_joints=known.rest_joints + keeps_joints)(
+        pose, trans
+    )  # offsets move no joint
     assert (found.vertices - known.vertices).abs().max() < 1e-13
     assert (found.joints - known.joints).abs().max() < 1e-13
     readable = body(betas, pose.clone().requires_grad_(), trans)
@@ -154,20 +194,33 @@ def test_a_body_adds_its_features_one_by_one(features, shapes, skinning, joints)
 @pytest.mark.parametrize("shapes", [0, 2])
 @pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
 def test_joints_that_drive_nothing_may_be_written_out(skinning, shapes):
-    """Zeros for the joints that do not drive: SMPL's own form of the same body, in any order of the joints."""
-    body = with_features(replace(synthetic_body("mano", 60), skinning=skinning), "rotations", shapes, SOME)
+    """Zeros for the joints that do not drive: SMPL's own form of the same body, in any order of the
+    joints.
+    """
+    body = with_features(
+        replace(synthetic_body("mano", 60), skinning=skinning), "rotations", shapes, SOME
+    )
     wide = replace(body, posedirs=body.smpl_posedirs(), pose_joints=None)
-    assert wide.posedirs.shape == (60, 3, 9 * 15 * (1 + shapes)) and body.smpl_posedirs([4, 2]).shape[0] == 2
+    assert (
+        wide.posedirs.shape == (60, 3, 9 * 15 * (1 + shapes))
+        and body.smpl_posedirs([4, 2]).shape[0] == 2
+    )
     betas, pose, trans = random_state(body, 3)
-    assert (body(betas, pose, trans).vertices - wide(betas, pose, trans).vertices).abs().max() < 1e-13
+    assert (
+        body(betas, pose, trans).vertices - wide(betas, pose, trans).vertices
+    ).abs().max() < 1e-13
     others = body.drivers + [k for k in range(1, 16) if k not in body.drivers]
     shuffled = np.concatenate([of_joints(body.posedirs, 9, SOME, tuple(others), shapes)], -1)
     mixed = replace(body, posedirs=shuffled, pose_joints=tuple(others))
-    assert (body(betas, pose, trans).vertices - mixed(betas, pose, trans).vertices).abs().max() < 1e-13
+    assert (
+        body(betas, pose, trans).vertices - mixed(betas, pose, trans).vertices
+    ).abs().max() < 1e-13
     for wrong in ((0, 3, 7), (3, 3, 7), (3, 7, 16)):
         with pytest.raises(HabitusError, match="expected different joints from 1 to 15"):
             replace(body, pose_joints=wrong)
-    with pytest.raises(HabitusError, match=r"posedirs has \d+ directions; expected \d+: 'rotations' of 2 joints"):
+    with pytest.raises(
+        HabitusError, match=r"posedirs has \d+ directions; expected \d+: 'rotations' of 2 joints"
+    ):
         replace(body, pose_joints=(3, 7))
 
 
@@ -177,11 +230,19 @@ def test_bodies_of_all_features_rest_batch_and_take_soft_tissue(features, dtype)
     body = with_features(synthetic_body("mano", 50), features.name, 2)
     tolerance = 1e-5 if dtype == torch.float32 else 1e-13
     betas, pose, trans = random_state(body, 2, 3, dtype=dtype)
-    assert torch.equal(body(betas, 0 * pose).vertices, replace(body, posedirs=None)(betas, 0 * pose).vertices)
+    assert torch.equal(
+        body(betas, 0 * pose).vertices, replace(body, posedirs=None)(betas, 0 * pose).vertices
+    )
     whole = body(betas, pose, trans).vertices
-    assert (whole[1, 2] - body(betas[1, 2], pose[1, 2], trans[1, 2]).vertices).abs().max() < tolerance
-    shared = body.prepare(betas[0, 0], [4, 4, 17])(pose, trans).vertices  # one shape, many poses, some vertices
-    assert (shared - body(betas[:1, :1], pose, trans).vertices[..., [4, 4, 17], :]).abs().max() < tolerance
+    assert (
+        whole[1, 2] - body(betas[1, 2], pose[1, 2], trans[1, 2]).vertices
+    ).abs().max() < tolerance
+    shared = body.prepare(betas[0, 0], [4, 4, 17])(
+        pose, trans
+    ).vertices  # one shape, many poses, some vertices
+    assert (
+        shared - body(betas[:1, :1], pose, trans).vertices[..., [4, 4, 17], :]
+    ).abs().max() < tolerance
     soft = body(betas, pose[0, 0], soft_tissue=0.3 * betas).vertices  # many shapes, one pose
     assert (soft - body(1.3 * betas, pose[:1, :1]).vertices).abs().max() < tolerance
 
@@ -189,10 +250,13 @@ def test_bodies_of_all_features_rest_batch_and_take_soft_tissue(features, dtype)
 def test_bodies_that_do_not_fit_their_features_are_refused():
     body = with_features(synthetic_body("mano", 50), "angles", 2)
     with pytest.raises(
-        HabitusError, match=r"135 directions; expected 45: 'angles' of 15 joints, with 0 shape_features"
+        HabitusError,
+        match=r"135 directions; expected 45: 'angles' of 15 joints, with 0 shape_features",
     ):
         replace(synthetic_body("mano", 50), pose_features="angles")
-    with pytest.raises(HabitusError, match=r"posedirs has 135 directions; expected 90: .* with 1 shape_features"):
+    with pytest.raises(
+        HabitusError, match=r"posedirs has 135 directions; expected 90: .* with 1 shape_features"
+    ):
         replace(body, shape_features=1)
     with pytest.raises(HabitusError, match="expected one of rotations, angles"):
         replace(body, pose_features="magic")
@@ -205,7 +269,9 @@ def test_shape_that_pose_blend_shapes_depend_on_is_not_cut_off():
     body = with_features(synthetic_body("mano", 50), "rotations", 2)
     betas, pose, _ = random_state(body)
     betas[2:] = 0
-    assert torch.allclose(body.with_betas(2)(betas[:2], pose).vertices, body(betas, pose).vertices, atol=1e-14)
+    assert torch.allclose(
+        body.with_betas(2)(betas[:2], pose).vertices, body(betas, pose).vertices, atol=1e-14
+    )
     with pytest.raises(HabitusError, match="depend on the first 2; ask for 2 to 10"):
         body.with_betas(1)
     assert replace(body, posedirs=None).with_betas(1).num_betas == 1
@@ -216,7 +282,11 @@ def test_whoever_needs_rotations_is_told():
     angles = with_features(body, "angles")
     for fine in (body, replace(angles, posedirs=None)):
         check_driven_by_rotations(fine, "marker fits")
-    with pytest.raises(HabitusError, match="driven by 'angles'; marker fits need 'rotations' alone"):
+    with pytest.raises(
+        HabitusError, match="driven by 'angles'; marker fits need 'rotations' alone"
+    ):
         check_driven_by_rotations(angles, "marker fits")
-    with pytest.raises(HabitusError, match="driven by 'rotations' times 2 shape coefficients; exports need"):
+    with pytest.raises(
+        HabitusError, match="driven by 'rotations' times 2 shape coefficients; exports need"
+    ):
         check_driven_by_rotations(with_features(body, "rotations", 2), "exports")

@@ -1,4 +1,6 @@
-"""A body recentred on a character: its rest is the character, all else the body's, as much larger as it is taller."""
+"""A body recentred on a character: its rest is the character, all else the body's, as much larger
+as it is taller.
+"""
 
 from dataclasses import replace
 
@@ -20,10 +22,14 @@ def test_its_own_template_gives_the_same_body():
 
 
 def test_twice_as_large_is_twice_as_large_in_every_pose():
-    body, rng = tube_body(posedirs=True), np.random.default_rng(1)
-    giant, pose = recentred(body, 2 * body.v_template, "giant"), 0.3 * rng.normal(size=(24, 3))
+    body = tube_body(posedirs=True)
+    rng = np.random.default_rng(1)
+    giant = recentred(body, 2 * body.v_template, "giant")
+    pose = 0.3 * rng.normal(size=(24, 3))
     betas = rng.normal(size=body.num_betas)
-    np.testing.assert_allclose(giant(betas, pose).vertices, 2 * body(betas, pose).vertices, atol=1e-12)
+    np.testing.assert_allclose(
+        giant(betas, pose).vertices, 2 * body(betas, pose).vertices, atol=1e-12
+    )
     np.testing.assert_allclose(giant(betas, pose).joints, 2 * body(betas, pose).joints, atol=1e-12)
 
 

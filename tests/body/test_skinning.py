@@ -14,7 +14,12 @@ def strip(bend: torch.Tensor):
     motions[0, :, :3], motions[1, :, :3] = torch.eye(3), turn
     rest = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0.3, 0.4, 0.5]], dtype=torch.float64).T
     half = torch.full((3, 2), 0.5, dtype=torch.float64)
-    return rest, motions, torch.zeros(3, dtype=torch.float64), Influences(half.T, torch.tensor([[0, 1]] * 3), half)
+    return (
+        rest,
+        motions,
+        torch.zeros(3, dtype=torch.float64),
+        Influences(half.T, torch.tensor([[0, 1]] * 3), half),
+    )
 
 
 def test_dual_quaternions_turn_half_way_where_linear_blending_shrinks():
@@ -27,7 +32,11 @@ def test_dual_quaternions_turn_half_way_where_linear_blending_shrinks():
 
 
 def test_dual_quaternion_skinning_does_not_see_the_sign_of_a_quaternion():
-    for bend in (3.0, 3.3, -3.0):  # past half a turn the short way changes side; never through the inside
+    for bend in (
+        3.0,
+        3.3,
+        -3.0,
+    ):  # past half a turn the short way changes side; never through the inside
         rest, motions, origin, influences = strip(torch.tensor([0.0, 0, bend]))
         assert torch.allclose(
             skin("dqbs", rest, motions, origin, influences).norm(dim=1),

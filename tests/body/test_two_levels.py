@@ -1,4 +1,6 @@
-"""Laws of a body of two levels of detail: one surface, one skeleton with more joints or fewer, one age at a time."""
+"""Laws of a body of two levels of detail: one surface, one skeleton with more joints or fewer, one
+age at a time.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -34,14 +36,16 @@ def state(body: BodyModel, seed: int = 0, batch: int = 3):
 
 @pytest.mark.parametrize("joints", SETS)
 def test_both_levels_are_one_surface_in_every_shape_pose_face_flesh_and_age(source, joints):
-    coarse, full = load_body(source, joints=joints), load_body(source, joints=joints, detail="full")
+    coarse = load_body(source, joints=joints)
+    full = load_body(source, joints=joints, detail="full")
     assert coarse.full is not None and full.full is None and coarse.num_vertices < full.num_vertices
     assert coarse.mesh is None and full.mesh is not None
     betas, pose, trans = state(coarse)
     face = np.random.default_rng(1).normal(size=(3, coarse.num_expressions))
     flesh = np.random.default_rng(2).normal(size=(3, coarse.num_dynamics))
     for make in (lambda body: body, lambda body: body.at_age(9.5), lambda body: body.with_betas(3)):
-        one, other = make(coarse), make(full)
+        one = make(coarse)
+        other = make(full)
         few = betas[:, : one.num_betas]
         moved = {"expression": face, "dynamics": flesh}
         a, b, c = (body(few, pose, trans, **moved) for body in (one, other, one.full))
@@ -64,10 +68,14 @@ def test_joints_that_rest_may_be_folded_away(source, joints):
     turns = {name: 0.6 * rng.normal(size=3) for name in few.joint_names if name in many.joint_names}
     betas = rng.normal(size=many.num_betas)
     for skinning in ("lbs", "dqbs"):
-        one, other = (replace(body, skinning=skinning)(betas, turns, [0.1, 0, 0]) for body in (many, few))
+        one, other = (
+            replace(body, skinning=skinning)(betas, turns, [0.1, 0, 0]) for body in (many, few)
+        )
         assert np.abs(one.vertices - other.vertices).max() < 1e-9
         for name in few.joint_names:
-            twin = many.joint_names.index({"left_hand": "left_middle1", "right_hand": "right_middle1"}.get(name, name))
+            twin = many.joint_names.index(
+                {"left_hand": "left_middle1", "right_hand": "right_middle1"}.get(name, name)
+            )
             assert np.abs(other.joints[few.joint_names.index(name)] - one.joints[twin]).max() < 1e-9
     assert np.allclose(few.skinning_weights.sum(1), many.skinning_weights.sum(1), atol=1e-12)
     assert few.full.joint_names == few.joint_names
@@ -77,15 +85,24 @@ def test_joints_that_rest_may_be_folded_away(source, joints):
 
 def test_a_folded_hand_moves_all_its_fingers_together(source):
     """The hand of SMPL carries all that any finger carries."""
-    many, few = load_body(source, joints="smplx"), load_body(source, joints="smpl")
-    fingers = [k for k, name in enumerate(many.joint_names) if name.startswith("left_") and name[-1] in "123"]
+    many = load_body(source, joints="smplx")
+    few = load_body(source, joints="smpl")
+    fingers = [
+        k
+        for k, name in enumerate(many.joint_names)
+        if name.startswith("left_") and name[-1] in "123"
+    ]
     assert len(fingers) == 15
     hand = few.joint_names.index("left_hand")
-    assert np.allclose(few.skinning_weights[:, hand], many.skinning_weights[:, fingers].sum(1), atol=1e-12)
+    assert np.allclose(
+        few.skinning_weights[:, hand], many.skinning_weights[:, fingers].sum(1), atol=1e-12
+    )
 
 
 def test_a_joint_set_that_a_body_has_not_is_refused(file):
-    with pytest.raises(HabitusError, match="made_up has no joint 'left_index1', which smplh has; it has 24 joints"):
+    with pytest.raises(
+        HabitusError, match="made_up has no joint 'left_index1', which smplh has; it has 24 joints"
+    ):
         load_body(file, joints="smpl").with_joints("smplh")
     with pytest.raises(HabitusError, match="joints are 'all'; expected one of smpl, smplh"):
         load_body(file, joints="all")
@@ -96,9 +113,15 @@ def test_a_joint_set_that_a_body_has_not_is_refused(file):
 
 
 def test_a_joint_that_carries_a_vertex_twice_carries_it_once():
-    index, value = folded_weights((0, 1, 1, 2), np.array([[1, 2, 3, 0], [3, 1, 0, 2]]), np.full((2, 4), 0.25))
+    index, value = folded_weights(
+        (0, 1, 1, 2), np.array([[1, 2, 3, 0], [3, 1, 0, 2]]), np.full((2, 4), 0.25)
+    )
     assert index[0, 0] == index[1, 0] == 1 and value[:, 0].tolist() == [0.5, 0.5]
-    assert sorted(zip(index[0, :3].tolist(), value[0, :3].tolist(), strict=True)) == [(0, 0.25), (1, 0.5), (2, 0.25)]
+    assert sorted(zip(index[0, :3].tolist(), value[0, :3].tolist(), strict=True)) == [
+        (0, 0.25),
+        (1, 0.5),
+        (2, 0.25),
+    ]
     assert not value[:, 3].any()
 
 
@@ -131,13 +154,25 @@ def test_an_expression_moves_the_face_apart_from_shape(source):
     face = np.random.default_rng(2).normal(size=(2, 3))
     still = body(betas, pose, trans, expression=np.zeros(3)).vertices
     assert np.abs(body(betas, pose, trans).vertices - still).max() < 1e-14
-    shaped = replace(body, v_template=body.v_template + body.expressiondirs[..., :3] @ face[0], expressiondirs=None)
+    shaped = replace(
+        body,
+        v_template=body.v_template + body.expressiondirs[..., :3] @ face[0],
+        expressiondirs=None,
+    )
     found = body(betas, pose, trans, expression=face[0])
     known = shaped(betas, pose, trans)
-    assert np.abs(found.vertices - known.vertices).max() < 1e-9 and np.abs(found.joints - known.joints).max() < 1e-9
+    assert (
+        np.abs(found.vertices - known.vertices).max() < 1e-9
+        and np.abs(found.joints - known.joints).max() < 1e-9
+    )
     assert found.betas.shape == (2, body.num_betas)
     both = body(betas[0], pose, trans, expression=face)
-    assert np.abs(both.vertices[1] - body(betas[0], pose[1], trans[1], expression=face[1]).vertices).max() < 1e-12
+    assert (
+        np.abs(
+            both.vertices[1] - body(betas[0], pose[1], trans[1], expression=face[1]).vertices
+        ).max()
+        < 1e-12
+    )
     with pytest.raises(HabitusError, match="expression has shape"):
         body(expression=np.zeros(body.num_expressions + 1))
 
@@ -145,7 +180,12 @@ def test_an_expression_moves_the_face_apart_from_shape(source):
 def test_a_coarse_body_changed_by_itself_is_no_longer_the_full_one(file):
     body = load_body(file)
     assert replace(body, name="other").full is not None
-    for change in ({"posedirs": None}, {"skinning": "dqbs"}, {"shapedirs": 2 * body.shapedirs}, {"dynamics": None}):
+    for change in (
+        {"posedirs": None},
+        {"skinning": "dqbs"},
+        {"shapedirs": 2 * body.shapedirs},
+        {"dynamics": None},
+    ):
         assert replace(body, **change).full is None
     assert replace(body, v_template=body.v_template + 1e-3).full is None
     assert replace(body, dynamics=body.dynamics.scaled(1.1)).full is None
@@ -153,7 +193,11 @@ def test_a_coarse_body_changed_by_itself_is_no_longer_the_full_one(file):
 
 def test_a_full_surface_has_quads_and_texture(file):
     full = load_body(file, detail="full")
-    assert full().mesh is full.mesh and full(vertices=[1, 2]).mesh is None and load_body(file)().mesh is None
+    assert (
+        full().mesh is full.mesh
+        and full(vertices=[1, 2]).mesh is None
+        and load_body(file)().mesh is None
+    )
     corners = full.mesh.triangle_uv(full.faces)
     assert np.array_equal(corners[: len(full.mesh.quads)], full.mesh.quad_uv[:, [0, 1, 2]])
     assert np.array_equal(corners[len(full.mesh.quads) :], full.mesh.quad_uv[:, [0, 2, 3]])
@@ -169,7 +213,12 @@ def test_twist_is_driven_by_its_own_joints(file):
     assert body.pose_joints == DRIVERS and load_body(file, joints="smpl").pose_joints == DRIVERS
     assert SMPL.joint_names[20] == "left_wrist"
     plain = replace(body, posedirs=None)
-    for joint, drives in (("left_elbow", False), ("left_wrist", True), ("right_hip", True), ("left_index1", False)):
+    for joint, drives in (
+        ("left_elbow", False),
+        ("left_wrist", True),
+        ("right_hip", True),
+        ("left_index1", False),
+    ):
         turn = {joint: (0.5, 0.2, 0)}
         change = np.abs(body(pose=turn).vertices - plain(pose=turn).vertices).max()
         assert change > 1e-3 if drives else change < 1e-12

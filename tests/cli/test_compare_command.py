@@ -27,7 +27,10 @@ def results(tmp_path_factory):
     """A folder of each result: a fit, the same 20 mm aside, and in AMASS's style."""
     root = tmp_path_factory.mktemp("results")
     fit = synthetic_fit(4, body=load_body("default"), body_name="default", soft=False)
-    for name, one in {"one": fit, "other": replace(fit, trans=fit.trans + np.array([0.02, 0, 0]))}.items():
+    for name, one in {
+        "one": fit,
+        "other": replace(fit, trans=fit.trans + np.array([0.02, 0, 0])),
+    }.items():
         one.export(root / name / "walk" / "body.npz")
     (root / "one" / "walk" / "report.html").write_text("")
     return root
@@ -38,9 +41,14 @@ def test_two_results_are_compared(results, tmp_path, capsys):
     assert run("compare", results / "one" / "walk", results / "other" / "walk", "--out", out) == 0
     said = capsys.readouterr().out
     assert "A: one" in said and "B: other" in said and "compare.html" in said
-    assert [line.split()[1:3] for line in said.splitlines() if line.startswith("skin")] == [["20.0", "mm"]]
+    assert [line.split()[1:3] for line in said.splitlines() if line.startswith("skin")] == [
+        ["20.0", "mm"]
+    ]
     told = json.loads((out / "compare.json").read_text())
-    assert told["skin_mm"]["mean"] == pytest.approx(20, abs=1e-2) and told["shape_at_rest_mm"]["max"] == 0
+    assert (
+        told["skin_mm"]["mean"] == pytest.approx(20, abs=1e-2)
+        and told["shape_at_rest_mm"]["max"] == 0
+    )
     assert told["measurements"]["height_m"]["difference"] == 0 and told["b"]["name"] == "other"
     page = (out / "compare.html").read_text("utf-8")
     assert "Report of A" in page and "Report of B" not in page and str(results) not in page
@@ -71,7 +79,11 @@ def test_bad_input_is_one_line(words, said, results, capsys):
 def test_from_python_with_fits_in_memory(tmp_path):
     fit = synthetic_fit(6)
     found = habitus.compare(fit, replace(fit, capture_name="again"))
-    assert found.names == ("walk", "again") and found.numbers["skin_mm"]["mean"] < 1e-6 and not found.notes
+    assert (
+        found.names == ("walk", "again")
+        and found.numbers["skin_mm"]["mean"] < 1e-6
+        and not found.notes
+    )
     assert found.save(tmp_path).name == "compare.html" and (tmp_path / "compare.json").exists()
     with pytest.raises(HabitusError, match="align is 'no'"):
         habitus.compare(fit, fit, align="no")

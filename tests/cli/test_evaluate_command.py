@@ -1,4 +1,6 @@
-"""`habitus evaluate`: what models measure on files that they were made from, what is written, what is refused."""
+"""`habitus evaluate`: what models measure on files that they were made from, what is written, what
+is refused.
+"""
 
 import json
 import shutil
@@ -29,7 +31,9 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def run(capsys, tmp_path):
-    """Runs the command in this process: its exit code (0 where it just returns) and what it said on stderr."""
+    """Runs the command in this process: its exit code (0 where it just returns) and what it said on
+    stderr.
+    """
 
     def call(*arguments, out=tmp_path / "out"):
         capsys.readouterr()
@@ -64,14 +68,27 @@ def refused(answer, *words: str) -> None:
 def test_a_model_on_its_own_meshes_is_off_by_nothing_and_plain_skinning_is(files, run, tmp_path):
     assert run(files["tubes"], files["clean"], "--plain", "--quiet", *QUICK) == (0, "")
     out = tmp_path / "out"
-    assert {path.name for path in out.iterdir()} == {"report.html", "evaluation.json", "per_vertex.npz", "figures"}
+    assert {path.name for path in out.iterdir()} == {
+        "report.html",
+        "evaluation.json",
+        "per_vertex.npz",
+        "figures",
+    }
     numbers = json.loads((out / "evaluation.json").read_text("utf-8"))
     own, plain = numbers["models"]
-    assert (own["name"], plain["without_pose_shapes_of"]) == ("tubes", "tubes") and not numbers["dataset"]["noise_free"]
+    assert (own["name"], plain["without_pose_shapes_of"]) == ("tubes", "tubes") and not numbers[
+        "dataset"
+    ]["noise_free"]
     for measure in ("model_generalisation", "pose_generalisation"):
         assert own[measure]["counts"] == [2, 4] and own[measure]["mean_mm"][1] < 0.02
         assert plain[measure]["mean_mm"][1] > 1.0 and own[measure]["mean_mm"][0] > 1.0
-    assert own["model_generalisation"]["registrations"] == ["ann-0", "bob-1", "ann-2", "bob-3", "eve-4"]
+    assert own["model_generalisation"]["registrations"] == [
+        "ann-0",
+        "bob-1",
+        "ann-2",
+        "bob-3",
+        "eve-4",
+    ]
     assert own["removed_by_pose_shapes"]["percent"][1] > 98
     assert own["pose_generalisation"]["registrations"] == ["ann-2", "bob-3"]
 
@@ -79,9 +96,14 @@ def test_a_model_on_its_own_meshes_is_off_by_nothing_and_plain_skinning_is(files
 def test_python_measures_noise_and_truth_for_every_kind_of_model(files):
     stages = []
     found = evaluate(
-        [files[name] for name in ("tubes", "dual", "scape")], files["noisy"], clean=files["clean"], counts=(2, 4),
-        repeats=1, workers=Threads(2), progress=lambda stage, share: stages.append((stage, share)),
-    )  # fmt: skip
+        [files[name] for name in ("tubes", "dual", "scape")],
+        files["noisy"],
+        clean=files["clean"],
+        counts=(2, 4),
+        repeats=1,
+        workers=Threads(2),
+        progress=lambda stage, share: stages.append((stage, share)),
+    )
     tubes, dual, scape = found.models
     assert (found.shown, dual.shape.counts, scape.shape.counts) == (2, (2, 3), (2,))
     assert tubes.shape.clean_means[-1] < 0.75 * tubes.shape.means[-1] < 0.002
@@ -95,7 +117,9 @@ def test_python_measures_noise_and_truth_for_every_kind_of_model(files):
 
 def test_sets_and_sexes_are_chosen(files):
     def of(**chosen):
-        made = evaluate([files["tubes"]], files["clean"], counts=(4,), repeats=1, workers=Threads(1), **chosen)
+        made = evaluate(
+            [files["tubes"]], files["clean"], counts=(4,), repeats=1, workers=Threads(1), **chosen
+        )
         return made.registrations.name, made.models[0].pose is not None
 
     assert of(which="pose") == (("zoe-5", "zoe-6"), True)
@@ -107,7 +131,10 @@ def test_bodies_and_open_registrations_are_measured_as_files_are(files):
     body = replace(load_body(files["tubes"]), name="tubes")
     (ours, plain), (theirs, _) = (
         evaluate([model], data, workers=1, **asked).models
-        for model, data in ((body, open_registrations(files["clean"])), (files["tubes"], files["clean"]))
+        for model, data in (
+            (body, open_registrations(files["clean"])),
+            (files["tubes"], files["clean"]),
+        )
     )
     np.testing.assert_array_equal(ours.shape.errors, theirs.shape.errors)
     assert (ours.name, ours.file, theirs.name) == ("tubes", None, "tubes")
@@ -115,7 +142,10 @@ def test_bodies_and_open_registrations_are_measured_as_files_are(files):
     with pytest.raises(HabitusError, match="two models are called tubes"):
         evaluate([body, body], files["clean"])
     folder = files["tubes"].parent.name  # a file can be told apart by its folder
-    assert [one.model.name for one in load_models([body, files["tubes"]], False)] == ["tubes", f"{folder}/tubes"]
+    assert [one.model.name for one in load_models([body, files["tubes"]], False)] == [
+        "tubes",
+        f"{folder}/tubes",
+    ]
     with pytest.raises(HabitusError, match="0 threads"):
         evaluate([body], files["clean"], workers=0)
 
@@ -125,7 +155,9 @@ def test_people_seen_once_have_no_pose_generalisation(files, tmp_path, run):
     write_registrations(once, tmp_path / "once.npz")
     assert run(files["tubes"], tmp_path / "once.npz", "--quiet", *QUICK) == (0, "")
     (model,) = json.loads((tmp_path / "out" / "evaluation.json").read_text("utf-8"))["models"]
-    assert model["pose_generalisation"] is None and model["model_generalisation"]["mean_mm"][1] < 0.02
+    assert (
+        model["pose_generalisation"] is None and model["model_generalisation"]["mean_mm"][1] < 0.02
+    )
     assert "Pose generalisation" not in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
@@ -143,18 +175,29 @@ def test_models_of_one_name_are_told_apart_by_their_folders(files, tmp_path):
         (tmp_path / folder).mkdir()
         for name in ("model", "dual"):
             shutil.copy(files["dual"], tmp_path / folder / f"{name}.npz")
-    models = [tmp_path / folder / f"{name}.npz" for folder in ("women", "men") for name in ("model", "dual")]
+    models = [
+        tmp_path / folder / f"{name}.npz"
+        for folder in ("women", "men")
+        for name in ("model", "dual")
+    ]
     found = load_models(models, plain=False)
     assert [one.model.name for one in found] == ["women", "women/dual", "men", "men/dual"]
 
 
 def test_variances_are_those_of_the_training_where_it_told_them(files, tmp_path):
-    record = {"shape_variances": [4.0, 2.0, 1.0], "baselines": {"plain-lbs": {"shape_variances": [3.0, 1.0]}}}
+    record = {
+        "shape_variances": [4.0, 2.0, 1.0],
+        "baselines": {"plain-lbs": {"shape_variances": [3.0, 1.0]}},
+    }
     (tmp_path / "training.json").write_text(json.dumps(record))
     for name in ("model", "plain-lbs", "other"):
         shutil.copy(files["tubes"], tmp_path / f"{name}.npz")
-    loaded = load_models([tmp_path / f"{name}.npz" for name in ("model", "plain-lbs", "other")], plain=False)
-    (model, all_of_it), (plain, _), (other, told) = (shape_variances(one.model, one.file) for one in loaded)
+    loaded = load_models(
+        [tmp_path / f"{name}.npz" for name in ("model", "plain-lbs", "other")], plain=False
+    )
+    (model, all_of_it), (plain, _), (other, told) = (
+        shape_variances(one.model, one.file) for one in loaded
+    )
     assert model.tolist() == [4, 2, 1] and plain.tolist() == [3, 1] and all_of_it and not told
     np.testing.assert_allclose(other, (tube_people().body.shapedirs ** 2).sum((0, 1)))
 
@@ -163,11 +206,12 @@ def test_numbers_of_coefficients_default_to_those_of_the_papers_figures():
     assert Evaluate(("m.npz", "d.npz"), out=None).counts == (1, 2, 5, 10, 20, 50, 100)
 
 
-# -- bad input --------------------------------------------------------------------------------------------------------
+# -- bad input -------------------------------------------------------------------------------------
 
 
 def test_what_nothing_can_be_done_with_is_told_before_the_fits(files, run, tmp_path, unfitted):
-    tubes, data = files["tubes"], files["noisy"]
+    tubes = files["tubes"]
+    data = files["noisy"]
     (tmp_path / "text.npz").write_text("no model")
     (tmp_path / "taken").write_text("a file")
     save_body(tube_body(betas=2, around=4, along=3, pose_shapes=0.0), tmp_path / "other.npz")
@@ -195,7 +239,9 @@ def test_what_nothing_can_be_done_with_is_told_before_the_fits(files, run, tmp_p
     ],
 )
 @pytest.mark.parametrize("kind", ["tubes", "scape"])
-def test_spoilt_meshes_are_named_before_the_fits(files, run, tmp_path, unfitted, spoil, words, kind):
+def test_spoilt_meshes_are_named_before_the_fits(
+    files, run, tmp_path, unfitted, spoil, words, kind
+):
     noisy = tube_people().noisy
     rows = np.array([4])
     vertices = np.array(noisy.vertices)
@@ -206,13 +252,19 @@ def test_spoilt_meshes_are_named_before_the_fits(files, run, tmp_path, unfitted,
 
 def test_of_meshes_of_one_name_each_fit_knows_its_own(files, tmp_path):
     people = tube_people().noisy
-    write_registrations(replace(people, name=("same",) * len(people)), tmp_path / "same.npz", dtype=np.float64)
-    found = evaluate([files["tubes"]], tmp_path / "same.npz", counts=(4,), repeats=1, workers=Threads(1)).models[0]
+    write_registrations(
+        replace(people, name=("same",) * len(people)), tmp_path / "same.npz", dtype=np.float64
+    )
+    found = evaluate(
+        [files["tubes"]], tmp_path / "same.npz", counts=(4,), repeats=1, workers=Threads(1)
+    ).models[0]
     for curve in (found.shape, found.pose):
         assert [people.subject[row] for row in curve.rows] == list(curve.subjects)
         for n, row in enumerate(curve.rows):
             fitted = found.model.surface(curve.shape(-1, n), curve.pose[-1, n]) + curve.trans[-1, n]
-            assert np.linalg.norm(fitted - people.read(row), axis=1).mean() == pytest.approx(curve.errors[-1, n])
+            assert np.linalg.norm(fitted - people.read(row), axis=1).mean() == pytest.approx(
+                curve.errors[-1, n]
+            )
 
 
 def test_clean_meshes_that_are_not_the_same_are_refused(files, run, tmp_path, unfitted):
@@ -220,8 +272,14 @@ def test_clean_meshes_that_are_not_the_same_are_refused(files, run, tmp_path, un
     renamed = replace(clean, name=("someone", *clean.name[1:]))
     write_registrations(renamed, tmp_path / "renamed.npz")
     write_registrations(replace(clean, name=("ann-0",) * 7), tmp_path / "same.npz")
-    refused(run(files["tubes"], files["noisy"], "--clean", tmp_path / "renamed.npz"), "renamed.npz", "ann-0")
-    refused(run(files["tubes"], files["noisy"], "--clean", tmp_path / "same.npz"), "same.npz", "bob-1")
+    refused(
+        run(files["tubes"], files["noisy"], "--clean", tmp_path / "renamed.npz"),
+        "renamed.npz",
+        "ann-0",
+    )
+    refused(
+        run(files["tubes"], files["noisy"], "--clean", tmp_path / "same.npz"), "same.npz", "bob-1"
+    )
 
 
 def test_without_matplotlib_the_extra_is_named(files, run, monkeypatch, unfitted):
@@ -234,5 +292,7 @@ def test_help_reads_well(capsys):
         main(["evaluate", "--help"])
     said = capsys.readouterr()
     assert end.value.code == 0 and said.err == "" and "tyro" not in said.out
-    for word in "MODEL DATASET --out --counts --set --clean --plain --cluster --threads report.html".split():
+    for word in (
+        "MODEL DATASET --out --counts --set --clean --plain --cluster --threads report.html".split()
+    ):
         assert word in said.out

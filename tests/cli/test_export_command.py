@@ -25,12 +25,33 @@ def npz(tmp_path_factory):
 
 def test_a_fit_becomes_an_fbx(npz, tmp_path, capsys):
     out = tmp_path / "walk.fbx"
-    assert run("export", npz, "--to", out, "--fps", 60, "--bake-correctives", "pca:3", "--detail", "coarse") == 0
+    assert (
+        run(
+            "export",
+            npz,
+            "--to",
+            out,
+            "--fps",
+            60,
+            "--bake-correctives",
+            "pca:3",
+            "--detail",
+            "coarse",
+        )
+        == 0
+    )
     said = capsys.readouterr().out
-    assert "blend shapes; what they leave out" in said and "3 frames at 60 Hz" in said and "MB" in said
+    assert (
+        "blend shapes; what they leave out" in said and "3 frames at 60 Hz" in said and "MB" in said
+    )
     assert len(Fbx(out).vertices(2)) == load_body("default").num_vertices
-    assert run("export", npz, "--to", out, "--bake-correctives", "live:5", "--detail", "coarse") == 0
-    assert "walk.correctives.json" in capsys.readouterr().out and (tmp_path / "walk.correctives.json").exists()
+    assert (
+        run("export", npz, "--to", out, "--bake-correctives", "live:5", "--detail", "coarse") == 0
+    )
+    assert (
+        "walk.correctives.json" in capsys.readouterr().out
+        and (tmp_path / "walk.correctives.json").exists()
+    )
     assert run("export", npz, "--to", tmp_path / "walk.trc") == 0
     assert "M03" in (tmp_path / "walk.trc").read_text()
 

@@ -53,19 +53,27 @@ def test_check_tells_matches_and_corrections(shared):
     text = printed(Check("auto", shared / "mocap" / "HDM_mm_01-02_03_120.c3d"))
     assert "cmu-41" in text and "41 of 41" in text and "RBAC sits 77 mm on the left side" in text
     text = printed(Check("vicon-53", shared / "mocap" / "HDM_mm_01-02_03_120.c3d"))
-    assert "vicon-53" in text and "not used: RFIN (unknown label)" in text and "not in the capture: ARIEL" in text
+    assert (
+        "vicon-53" in text
+        and "not used: RFIN (unknown label)" in text
+        and "not in the capture: ARIEL" in text
+    )
 
 
 def test_new_fills_in_what_is_known(shared, tmp_path):
     capture = read_capture(shared / "mocap" / "nick_freeform_001.c3d")
     text = printed(New(shared / "mocap" / "nick_freeform_001.c3d", out=tmp_path / "nick.toml"))
     assert "52 labels, 0 to do" in text
-    layout, match = load_layout(tmp_path / "nick.toml"), match_layout(capture.labels)
-    assert {m.label: m.place for m in layout.markers} == {m.label: m.place for m in match.layout.markers}
+    layout = load_layout(tmp_path / "nick.toml")
+    match = match_layout(capture.labels)
+    assert {m.label: m.place for m in layout.markers} == {
+        m.label: m.place for m in match.layout.markers
+    }
 
 
 def test_new_does_not_write_over_a_file(shared, tmp_path):
-    capture, out = shared / "mocap" / "Running_0002.c3d", tmp_path / "run.toml"
+    capture = shared / "mocap" / "Running_0002.c3d"
+    out = tmp_path / "run.toml"
     run(New(capture, out=out), Console(quiet=True))
     with pytest.raises(HabitusError, match="--overwrite"):
         run(New(capture, out=out), Console(quiet=True))
@@ -75,7 +83,8 @@ def test_new_does_not_write_over_a_file(shared, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [Show("nothing"), Check("nothing", Path("gone.c3d")), New(Path("gone.c3d"), Path("x.toml"))]
+    "options",
+    [Show("nothing"), Check("nothing", Path("gone.c3d")), New(Path("gone.c3d"), Path("x.toml"))],
 )
 def test_bad_input_is_one_line(options):
     with pytest.raises(HabitusError) as error:
@@ -90,9 +99,13 @@ def test_a_draft_with_its_todo_lines_filled_in_is_a_layout():
     first = parse_layout(text, "mine.toml", load_layout)
     assert first.labels == ("LASI", "RASI", "LKNE", "RKNE")
     assert text.count("# TODO") == 2
-    filled = text.replace('# "odd one" = ""', '"odd one" = "c7"').replace('# "quo\\"ted" = ""', '"quo\\"ted" = "t10"')
+    filled = text.replace('# "odd one" = ""', '"odd one" = "c7"').replace(
+        '# "quo\\"ted" = ""', '"quo\\"ted" = "t10"'
+    )
     whole = parse_layout(filled, "mine.toml", load_layout)
-    assert whole["odd one"] == Marker("odd one", landmark="c7") and whole['quo"ted'].landmark == "t10"
+    assert (
+        whole["odd one"] == Marker("odd one", landmark="c7") and whole['quo"ted'].landmark == "t10"
+    )
 
 
 def test_nearest_markers_are_sorted_and_never_the_marker_itself():
@@ -103,7 +116,10 @@ def test_nearest_markers_are_sorted_and_never_the_marker_itself():
 
 def test_names_in_a_layout_are_shown_and_not_obeyed(tmp_path, capsys):
     """A closing tag of rich's markup, escapes of a terminal: from a file that somebody sent."""
-    text = 'name = "[/x]"\ntitle = "[bold]t\\u001b[31m"\ndescription = "[/]\\u0007"\n[markers]\n"[/L]" = "left_asis"\n'
+    text = (
+        'name = "[/x]"\ntitle = "[bold]t\\u001b[31m"\ndescription = '
+        '"[/]\\u0007"\n[markers]\n"[/L]" = "left_asis"\n'
+    )
     (tmp_path / "odd.toml").write_text(text)
     main(["layout", "show", str(tmp_path / "odd.toml")])
     said = capsys.readouterr().out

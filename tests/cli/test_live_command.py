@@ -1,4 +1,6 @@
-"""`habitus live` on a real capture and on NatNet packets made of it: lines, messages sent on, the result."""
+"""`habitus live` on a real capture and on NatNet packets made of it: lines, messages sent on, the
+result.
+"""
 
 import socket
 import threading
@@ -34,7 +36,11 @@ def test_packets_become_poses_and_messages_and_a_result(subject, tmp_path, capsy
     ):
         ear.bind(("127.0.0.1", 0))
         ear.settimeout(1.0)
-        packets = [frame(k, markers, "Bob") for k, markers in enumerate(capture.markers[:150]) if not 100 <= k < 104]
+        packets = [
+            frame(k, markers, "Bob")
+            for k, markers in enumerate(capture.markers[:150])
+            if not 100 <= k < 104
+        ]
 
         def play():
             while 4 not in server.asked:
@@ -43,15 +49,34 @@ def test_packets_become_poses_and_messages_and_a_result(subject, tmp_path, capsy
 
         playing = threading.Thread(target=play, daemon=True)
         playing.start()
-        words = ["live", "--source", "natnet", server.address, "--subject", str(subject), "--stop-after", "4"]
-        main([*words, "--out", str(tmp_path / "take.npz"), "--send", f"vmc=127.0.0.1:{ear.getsockname()[1]}"])
+        words = [
+            "live",
+            "--source",
+            "natnet",
+            server.address,
+            "--subject",
+            str(subject),
+            "--stop-after",
+            "4",
+        ]
+        main(
+            [
+                *words,
+                "--out",
+                str(tmp_path / "take.npz"),
+                "--send",
+                f"vmc=127.0.0.1:{ear.getsockname()[1]}",
+            ]
+        )
         first = ear.recv(2000)
     said = capsys.readouterr().out
     fit = hb.load_fit(tmp_path / "take.npz")
     assert first.startswith(b"#bundle\0") and b"/VMC/Ext/OK" in first
     assert "41 markers (cmu-41)" in said and "wrote" in said and "as saved" in said
     assert fit.num_frames == 150 and fit.rate_hz == 120.0 and fit.up_axis == capture.up_axis
-    assert fit.flagged_frames[100:104].all() and any("4 lost on the way" in warning for warning in fit.warnings)
+    assert fit.flagged_frames[100:104].all() and any(
+        "4 lost on the way" in warning for warning in fit.warnings
+    )
     seen = np.isfinite(fit.errors_mm)
     assert fit.errors_mm[seen].mean() < 30 and fit.errors_mm[-5:].max() < 120
 

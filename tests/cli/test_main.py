@@ -26,9 +26,12 @@ from habitus.io.models.bodies import load_body, save_body
 ROOT = Path(__file__).resolve().parents[2]
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
 ODD = (
-    "1123x01EMG BKINtechnologies C3DRotationExample Dance Eb015si Eb015sr Empty Facial-Sing MACsample MotionMonitorC3D "
-    "Optotrak Res16bits Walking_Hybrid_2 badParameterOffset bad_parameter_section dec_int dec_real duplicate_labels "
-    "emgwl golfswing mocap36 parameterOverflow phasespace_sample sgi_int sgi_real short-copy simple type1 type2a type3"
+    "1123x01EMG BKINtechnologies C3DRotationExample Dance Eb015si Eb015sr Empty Facial-Sing "
+    "MACsample MotionMonitorC3D "
+    "Optotrak Res16bits Walking_Hybrid_2 badParameterOffset bad_parameter_section dec_int "
+    "dec_real duplicate_labels "
+    "emgwl golfswing mocap36 parameterOverflow phasespace_sample sgi_int sgi_real short-copy "
+    "simple type1 type2a type3"
 ).split()
 FRAMES = 40
 
@@ -60,7 +63,9 @@ def capture(body, demo) -> Capture:
 @pytest.fixture
 def quick(monkeypatch):
     """A hasty shape stage: these tests ask what is written and said, not how well the body fits."""
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+    monkeypatch.setattr(
+        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+    )
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +77,9 @@ def walk(capture, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def run(capsys, tmp_path):
-    """Runs the command in this process: its exit code (0 where it just returns) and what it said on stderr."""
+    """Runs the command in this process: its exit code (0 where it just returns) and what it said on
+    stderr.
+    """
 
     def call(*arguments, out=tmp_path / "out"):
         capsys.readouterr()
@@ -81,13 +88,17 @@ def run(capsys, tmp_path):
             code = 0
         except SystemExit as end:
             code = end.code
-        return code, capsys.readouterr().err.removeprefix(f"{NOTICE}\n")  # where kernels were compiled just now
+        return code, capsys.readouterr().err.removeprefix(
+            f"{NOTICE}\n"
+        )  # where kernels were compiled just now
 
     return call
 
 
 def refused(answer, *words: str) -> None:
-    """The answer is exit code 2 and one line that starts with the program's name and holds these words."""
+    """The answer is exit code 2 and one line that starts with the program's name and holds these
+    words.
+    """
     code, said = answer
     assert code == 2, said
     assert said.startswith("habitus: ") and said.count("\n") == 1 and "Traceback" not in said, said
@@ -105,7 +116,7 @@ def with_markers(capture: Capture, markers: np.ndarray, folder: Path) -> Path:
     return written(markers, capture.labels, folder)
 
 
-# -- good input -------------------------------------------------------------------------------------------------------
+# -- good input ------------------------------------------------------------------------------------
 
 
 def test_a_capture_becomes_four_whole_files(walk, run, tmp_path):
@@ -115,8 +126,14 @@ def test_a_capture_becomes_four_whole_files(walk, run, tmp_path):
     assert {path.name for path in folder.iterdir()} == FILES
     numbers = json.loads((folder / "metrics.json").read_text())
     assert numbers["frames"] == FRAMES and numbers["markers"] == 67
-    assert numbers["verdict"]["level"] == "good" and "on average" in numbers["verdict"]["reasons"][0]
-    assert numbers["marker_error_mm"]["soft_tissue"]["mean"] < numbers["marker_error_mm"]["pose"]["mean"] < 15
+    assert (
+        numbers["verdict"]["level"] == "good" and "on average" in numbers["verdict"]["reasons"][0]
+    )
+    assert (
+        numbers["marker_error_mm"]["soft_tissue"]["mean"]
+        < numbers["marker_error_mm"]["pose"]["mean"]
+        < 15
+    )
     with np.load(folder / "body.npz") as arrays:
         assert arrays["poses"].shape == (FRAMES, 72) and np.isfinite(arrays["poses"]).all()
 
@@ -140,13 +157,16 @@ def test_quiet_says_nothing(quick, walk, run, capsys):
 def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, strict, code):
     assert run("mosh", walk, "--no-soft-tissue", "--rate", "15000", *strict)[0] == code
     verdict = json.loads((tmp_path / "out" / "walk" / "metrics.json").read_text())["verdict"]
-    assert verdict["level"] == "failed" and any("15000 frames a second" in reason for reason in verdict["reasons"])
+    assert verdict["level"] == "failed" and any(
+        "15000 frames a second" in reason for reason in verdict["reasons"]
+    )
 
 
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
     from habitus.fit.mosh import recipe as mosh
 
-    whole, calls = mosh._fit_recording, []
+    whole = mosh._fit_recording
+    calls = []
 
     def stopped_in_the_second(*arguments):
         calls.append(arguments)
@@ -155,14 +175,17 @@ def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, mo
         return whole(*arguments)
 
     monkeypatch.setattr(mosh, "_fit_recording", stopped_in_the_second)
-    first, second = (written(capture.markers[:20], capture.labels, tmp_path, name) for name in ("first", "second"))
+    first, second = (
+        written(capture.markers[:20], capture.labels, tmp_path, name)
+        for name in ("first", "second")
+    )
     code, said = run("mosh", first, second, "--no-soft-tissue")
     assert code == 130 and said.count("\n") == 1 and "Traceback" not in said
     assert {path.name for path in (tmp_path / "out" / "first").iterdir()} == FILES
     assert not (tmp_path / "out" / "second").exists()
 
 
-# -- bad captures -----------------------------------------------------------------------------------------------------
+# -- bad captures ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ODD)
@@ -182,7 +205,11 @@ def test_every_odd_file_is_named_above(shared):
 
 
 def test_nothing_but_gaps(capture, run, tmp_path):
-    refused(run("mosh", with_markers(capture, np.full_like(capture.markers, np.nan), tmp_path)), "odd", "missing")
+    refused(
+        run("mosh", with_markers(capture, np.full_like(capture.markers, np.nan), tmp_path)),
+        "odd",
+        "missing",
+    )
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
@@ -221,7 +248,8 @@ def test_files_that_only_look_like_captures(content, run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("none.c3d", "no such file"), ("notes.docx", "expected one of"), ("", "folder")]
+    ("name", "words"),
+    [("none.c3d", "no such file"), ("notes.docx", "expected one of"), ("", "folder")],
 )
 def test_paths_that_are_no_captures(name, words, run, tmp_path):
     if name.endswith("docx"):
@@ -244,7 +272,7 @@ def test_captures_of_one_name_do_not_overwrite_each_other(walk, run, tmp_path):
     refused(run("mosh", walk, other), "walk", "expected")
 
 
-# -- bad options ------------------------------------------------------------------------------------------------------
+# -- bad options -----------------------------------------------------------------------------------
 
 
 def test_no_capture(run):
@@ -294,13 +322,15 @@ def test_holding_out_every_marker(capture, walk, run):
     refused(run("mosh", walk, "--hold-out", *capture.labels), "all 67 markers")
 
 
-@pytest.mark.parametrize("options", [["--gender", "other"], ["--seed", "one"], ["--frobnicate"], ["--rate", "fast"]])
+@pytest.mark.parametrize(
+    "options", [["--gender", "other"], ["--seed", "one"], ["--frobnicate"], ["--rate", "fast"]]
+)
 def test_options_that_do_not_exist(options, walk, run):
     code, said = run("mosh", walk, *options)
     assert code == 2 and options[0] in said and "Traceback" not in said
 
 
-# -- help, and the command as users start it --------------------------------------------------------------------------
+# -- help, and the command as users start it -------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -309,7 +339,8 @@ def test_options_that_do_not_exist(options, walk, run):
         ([], "mosh layout body.npz body.glb metrics.json report.html"),
         (
             ["mosh"],
-            "CAPTURE --out --layout --body --gender --no-soft-tissue --causal --hold-out --hold-out-every --seed",
+            "CAPTURE --out --layout --body --gender --no-soft-tissue --causal --hold-out "
+            "--hold-out-every --seed",
         ),
         (["layout"], "show check new"),
     ],
@@ -327,9 +358,15 @@ def test_help_comes_at_once(argument):
     """The true figures are benchmarks/startup.py's; this one leaves room for busy machines."""
     began = time.perf_counter()
     arguments = [argument] if argument.startswith("-") else [argument, "--help"]
-    done = subprocess.run([sys.executable, "-m", "habitus", *arguments], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "habitus", *arguments], capture_output=True, text=True
+    )
     assert time.perf_counter() - began < 2.0
-    assert done.returncode == 0 and done.stderr == "" and ("usage" in done.stdout or done.stdout[0].isdigit())
+    assert (
+        done.returncode == 0
+        and done.stderr == ""
+        and ("usage" in done.stdout or done.stdout[0].isdigit())
+    )
 
 
 @pytest.mark.parametrize(
@@ -356,7 +393,9 @@ def test_verbose_shows_where_an_error_was_raised(place, run, tmp_path):
     arguments = ["mosh", tmp_path / "none.c3d"]
     arguments.insert(place, "-v" if place else "--verbose")
     code, said = run(*arguments)
-    assert code == 2 and said.startswith("Traceback") and said.splitlines()[-1].startswith("habitus: ")
+    assert (
+        code == 2 and said.startswith("Traceback") and said.splitlines()[-1].startswith("habitus: ")
+    )
 
 
 def test_compilation_is_told_once_and_only_where_there_is_some(capsys):
@@ -379,13 +418,23 @@ def test_compilation_is_told_once_and_only_where_there_is_some(capsys):
 
 
 def test_python_m_habitus_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "habitus", "--help"], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "habitus", "--help"], capture_output=True, text=True
+    )
     assert done.returncode == 0 and done.stderr == "" and done.stdout.startswith("usage: habitus ")
 
 
 def test_a_bad_file_ends_the_process_with_two(tmp_path):
     (tmp_path / "text.c3d").write_text("no capture")
-    command = [sys.executable, "-m", "habitus", "mosh", str(tmp_path / "text.c3d"), "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "habitus",
+        "mosh",
+        str(tmp_path / "text.c3d"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     refused((done.returncode, done.stderr), "text.c3d")
 

@@ -17,9 +17,13 @@ def run(*arguments: str) -> int:
 
 def test_a_body_is_made_from_measurements_and_measured(tmp_path, capsys):
     out = tmp_path / "him.npz"
-    assert run("body", "--height", "1.78", "--weight", "80", "--also", "neck=0.38", "--out", out) == 0
+    assert (
+        run("body", "--height", "1.78", "--weight", "80", "--also", "neck=0.38", "--out", out) == 0
+    )
     said = capsys.readouterr().out
-    assert "height_m" in said and "178.0 cm" in said and said.count("given") == 3 and "him.npz" in said
+    assert (
+        "height_m" in said and "178.0 cm" in said and said.count("given") == 3 and "him.npz" in said
+    )
     files = ["--out", tmp_path / "him.json", "--picture", tmp_path / "him.svg"]
     assert run("measure", out, *files) == 0
     said = capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""How results are told: one line in a pipe, an uncut table on a terminal, names that no terminal obeys."""
+"""How results are told: one line in a pipe, an uncut table on a terminal, names that no terminal
+obeys.
+"""
 
 import io
 import re
@@ -41,20 +43,39 @@ def printed(action, width=None):
 
 
 def test_a_pipe_gets_one_line_a_capture():
-    said = printed(lambda console: tell(outcome(verdict={"level": "good", "reasons": ["It follows."]}), console))
-    assert said == "walk: 810 frames, 41 markers, error 5.6 mm, height 1.78 m, good, results/walk/report.html\n"
+    said = printed(
+        lambda console: tell(
+            outcome(verdict={"level": "good", "reasons": ["It follows."]}), console
+        )
+    )
+    assert (
+        said == "walk: 810 frames, 41 markers, error 5.6 mm, height 1.78 m, good, "
+        "results/walk/report.html\n"
+    )
 
 
 def test_a_fit_that_is_not_good_says_why_and_counts_where_it_is_to():
-    failed = outcome(verdict={"level": "failed", "reasons": ["It is 18.6 m tall.", "No limb is where it should be."]})
+    failed = outcome(
+        verdict={
+            "level": "failed",
+            "reasons": ["It is 18.6 m tall.", "No limb is where it should be."],
+        }
+    )
     good = outcome(verdict={"level": "good", "reasons": ["It follows the markers."]})
-    assert "failed walk: It is 18.6 m tall. No limb is where it should be.\n" in printed(lambda c: tell(failed, c))
+    assert "failed walk: It is 18.6 m tall. No limb is where it should be.\n" in printed(
+        lambda c: tell(failed, c)
+    )
     assert "It follows" not in printed(lambda console: tell(good, console))
-    assert exit_code([good, failed], strict=True) == 3 and exit_code([failed]) == exit_code([good], strict=True) == 0
+    assert (
+        exit_code([good, failed], strict=True) == 3
+        and exit_code([failed]) == exit_code([good], strict=True) == 0
+    )
 
 
 def test_without_a_verdict_or_numbers_the_line_says_less():
-    bare = numbers(marker_error_mm={"pose": {"mean": None}, "soft_tissue": None}, body_measurements={})
+    bare = numbers(
+        marker_error_mm={"pose": {"mean": None}, "soft_tissue": None}, body_measurements={}
+    )
     line = result_line(Outcome(Path("a.c3d"), "a", Path("out/a"), bare))
     assert line == "a: 810 frames, 41 markers, error – mm, height – m, out/a/report.html"
 
@@ -64,7 +85,18 @@ def test_nothing_is_ever_cut_on_a_terminal(width):
     outcomes = [outcome(), outcome(LONG, verdict={"level": "failed", "reasons": []})]
     said = printed(lambda console: show(outcomes, console), width)
     together = re.sub(r"\s+", "", said)
-    for words in (LONG, "report.html", "5.6", "11.2", "1.78", "75.1", "12.3", "failed", "810", "41"):
+    for words in (
+        LONG,
+        "report.html",
+        "5.6",
+        "11.2",
+        "1.78",
+        "75.1",
+        "12.3",
+        "failed",
+        "810",
+        "41",
+    ):
         assert words in together, words
     assert "…" not in said
     for heading in ("error", "p95", "height", "mass", "suspects"):
@@ -82,7 +114,9 @@ def test_names_from_files_do_not_rule_the_terminal():
     evil = "\x1b[31mred\x07 [bold]x[/] \u202eabc\udcff\nnext"
     for width in (None, 60, 400):
         nasty = outcome(evil, warnings=[evil])
-        said = printed(lambda console, nasty=nasty: (tell(nasty, console), show([nasty], console)), width)
+        said = printed(
+            lambda console, nasty=nasty: (tell(nasty, console), show([nasty], console)), width
+        )
         assert said.isprintable() or set(filter(lambda c: not c.isprintable(), said)) == {"\n"}
         assert "[bold]x[/]" in said and "\\x1b[31mred" in said.replace("\n", "")
     assert printed(lambda console: say(console, evil)).count("\n") == 1
@@ -91,7 +125,9 @@ def test_names_from_files_do_not_rule_the_terminal():
 def test_failures_are_told_on_stderr_with_their_paths(capsys):
     bad = Outcome(Path("deep/bad.c3d"), "bad", error=HabitusError("bad.c3d: not a C3D file"))
     crash = Outcome(Path("deep/odd.c3d"), "odd", error=ZeroDivisionError("division\nby zero"))
-    other = Outcome(Path("deep/notes.csv"), "notes", error=HabitusError("notes.csv: no capture"), left_out=True)
+    other = Outcome(
+        Path("deep/notes.csv"), "notes", error=HabitusError("notes.csv: no capture"), left_out=True
+    )
     said = printed(lambda console: [tell(one, console) for one in (bad, crash, other)])
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "habitus: deep/bad.c3d: not a C3D file"

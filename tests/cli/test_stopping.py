@@ -1,4 +1,6 @@
-"""Ctrl-C, a pipe that is closed and terminals of few characters: one line or none, never a traceback."""
+"""Ctrl-C, a pipe that is closed and terminals of few characters: one line or none, never a
+traceback.
+"""
 
 import os
 import signal
@@ -35,7 +37,9 @@ STOPS_AT = """
 """
 
 
-@pytest.mark.parametrize("module", ["tyro", "habitus.cli.mosh", "numpy", "numba", "scipy", "habitus.jobs.batch"])
+@pytest.mark.parametrize(
+    "module", ["tyro", "habitus.cli.mosh", "numpy", "numba", "scipy", "habitus.jobs.batch"]
+)
 def test_ctrl_c_while_modules_are_imported_is_one_line(module, tmp_path):
     code = STOPS_AT.replace("sys.argv[-1]", repr(module))
     process = command("mosh", tmp_path / "none.c3d", "--out", tmp_path / "out", code=code)
@@ -55,7 +59,9 @@ def test_ctrl_c_at_work_is_an_exception_and_a_second_one_the_end():
         with stopping.on_ctrl_c(stop, stays=False):
             os.kill(os.getpid(), signal.SIGINT)
     """
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (130, "habitus: stopped; much is left\n")
 
 
@@ -73,7 +79,10 @@ def test_ctrl_c_that_somebody_swallows_is_still_a_stop(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main(["mosh", "none.c3d", "--out", "nowhere"])
     said = capsys.readouterr().err
-    assert end.value.code == 130 and said == "habitus: stopped; captures that were finished are whole\n"
+    assert (
+        end.value.code == 130
+        and said == "habitus: stopped; captures that were finished are whole\n"
+    )
 
 
 def test_the_handler_is_given_back_and_others_are_left_alone():
@@ -104,7 +113,10 @@ def test_nobody_reads_on_and_nothing_is_said(arguments):
     reading, writing = os.pipe()
     os.close(reading)
     process = subprocess.Popen(
-        [sys.executable, "-m", "habitus", *arguments], stdout=writing, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", "habitus", *arguments],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     os.close(writing)
     _, said = process.communicate(timeout=60)
@@ -116,7 +128,11 @@ def test_what_a_terminal_cannot_encode_is_an_escape(tmp_path):
     with open(odd, "w") as file:
         file.write("text")
     process = command(
-        "mosh", os.fsdecode(odd), "--out", tmp_path / "out", env=os.environ | {"PYTHONIOENCODING": "ascii"}
+        "mosh",
+        os.fsdecode(odd),
+        "--out",
+        tmp_path / "out",
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
     )
     out, said = process.communicate(timeout=60)
     assert process.returncode == 2 and out == "" and said.isascii() and said.count("\n") == 1

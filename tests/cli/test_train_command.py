@@ -31,7 +31,9 @@ def files(tmp_path_factory):
 
 @pytest.fixture
 def run(capsys, tmp_path, files):
-    """Runs the command in this process: its exit code (0 where it just returns), stdout and stderr."""
+    """Runs the command in this process: its exit code (0 where it just returns), stdout and
+    stderr.
+    """
 
     def call(*arguments, data=files[0], out=tmp_path / "out"):
         capsys.readouterr()
@@ -47,7 +49,9 @@ def run(capsys, tmp_path, files):
 
 
 def refused(answer, *words: str) -> None:
-    """The answer is exit code 2 and one line that starts with the program's name and holds these words."""
+    """The answer is exit code 2 and one line that starts with the program's name and holds these
+    words.
+    """
     code, _, said = answer
     assert code == 2, said
     assert said.startswith("habitus: ") and said.count("\n") == 1 and "Traceback" not in said, said
@@ -65,7 +69,10 @@ def test_each_sex_has_a_model(run, tmp_path):
         with np.load(out / sex / "poses.npz") as arrays:
             people = toy()[1].registrations.where(set="pose", sex=sex)
             assert tuple(arrays["name"]) == people.name
-        energies = [float(e) for e in re.findall(rf"\b{sex} model, round \d, [\w ]+:\s+energy\s+(\S+)", said)]
+        energies = [
+            float(e)
+            for e in re.findall(rf"\b{sex} model, round \d, [\w ]+:\s+energy\s+(\S+)", said)
+        ]
         assert len(energies) == 5 and energies == sorted(energies, reverse=True)
     assert "more than 15 degrees" in said and "trained models" in said
 
@@ -74,7 +81,9 @@ def test_in_a_pipe_lines_are_not_broken_and_holes_are_a_note(run, tmp_path):
     planted = toy()[1]
     write_registrations(spoil(planted, "hole", 9).registrations, tmp_path / "holes.npz")
     code, said, _ = run(*QUICK, "--unit", "m", data=tmp_path / "holes.npz")
-    assert code == 0 and "1 registration has holes" in said and planted.registrations.name[9] in said
+    assert (
+        code == 0 and "1 registration has holes" in said and planted.registrations.name[9] in said
+    )
     steps = [line for line in said.splitlines() if re.match("model, round", line)]
     assert len(steps) == 5 and all(line.endswith(")") for line in steps)
     assert max(map(len, steps)) > 80 and re.search(r"│ *model +│ +1 +│", said)
@@ -99,7 +108,12 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(CheckpointingCallback, "on_step_end", stopped)
         code, _, said = run("--quiet", *QUICK)
-    assert code == 130 and said.count("\n") == 1 and "goes on" in said and str(tmp_path / "out") in said
+    assert (
+        code == 130
+        and said.count("\n") == 1
+        and "goes on" in said
+        and str(tmp_path / "out") in said
+    )
     code, said, _ = run(*QUICK)
     assert code == 0 and "round 0" not in said and "round 1, poses" in said
 
@@ -155,7 +169,11 @@ def test_nothing_to_learn_poses_from_is_said_before_anything_is_trained(run, tmp
     people = toy()[1].registrations
     write_registrations(people.where(set="shape"), tmp_path / "shape.npz")
     refused(run(data=tmp_path / "shape.npz"), "set 'pose'")
-    men = people.take(np.array([k for k in range(len(people)) if people.sex[k] == "male" or people.set[k] == "shape"]))
+    men = people.take(
+        np.array(
+            [k for k in range(len(people)) if people.sex[k] == "male" or people.set[k] == "shape"]
+        )
+    )
     write_registrations(men, tmp_path / "men.npz")
     refused(run("--sex", "each", data=tmp_path / "men.npz"), "no female registration", "set 'pose'")
     assert not (tmp_path / "out").exists()
@@ -184,5 +202,8 @@ def test_help_reads_well(capsys):
         main(["train", "--help"])
     said = capsys.readouterr()
     assert end.value.code == 0 and said.err == "" and "tyro" not in said.out
-    words = "DATASET --out --template --sex --skinning --pose-shapes --num-betas --rounds --cluster --threads --restart"
+    words = (
+        "DATASET --out --template --sex --skinning --pose-shapes --num-betas --rounds "
+        "--cluster --threads --restart"
+    )
     assert all(word in said.out for word in words.split())

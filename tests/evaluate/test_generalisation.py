@@ -18,10 +18,17 @@ NOISE = 0.002
 @pytest.fixture(scope="module")
 def world():
     """Two people in three poses each and one in one, with noise and without."""
-    rng, body = np.random.default_rng(0), tube_body(betas=6, around=5, along=3, pose_shapes=0.002)
-    model, subjects = PosableBody(body), ("ann", "bob", "ann", "bob", "ann", "bob", "eve")
+    rng = np.random.default_rng(0)
+    body = tube_body(betas=6, around=5, along=3, pose_shapes=0.002)
+    model = PosableBody(body)
+    subjects = ("ann", "bob", "ann", "bob", "ann", "bob", "eve")
     betas = {name: rng.normal(size=6) for name in ("ann", "bob", "eve")}
-    clean = np.array([model.surface(betas[s], random_pose(rng, largest=0.8)) + rng.normal(size=3) for s in subjects])
+    clean = np.array(
+        [
+            model.surface(betas[s], random_pose(rng, largest=0.8)) + rng.normal(size=3)
+            for s in subjects
+        ]
+    )
     noisy = clean + NOISE * rng.normal(size=clean.shape)
     names = tuple(f"{s}_{k}" for k, s in enumerate(subjects))
     sets = ("test",) * len(subjects)
@@ -59,7 +66,9 @@ def test_the_first_registration_of_each_person_gives_the_shape(curves):
     fitted, fixed = curves
     assert fixed.registrations == ("ann_2", "bob_3", "ann_4", "bob_5")
     for n, subject in enumerate(fixed.subjects):
-        np.testing.assert_array_equal(fixed.betas[:, n], fitted.betas[:, fitted.subjects.index(subject)])
+        np.testing.assert_array_equal(
+            fixed.betas[:, n], fitted.betas[:, fitted.subjects.index(subject)]
+        )
 
 
 def test_means_over_vertices_and_registrations_agree(curves, world):
@@ -77,7 +86,9 @@ def test_plain_skinning_is_worse_where_poses_deform(world, curves):
     plain = PosableBody(without_pose_shapes(model.body), label="plain")
     fitted = model_generalisation(plain, registrations, (6,))
     fixed = pose_generalisation(plain, registrations, fitted)
-    assert fitted.means[0] > 1.2 * curves[0].means[-1] and fixed.means[0] > 1.2 * curves[1].means[-1]
+    assert (
+        fitted.means[0] > 1.2 * curves[0].means[-1] and fixed.means[0] > 1.2 * curves[1].means[-1]
+    )
 
 
 def test_wherever_fits_are_made_they_are_the_same(world):

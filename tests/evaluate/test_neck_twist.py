@@ -1,4 +1,6 @@
-"""The neck twist: what skinning alone does is known, and what a bulge linear in angles or in rotations must do."""
+"""The neck twist: what skinning alone does is known, and what a bulge linear in angles or in
+rotations must do.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,8 @@ def radial(body):
     axis = (joints[1] - joints[0]) / np.linalg.norm(joints[1] - joints[0])
     away = body.v_template - joints[0]
     away -= (away @ axis)[:, None] * axis
-    found, rows = np.zeros_like(away), neck_vertices([body])
+    found = np.zeros_like(away)
+    rows = neck_vertices([body])
     found[rows] = away[rows] / np.linalg.norm(away[rows], axis=1, keepdims=True)
     return found, axis
 
@@ -33,7 +36,8 @@ def radial(body):
 def bulging(body, feature: str, slopes: np.ndarray, skinning: str = "lbs"):
     """The body with a bulge of the neck that is linear in the neck joint's features."""
     out, _ = radial(body)
-    k, each = twist_joints(body.joint_names, body.parents)[0], len(slopes)
+    k = twist_joints(body.joint_names, body.parents)[0]
+    each = len(slopes)
     posedirs = np.zeros((body.num_vertices, 3, (body.num_joints - 1) * each))
     posedirs[..., (k - 1) * each : k * each] = BULGE * out[..., None] * slopes
     return replace(body, posedirs=posedirs, pose_features=feature, skinning=skinning)

@@ -1,4 +1,6 @@
-"""Fits to registrations: planted truth from far starts, derivatives in blocks, fixed shapes, what is refused."""
+"""Fits to registrations: planted truth from far starts, derivatives in blocks, fixed shapes, what
+is refused.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,9 @@ from habitus.rotations import matrix_from_rotvec
 def test_planted_shape_pose_and_place_come_back_from_a_far_start(skinning, seed):
     rng = np.random.default_rng(seed)
     model = PosableBody(tube_body(skinning=skinning))
-    betas, pose, trans = 1.5 * rng.normal(size=4), random_pose(rng, largest=1.5), 2 * rng.normal(size=3)
+    betas = 1.5 * rng.normal(size=4)
+    pose = random_pose(rng, largest=1.5)
+    trans = 2 * rng.normal(size=3)
     fit = model.fit(model.surface(betas, pose) + trans, num_betas=4)
     assert fit.converged
     np.testing.assert_allclose(fit.betas, betas, atol=1e-6)
@@ -54,7 +58,8 @@ def test_the_start_is_exact_for_parts_that_move_rigidly():
 
 def test_joints_without_vertices_go_along_in_the_start():
     model = PosableBody(tube_body(pose_shapes=0.0))
-    influence, pose = model.influence.copy(), random_pose(np.random.default_rng(1))
+    influence = model.influence.copy()
+    pose = random_pose(np.random.default_rng(1))
     influence[:, 3] = 0.0
     rest, target = (model.surface(np.zeros(4), p) for p in (0 * pose, pose))
     assert np.abs(start_pose(rest, target, influence, model.parents)[3]).max() < 1e-12
@@ -64,12 +69,16 @@ def test_joints_without_vertices_go_along_in_the_start():
 def test_columns_are_the_derivatives_whatever_the_blocks(skinning, monkeypatch):
     rng = np.random.default_rng(2)
     model = PosableBody(tube_body(skinning=skinning))
-    betas, pose, step = rng.normal(size=3), random_pose(rng), 1e-6
+    betas = rng.normal(size=3)
+    pose = random_pose(rng)
+    step = 1e-6
     monkeypatch.setattr(posable, "BLOCK", 77)
     blocks = list(model.columns(betas, pose, True))
     assert len(blocks) > 1
     found = np.concatenate([by for _, _, by in blocks])
-    np.testing.assert_allclose(np.concatenate([v for _, v, _ in blocks]), model.surface(betas, pose), atol=1e-12)
+    np.testing.assert_allclose(
+        np.concatenate([v for _, v, _ in blocks]), model.surface(betas, pose), atol=1e-12
+    )
     x = np.concatenate([betas, pose.ravel()])
     for k in range(len(x)):
         ahead, behind = (
@@ -82,7 +91,8 @@ def test_columns_are_the_derivatives_whatever_the_blocks(skinning, monkeypatch):
 def test_a_fixed_shape_stays_and_its_pose_is_found():
     rng = np.random.default_rng(7)
     model = PosableBody(tube_body())
-    betas, pose = rng.normal(size=4), random_pose(rng)
+    betas = rng.normal(size=4)
+    pose = random_pose(rng)
     fit = model.fit(model.surface(betas, pose), num_betas=4, betas=betas)
     np.testing.assert_array_equal(fit.betas, betas)
     np.testing.assert_allclose(fit.pose, pose, atol=1e-6)
@@ -94,7 +104,8 @@ def test_the_place_does_not_matter():
     rng = np.random.default_rng(8)
     model = PosableBody(tube_body())
     target = model.surface(rng.normal(size=4), random_pose(rng)) + 0.01 * rng.normal(size=(300, 3))
-    here, there = model.fit(target, num_betas=2), model.fit(target + np.array([3.0, -2.0, 1.0]), num_betas=2)
+    here = model.fit(target, num_betas=2)
+    there = model.fit(target + np.array([3.0, -2.0, 1.0]), num_betas=2)
     np.testing.assert_allclose(there.vertices - [3.0, -2.0, 1.0], here.vertices, atol=1e-5)
 
 
@@ -105,26 +116,35 @@ def test_no_step_in_any_direction_lowers_the_squared_distance():
     fit = fit_surface(model, target, num_betas=2, tolerances=Tolerances(cost=1e-14))
     best = ((fit.vertices - target) ** 2).sum()
     for _ in range(30):
-        betas, pose = fit.betas + 1e-3 * rng.normal(size=2), fit.pose + 1e-3 * rng.normal(size=(10, 3))
+        betas = fit.betas + 1e-3 * rng.normal(size=2)
+        pose = fit.pose + 1e-3 * rng.normal(size=(10, 3))
         moved = model.surface(betas, pose) + fit.trans + 1e-3 * rng.normal(size=3)
         assert ((moved - target) ** 2).sum() > best
 
 
 @pytest.mark.parametrize("shape_features", [0, 2])
 def test_forward_functions_give_the_surface(shape_features):
-    rng, body = np.random.default_rng(4), tube_body()
+    rng = np.random.default_rng(4)
+    body = tube_body()
     posedirs = 0.01 * rng.normal(size=(300, 3, 81 * (1 + shape_features)))
     model = PosableBody(replace(body, posedirs=posedirs, shape_features=shape_features))
-    betas, pose = rng.normal(size=4), random_pose(rng)
+    betas = rng.normal(size=4)
+    pose = random_pose(rng)
     for k in (0, 1, 4):
-        np.testing.assert_allclose(model.forward(k)(betas[:k], pose), model.surface(betas[:k], pose), atol=1e-12)
+        np.testing.assert_allclose(
+            model.forward(k)(betas[:k], pose), model.surface(betas[:k], pose), atol=1e-12
+        )
 
 
 def test_poses_drive_the_fit_whatever_feature_they_act_through():
-    rng, body = np.random.default_rng(6), tube_body()
+    rng = np.random.default_rng(6)
+    body = tube_body()
     posedirs = 0.005 * rng.normal(size=(300, 3, 9 * 4 * 2))
-    model = PosableBody(replace(body, posedirs=posedirs, pose_features="quaternions", shape_features=1))
-    betas, pose = rng.normal(size=4), random_pose(rng, largest=1.0)
+    model = PosableBody(
+        replace(body, posedirs=posedirs, pose_features="quaternions", shape_features=1)
+    )
+    betas = rng.normal(size=4)
+    pose = random_pose(rng, largest=1.0)
     fit = model.fit(model.surface(betas, pose), num_betas=4)
     np.testing.assert_allclose(fit.betas, betas, atol=1e-6)
     np.testing.assert_allclose(fit.pose, pose, atol=1e-6)

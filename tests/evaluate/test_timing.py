@@ -31,7 +31,9 @@ class _Sleeper:
 
 
 def test_medians_follow_the_work_of_each_model():
-    slow, fast = time_forward([_Sleeper("slow", 8, 2e-3), _Sleeper("fast", 4, 5e-4)], (0, 4, 100), joints=7, repeats=5)
+    slow, fast = time_forward(
+        [_Sleeper("slow", 8, 2e-3), _Sleeper("fast", 4, 5e-4)], (0, 4, 100), joints=7, repeats=5
+    )
     assert (slow.model, slow.counts, fast.counts) == ("slow", (0, 4, 8), (0, 4))
     assert slow.seconds.shape == (3, 5) and (np.diff(slow.medians) > 5e-3).all()
     assert (slow.medians >= [2e-3, 1e-2, 1.8e-2]).all() and slow.medians[1] > fast.medians[1]

@@ -24,7 +24,9 @@ def run(capsys):
         spec.loader.exec_module(module)
         module.main()
         lines = (line.split() for line in capsys.readouterr().out.splitlines())
-        return {first: [float(word) for word in words if word[0].isdigit()] for first, *words in lines}
+        return {
+            first: [float(word) for word in words if word[0].isdigit()] for first, *words in lines
+        }
 
     return run
 
@@ -35,11 +37,17 @@ def test_a_notebook_runs_and_prints_what_it_holds(path, monkeypatch):
     import notebooks
 
     kept = notebooks.read(path)
-    stored = ["".join(cell["outputs"][0]["text"]) for cell in kept["cells"] if cell["cell_type"] == "code"]
+    stored = [
+        "".join(cell["outputs"][0]["text"]) for cell in kept["cells"] if cell["cell_type"] == "code"
+    ]
     for now, then in zip(notebooks.run(kept), stored, strict=True):
-        numbers, before = (np.array(re.findall(r"-?\d+\.?\d*", text), float) for text in (now, then))
+        numbers, before = (
+            np.array(re.findall(r"-?\d+\.?\d*", text), float) for text in (now, then)
+        )
         assert re.sub(r"[-\d.]+", "0", now) == re.sub(r"[-\d.]+", "0", then)
-        np.testing.assert_allclose(numbers, before, rtol=0.2, atol=0.1)  # machines differ in the last digits of a fit
+        np.testing.assert_allclose(
+            numbers, before, rtol=0.2, atol=0.1
+        )  # machines differ in the last digits of a fit
 
 
 def test_globe(run):
@@ -69,11 +77,17 @@ def test_silhouettes(run):
 
 
 def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["export.py", str(tmp_path / "wave.bvh"), str(tmp_path / "wave.fbx")])
+    monkeypatch.setattr(
+        sys, "argv", ["export.py", str(tmp_path / "wave.bvh"), str(tmp_path / "wave.fbx")]
+    )
     runpy.run_path(str(EXAMPLES / "export.py"))
-    skeleton, seen = Bvh(tmp_path / "wave.bvh"), Fbx(tmp_path / "wave.fbx")
+    skeleton = Bvh(tmp_path / "wave.bvh")
+    seen = Fbx(tmp_path / "wave.fbx")
     heights = [skeleton.joints(frame)["right_hand"][1] for frame in (0, 8, 22)]
-    assert np.ptp([skeleton.joints(frame)["left_hand"][1] for frame in (0, 8, 22)]) > 10 and np.ptp(heights) < 1e-3
+    assert (
+        np.ptp([skeleton.joints(frame)["left_hand"][1] for frame in (0, 8, 22)]) > 10
+        and np.ptp(heights) < 1e-3
+    )
     assert abs(seen.vertices(0)[:, 1].min()) < 0.02  # it stands on the ground
 
 
@@ -87,7 +101,9 @@ def test_a_scan_is_registered(run, monkeypatch):
 
 
 def test_rgbd_example_is_short_and_whole():
-    """What it does is tested in tests/jobs/test_rgbd.py, with smaller images; here that its names are there."""
+    """What it does is tested in tests/jobs/test_rgbd.py, with smaller images; here that its names
+    are there.
+    """
     text = (EXAMPLES / "rgbd.py").read_text()
     assert len([line for line in text.splitlines() if line.strip()]) <= 27
     spec = importlib.util.spec_from_file_location("example_rgbd", EXAMPLES / "rgbd.py")

@@ -1,4 +1,6 @@
-"""body.npz in AMASS's style: the slices of AMASS's own notebooks fit, and the motion is that of the fit."""
+"""body.npz in AMASS's style: the slices of AMASS's own notebooks fit, and the motion is that of the
+fit.
+"""
 
 from dataclasses import replace
 
@@ -38,9 +40,20 @@ def test_an_amass_loader_gets_its_shapes(tmp_path, soft):
     fit = synthetic_fit(frames=20, soft=soft)
     write_amass(fit, tmp_path / "a.npz")
     found = amass_loader(tmp_path / "a.npz")
-    shapes = {"root_orient": 3, "pose_body": 63, "pose_hand": 90, "trans": 3, "betas": 16, "dmpls": 8}
+    shapes = {
+        "root_orient": 3,
+        "pose_body": 63,
+        "pose_hand": 90,
+        "trans": 3,
+        "betas": 16,
+        "dmpls": 8,
+    }
     assert all(found[name].shape == (20, width) for name, width in shapes.items())
-    assert found["gender"] == "neutral" and found["rate"] == fit.rate_hz and found["body"] == fit.body_name
+    assert (
+        found["gender"] == "neutral"
+        and found["rate"] == fit.rate_hz
+        and found["body"] == fit.body_name
+    )
     assert not found["pose_hand"].any() and not found["dmpls"].any()
 
 
@@ -63,10 +76,13 @@ def test_joints_are_found_by_name_and_foreign_betas_stay_at_home(tmp_path):
     names = tuple(body.joint_names[k] for k in order)
     parents = tuple(-1 if body.parents[k] < 0 else place[body.parents[k]] for k in order)
     fit = synthetic_fit(frames=3, soft=False)
-    other = replace(fit.body, joint_names=names, parents=parents, joint_regressor=body.joint_regressor[order])
+    other = replace(
+        fit.body, joint_names=names, parents=parents, joint_regressor=body.joint_regressor[order]
+    )
     write_amass(fit, tmp_path / "a.npz")
     write_amass(replace(fit, body=other, pose=fit.pose[:, order]), tmp_path / "b.npz")
-    a, b = amass_loader(tmp_path / "a.npz"), amass_loader(tmp_path / "b.npz")
+    a = amass_loader(tmp_path / "a.npz")
+    b = amass_loader(tmp_path / "b.npz")
     assert np.array_equal(a["pose_body"], b["pose_body"])
     assert not a["betas"].any() and np.array_equal(a["own"], fit.betas)
 
@@ -94,13 +110,20 @@ def test_betas_on_another_body_of_the_same_sizes_are_refused(tmp_path):
     fit.save(tmp_path / "a")
     assert np.array_equal(habitus.load_fit(tmp_path / "a" / "body.npz", fit.body).betas, fit.betas)
     thicker = replace(fit.body, v_template=1.05 * fit.body.v_template)
-    with pytest.raises(HabitusError, match=r"the same betas are another person, whose skin is [0-9]+ mm away"):
+    with pytest.raises(
+        HabitusError, match=r"the same betas are another person, whose skin is [0-9]+ mm away"
+    ):
         habitus.load_fit(tmp_path / "a" / "body.npz", thicker)
 
 
 def test_the_command_passes_the_style_on(tmp_path, monkeypatch):
     asked = []
-    monkeypatch.setattr("habitus.jobs.batch.fit_all", lambda *given, **more: asked.append(given[4]) or [])
-    options = tyro.cli(Mosh, args=["walk.c3d", "two.c3d", "--out", str(tmp_path), "--npz-style", "amass", "--quiet"])
+    monkeypatch.setattr(
+        "habitus.jobs.batch.fit_all", lambda *given, **more: asked.append(given[4]) or []
+    )
+    options = tyro.cli(
+        Mosh,
+        args=["walk.c3d", "two.c3d", "--out", str(tmp_path), "--npz-style", "amass", "--quiet"],
+    )
     run(options)
     assert asked[0].npz_style == "amass"

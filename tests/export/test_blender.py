@@ -1,6 +1,7 @@
 """What is written, in Blender: its importers and its armature give the body's surface back.
 
-Skips where Blender is missing: the program itself (``apt-get install blender python3-numpy``), or its Python module.
+Skips where Blender is missing: the program itself (``apt-get install blender python3-numpy``), or
+its Python module.
 """
 
 import numpy as np
@@ -20,7 +21,10 @@ def test_blender_shows_the_body(tmp_path, program):
         pytest.skip(f"no {program} here: apt-get install blender python3-numpy, or pip install bpy")
     fit = synthetic_fit(60, body=tube_body(posedirs=True), rate_hz=60.0)
     endings = {ending for ending, _ in READERS[program].values()}
-    told = {ending: export_motion(fit, tmp_path / f"a.{ending}", correctives="pca:40") for ending in endings}
+    told = {
+        ending: export_motion(fit, tmp_path / f"a.{ending}", correctives="pca:40")
+        for ending in endings
+    }
     files = [(told[ending].path, operator) for ending, operator in READERS[program].values()]
     for found, (path, operator) in zip(in_blender(program, files, 60, FRAMES), files, strict=True):
         written = told[path.suffix[1:]]
@@ -45,7 +49,9 @@ def test_skin_and_channels_survive_a_round_trip(tmp_path):
     program = PROGRAMS["bpy"] or PROGRAMS["blender"]
     if program is None:
         pytest.skip("no Blender here: apt-get install blender python3-numpy, or pip install bpy")
-    synthetic_fit(10, body=tube_body(posedirs=True), rate_hz=60.0).export(tmp_path / "a.fbx", correctives="pca:5")
+    synthetic_fit(10, body=tube_body(posedirs=True), rate_hz=60.0).export(
+        tmp_path / "a.fbx", correctives="pca:5"
+    )
     (tmp_path / "again.py").write_text(AGAIN)
     run([*program, tmp_path / "again.py", "--", tmp_path / "b.fbx", tmp_path / "a.fbx"])
     kept = []

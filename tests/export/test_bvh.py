@@ -11,17 +11,21 @@ from habitus.export.bvh import write_bvh
 def test_joints_stand_where_the_fits_do(tmp_path, soft, up):
     fit = synthetic_fit(15, soft=soft, up_axis=up, rate_hz=100.0)
     write_bvh(fit, tmp_path / "a.bvh")
-    found, turn = Bvh(tmp_path / "a.bvh"), up_rotation(up)
+    found = Bvh(tmp_path / "a.bvh")
+    turn = up_rotation(up)
     assert found.frame_time == pytest.approx(0.01) and len(found.values) == 15
     assert set(found.names) == set(fit.body.joint_names) and found.offsets[0] == [0, 0, 0]
     for frame in (0, 6, 14):
-        joints, known = found.joints(frame), fit.joints(frame) @ turn.T
+        joints = found.joints(frame)
+        known = fit.joints(frame) @ turn.T
         for name, place in zip(fit.body.joint_names, known, strict=True):
             assert np.linalg.norm(joints[name] / 100 - place) < 1e-6
     below = [channels for channels in found.channels[1:] if len(channels) == 6]
     assert bool(below) == soft  # soft tissue moves joints; without it only the root has a place
     rest = fit.body.rest_joints(fit.betas)
-    for name, parent, offset in zip(found.names[1:], found.parents[1:], found.offsets[1:], strict=True):
+    for name, parent, offset in zip(
+        found.names[1:], found.parents[1:], found.offsets[1:], strict=True
+    ):
         here, above = (fit.body.joint_names.index(each) for each in (name, found.names[parent]))
         assert np.allclose(offset, 100 * (rest[here] - rest[above]), atol=1e-5)
     leaves = set(range(len(found.names))) - set(found.parents)

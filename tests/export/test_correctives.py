@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from habitus.errors import HabitusError
 from habitus.export.correctives import WORST, Block, check_correctives, furthest, morphs_of
 
-VERTICES, FRAMES = 40, 30
+VERTICES = 40
+FRAMES = 30
 WANTED = ["auto", "all", "none", "live:7", "pca:3"]
 
 
@@ -16,7 +17,9 @@ def made(seed: int, scale: float) -> list[Block]:
     blocks = []
     for name, count in (("hip", 9), ("knee", 9)):
         some = np.sort(rng.choice(VERTICES, 12, replace=False))
-        terms = rng.normal(size=(FRAMES, 2)) @ rng.normal(size=(2, count)) * 0.3  # two ways of moving
+        terms = (
+            rng.normal(size=(FRAMES, 2)) @ rng.normal(size=(2, count)) * 0.3
+        )  # two ways of moving
         shapes = scale * rng.normal(size=(12, 3, count))
         ends = tuple("abcdefghi")
         sample = rng.normal(size=(50, count)) * 0.3
@@ -44,7 +47,8 @@ def test_what_is_left_out_is_told(seed, scale, wanted):
     if wanted != "live:7":  # coefficients here are no rotation's, whose weights alone are bounded
         assert np.abs(found.weights[0]).max(initial=0) < 1 + 1e-9
     assert len(found.names) == len(set(found.names)) == len(found.shapes)
-    count, most = len(found.shapes), {"auto": WORST, "all": 1e-9}.get(wanted, np.inf)
+    count = len(found.shapes)
+    most = {"auto": WORST, "all": 1e-9}.get(wanted, np.inf)
     assert found.worst <= most
     assert count == {"none": 0, "pca:3": 3, "live:7": 7 + 4, "all": 18 + 4}.get(wanted, count)
     if wanted == "auto":
@@ -71,7 +75,13 @@ def test_rows_give_the_weights_of_any_pose_and_many_of_them_the_whole_surface():
         for block in blocks[:2]:
             own = [k for k, name in enumerate(found.names) if name.startswith(f"{block.name}_")]
             assert np.allclose(found.weights[0][:, own], block.coefficients[0] @ found.rows[own].T)
-        known = sum((np.linalg.norm(b.shapes, axis=1).max() * np.abs(b.sample).sum(1).max() for b in blocks[:2]), 0.0)
+        known = sum(
+            (
+                np.linalg.norm(b.shapes, axis=1).max() * np.abs(b.sample).sum(1).max()
+                for b in blocks[:2]
+            ),
+            0.0,
+        )
         assert (1e-4 < found.elsewhere < known) == (wanted == "live:5")
     assert found.worst < 1e-9  # all 18 of them
 
@@ -85,11 +95,15 @@ def test_no_rotation_reaches_further(seed):
     turns = Rotation.random(500, rng).as_matrix()
     found = ((turns - np.eye(3)).reshape(-1, 9) @ row).max()
     assert found <= most + 1e-9
-    best = Rotation.align_vectors(row.reshape(3, 3), np.eye(3))[0].inv().as_matrix()  # the same, by another way
+    best = (
+        Rotation.align_vectors(row.reshape(3, 3), np.eye(3))[0].inv().as_matrix()
+    )  # the same, by another way
     assert ((best - np.eye(3)).ravel() @ row).max() == pytest.approx(most, rel=1e-9, abs=1e-9)
 
 
-@pytest.mark.parametrize("text", ["", "live", "live:0", "pca", "pca:", "pca:0", "pca:x", "all:3", "some", "pca:99999"])
+@pytest.mark.parametrize(
+    "text", ["", "live", "live:0", "pca", "pca:", "pca:0", "pca:x", "all:3", "some", "pca:99999"]
+)
 def test_other_words_are_refused(text):
     with pytest.raises(HabitusError, match="expected auto, all, none"):
         check_correctives(text)

@@ -1,4 +1,6 @@
-"""The file beside a file: with it bones drive blend shapes in poses that the file's motion has not."""
+"""The file beside a file: with it bones drive blend shapes in poses that the file's motion has
+not.
+"""
 
 import json
 from dataclasses import replace
@@ -19,19 +21,23 @@ def in_a_file(fit, correctives: str) -> Animation:
 
 @pytest.mark.parametrize("correctives", ["all", "live:207"])
 def test_other_poses_get_their_own_correctives(tmp_path, correctives):
-    fit, rng = synthetic_fit(4, soft=False, body=tube_body(posedirs=True)), np.random.default_rng(5)
+    fit = synthetic_fit(4, soft=False, body=tube_body(posedirs=True))
+    rng = np.random.default_rng(5)
     animation = in_a_file(fit, correctives)
     told = json.loads(write_drivers(animation, tmp_path / "a.fbx").read_text())
     assert [joint["name"] for joint in told["joints"]] == list(fit.body.joint_names)
     assert np.allclose([joint["rest"] for joint in told["joints"]], animation.rest_joints)
     turns = matrix_from_rotvec(rng.normal(0, 1.0, (fit.body.num_joints, 3)))
-    found, reached = np.zeros(animation.morphs.shape[1:]), []
+    found = np.zeros(animation.morphs.shape[1:])
+    reached = []
     for channel in told["channels"]:
         turn = turns[fit.body.joint_names.index(channel["joint"])] - np.eye(3)
         weight = min(1.0, max(0.0, float(np.dot(channel["row"], turn.ravel()))))
         reached.append(weight)
         found += weight * animation.morphs[animation.morph_names.index(channel["name"])]
-    known = fit.body.posedirs @ np.concatenate([(turns[j] - np.eye(3)).ravel() for j in fit.body.drivers])
+    known = fit.body.posedirs @ np.concatenate(
+        [(turns[j] - np.eye(3)).ravel() for j in fit.body.drivers]
+    )
     assert np.abs(found - known).max() < 1e-5
     assert 0.5 < max(reached) <= 1
 
@@ -54,6 +60,8 @@ def test_a_person_who_stands_still_can_be_posed_as_well():
 
 def test_files_without_driven_channels_have_nothing_beside_them(tmp_path):
     fit = synthetic_fit(4, body=tube_body(posedirs=True))
-    assert write_drivers(in_a_file(fit, "auto"), tmp_path / "a.fbx") is None and not [*tmp_path.iterdir()]
+    assert write_drivers(in_a_file(fit, "auto"), tmp_path / "a.fbx") is None and not [
+        *tmp_path.iterdir()
+    ]
     told = export_motion(fit, tmp_path / "a.glb", correctives="live:9")
     assert told.drivers == tmp_path / "a.correctives.json" and told.drivers.exists()

@@ -1,4 +1,6 @@
-"""What is fitted on a coarse mesh is shown on the full one: the same person, with quads and a texture's coordinates."""
+"""What is fitted on a coarse mesh is shown on the full one: the same person, with quads and a
+texture's coordinates.
+"""
 
 from dataclasses import replace
 
@@ -21,7 +23,9 @@ from habitus.report.metrics import metrics
 @pytest.fixture(scope="module")
 def fit(tmp_path_factory):
     path = write_two_levels(tmp_path_factory.mktemp("bodies") / "made_up.npz")
-    body = replace(load_body(path, joints="smpl"), mirror=None)  # it has no middle to be measured at
+    body = replace(
+        load_body(path, joints="smpl"), mirror=None
+    )  # it has no middle to be measured at
     return synthetic_fit(frames=6, body=body)
 
 
@@ -29,12 +33,18 @@ def test_files_show_the_full_body_and_the_fit_keeps_the_coarse_one(fit, tmp_path
     full = fit.finest_body
     assert full.num_vertices > fit.body.num_vertices == fit.vertices(0).shape[0]
     write_glb(fit, tmp_path / "a.glb", correctives="all")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     uv = glb.array(attributes["TEXCOORD_0"])
     corners = glb.array(glb.json["meshes"][0]["primitives"][0]["indices"]).ravel().reshape(-1, 3)
     for frame, expected in zip((0, 5), fitted_vertices(fit, (0, 5), body=full), strict=True):
-        assert np.abs(glb.vertices(frame / fit.rate_hz)[corners] - (expected @ turn.T)[full.faces]).max() < 1e-4
+        assert (
+            np.abs(
+                glb.vertices(frame / fit.rate_hz)[corners] - (expected @ turn.T)[full.faces]
+            ).max()
+            < 1e-4
+        )
         assert np.abs(expected[fit.body.full_vertices] - fit.vertices(frame)).max() < 1e-6
     half = len(full.mesh.quads)
     known = full.mesh.uv[full.mesh.quad_uv[:, [0, 1, 2]]] * [1, -1] + [0, 1]
@@ -44,14 +54,23 @@ def test_files_show_the_full_body_and_the_fit_keeps_the_coarse_one(fit, tmp_path
 
 
 def test_meshes_have_the_bodys_quads(fit, tmp_path):
-    full, text = fit.finest_body, write_obj_sequence(fit, tmp_path, [2])[0].read_text("ascii").splitlines()
-    quads = [[tuple(map(int, corner.split("/"))) for corner in line.split()[1:]] for line in text if line[:2] == "f "]
+    full = fit.finest_body
+    text = write_obj_sequence(fit, tmp_path, [2])[0].read_text("ascii").splitlines()
+    quads = [
+        [tuple(map(int, corner.split("/"))) for corner in line.split()[1:]]
+        for line in text
+        if line[:2] == "f "
+    ]
     assert np.array_equal(np.array(quads)[..., 0] - 1, full.mesh.quads)
     assert np.array_equal(np.array(quads)[..., 1] - 1, full.mesh.quad_uv)
-    places = np.array([list(map(float, line.split()[1:])) for line in text if line.startswith("vt ")])
+    places = np.array(
+        [list(map(float, line.split()[1:])) for line in text if line.startswith("vt ")]
+    )
     assert np.abs(places - full.mesh.uv).max() < 1e-6
     known = next(fitted_vertices(fit, [2], body=full))
-    points = np.array([list(map(float, line.split()[1:])) for line in text if line.startswith("v ")])
+    points = np.array(
+        [list(map(float, line.split()[1:])) for line in text if line.startswith("v ")]
+    )
     assert np.abs(points - known).max() < 1e-6
 
 
@@ -67,4 +86,6 @@ def test_a_surface_takes_its_quads_along(fit, ending, tmp_path):
     if ending == ".obj":
         assert "/" in (tmp_path / "a.obj").read_text().splitlines()[-1]
     if ending == ".glb":
-        assert "TEXCOORD_0" in Glb(tmp_path / "a.glb").json["meshes"][0]["primitives"][0]["attributes"]
+        assert (
+            "TEXCOORD_0" in Glb(tmp_path / "a.glb").json["meshes"][0]["primitives"][0]["attributes"]
+        )

@@ -30,7 +30,8 @@ FRAMES = (0, 17, 44, 89)
 def test_glb_equals_the_body(tmp_path, soft, posedirs):
     fit = synthetic_fit(soft=soft, body=tube_body(posedirs=posedirs))
     write_glb(fit, tmp_path / "a.glb", correctives="all")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
     for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
         found = glb.vertices(frame / fit.rate_hz)
         assert np.abs(found - expected @ turn.T).max() < 1e-4
@@ -47,7 +48,8 @@ def test_glb_holds_soft_tissue_that_the_body_predicts(tmp_path, posedirs):
     away = np.linalg.norm(moving.vertices(FRAMES) - fit.vertices(FRAMES), axis=-1)
     assert away.max() > 1e-3 and np.abs(moving.joints() - fit.joints()).max() < 1e-12
     write_glb(moving, tmp_path / "a.glb", correctives="all")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
     for frame, expected in zip(FRAMES, fitted_vertices(moving, FRAMES), strict=True):
         assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 1e-4
     still = moving.with_dynamics(0.0)
@@ -61,7 +63,8 @@ def test_glb_holds_soft_tissue_that_the_body_predicts(tmp_path, posedirs):
 def test_by_itself_no_vertex_is_further_away_than_said(tmp_path):
     fit = synthetic_fit(body=tube_body(posedirs=True))
     written = write_glb(fit, tmp_path / "a.glb")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
     assert 0 < written.morph_worst <= WORST
     for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
         assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 1.1 * WORST
@@ -69,15 +72,22 @@ def test_by_itself_no_vertex_is_further_away_than_said(tmp_path):
 
 def with_local_shapes(body):
     """Each joint's pose blend shapes move the vertices that it carries, and no others."""
-    shapes = body.posedirs.reshape(body.num_vertices, 3, -1, 9) * (body.skinning_weights[:, 1:] > 0)[:, None, :, None]
+    shapes = (
+        body.posedirs.reshape(body.num_vertices, 3, -1, 9)
+        * (body.skinning_weights[:, 1:] > 0)[:, None, :, None]
+    )
     return replace(body, posedirs=shapes.reshape(body.posedirs.shape))
 
 
 def test_shapes_of_few_vertices_are_stored_as_such(tmp_path):
     fit = synthetic_fit(20, body=with_local_shapes(tube_body(posedirs=True)), soft=False)
     write_glb(fit, tmp_path / "a.glb", correctives="all")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
-    accessors = [glb.json["accessors"][t["POSITION"]] for t in glb.json["meshes"][0]["primitives"][0]["targets"]]
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
+    accessors = [
+        glb.json["accessors"][t["POSITION"]]
+        for t in glb.json["meshes"][0]["primitives"][0]["targets"]
+    ]
     assert len(accessors) == 15 * 23 and all("sparse" in each for each in accessors)
     for frame, expected in zip((0, 19), fitted_vertices(fit, (0, 19)), strict=True):
         assert np.abs(glb.vertices(frame / fit.rate_hz) - expected @ turn.T).max() < 2e-5
@@ -91,11 +101,19 @@ validator.validateBytes(new Uint8Array(data)).then((report) => console.log(JSON.
 
 def test_khronos_validator_finds_nothing(tmp_path):
     node = shutil.which("node")
-    if not node or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode:
+    if (
+        not node
+        or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode
+    ):
         pytest.skip("no validator here: npm install gltf-validator, NODE_PATH")
-    for name, body in (("a", tube_body(posedirs=True)), ("b", with_local_shapes(tube_body(posedirs=True)))):
+    for name, body in (
+        ("a", tube_body(posedirs=True)),
+        ("b", with_local_shapes(tube_body(posedirs=True))),
+    ):
         write_glb(synthetic_fit(5, body=body), tmp_path / f"{name}.glb")
-        run = subprocess.run([node, "-e", VALIDATE, tmp_path / f"{name}.glb"], capture_output=True, text=True)
+        run = subprocess.run(
+            [node, "-e", VALIDATE, tmp_path / f"{name}.glb"], capture_output=True, text=True
+        )
         assert json.loads(run.stdout)["messages"] == []
 
 
@@ -118,7 +136,10 @@ def test_structure(tmp_path):
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     assert np.allclose(np.linalg.norm(glb.array(attributes["NORMAL"]), axis=1), 1, atol=1e-5)
     weights = glb.array(attributes["WEIGHTS_0"])
-    assert np.allclose(weights.sum(1), 1, atol=1e-6) and glb.array(attributes["JOINTS_0"]).dtype == np.uint8
+    assert (
+        np.allclose(weights.sum(1), 1, atol=1e-6)
+        and glb.array(attributes["JOINTS_0"]).dtype == np.uint8
+    )
     assert [node["name"] for node in glb.json["nodes"][:24]] == list(fit.body.joint_names)
     times = glb.array(glb.json["animations"][0]["samplers"][0]["input"])
     assert len(times) == len(fit.pose) and np.isclose(times[-1], (len(fit.pose) - 1) / fit.rate_hz)
@@ -146,7 +167,9 @@ def test_more_than_four_influences(tmp_path):
 def test_morph_weights_lie_between_zero_and_one(tmp_path):
     write_glb(synthetic_fit(body=tube_body(posedirs=True)), tmp_path / "a.glb")
     glb = Glb(tmp_path / "a.glb")
-    weights = next(c for c in glb.json["animations"][0]["channels"] if c["target"]["path"] == "weights")
+    weights = next(
+        c for c in glb.json["animations"][0]["channels"] if c["target"]["path"] == "weights"
+    )
     values = glb.array(glb.json["animations"][0]["samplers"][weights["sampler"]]["output"])
     assert values.min() == 0 and values.max() == 1
 
@@ -170,7 +193,8 @@ def test_shape_keys_say_what_they_are(tmp_path, soft, posedirs, correctives, kin
 
 
 def test_texture_coordinates_double_the_vertices_along_seams(tmp_path):
-    fit, rng = synthetic_fit(), np.random.default_rng(0)
+    fit = synthetic_fit()
+    rng = np.random.default_rng(0)
     faces = fit.body.faces
     uv_faces = faces.copy()
     uv_faces[: len(faces) // 2] += fit.body.num_vertices  # two pieces, with a seam between them
@@ -180,12 +204,18 @@ def test_texture_coordinates_double_the_vertices_along_seams(tmp_path):
     glb = Glb(tmp_path / "a.glb")
     primitive = glb.json["meshes"][0]["primitives"][0]
     corners = glb.array(primitive["indices"]).reshape(-1, 3)
-    assert np.allclose(glb.array(primitive["attributes"]["TEXCOORD_0"])[corners], uv[uv_faces] * [1, -1] + [0, 1])
+    assert np.allclose(
+        glb.array(primitive["attributes"]["TEXCOORD_0"])[corners], uv[uv_faces] * [1, -1] + [0, 1]
+    )
     expected = next(fitted_vertices(fit, [17])) @ up_rotation(fit.up_axis).T
     found = glb.vertices(17 / fit.rate_hz)
     assert len(found) > len(expected) and np.abs(found[corners] - expected[faces]).max() < 1e-4
-    write_glb(replace(fit, body=replace(body, extras={"vt": uv[:5], "ft": uv_faces})), tmp_path / "b.glb")
-    assert "TEXCOORD_0" not in Glb(tmp_path / "b.glb").json["meshes"][0]["primitives"][0]["attributes"]
+    write_glb(
+        replace(fit, body=replace(body, extras={"vt": uv[:5], "ft": uv_faces})), tmp_path / "b.glb"
+    )
+    assert (
+        "TEXCOORD_0" not in Glb(tmp_path / "b.glb").json["meshes"][0]["primitives"][0]["attributes"]
+    )
 
 
 def test_trimesh_reads_it(tmp_path):
@@ -210,10 +240,14 @@ def test_unwritable_place_is_one_clear_error(tmp_path):
         write_glb(synthetic_fit(frames=2), tmp_path / "file" / "a.glb")
 
 
-@pytest.mark.parametrize(("features", "shapes"), [("angles", 0), ("quaternions", 0), ("rotations", 2)])
+@pytest.mark.parametrize(
+    ("features", "shapes"), [("angles", 0), ("quaternions", 0), ("rotations", 2)]
+)
 def test_pose_blend_shapes_of_other_features_are_refused(tmp_path, features, shapes):
     fit = synthetic_fit(frames=2, body=tube_body(posedirs=True))
-    with pytest.raises(HabitusError, match=f"driven by '{features}'.*; animations need 'rotations' alone"):
+    with pytest.raises(
+        HabitusError, match=f"driven by '{features}'.*; animations need 'rotations' alone"
+    ):
         write_glb(replace(fit, body=with_features(fit.body, features, shapes)), tmp_path / "a.glb")
     assert not list(tmp_path.iterdir())
 
@@ -223,7 +257,8 @@ def test_an_animation_of_too_many_frames_is_thinned_and_says_so(tmp_path, monkey
     assert writer.thinning_note(fit) == ()
     monkeypatch.setattr(writer, "GLB_FRAMES", 40)
     write_glb(fit, tmp_path / "a.glb")
-    glb, turn = Glb(tmp_path / "a.glb"), up_rotation(fit.up_axis)
+    glb = Glb(tmp_path / "a.glb")
+    turn = up_rotation(fit.up_axis)
     times = glb.array(glb.json["animations"][0]["samplers"][0]["input"])
     np.testing.assert_allclose(times, np.arange(0, 90, 3) / fit.rate_hz, rtol=1e-6)
     expected = next(fitted_vertices(fit, [27])) @ turn.T

@@ -1,4 +1,6 @@
-"""OpenSim's coordinates: what a limb does has the sign and the name that Rajagopal's model gives it."""
+"""OpenSim's coordinates: what a limb does has the sign and the name that Rajagopal's model gives
+it.
+"""
 
 from dataclasses import replace
 
@@ -12,12 +14,16 @@ from habitus.export.mot import coordinates, write_mot
 
 
 def posed(**turns):
-    """One frame, facing +x with +y up, some joints turned (degrees about the body's left, up and forward axes)."""
+    """One frame, facing +x with +y up, some joints turned (degrees about the body's left, up and
+    forward axes).
+    """
     fit = synthetic_fit(1, soft=False, up_axis="+y")
     pose = np.zeros_like(fit.pose)
     for name, turn in turns.items():
         pose[0, fit.body.joint_names.index(name)] = np.radians(turn)
-    pose[0, 0] = (Rotation.from_euler("y", 90, degrees=True) * Rotation.from_rotvec(pose[0, 0])).as_rotvec()
+    pose[0, 0] = (
+        Rotation.from_euler("y", 90, degrees=True) * Rotation.from_rotvec(pose[0, 0])
+    ).as_rotvec()
     return replace(fit, pose=pose, pose_stage=(pose, fit.trans))
 
 
@@ -46,7 +52,9 @@ def posed(**turns):
 def test_signs(turns, name, degrees):
     found = coordinates(posed(**turns))
     rest = coordinates(posed())  # a T-pose; the elbows of this body are not quite straight
-    assert found[name] == pytest.approx([degrees], abs=1e-6 if name not in rest or abs(rest[name][0]) < 1e-6 else 6)
+    assert found[name] == pytest.approx(
+        [degrees], abs=1e-6 if name not in rest or abs(rest[name][0]) < 1e-6 else 6
+    )
     moved = {k for k, v in found.items() if abs(v[0] - rest[k][0]) > 1e-5}
     assert moved - {name} <= {"pelvis_tx", "pelvis_ty", "pelvis_tz"}
 
@@ -56,7 +64,12 @@ def test_the_file(tmp_path):
     names = write_mot(fit, tmp_path / "a.mot")
     head, table = (tmp_path / "a.mot").read_text().split("endheader\n")
     told = dict(line.split("=") for line in head.splitlines() if "=" in line)
-    assert told == {"version": "1", "nRows": "30", "nColumns": str(1 + len(names)), "inDegrees": "yes"}
+    assert told == {
+        "version": "1",
+        "nRows": "30",
+        "nColumns": str(1 + len(names)),
+        "inDegrees": "yes",
+    }
     lines = [line.split("\t") for line in table.splitlines()]
     values = np.array(lines[1:], float)
     assert (

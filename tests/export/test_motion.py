@@ -14,7 +14,9 @@ from habitus.io.fits import load_fit
 from habitus.io.motions import load_motion
 
 
-@pytest.mark.parametrize("ending", [".fbx", ".glb", ".bvh", ".trc", ".mot", ".npz", ".obj", ".ply", ""])
+@pytest.mark.parametrize(
+    "ending", [".fbx", ".glb", ".bvh", ".trc", ".mot", ".npz", ".obj", ".ply", ""]
+)
 def test_every_ending_of_a_fit_and_of_a_motion(tmp_path, ending):
     fit = synthetic_fit(8, body=tube_body(posedirs=True), rate_hz=120.0)
     for name, moving in (("a", fit), ("b", BodyMotion.of(fit))):
@@ -33,13 +35,19 @@ def test_a_fit_keeps_its_markers_and_another_rate_is_a_motion(tmp_path):
     assert np.allclose(load_motion(tmp_path / "b.npz", fit.body).pose, fit.pose[::4])
     BodyMotion.of(fit).export(tmp_path / "c.glb", fps=30, correctives="pca:2")
     glb = Glb(tmp_path / "c.glb")
-    assert len({name.removesuffix("_back") for name in glb.json["meshes"][0]["extras"]["targetNames"]}) == 2
+    assert (
+        len({name.removesuffix("_back") for name in glb.json["meshes"][0]["extras"]["targetNames"]})
+        == 2
+    )
     assert np.allclose(glb.array(glb.json["animations"][0]["samplers"][0]["input"]), [0, 1 / 30])
 
 
 def test_one_mesh_of_a_frame_or_at_rest(tmp_path):
     fit = synthetic_fit(6)
-    for frame, known in ((None, fit.body.rest_vertices(fit.betas)), (4, fit.vertices(4) @ up_rotation("+z").T)):
+    for frame, known in (
+        (None, fit.body.rest_vertices(fit.betas)),
+        (4, fit.vertices(4) @ up_rotation("+z").T),
+    ):
         export_motion(fit, tmp_path / "a.ply", frame=frame)
         found = trimesh.load(tmp_path / "a.ply", process=False)
         assert np.abs(found.vertices - known).max() < 1e-6

@@ -27,13 +27,17 @@ def test_shapes_of_amass(written):
     assert data["betas"].shape == (int(data["num_betas"]),)
     assert data["mocap_framerate"] == data["mocap_frame_rate"] == fit.rate_hz
     assert str(data["gender"]) == "neutral" and str(data["up_axis"]) == "+z"
-    assert np.array_equal(np.c_[data["root_orient"], data["pose_body"], data["pose_hand"]], data["poses"])
+    assert np.array_equal(
+        np.c_[data["root_orient"], data["pose_body"], data["pose_hand"]], data["poses"]
+    )
 
 
 def test_file_alone_gives_the_surface_back(written):
     fit, data = written
     pose = data["poses"].reshape(len(data["poses"]), -1, 3)
-    found = reference_vertices(fit.body, data["betas"] + data["soft_tissue_betas"], pose, data["trans"])
+    found = reference_vertices(
+        fit.body, data["betas"] + data["soft_tissue_betas"], pose, data["trans"]
+    )
     expected = fit.body(fit.betas, fit.pose, fit.trans, soft_tissue=fit.soft_tissue)
     assert np.abs(found - expected.vertices).max() < 1e-9
 
@@ -59,11 +63,15 @@ def test_without_soft_tissue(tmp_path):
 
 @pytest.mark.parametrize("soft", [False, True])
 def test_the_archive_is_numpys_to_the_byte_where_memory_is_short_too(soft, monkeypatch):
-    fit, expected, found = synthetic_fit(soft=soft), io.BytesIO(), io.BytesIO()
+    fit = synthetic_fit(soft=soft)
+    expected = io.BytesIO()
+    found = io.BytesIO()
     np.savez(expected, allow_pickle=False, **npz_arrays(fit))
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 16)
     arrays = npz_arrays(fit)
-    assert blocks.lies_over_a_file(arrays["markers_obs"]) and blocks.lies_over_a_file(arrays["pose_body"])
+    assert blocks.lies_over_a_file(arrays["markers_obs"]) and blocks.lies_over_a_file(
+        arrays["pose_body"]
+    )
     save_arrays(found, arrays)
     assert found.getvalue() == expected.getvalue()

@@ -10,7 +10,8 @@ from habitus.io.captures.read import read_capture
 def test_joints_and_markers_come_back(tmp_path):
     fit = synthetic_fit(9, labels=("neck", *(f"skin{k}" for k in range(11))))
     write_points(fit, tmp_path / "a.trc")
-    found, turn = read_capture(tmp_path / "a.trc"), up_rotation(fit.up_axis)
+    found = read_capture(tmp_path / "a.trc")
+    turn = up_rotation(fit.up_axis)
     assert found.up_axis == "+y" and found.rate_hz == fit.rate_hz
     places = dict(zip(found.labels, found.markers.transpose(1, 0, 2), strict=True))
     joints = fit.joints()

@@ -25,7 +25,8 @@ def test_what_lies_between_two_frames(fps):
     known = np.stack([np.interp(places, np.arange(60), column) for column in fit.trans.T], 1)
     np.testing.assert_allclose(found.trans, known, atol=1e-12)
     k = found.num_frames // 2
-    before, part = int(places[k]), places[k] % 1
+    before = int(places[k])
+    part = places[k] % 1
     first, second = (Rotation.from_rotvec(fit.pose[before + d]) for d in (0, 1))
     way = (first.inv() * second).magnitude()
     here = Rotation.from_rotvec(found.pose[k])

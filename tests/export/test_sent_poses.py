@@ -1,4 +1,6 @@
-"""OSC and VMC: a receiver on loopback, by python-osc, rebuilds the pose and has the joints where the body has them."""
+"""OSC and VMC: a receiver on loopback, by python-osc, rebuilds the pose and has the joints where
+the body has them.
+"""
 
 import socket
 import time
@@ -17,14 +19,31 @@ osc = pytest.importorskip("pythonosc.osc_packet")
 
 UNITY = np.diag([-1.0, 1.0, 1.0])
 PARENT = {
-    "Spine": "Hips", "Chest": "Spine", "UpperChest": "Chest", "Neck": "UpperChest", "Head": "Neck", "Jaw": "Head",
-    "LeftShoulder": "UpperChest", "LeftUpperArm": "LeftShoulder", "LeftLowerArm": "LeftUpperArm",
-    "LeftHand": "LeftLowerArm", "LeftUpperLeg": "Hips", "LeftLowerLeg": "LeftUpperLeg", "LeftFoot": "LeftLowerLeg",
-    "LeftToes": "LeftFoot", "LeftEye": "Head",
+    "Spine": "Hips",
+    "Chest": "Spine",
+    "UpperChest": "Chest",
+    "Neck": "UpperChest",
+    "Head": "Neck",
+    "Jaw": "Head",
+    "LeftShoulder": "UpperChest",
+    "LeftUpperArm": "LeftShoulder",
+    "LeftLowerArm": "LeftUpperArm",
+    "LeftHand": "LeftLowerArm",
+    "LeftUpperLeg": "Hips",
+    "LeftLowerLeg": "LeftUpperLeg",
+    "LeftFoot": "LeftLowerLeg",
+    "LeftToes": "LeftFoot",
+    "LeftEye": "Head",
     **{f"Left{f}Proximal": "LeftHand" for f in ("Thumb", "Index", "Middle", "Ring", "Little")},
-    **{f"Left{f}Intermediate": f"Left{f}Proximal" for f in ("Thumb", "Index", "Middle", "Ring", "Little")},
-    **{f"Left{f}Distal": f"Left{f}Intermediate" for f in ("Thumb", "Index", "Middle", "Ring", "Little")},
-}  # fmt: skip
+    **{
+        f"Left{f}Intermediate": f"Left{f}Proximal"
+        for f in ("Thumb", "Index", "Middle", "Ring", "Little")
+    },
+    **{
+        f"Left{f}Distal": f"Left{f}Intermediate"
+        for f in ("Thumb", "Index", "Middle", "Ring", "Little")
+    },
+}
 """Unity's humanoid: each bone's parent, as its documentation has them; the right side mirrors."""
 
 
@@ -48,7 +67,11 @@ def received(packets):
 
 def state(body, seed=0):
     rng = np.random.default_rng(seed)
-    return rng.normal(size=body.num_betas), 0.6 * rng.normal(size=(body.num_joints, 3)), rng.normal(size=3)
+    return (
+        rng.normal(size=body.num_betas),
+        0.6 * rng.normal(size=(body.num_joints, 3)),
+        rng.normal(size=3),
+    )
 
 
 def at_rest(body, betas):
@@ -70,11 +93,15 @@ def test_a_vmc_receiver_has_the_joints_where_the_body_has_them(family, up):
     joints = body(betas, pose, trans).joints @ up_rotation(up).T @ UNITY
     named = {name: joints[k] for k, name in enumerate(body.joint_names)}
     sent = [name for name in body.joint_names if name in UNITY_BONES]
-    assert {UNITY_BONES[name] for name in sent} == set(bones) and len(sent) == {"smpl": 22, "smplh": 52, "smplx": 55}[
-        family
-    ]
+    assert {UNITY_BONES[name] for name in sent} == set(bones) and len(sent) == {
+        "smpl": 22,
+        "smplh": 52,
+        "smplx": 55,
+    }[family]
     for name in sent:
-        np.testing.assert_allclose(world[UNITY_BONES[name]][0], named[name], atol=1e-5, err_msg=name)
+        np.testing.assert_allclose(
+            world[UNITY_BONES[name]][0], named[name], atol=1e-5, err_msg=name
+        )
     assert dict(messages[:3]) == {
         "/VMC/Ext/OK": [1, 3, 0, 1],
         "/VMC/Ext/T": [1.5],
@@ -83,9 +110,12 @@ def test_a_vmc_receiver_has_the_joints_where_the_body_has_them(family, up):
 
 
 def test_in_unitys_space_the_left_hand_is_at_minus_x_and_a_raised_arm_is_up():
-    """Left-handed: who faces +z has the left at -x; and there a turn about +z that lifts the left arm is negative."""
+    """Left-handed: who faces +z has the left at -x; and there a turn about +z that lifts the left
+    arm is negative.
+    """
     body = synthetic_body("smpl")
-    names, pose = list(body.joint_names), np.zeros((24, 3))
+    names = list(body.joint_names)
+    pose = np.zeros((24, 3))
     rest = np.zeros((24, 3))
     for name, place in {
         "left_shoulder": (0.2, 0.5, 0),
@@ -93,8 +123,14 @@ def test_in_unitys_space_the_left_hand_is_at_minus_x_and_a_raised_arm_is_up():
         "left_wrist": (0.8, 0.5, 0),
     }.items():
         rest[names.index(name)] = place
-    pose[names.index("left_shoulder")] = (0.0, 0.0, np.pi / 2)  # from +x to +y in the body's right-handed axes
-    messages = received(VmcPoses(names, body.parents, rest, "+y").packets(0, 0.0, pose, np.zeros(3), 1))
+    pose[names.index("left_shoulder")] = (
+        0.0,
+        0.0,
+        np.pi / 2,
+    )  # from +x to +y in the body's right-handed axes
+    messages = received(
+        VmcPoses(names, body.parents, rest, "+y").packets(0, 0.0, pose, np.zeros(3), 1)
+    )
     arm = next(np.array(args[1:]) for _, args in messages if args[0] == "LeftUpperArm")
     elbow = next(np.array(args[1:]) for _, args in messages if args[0] == "LeftLowerArm")
     assert elbow[0] < -0.25 and arm[5] < 0

@@ -1,4 +1,6 @@
-"""TRC files: what was written comes back, and OpenSim's way of reading it, written down here, finds every cell."""
+"""TRC files: what was written comes back, and OpenSim's way of reading it, written down here, finds
+every cell.
+"""
 
 import numpy as np
 import pytest
@@ -12,7 +14,9 @@ from habitus.io.captures.read import Capture
 from habitus.io.captures.trc import parse_trc
 
 
-def capture(labels=("LFHD", "RFHD", "C7", "LKNE"), frames=40, up="+y", rate=100.0, gaps=0.2, seed=0):
+def capture(
+    labels=("LFHD", "RFHD", "C7", "LKNE"), frames=40, up="+y", rate=100.0, gaps=0.2, seed=0
+):
     rng = np.random.default_rng(seed)
     place = rng.uniform(-0.15, 0.15, (1, len(labels), 3))
     place[0, :, 1] = np.linspace(1.7, 0.5, len(labels))
@@ -23,7 +27,9 @@ def capture(labels=("LFHD", "RFHD", "C7", "LKNE"), frames=40, up="+y", rate=100.
 
 
 def opensim_rows(text: str) -> list[list[str]]:
-    """The cells of each line that is not blank, as OpenSim counts them: a cell is what a tab or the line's end ends."""
+    """The cells of each line that is not blank, as OpenSim counts them: a cell is what a tab or the
+    line's end ends.
+    """
     lines = (line.split("\t") for line in text.split("\n") if line)
     return [cells[:-1] if cells[-1] == "" else cells for cells in lines]
 
@@ -48,7 +54,14 @@ def test_the_captures_own_frame_stays_where_asked(tmp_path):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.text(min_size=1, max_size=12).filter(lambda s: s.strip()), min_size=1, max_size=5, unique=True))
+@given(
+    st.lists(
+        st.text(min_size=1, max_size=12).filter(lambda s: s.strip()),
+        min_size=1,
+        max_size=5,
+        unique=True,
+    )
+)
 def test_labels_of_any_kind_come_back_or_are_refused(tmp_path_factory, labels):
     path = tmp_path_factory.mktemp("labels") / "a.trc"
     given = capture(labels, frames=3, gaps=0)
@@ -66,18 +79,28 @@ def test_labels_of_any_kind_come_back_or_are_refused(tmp_path_factory, labels):
 
 def test_opensim_finds_its_header_and_its_cells(tmp_path):
     given = capture()
-    given = Capture("walk", given.labels, np.where(np.arange(4)[:, None] == 3, np.nan, given.markers), 100.0, "+y")
+    given = Capture(
+        "walk",
+        given.labels,
+        np.where(np.arange(4)[:, None] == 3, np.nan, given.markers),
+        100.0,
+        "+y",
+    )
     habitus.write_trc(given, tmp_path / "a.trc")
     first, keys, values, labels, axes, *rows = opensim_rows((tmp_path / "a.trc").read_text())
     assert first == ["PathFileType", "4", "(X/Y/Z)", "a.trc"]
     assert " ".join(keys) == (
-        "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames"
+        "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame "
+        "OrigNumFrames"
     )
     assert values == ["100", "100", "40", "4", "mm", "100", "1", "40"]
     assert [cell for cell in labels if cell] == ["Frame#", "Time", *given.labels]
     assert axes[2:] == [f"{axis}{k}" for k in range(1, 5) for axis in "XYZ"]
     assert {len(row) for row in rows} == {2 + 3 * 4}, "also where the last marker is missing"
-    assert (tmp_path / "a.trc").read_text().split("\n")[5] == "" and rows[7][:2] == ["8", "0.07000000"]
+    assert (tmp_path / "a.trc").read_text().split("\n")[5] == "" and rows[7][:2] == [
+        "8",
+        "0.07000000",
+    ]
 
 
 def test_a_point_at_zero_is_seen(tmp_path):

@@ -1,4 +1,6 @@
-"""A motion as USD: UsdSkel, USD's own code, makes the fit's surface of it, and USD's validators find nothing."""
+"""A motion as USD: UsdSkel, USD's own code, makes the fit's surface of it, and USD's validators
+find nothing.
+"""
 
 from dataclasses import replace
 
@@ -27,7 +29,8 @@ def test_usd_shows_the_fit(tmp_path, soft, posedirs, ending):
     fit = synthetic_fit(20, soft=bool(soft), body=tube_body(posedirs=bool(posedirs)), up_axis="-x")
     write_usd(fit, tmp_path / f"a.{ending}")
     assert [path.name for path in tmp_path.iterdir()] == [f"a.{ending}"]
-    stage, turn = Usd.Stage.Open(str(tmp_path / f"a.{ending}")), up_rotation(fit.up_axis)
+    stage = Usd.Stage.Open(str(tmp_path / f"a.{ending}"))
+    turn = up_rotation(fit.up_axis)
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     assert stage.GetTimeCodesPerSecond() == fit.rate_hz and stage.GetEndTimeCode() == 19
     extent = UsdGeom.Boundable.Get(stage, "/person").GetExtentAttr()
@@ -39,14 +42,21 @@ def test_usd_shows_the_fit(tmp_path, soft, posedirs, ending):
 
 
 def test_validators_find_nothing(tmp_path):
-    body = replace(load_body(write_two_levels(tmp_path / "made_up.npz"), joints="smpl"), mirror=None)
+    body = replace(
+        load_body(write_two_levels(tmp_path / "made_up.npz"), joints="smpl"), mirror=None
+    )
     fit = synthetic_fit(4, body=body, capture_name="walk / 01")
     write_usd(fit, tmp_path / "a b.usdz")
     stage = Usd.Stage.Open(str(tmp_path / "a b.usdz"))
-    found = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(stage)
+    found = UsdValidation.ValidationContext(
+        UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    ).Validate(stage)
     assert not [f"{error.GetName()}: {error.GetMessage()}" for error in found]
-    mesh, full = UsdGeom.Mesh.Get(stage, "/person/body"), fit.finest_body
-    assert np.array_equal(np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4), full.mesh.quads)
+    mesh = UsdGeom.Mesh.Get(stage, "/person/body")
+    full = fit.finest_body
+    assert np.array_equal(
+        np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 4), full.mesh.quads
+    )
     uv = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").ComputeFlattened()
     assert np.allclose(np.array(uv).reshape(-1, 4, 2), full.mesh.uv[full.mesh.quad_uv], atol=1e-6)
 

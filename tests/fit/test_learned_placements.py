@@ -1,4 +1,6 @@
-"""Laws of what people's markers tell of a place: means move with agreement, few people move them little."""
+"""Laws of what people's markers tell of a place: means move with agreement, few people move them
+little.
+"""
 
 from dataclasses import replace
 
@@ -22,7 +24,9 @@ def body():
 
 
 def people(count, own, rng, shared=OFF, place="knee_lateral", label="[LR]KNE"):
-    """Left and right markers of people whose placements have a mean, and a spread (m) that both sides share."""
+    """Left and right markers of people whose placements have a mean, and a spread (m) that both
+    sides share.
+    """
     found = []
     for k in range(count):
         mine = shared + rng.normal(scale=own, size=3)
@@ -78,8 +82,13 @@ def test_a_planted_offset_is_carried_back_to_rest(body):
     start = default_markers(body, betas, layout.vertices(body), layout.distances())
     rest = body.rest_vertices(betas)
     own = attach(start, rest, body.faces).triangles
-    pose, trans = rng.normal(scale=0.3, size=(5, body.num_joints, 3)), rng.normal(size=(5, 3))
-    observed = predict(marked_body(body, betas, attach(start + offsets, rest, body.faces, triangles=own)), pose, trans)
+    pose = rng.normal(scale=0.3, size=(5, body.num_joints, 3))
+    trans = rng.normal(size=(5, 3))
+    observed = predict(
+        marked_body(body, betas, attach(start + offsets, rest, body.faces, triangles=own)),
+        pose,
+        trans,
+    )
     observed[1, 2], observed[1:, 3] = np.nan, np.nan
     found = offsets_at_rest(body, betas, pose, trans, layout, observed)
     np.testing.assert_allclose(found[:3], offsets[:3], atol=1e-9)

@@ -1,4 +1,6 @@
-"""One spoilt file given to one reader, and whether it answered as it should: sane values, or one clear error."""
+"""One spoilt file given to one reader, and whether it answered as it should: sane values, or one
+clear error.
+"""
 
 import io
 import random
@@ -27,7 +29,9 @@ def spoilt(targets: Sequence[Target], number: int) -> tuple[Target, Tree]:
 
 
 def attempt(target: Target, tree: Tree, folder: Path) -> str | None:
-    """What is wrong with the answer to a tree of files, written below ``folder``; None where nothing is."""
+    """What is wrong with the answer to a tree of files, written below ``folder``; None where
+    nothing is.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for name, content in tree.items():
@@ -53,7 +57,9 @@ def _wrong_message(error: HabitusError) -> str | None:
 
 
 def _relied_on_memory(error: BaseException) -> str | None:
-    """An error that came only because memory was at its end: on a larger machine there would be none."""
+    """An error that came only because memory was at its end: on a larger machine there would be
+    none.
+    """
     cause: BaseException | None = error
     seen: set[int] = set()
     while cause is not None and id(cause) not in seen:
@@ -66,7 +72,8 @@ def _relied_on_memory(error: BaseException) -> str | None:
 
 def _where(error: BaseException) -> str:
     """The last lines of the project that an error came through."""
-    trace, places = error.__traceback__, []
+    trace = error.__traceback__
+    places = []
     while trace is not None:
         code = trace.tb_frame.f_code
         if "habitus" in code.co_filename or "fuzz" in code.co_filename:

@@ -1,9 +1,10 @@
-"""The long hunt: many spoilt files given to every reader, in processes with little memory and little time.
+"""The long hunt: many spoilt files given to every reader, in processes with little memory and
+little time.
 
     python tests/fuzz/hunt.py --mutants 100000 --workers 2
 
-Each mutant has 10 seconds and its file's own size and 1 GB of memory. What fails lies in the folder of findings, a
-folder a mutant, beside findings.json; a mutant is made again by its number.
+Each mutant has 10 seconds and its file's own size and 1 GB of memory. What fails lies in the folder
+of findings, a folder a mutant, beside findings.json; a mutant is made again by its number.
 """
 
 import argparse
@@ -41,7 +42,7 @@ def main() -> None:
         sys.exit(_hunt(options))
 
 
-# -- a worker ---------------------------------------------------------------------------------------------------------
+# -- a worker --------------------------------------------------------------------------------------
 
 
 def _work(first: int, step: int, options: argparse.Namespace) -> None:
@@ -56,7 +57,8 @@ def _work(first: int, step: int, options: argparse.Namespace) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_kilobytes("VmSize") * 1024 + 2 * MOST_BYTES,) * 2)
     for number in range(first, options.first + options.mutants, step):
         target, tree = spoilt(targets, number)
-        before, most = _kilobytes("VmRSS"), MOST_BYTES + sum(map(len, tree.values()))
+        before = _kilobytes("VmRSS")
+        most = MOST_BYTES + sum(map(len, tree.values()))
         _say("begin", number, target.name)
         wrong = attempt(target, tree, folder / "mutant")
         grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
@@ -77,7 +79,7 @@ def _say(*words: object) -> None:
     sys.__stdout__.flush()
 
 
-# -- the hunt ---------------------------------------------------------------------------------------------------------
+# -- the hunt --------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -103,7 +105,9 @@ class _Worker:
             return
         yield from self._heard()
         stuck = self.number >= 0 and _seconds(self.process.pid) - self.since > SLOWEST_S
-        stuck |= self.number >= 0 and time.monotonic() - self.began > 30 * SLOWEST_S  # it waits, on whatever
+        stuck |= (
+            self.number >= 0 and time.monotonic() - self.began > 30 * SLOWEST_S
+        )  # it waits, on whatever
         ended = self.process.poll() is not None
         if ended:
             yield from self._heard()
@@ -111,7 +115,9 @@ class _Worker:
             self.process.kill()
             code = self.process.wait()
             if self.number >= 0:
-                yield self._lost(f"it hung for {SLOWEST_S:g} s" if stuck else f"the process died ({code})")
+                yield self._lost(
+                    f"it hung for {SLOWEST_S:g} s" if stuck else f"the process died ({code})"
+                )
             elif code:
                 raise SystemExit(f"a worker ended with {code} before it began")
             self.process = None
@@ -128,7 +134,8 @@ class _Worker:
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         os.set_blocking(self.process.stdout.fileno(), False)
-        self.rest, self.number = b"", -1
+        self.rest = b""
+        self.number = -1
 
     def _heard(self) -> Iterator[tuple[int, str, str]]:
         assert self.process is not None and self.process.stdout is not None
@@ -136,11 +143,14 @@ class _Worker:
         for line in lines:
             what, number, text = json.loads(line)
             if what == "begin":
-                self.number, self.target = number, text
-                self.since, self.began = _seconds(self.process.pid), time.monotonic()
+                self.number = number
+                self.target = text
+                self.since = _seconds(self.process.pid)
+                self.began = time.monotonic()
                 continue
             self.done[self.target] += 1
-            self.number, self.next = -1, number + self.step
+            self.number = -1
+            self.next = number + self.step
             if text:
                 yield number, self.target, text
 
@@ -170,11 +180,17 @@ def _hunt(options: argparse.Namespace) -> int:
                 print(f"mutant {one[0]}, {one[1]}: {one[2]}", flush=True)
         if time.monotonic() - shown > 60:
             shown = time.monotonic()
-            print(f"{sum(sum(w.done.values()) for w in workers)} tried, {shown - started:.0f} s", flush=True)
+            print(
+                f"{sum(sum(w.done.values()) for w in workers)} tried, {shown - started:.0f} s",
+                flush=True,
+            )
         time.sleep(0.05)
     done = sum((worker.done for worker in workers), Counter())
     _keep(found, done, options)
-    print(f"{sum(done.values())} mutants in {time.monotonic() - started:.0f} s, {len(found)} answered wrongly")
+    print(
+        f"{sum(done.values())} mutants in {time.monotonic() - started:.0f} s, {len(found)} "
+        "answered wrongly"
+    )
     return 1 if found else 0
 
 
@@ -185,7 +201,9 @@ def _keep(found: list[tuple[int, str, str]], done: Counter, options: argparse.Na
     options.findings.mkdir(parents=True, exist_ok=True)
     told = {"tried": dict(sorted(done.items())), "wrong": found}
     (options.findings / "findings.json").write_text(json.dumps(told, indent=1))
-    targets = tuple(target for target in all_targets() if options.only in target.name) if found else ()
+    targets = (
+        tuple(target for target in all_targets() if options.only in target.name) if found else ()
+    )
     for number, _, _ in found[:200]:
         for name, content in spoilt(targets, number)[1].items():
             file = options.findings / str(number) / name

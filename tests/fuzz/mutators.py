@@ -1,4 +1,6 @@
-"""Ways to spoil a file: bits, pieces, numbers, lines and cells, members of archives. Each takes (rng, bytes)."""
+"""Ways to spoil a file: bits, pieces, numbers, lines and cells, members of archives. Each takes
+(rng, bytes).
+"""
 
 import io
 import random
@@ -30,16 +32,80 @@ _NUMBERS = [
     2**63 - 1,
 ]
 _WORDS = [
-    b"", b"0", b"-1", b"1", b"3", b"255", b"65535", b"4294967295", b"18446744073709551616", b"1e9", b"1e308", b"1e999",
-    b"nan", b"inf", b"-inf", b"0x10", b"1_000", b"9" * 30, b"9" * 5000, b"true", b"null", b"None", b"\0", b"\x1b[31m",
-    b"\xff\xfe", "‮".encode(), "𝕏".encode(), b"[/x]", b"<b>", b"'", b'"', b'"""', b"\\", b"\r", b"\t", b",",
-    b";", b"[" * 3000, b"{" * 3000, b"a." * 3000, b"X" * 3000, b"_ " * 3000,
-]  # fmt: skip
+    b"",
+    b"0",
+    b"-1",
+    b"1",
+    b"3",
+    b"255",
+    b"65535",
+    b"4294967295",
+    b"18446744073709551616",
+    b"1e9",
+    b"1e308",
+    b"1e999",
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"0x10",
+    b"1_000",
+    b"9" * 30,
+    b"9" * 5000,
+    b"true",
+    b"null",
+    b"None",
+    b"\0",
+    b"\x1b[31m",
+    b"\xff\xfe",
+    "‮".encode(),
+    "𝕏".encode(),
+    b"[/x]",
+    b"<b>",
+    b"'",
+    b'"',
+    b'"""',
+    b"\\",
+    b"\r",
+    b"\t",
+    b",",
+    b";",
+    b"[" * 3000,
+    b"{" * 3000,
+    b"a." * 3000,
+    b"X" * 3000,
+    b"_ " * 3000,
+]
 _PICKLED = [
-    b"]p400000000\n", b"r\xff\xff\xff\x0f", b"cos\nsystem\n", b"cbuiltins\neval\n", b"cnumpy\nload\n", b"}" * 50, b"R",
-    b"b", b"s", b"u", b"(", b"t", b"\x85" * 300, b"2" * 50, b"l", b"\x81", b"\x93", b"i", b"o", b"Pid\n", b"Q", b"\x97",
-    b"\x82\x01", b"X\xff\xff\xff\x7f", b"\x8e" + b"\xff" * 8, b"T\xff\xff\xff\xff", b"cchumpy.ch\nCh\n", b"N", b".",
-]  # fmt: skip
+    b"]p400000000\n",
+    b"r\xff\xff\xff\x0f",
+    b"cos\nsystem\n",
+    b"cbuiltins\neval\n",
+    b"cnumpy\nload\n",
+    b"}" * 50,
+    b"R",
+    b"b",
+    b"s",
+    b"u",
+    b"(",
+    b"t",
+    b"\x85" * 300,
+    b"2" * 50,
+    b"l",
+    b"\x81",
+    b"\x93",
+    b"i",
+    b"o",
+    b"Pid\n",
+    b"Q",
+    b"\x97",
+    b"\x82\x01",
+    b"X\xff\xff\xff\x7f",
+    b"\x8e" + b"\xff" * 8,
+    b"T\xff\xff\xff\xff",
+    b"cchumpy.ch\nCh\n",
+    b"N",
+    b".",
+]
 _HEADERS = [
     "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }",
     "{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 3), }",
@@ -62,7 +128,9 @@ _HEADERS = [
 
 
 def mutate(rng: random.Random, content: bytes, others: Sequence[bytes] = ()) -> bytes:
-    """A spoilt copy of a file: one to four mutations, after its kind or of its bytes; ``others`` lend pieces."""
+    """A spoilt copy of a file: one to four mutations, after its kind or of its bytes; ``others``
+    lend pieces.
+    """
     for _ in range(rng.choice((1, 1, 1, 2, 2, 4))):
         content = rng.choice(_fitting(content))(rng, content)
     if others and rng.random() < 0.03:
@@ -72,15 +140,37 @@ def mutate(rng: random.Random, content: bytes, others: Sequence[bytes] = ()) -> 
 
 def _fitting(content: bytes) -> list[Mutator]:
     """Half of the mutations are of bytes whatever the file, half keep to its structure."""
-    anything: list[Mutator] = [flip, overwrite, cut, doubled, moved, truncated, binary_number, inserted, stretched]
+    anything: list[Mutator] = [
+        flip,
+        overwrite,
+        cut,
+        doubled,
+        moved,
+        truncated,
+        binary_number,
+        inserted,
+        stretched,
+    ]
     if content[:2] == b"PK":
         return [*anything, *[zip_member] * 12]
     if content[:6] == b"\x93NUMPY":
         return [*anything, *[npy_header] * 4, *[npy_shape] * 4]
     if content[:1] in (b"\x80", b"(") and b"numpy" in content:
         return [*anything, *[pickled] * 6]
-    if content and sum(byte in b"\t\r\n" or 32 <= byte < 127 for byte in content[:2000]) > 0.9 * len(content[:2000]):
-        return [flip, cut, truncated, inserted, *[text_number] * 4, *[lines] * 3, *[cells] * 4, word, word]
+    if content and sum(
+        byte in b"\t\r\n" or 32 <= byte < 127 for byte in content[:2000]
+    ) > 0.9 * len(content[:2000]):
+        return [
+            flip,
+            cut,
+            truncated,
+            inserted,
+            *[text_number] * 4,
+            *[lines] * 3,
+            *[cells] * 4,
+            word,
+            word,
+        ]
     return anything
 
 
@@ -132,7 +222,8 @@ def moved(rng: random.Random, content: bytes) -> bytes:
 
 def _splice(rng: random.Random, content: bytes, other: bytes) -> bytes:
     start, end = _span(rng, len(other))
-    piece, at = other[start:end], rng.randint(0, len(content))
+    piece = other[start:end]
+    at = rng.randint(0, len(content))
     return content[:at] + piece + content[at + len(piece) * rng.randint(0, 1) :]
 
 
@@ -169,14 +260,19 @@ def text_number(rng: random.Random, content: bytes) -> bytes:
     if not found:
         return inserted(rng, content)
     start, end = rng.choice(found).span()
-    odd = str(rng.choice(_NUMBERS) * rng.choice((1, -1))).encode() if rng.random() < 0.5 else rng.choice(_WORDS)
+    odd = (
+        str(rng.choice(_NUMBERS) * rng.choice((1, -1))).encode()
+        if rng.random() < 0.5
+        else rng.choice(_WORDS)
+    )
     return content[:start] + odd + content[end:]
 
 
 def lines(rng: random.Random, content: bytes) -> bytes:
     """Lines lost, doubled, exchanged."""
     rows = content.split(b"\n")
-    one, other = rng.randrange(len(rows)), rng.randrange(len(rows))
+    one = rng.randrange(len(rows))
+    other = rng.randrange(len(rows))
     action = rng.randrange(4)
     if action == 0:
         del rows[one]
@@ -193,7 +289,9 @@ def cells(rng: random.Random, content: bytes) -> bytes:
     """Cells lost, doubled, exchanged in one line or in all."""
     rows = content.split(b"\n")
     separator = max((b"\t", b",", b" ", b"="), key=content.count)
-    row, column, action = rng.randrange(len(rows)), rng.randrange(8), rng.randrange(4)
+    row = rng.randrange(len(rows))
+    column = rng.randrange(8)
+    action = rng.randrange(4)
     for i in range(len(rows)) if rng.random() < 0.2 else [row]:
         parts = rows[i].split(separator)
         at = column % len(parts)
@@ -220,7 +318,8 @@ def word(rng: random.Random, content: bytes) -> bytes:
 
 def pickled(rng: random.Random, content: bytes) -> bytes:
     """Steps of a pickle put in or over others."""
-    at, piece = rng.randint(0, len(content)), rng.choice(_PICKLED)
+    at = rng.randint(0, len(content))
+    piece = rng.choice(_PICKLED)
     return content[:at] + piece + content[at + rng.choice((0, 1, len(piece))) :]
 
 
@@ -234,12 +333,19 @@ def npy_header(rng: random.Random, content: bytes) -> bytes:
 def npy_shape(rng: random.Random, content: bytes) -> bytes:
     """A number or word of an array's header changed, its length kept right."""
     size = int.from_bytes(content[8:10], "little")
-    header = rng.choice((text_number, word, flip))(rng, content[10 : 10 + size].rstrip()).strip(b"\n")[:60000] + b" \n"
+    header = (
+        rng.choice((text_number, word, flip))(rng, content[10 : 10 + size].rstrip()).strip(b"\n")[
+            :60000
+        ]
+        + b" \n"
+    )
     return content[:8] + struct.pack("<H", len(header)) + header + content[10 + size :]
 
 
 def zip_member(rng: random.Random, content: bytes) -> bytes:
-    """A member of an archive spoilt, exchanged, renamed, lost or doubled; the archive itself stays sound."""
+    """A member of an archive spoilt, exchanged, renamed, lost or doubled; the archive itself stays
+    sound.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = [(name, archive.read(name)) for name in archive.namelist()]
@@ -248,14 +354,18 @@ def zip_member(rng: random.Random, content: bytes) -> bytes:
         return flip(rng, content)
     if not members:
         return content
-    at, action = rng.randrange(len(members)), rng.random()
+    at = rng.randrange(len(members))
+    action = rng.random()
     name, data = members[at]
     if action < 0.7:
         members[at] = name, rng.choice(_fitting(data))(rng, data)
     elif action < 0.8:
         members[at] = name, rng.choice(members)[1]
     elif action < 0.9:
-        members[at] = rng.choice((rng.choice(members)[0], name[:-4], "../" + name, "x" * 5000)), data
+        members[at] = (
+            rng.choice((rng.choice(members)[0], name[:-4], "../" + name, "x" * 5000)),
+            data,
+        )
     else:
         del members[at]
     written = io.BytesIO()

@@ -1,7 +1,8 @@
-"""Every reader of the project with small sound files for it: what the fuzz tests spoil, and how they read it.
+"""Every reader of the project with small sound files for it: what the fuzz tests spoil, and how
+they read it.
 
-A seed is a small tree of files (relative path -> bytes); the reader is given one of them. `read` gives nothing back: it
-passes where the reader gave sane values, and lets everything else out.
+A seed is a small tree of files (relative path -> bytes); the reader is given one of them. `read`
+gives nothing back: it passes where the reader gave sane values, and lets everything else out.
 """
 
 import json
@@ -22,7 +23,9 @@ Tree = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class Target:
-    """A reader: its sound trees, the file or folder that is read, and its share of the mutants (slow ones get less)."""
+    """A reader: its sound trees, the file or folder that is read, and its share of the mutants
+    (slow ones get less).
+    """
 
     name: str
     trees: tuple[Tree, ...]
@@ -44,14 +47,18 @@ def all_targets() -> tuple[Target, ...]:
 
 
 def _tree(folder: Path) -> Tree:
-    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
 
 
 def _alone(name: str, read: Callable[[Path], None], *contents: bytes) -> Target:
     return Target(name, tuple({name: content} for content in contents), name, read)
 
 
-# -- captures ---------------------------------------------------------------------------------------------------------
+# -- captures --------------------------------------------------------------------------------------
 
 
 def _read_capture(path: Path) -> None:
@@ -59,10 +66,18 @@ def _read_capture(path: Path) -> None:
 
     for capture in read_captures(path):
         frames, markers, axes = capture.markers.shape
-        assert frames > 0 and markers == len(capture.labels) == len(set(capture.labels)) and axes == 3
+        assert (
+            frames > 0 and markers == len(capture.labels) == len(set(capture.labels)) and axes == 3
+        )
         assert np.isfinite(capture.markers).any() and not np.isinf(capture.markers).any()
         assert 0 < capture.rate_hz < 1e6 and capture.up_axis[1] in "xyz"
-        told = (*capture.labels, *capture.warnings, *sum(capture.dropped, ()), capture.subject or "", capture.name)
+        told = (
+            *capture.labels,
+            *capture.warnings,
+            *sum(capture.dropped, ()),
+            capture.subject or "",
+            capture.name,
+        )
         assert all(text.isprintable() and len(text) < 500 for text in told)
 
 
@@ -70,9 +85,14 @@ def _captures(folder: Path) -> list[Target]:
     from capture_texts import motive_text, qtm_text, trc_text
     from mannequin import LABELS, world_points, write_raw_c3d
 
-    labels, points = LABELS[:12], world_points("+y", frames=10)[:, :12]
+    labels = LABELS[:12]
+    points = world_points("+y", frames=10)[:, :12]
     points[2:4, 3] = np.nan
-    parameters = {("SUBJECTS", "NAMES"): ["Ann"], ("PROCESSING", "HEIGHT"): [1.7], ("POINT", "ANGLES"): ["LKNA"]}
+    parameters = {
+        ("SUBJECTS", "NAMES"): ["Ann"],
+        ("PROCESSING", "HEIGHT"): [1.7],
+        ("POINT", "ANGLES"): ["LKNA"],
+    }
     write_raw_c3d(folder / "a.c3d", labels, points * 1e3, parameters=parameters)
     write_raw_c3d(folder / "b.c3d", tuple(f"Ann:{one}" for one in labels), points, unit="m")
     whole = np.nan_to_num(points)
@@ -82,25 +102,36 @@ def _captures(folder: Path) -> list[Target]:
         (
             np.savez,
             "c.npz",
-            {"labels": np.array(labels).astype("S"), "units": "m", "up_axis": "+y", "gender": "female"},
+            {
+                "labels": np.array(labels).astype("S"),
+                "units": "m",
+                "up_axis": "+y",
+                "gender": "female",
+            },
         ),
     ):
         write(folder / name, markers=points, frame_rate=100, **arrays)
     c3d, npz = (
-        [(folder / f"{name}.{kind}").read_bytes() for name in names] for kind, names in (("c3d", "ab"), ("npz", "abc"))
+        [(folder / f"{name}.{kind}").read_bytes() for name in names]
+        for kind, names in (("c3d", "ab"), ("npz", "abc"))
     )
     trc = trc_text(labels, whole * 1e3)
     tsv = [qtm_text(labels, points * 1e3), qtm_text(labels, points * 1e3, times=True, more=True)]
     return [
         _alone("capture.c3d", _read_capture, *c3d),
         _alone("capture.npz", _read_capture, *npz),
-        _alone("capture.trc", _read_capture, trc_text(labels, points * 1e3).encode(), trc.replace("\t", " ").encode()),
+        _alone(
+            "capture.trc",
+            _read_capture,
+            trc_text(labels, points * 1e3).encode(),
+            trc.replace("\t", " ").encode(),
+        ),
         _alone("capture.csv", _read_capture, motive_text(labels, points).encode()),
         _alone("capture.tsv", _read_capture, *(text.encode() for text in tsv)),
     ]
 
 
-# -- layouts ----------------------------------------------------------------------------------------------------------
+# -- layouts ---------------------------------------------------------------------------------------
 
 _LAYOUT = """\
 name = "mine"
@@ -133,16 +164,22 @@ def _read_layout(path: Path) -> None:
 
 
 def _layouts(folder: Path) -> list[Target]:
-    one = {"indices": {"LFHD": 100, "RFHD": 200, "C7": 829}, "distance_from_skin": 0.0095, "type": "body"}
+    one = {
+        "indices": {"LFHD": 100, "RFHD": 200, "C7": 829},
+        "distance_from_skin": 0.0095,
+        "type": "body",
+    }
     moshpp = json.dumps({"markersets": [one], "surface_model_type": "smplx"}, indent=1)
-    plain = _LAYOUT.replace('extends = "cmu-41"\n', "").replace('without = ["C7"]\n', "num_vertices = 6890\n")
+    plain = _LAYOUT.replace('extends = "cmu-41"\n', "").replace(
+        'without = ["C7"]\n', "num_vertices = 6890\n"
+    )
     return [
         _alone("layout.toml", _read_layout, _LAYOUT.encode(), plain.encode()),
         _alone("layout.json", _read_layout, moshpp.encode()),
     ]
 
 
-# -- models -----------------------------------------------------------------------------------------------------------
+# -- models ----------------------------------------------------------------------------------------
 
 
 def _read_body(path: Path) -> None:
@@ -180,12 +217,18 @@ def _models(folder: Path) -> list[Target]:
     boxed = np.empty((), object)
     boxed[()] = scipy.sparse.csc_matrix(arrays["J_regressor"])
     np.savez_compressed(folder / "boxed.npz", **(arrays | {"J_regressor": boxed}))
-    save_body(with_features(synthetic_body("mano", 24, num_betas=2), "quaternions", 1), folder / "own.npz")
+    save_body(
+        with_features(synthetic_body("mano", 24, num_betas=2), "quaternions", 1), folder / "own.npz"
+    )
     save_blendscape(worm_model(np.random.default_rng(0), subdivisions=0), folder / "worm.npz")
     save_pose_prior(PosePrior(("hip", "knee"), np.zeros(6), np.eye(6)), folder / "prior.npz")
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("official", "boxed", "own")]
     worm = (folder / "worm.npz").read_bytes()
-    sparse = arrays | {"J_regressor": boxed[()], "bs_style": "lbs", "joint_names": [f"j{k}" for k in range(16)]}
+    sparse = arrays | {
+        "J_regressor": boxed[()],
+        "bs_style": "lbs",
+        "joint_names": [f"j{k}" for k in range(16)],
+    }
     plain = [pickle.dumps(OrderedDict(sparse), protocol) for protocol in (0, 2, 4, 5)]
     return [
         _alone("body.npz", _read_body, *npz),
@@ -196,11 +239,18 @@ def _models(folder: Path) -> list[Target]:
 
 
 def _chumpy_pickle(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """A model as SMPL's owners ship it: arrays wrapped in classes of a package that is not there."""
-    modules = {name: types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering")}
+    """A model as SMPL's owners ship it: arrays wrapped in classes of a package that is not
+    there.
+    """
+    modules = {
+        name: types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering")
+    }
     ch = modules["chumpy.ch"].Ch = type("Ch", (), {"__module__": "chumpy.ch"})
-    select = modules["chumpy.reordering"].Select = type("Select", (ch,), {"__module__": "chumpy.reordering"})
-    whole, chosen = ch(), select()
+    select = modules["chumpy.reordering"].Select = type(
+        "Select", (ch,), {"__module__": "chumpy.reordering"}
+    )
+    whole = ch()
+    chosen = select()
     whole.__dict__ |= {"x": arrays["shapedirs"], "_dirty_vars": {"x"}}
     index = np.arange(arrays["shapedirs"].size).reshape(arrays["shapedirs"].shape)[..., :2]
     chosen.__dict__ |= {"a": whole, "idxs": index.ravel(), "preferred_shape": index.shape}
@@ -212,7 +262,7 @@ def _chumpy_pickle(arrays: Mapping[str, np.ndarray]) -> bytes:
             sys.modules.pop(name, None)
 
 
-# -- templates and registrations --------------------------------------------------------------------------------------
+# -- templates and registrations -------------------------------------------------------------------
 
 
 def _read_template(path: Path) -> None:
@@ -252,12 +302,19 @@ def _templates(folder: Path) -> list[Target]:
 
     vertices, faces = _ball()
     part = (vertices[:, 1] > 0).astype(np.int64)
-    save_template(Template(vertices, faces, part, (-1, 0), ("root", "top"), np.arange(12)), folder / "template.npz")
+    save_template(
+        Template(vertices, faces, part, (-1, 0), ("root", "top"), np.arange(12)),
+        folder / "template.npz",
+    )
     (folder / "tree").mkdir()
     trimesh.Trimesh(vertices, faces, process=False).export(folder / "tree" / "ball.ply")
-    joints = [("root", "", np.flatnonzero(part == 0)), ("top", 'parent = "root"\n', np.flatnonzero(part))]
+    joints = [
+        ("root", "", np.flatnonzero(part == 0)),
+        ("top", 'parent = "root"\n', np.flatnonzero(part)),
+    ]
     text = "".join(
-        f'[[joint]]\nname = "{name}"\n{up}vertices = {list(map(int, which))}\n' for name, up, which in joints
+        f'[[joint]]\nname = "{name}"\n{up}vertices = {list(map(int, which))}\n'
+        for name, up, which in joints
     )
     (folder / "tree" / "ball.toml").write_text(f'mesh = "ball.ply"\nunit = "mm"\n\n{text}')
     return [
@@ -279,11 +336,19 @@ def _registrations(folder: Path) -> list[Target]:
     np.savez_compressed(folder / "packed.npz", **arrays)
     trees = [_npy_folder, _mesh_folder, _numbered_folder]
     found = [
-        Target(f"registrations {make.__name__}", (_made(folder, make, many, faces),), "set", _read_registrations)
+        Target(
+            f"registrations {make.__name__}",
+            (_made(folder, make, many, faces),),
+            "set",
+            _read_registrations,
+        )
         for make in trees
     ]
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("stored", "packed")]
-    stores = [_alone("registrations.npz", _read_registrations, *npz), *_meshes(folder, vertices, faces)]
+    stores = [
+        _alone("registrations.npz", _read_registrations, *npz),
+        *_meshes(folder, vertices, faces),
+    ]
     return [*stores, *found, _h5(folder, many, faces), _zarr(folder, arrays)]
 
 
@@ -324,7 +389,8 @@ def _meshes(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> list[Targe
     ply = [trimesh.exchange.ply.export_ply(mesh, encoding=kind) for kind in ("binary", "ascii")]
     obj = trimesh.exchange.obj.export_obj(mesh).encode()
     quads = (
-        b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3 4/1\nf 1/1 2/2 3/3\nf -1 -2 -3\n"
+        b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3 4/1\nf "
+        b"1/1 2/2 3/3\nf -1 -2 -3\n"
     )
     return [_alone("mesh.ply", _read_mesh, *ply), _alone("mesh.obj", _read_mesh, obj, quads)]
 
@@ -350,12 +416,14 @@ def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
         place = folder / f"zarr{version}"
         group = zarr.open_group(str(place / "set.zarr"), mode="w", zarr_format=version)
         for name, array in arrays.items():
-            group.create_array(name, data=np.atleast_1d(array), chunks=(2, *np.atleast_1d(array).shape[1:]))
+            group.create_array(
+                name, data=np.atleast_1d(array), chunks=(2, *np.atleast_1d(array).shape[1:])
+            )
         trees.append(_tree(place))
     return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations, 1)
 
 
-# -- checkpoints and fits ---------------------------------------------------------------------------------------------
+# -- checkpoints and fits --------------------------------------------------------------------------
 
 
 def _read_checkpoint(path: Path) -> None:
@@ -380,8 +448,22 @@ def _checkpoints(folder: Path) -> list[Target]:
     run = {"registrations": [3, 12, "x"], "template": "y", "body": "", "options": {"rounds": 2}}
     place = folder / "tree" / "checkpoint"
     checkpoint = Checkpoint.open(place, run)
-    rig = Rig((-1, 0), "lbs", "rotations", 0, np.zeros((12, 2), np.int64), np.ones((12, 2)) / 2, np.zeros((12, 3, 9)))
-    shapes = {"templates": (2, 12, 3), "joints": (2, 2, 3), "descriptors": (2, 1), "pose": (3, 2, 3), "trans": (3, 3)}
+    rig = Rig(
+        (-1, 0),
+        "lbs",
+        "rotations",
+        0,
+        np.zeros((12, 2), np.int64),
+        np.ones((12, 2)) / 2,
+        np.zeros((12, 3, 9)),
+    )
+    shapes = {
+        "templates": (2, 12, 3),
+        "joints": (2, 2, 3),
+        "descriptors": (2, 1),
+        "pose": (3, 2, 3),
+        "trans": (3, 3),
+    }
     estimate = Estimate(rig, **{key: np.zeros(shape) for key, shape in shapes.items()})
     history = (Record(0, "pose", Energy({"data": 1.0})),)
     checkpoint.save(TrainingState(estimate, history, False), [1.5])

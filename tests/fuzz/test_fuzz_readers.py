@@ -1,4 +1,6 @@
-"""Every reader, given spoilt files: values or one short clear error. `make fuzz` does the same for an hour."""
+"""Every reader, given spoilt files: values or one short clear error. `make fuzz` does the same for
+an hour.
+"""
 
 import pytest
 from attempts import attempt, spoilt
@@ -13,11 +15,30 @@ def targets():
 
 
 NAMES = (
-    "capture.c3d", "capture.npz", "capture.trc", "capture.csv", "capture.tsv", "layout.toml", "layout.json", "body.npz",
-    "body.pkl", "worm.npz", "prior.npz", "template.npz", "template.toml", "registrations.npz", "mesh.ply", "mesh.obj",
-    "registrations _npy_folder", "registrations _mesh_folder", "registrations _numbered_folder", "registrations.h5",
-    "registrations.zarr", "checkpoint", "fit.npz",
-)  # fmt: skip
+    "capture.c3d",
+    "capture.npz",
+    "capture.trc",
+    "capture.csv",
+    "capture.tsv",
+    "layout.toml",
+    "layout.json",
+    "body.npz",
+    "body.pkl",
+    "worm.npz",
+    "prior.npz",
+    "template.npz",
+    "template.toml",
+    "registrations.npz",
+    "mesh.ply",
+    "mesh.obj",
+    "registrations _npy_folder",
+    "registrations _mesh_folder",
+    "registrations _numbered_folder",
+    "registrations.h5",
+    "registrations.zarr",
+    "checkpoint",
+    "fit.npz",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

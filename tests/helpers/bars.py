@@ -8,7 +8,9 @@ from habitus.population.flesh.newton import Goal
 from habitus.population.flesh.skin import make_skin
 from habitus.rotations import matrix_from_rotvec
 
-CUBE = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
+CUBE = np.array(
+    [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]
+)
 
 
 def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> Cage:
@@ -17,22 +19,34 @@ def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> Cage:
     nodes = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 3)
     number = np.arange(len(nodes)).reshape([count + 1 for count in cells])
     corners = np.stack(
-        [number[i : cells[0] + i, j : cells[1] + j, k : cells[2] + k].ravel() for i, j, k in np.ndindex(2, 2, 2)], 1
+        [
+            number[i : cells[0] + i, j : cells[1] + j, k : cells[2] + k].ravel()
+            for i, j, k in np.ndindex(2, 2, 2)
+        ],
+        1,
     )
     return positive_cage(nodes, corners[:, CUBE].reshape(-1, 4))
 
 
 def surface(cage: Cage) -> np.ndarray:
     """Outward triangles of the cage's surface."""
-    faces = np.concatenate([cage.tets[:, order] for order in ([1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1])])
+    faces = np.concatenate(
+        [cage.tets[:, order] for order in ([1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1])]
+    )
     _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
     return faces[first[count == 1]]
 
 
 class HingedBar:
-    """A bar along x whose near half a joint in its middle holds, and whose far half it turns about z."""
+    """A bar along x whose near half a joint in its middle holds, and whose far half it turns about
+    z.
+    """
 
-    def __init__(self, cells: tuple[int, int, int] = (12, 2, 2), size: tuple[float, float, float] = (0.6, 0.1, 0.1)):
+    def __init__(
+        self,
+        cells: tuple[int, int, int] = (12, 2, 2),
+        size: tuple[float, float, float] = (0.6, 0.1, 0.1),
+    ):
         cage = bar(cells, size)
         far = cage.nodes[:, 0] / size[0]
         cage, order = held_last(cage, (far < 0.01) | (far > 0.99))

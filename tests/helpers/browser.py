@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 FLAGS = (
-    "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader",
-    "--disable-background-networking --no-first-run --disable-component-update --disable-sync --hide-scrollbars",
+    "--headless --no-sandbox --disable-gpu --use-gl=angle --use-angle=swiftshader "
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking --no-first-run --disable-component-update --disable-sync "
+    "--hide-scrollbars",
 )
 
 
@@ -41,6 +43,10 @@ def visit(
     ]
     url = f"{page.resolve().as_uri()}#{fragment}"
     done = subprocess.run(
-        [*command, "--virtual-time-budget=1500", what, url], capture_output=True, timeout=120, check=True, text=True
+        [*command, "--virtual-time-budget=1500", what, url],
+        capture_output=True,
+        timeout=120,
+        check=True,
+        text=True,
     )
     return done.stdout

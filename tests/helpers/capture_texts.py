@@ -32,10 +32,19 @@ def trc_text(
 
 
 def motive_text(
-    labels: tuple[str, ...], points: np.ndarray, rate: float = 120.0, unit: str = "Meters", version: str = "1.23"
+    labels: tuple[str, ...],
+    points: np.ndarray,
+    rate: float = 120.0,
+    unit: str = "Meters",
+    version: str = "1.23",
 ) -> str:
-    """A Motive export with a rigid body, a bone and their solved markers before the tracked markers."""
-    head = f"Format Version,{version},Take Name,made,Capture Frame Rate,{rate:.6f},Export Frame Rate,{rate:.6f}"
+    """A Motive export with a rigid body, a bone and their solved markers before the tracked
+    markers.
+    """
+    head = (
+        f"Format Version,{version},Take Name,made,Capture Frame Rate,{rate:.6f},Export Frame "
+        f"Rate,{rate:.6f}"
+    )
     head += f",Rotation Type,Quaternion,Length Units,{unit},Coordinate Space,Global"
     columns = [("Rigid Body", "Prop", "Rotation", axis) for axis in "XYZW"]
     columns += [("Rigid Body", "Prop", "Position", axis) for axis in "XYZ"]
@@ -47,7 +56,10 @@ def motive_text(
     columns += [("Marker", f"Ann:{label}", "Position", axis) for label in labels for axis in "XYZ"]
     columns += [("Marker", "Unlabeled 1042", "Position", axis) for axis in "XYZ"]
     lines = [head, ""]
-    lines += [f",{title}," + ",".join(column[i] for column in columns) for i, title in enumerate(("Type", "Name"))]
+    lines += [
+        f",{title}," + ",".join(column[i] for column in columns)
+        for i, title in enumerate(("Type", "Name"))
+    ]
     lines += [",ID," + ",".join(f'"{i:032X}"' for i in range(len(columns)))]
     lines += [",," + ",".join(column[2] for column in columns)]
     lines += ["Frame,Time (Seconds)," + ",".join(column[3] for column in columns)]
@@ -58,9 +70,15 @@ def motive_text(
 
 
 def qtm_text(
-    labels: tuple[str, ...], points: np.ndarray, rate: float = 100.0, times: bool = False, more: bool = False
+    labels: tuple[str, ...],
+    points: np.ndarray,
+    rate: float = 100.0,
+    times: bool = False,
+    more: bool = False,
 ) -> str:
-    """A QTM export in millimetres, zeros for missing; with a frame and a time column, with the newer header lines."""
+    """A QTM export in millimetres, zeros for missing; with a frame and a time column, with the
+    newer header lines.
+    """
     lines = [
         f"NO_OF_FRAMES\t{len(points)}",
         "NO_OF_CAMERAS\t8",
@@ -76,7 +94,11 @@ def qtm_text(
     lines += ["DATA_INCLUDED\t3D", "MARKER_NAMES\t" + "\t".join(labels)]
     if more:
         lines += ["TRAJECTORY_TYPES\t" + "\t".join(["Measured"] * len(labels))]
-        lines += ["Frame\tTime\t" + "\t".join(f"{label} {axis}" for label in labels for axis in "XYZ")] if times else []
+        lines += (
+            ["Frame\tTime\t" + "\t".join(f"{label} {axis}" for label in labels for axis in "XYZ")]
+            if times
+            else []
+        )
     for i, frame in enumerate(np.nan_to_num(points)):
         front = [str(i + 1), f"{i / rate:.5f}"] if times else []
         lines.append("\t".join([*front, *(f"{value:.3f}" for value in frame.reshape(-1))]))

@@ -1,4 +1,6 @@
-"""A person as a program holds it after an import: bones with axes of their own, in a space turned or mirrored."""
+"""A person as a program holds it after an import: bones with axes of their own, in a space turned
+or mirrored.
+"""
 
 import json
 from dataclasses import dataclass
@@ -20,14 +22,17 @@ Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 @dataclass(eq=False)
 class Exported:
-    """The default body at random betas as a file of so many blend shapes has it, and poses (T, J, 3) it never took."""
+    """The default body at random betas as a file of so many blend shapes has it, and poses (T, J,
+    3) it never took.
+    """
 
     correctives: str
 
     def __post_init__(self):
         rng = np.random.default_rng(8)
         self.body = hb.load_body("default")
-        self.betas, joints = rng.normal(size=self.body.num_betas), self.body.num_joints
+        self.betas = rng.normal(size=self.body.num_betas)
+        joints = self.body.num_joints
         still = BodyMotion(self.body, self.betas, np.zeros((2, joints, 3)), np.zeros((2, 3)), 30.0)
         self.animation = one_sided(animate(still, correctives=self.correctives, body=self.body))
         self.poses = rng.normal(0, 0.5, (2, joints, 3))
@@ -36,7 +41,9 @@ class Exported:
     @cached_property
     def known(self) -> np.ndarray:
         """The body's own surface in the poses (T, V, 3)."""
-        return self.body(np.broadcast_to(self.betas, (len(self.poses), len(self.betas))), self.poses).vertices
+        return self.body(
+            np.broadcast_to(self.betas, (len(self.poses), len(self.betas))), self.poses
+        ).vertices
 
     @cached_property
     def bare(self) -> np.ndarray:
@@ -46,7 +53,8 @@ class Exported:
     @cached_property
     def weights(self) -> np.ndarray:
         """What the blend shapes should be given (T, K)."""
-        names, columns = self.body.joint_names, []
+        names = self.body.joint_names
+        columns = []
         for channel in drivers(self.animation)["channels"]:
             vectors = self.poses[:, names.index(channel["joint"])]
             turned = (Rotation.from_rotvec(vectors).as_matrix() - np.eye(3)).reshape(-1, 9)
@@ -54,13 +62,18 @@ class Exported:
         return np.stack(columns, 1)
 
     def off(self, weights: np.ndarray) -> np.ndarray:
-        """How far (m) the surface with these weights (T, K) of blend shapes is from the body's own (T, V)."""
+        """How far (m) the surface with these weights (T, K) of blend shapes is from the body's own
+        (T, V).
+        """
         rests = self.animation.rest_vertices + np.tensordot(weights, self.animation.morphs, 1)
-        shown = np.array([self._skinned(rest, pose) for rest, pose in zip(rests, self.poses, strict=True)])
+        shown = np.array(
+            [self._skinned(rest, pose) for rest, pose in zip(rests, self.poses, strict=True)]
+        )
         return np.linalg.norm(shown - self.known, axis=-1)
 
     def _skinned(self, rest: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        joints, whole = self.animation.rest_joints, []
+        joints = self.animation.rest_joints
+        whole = []
         for joint, parent in enumerate(self.body.parents):
             local = np.eye(4)
             local[:3, :3] = Rotation.from_rotvec(pose[joint]).as_matrix()
@@ -77,7 +90,9 @@ exported = cache(Exported)
 
 @dataclass(eq=False)
 class Imported:
-    """The same in a program. Axes: from the body's to the mesh's; bones rest like these or with axes of their own."""
+    """The same in a program. Axes: from the body's to the mesh's; bones rest like these or with
+    axes of their own.
+    """
 
     axes: np.ndarray
     scale: float
@@ -108,7 +123,8 @@ class Imported:
     def worlds(self) -> np.ndarray:
         """How bones are turned in the mesh's space, in all poses (T, J, 3, 3)."""
         poses = self.file.poses
-        found, local = np.empty((*poses.shape, 3)), Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix()
+        found = np.empty((*poses.shape, 3))
+        local = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix()
         local = local.reshape(found.shape)
         for joint, parent in enumerate(self.file.body.parents):
             found[:, joint] = local[:, joint] if parent < 0 else found[:, parent] @ local[:, joint]

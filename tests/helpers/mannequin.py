@@ -1,11 +1,14 @@
-"""A person of 41 markers who sways, made up here: what the tests of the capture readers write and read back."""
+"""A person of 41 markers who sways, made up here: what the tests of the capture readers write and
+read back.
+"""
 
 from pathlib import Path
 
 import ezc3d
 import numpy as np
 
-# Body frame in metres: x to the left, y up, z in front; the left and middle markers, the right ones mirror them.
+# Body frame in metres: x to the left, y up, z in front; the left and middle markers, the right ones
+# mirror them.
 _LEFT = {
     "LFHD": (0.07, 1.70, 0.09),
     "LBHD": (0.07, 1.71, -0.08),
@@ -38,20 +41,33 @@ RECORDED = {"height_m": 1.78, "mass_kg": 71.5, "marker_diameter_m": 0.014, "sex"
 
 
 def body_points(frames: int = 60, seed: int = 0) -> np.ndarray:
-    """(T, 41, 3) metres in the body frame: a sway, swinging arms and 0.2 mm of noise; the right side is 1 cm lower."""
+    """(T, 41, 3) metres in the body frame: a sway, swinging arms and 0.2 mm of noise; the right
+    side is 1 cm lower.
+    """
     generator = np.random.default_rng(seed)
     left = np.array(list(_LEFT.values()))
-    rest = np.concatenate([left, left * (-1, 1, 1) - (0.003, 0.01, 0.004), np.array(list(_MIDDLE.values()))])
+    rest = np.concatenate(
+        [left, left * (-1, 1, 1) - (0.003, 0.01, 0.004), np.array(list(_MIDDLE.values()))]
+    )
     time = np.linspace(0.0, 2.0, frames)[:, None]
-    points = np.tile(rest, (frames, 1, 1)) + generator.normal(scale=2e-4, size=(frames, len(rest), 3))
+    points = np.tile(rest, (frames, 1, 1)) + generator.normal(
+        scale=2e-4, size=(frames, len(rest), 3)
+    )
     points[..., 0] += 0.25 * np.sin(2 * np.pi * time / 2.3) * (rest[:, 1] / 1.7)
-    points[..., 2] += 0.2 * np.cos(2 * np.pi * time / 1.7) * np.sign(rest[:, 0]) * (np.abs(rest[:, 0]) > 0.3)
+    points[..., 2] += (
+        0.2 * np.cos(2 * np.pi * time / 1.7) * np.sign(rest[:, 0]) * (np.abs(rest[:, 0]) > 0.3)
+    )
     return points
 
 
-def world_points(up: str = "+z", frames: int = 60, seed: int = 0, mirrored: bool = False) -> np.ndarray:
-    """The same body standing on the floor of a world whose signed axis ``up`` is up, 2 m from the world's middle."""
-    axis, sign = "xyz".index(up[1]), 1.0 if up[0] == "+" else -1.0
+def world_points(
+    up: str = "+z", frames: int = 60, seed: int = 0, mirrored: bool = False
+) -> np.ndarray:
+    """The same body standing on the floor of a world whose signed axis ``up`` is up, 2 m from the
+    world's middle.
+    """
+    axis = "xyz".index(up[1])
+    sign = 1.0 if up[0] == "+" else -1.0
     turn = np.zeros((3, 3))
     turn[axis, 1] = sign
     turn[(axis + 1) % 3, 2] = 1.0
@@ -73,7 +89,9 @@ def write_raw_c3d(
     rate: float = 100.0,
     parameters: dict[tuple[str, str], list] | None = None,
 ) -> Path:
-    """A C3D file with exactly these labels, numbers and parameters, by ezc3d; NaN is written as missing."""
+    """A C3D file with exactly these labels, numbers and parameters, by ezc3d; NaN is written as
+    missing.
+    """
     file = ezc3d.c3d()
     missing = ~np.isfinite(points).all(axis=2).T
     values = np.nan_to_num(points).transpose(2, 1, 0)

@@ -1,4 +1,6 @@
-"""Scenes for tests of marker fits: a small random body in smooth motion, and the markers seen of it."""
+"""Scenes for tests of marker fits: a small random body in smooth motion, and the markers seen of
+it.
+"""
 
 from types import SimpleNamespace
 
@@ -22,16 +24,22 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     corners = body.faces[:markers]
     latent = rest[corners[:, 0]] + 0.03 * rng.normal(size=(markers, 3))
     attachment = attach(latent, rest, body.faces, triangles=corners)
-    rig, marked = marker_rig(body, betas, attachment), BodyMarkers(body, betas, attachment)
+    rig = marker_rig(body, betas, attachment)
+    marked = BodyMarkers(body, betas, attachment)
     size = 3 * len(body.parents) - 3
     spread = rng.normal(size=(size, size))
-    prior = SimpleNamespace(mean=0.2 * rng.normal(size=size), precision=spread @ spread.T / size + np.eye(size))
+    prior = SimpleNamespace(
+        mean=0.2 * rng.normal(size=size), precision=spread @ spread.T / size + np.eye(size)
+    )
     time = np.arange(frames) / 30
-    phase, rate = rng.uniform(0, 6, (size + 3, 1)), rng.uniform(0.5, 2, (size + 3, 1))
+    phase = rng.uniform(0, 6, (size + 3, 1))
+    rate = rng.uniform(0.5, 2, (size + 3, 1))
     pose = (0.3 * np.sin(rate * time + phase)).T.reshape(frames, -1, 3)
     trans = np.stack([time, 1 + 0.1 * np.sin(time), -time], axis=1)
     observed = predict(rig, pose, trans) + noise * rng.normal(size=(frames, markers, 3))
-    return SimpleNamespace(rig=rig, marked=marked, prior=prior, pose=pose, trans=trans, observed=observed, rng=rng)
+    return SimpleNamespace(
+        rig=rig, marked=marked, prior=prior, pose=pose, trans=trans, observed=observed, rng=rng
+    )
 
 
 def fit(s, observed=None, soft_tissue=None, weights=None, scales=None, **settings):
@@ -39,7 +47,15 @@ def fit(s, observed=None, soft_tissue=None, weights=None, scales=None, **setting
     observed = s.observed if observed is None else observed
     settings = SequenceSettings(**settings)
     return fit_sequence(
-        s.rig, observed, weights, scales, s.prior, start, s.trans + 0.05, settings, soft_tissue=soft_tissue
+        s.rig,
+        observed,
+        weights,
+        scales,
+        s.prior,
+        start,
+        s.trans + 0.05,
+        settings,
+        soft_tissue=soft_tissue,
     )
 
 

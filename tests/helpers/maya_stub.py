@@ -1,4 +1,6 @@
-"""The few commands and classes of Maya that habitus_maya uses, as its references describe them; matrices are real."""
+"""The few commands and classes of Maya that habitus_maya uses, as its references describe them;
+matrices are real.
+"""
 
 import types
 from dataclasses import dataclass, field
@@ -78,7 +80,9 @@ class _Array:
     """An array of a data block, which may have holes."""
 
     def __init__(self, values: dict[int, Any]):
-        self.values, self.at, self.clean = values, 0, False
+        self.values = values
+        self.at = 0
+        self.clean = False
 
     def __len__(self) -> int:
         return len(self.values)
@@ -122,7 +126,9 @@ class Scene:
     def listHistory(self, mesh: str) -> list[str]:
         return self.history if mesh == "body" else []
 
-    def listConnections(self, plug: str, source: bool, destination: bool, connections: bool) -> list[str]:
+    def listConnections(
+        self, plug: str, source: bool, destination: bool, connections: bool
+    ) -> list[str]:
         assert source and connections and not destination
         pairs = [(into, out) for into, out in self.links.items() if into.startswith(f"{plug}[")]
         return [word for into, out in pairs for word in (into, out.partition(".")[0])]
@@ -176,7 +182,8 @@ class _Block:
         return _Value(self.held.get(attribute.name, attribute.default))
 
     def inputArrayValue(self, attribute: Attribute) -> _Array:
-        start, found = f"{attribute.name}[", {}
+        start = f"{attribute.name}["
+        found = {}
         for name, value in self.held.items():
             if name.startswith(start):
                 found[int(name[len(start) : -1])] = value
@@ -193,12 +200,18 @@ class _Block:
 
 def modules(scene: Scene) -> dict[str, types.ModuleType]:
     """What `import maya` finds."""
-    maya, api, om, cmds = (types.ModuleType(name) for name in ("maya", "maya.api", "maya.api.OpenMaya", "maya.cmds"))
-    maya.api, api.OpenMaya, maya.cmds = api, om, cmds
-    om.MPxNode, om.MMatrix = MPxNode, MMatrix
+    maya, api, om, cmds = (
+        types.ModuleType(name) for name in ("maya", "maya.api", "maya.api.OpenMaya", "maya.cmds")
+    )
+    maya.api = api
+    api.OpenMaya = om
+    maya.cmds = cmds
+    om.MPxNode = MPxNode
+    om.MMatrix = MMatrix
     for name in ("MFnTypedAttribute", "MFnMatrixAttribute", "MFnNumericAttribute"):
         setattr(om, name, type(name, (_Function,), {"kind": name}))
-    om.MFnData, om.MFnNumericData = types.SimpleNamespace(kString=4), types.SimpleNamespace(kDouble=12)
+    om.MFnData = types.SimpleNamespace(kString=4)
+    om.MFnNumericData = types.SimpleNamespace(kDouble=12)
     om.MTypeId = int
 
     class MFnPlugin:
@@ -207,13 +220,24 @@ def modules(scene: Scene) -> dict[str, types.ModuleType]:
 
         def registerNode(self, name: str, number: int, creator: Any, initialize: Any) -> None:
             made = type(creator())
-            made.attributes, made.affects = {}, []
+            made.attributes = {}
+            made.affects = []
             assert 0 < number < 0x80000
             initialize()
             scene.types[name], scene.plugins[self.plugin] = made, made
 
     om.MFnPlugin = MFnPlugin
-    for name in ("ls", "listHistory", "listConnections", "aliasAttr", "getAttr", "setAttr", "pluginInfo", "loadPlugin"):
+    for name in (
+        "ls",
+        "listHistory",
+        "listConnections",
+        "aliasAttr",
+        "getAttr",
+        "setAttr",
+        "pluginInfo",
+        "loadPlugin",
+    ):
         setattr(cmds, name, getattr(scene, name))
-    cmds.createNode, cmds.connectAttr = scene.createNode, scene.connectAttr
+    cmds.createNode = scene.createNode
+    cmds.connectAttr = scene.connectAttr
     return {module.__name__: module for module in (maya, api, om, cmds)}

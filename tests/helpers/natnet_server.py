@@ -1,4 +1,6 @@
-"""A server that speaks NatNet on loopback, and packets as Motive makes them (bitstream 3.0 and 4.1)."""
+"""A server that speaks NatNet on loopback, and packets as Motive makes them (bitstream 3.0 and
+4.1).
+"""
 
 import socket
 import struct
@@ -7,7 +9,13 @@ import time
 
 import numpy as np
 
-CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODEL, MODEL, FRAME = 0, 1, 2, 3, 4, 5, 7
+CONNECT = 0
+SERVER_INFO = 1
+REQUEST = 2
+RESPONSE = 3
+REQUEST_MODEL = 4
+MODEL = 5
+FRAME = 7
 MODEL_ID = 3
 
 
@@ -16,8 +24,13 @@ def packet(kind, payload=b""):
 
 
 def server_info(version=(3, 0), port=1511, group=None):
-    tail = struct.pack("<QHB4B", 10_000_000, port, group is not None, *map(int, (group or "0.0.0.0").split(".")))
-    return packet(SERVER_INFO, b"Motive".ljust(256, b"\0") + bytes((2, 1, 0, 0)) + bytes((*version, 0, 0)) + tail)
+    tail = struct.pack(
+        "<QHB4B", 10_000_000, port, group is not None, *map(int, (group or "0.0.0.0").split("."))
+    )
+    return packet(
+        SERVER_INFO,
+        b"Motive".ljust(256, b"\0") + bytes((2, 1, 0, 0)) + bytes((*version, 0, 0)) + tail,
+    )
 
 
 def text(words):
@@ -27,19 +40,32 @@ def text(words):
 def bone(name, id_, version):
     names = text("a") + text("b") if version >= (4, 0) else b""
     turn = struct.pack("<4f", 0, 0, 0, 1) if version >= (4, 2) else b""
-    return text(name) + struct.pack("<2i3f", id_, -1, 0, 0, 0) + turn + struct.pack("<i8i", 2, *range(8)) + names
+    return (
+        text(name)
+        + struct.pack("<2i3f", id_, -1, 0, 0, 0)
+        + turn
+        + struct.pack("<i8i", 2, *range(8))
+        + names
+    )
 
 
 def force_plate():
     numbers = struct.pack("<161f", *[0.5] * 161)
-    return struct.pack("<i", 1) + text("plate 1") + numbers + struct.pack("<3i", 0, 0, 1) + text("Fz")
+    return (
+        struct.pack("<i", 1) + text("plate 1") + numbers + struct.pack("<3i", 0, 0, 1) + text("Fz")
+    )
 
 
 def model(name, labels, version=(3, 0)):
     """A marker set, a force plate, and the skeleton whose id its markers have."""
     parts = [
         (0, text(name) + struct.pack("<i", len(labels)) + b"".join(map(text, labels))),
-        (0, text("all") + struct.pack("<i", len(labels)) + b"".join(text(f"{name}_{x}") for x in labels)),
+        (
+            0,
+            text("all")
+            + struct.pack("<i", len(labels))
+            + b"".join(text(f"{name}_{x}") for x in labels),
+        ),
         (3, force_plate()),
         (2, text(name) + struct.pack("<2i", MODEL_ID, 1) + bone("Hip", 1, version)),
     ]
@@ -52,7 +78,9 @@ def model(name, labels, version=(3, 0)):
 
 
 def frame(number, points, name, version=(3, 0), changed=False):
-    """A frame of a skeleton's markers (P, 3), NaN where occluded: there the program fills in a place of its own."""
+    """A frame of a skeleton's markers (P, 3), NaN where occluded: there the program fills in a
+    place of its own.
+    """
     section = (lambda n, data: struct.pack("<2i", n, len(data)) + data) if version >= (4, 1) else (
         lambda n, data: struct.pack("<i", n) + data
     )  # fmt: skip
@@ -61,9 +89,11 @@ def frame(number, points, name, version=(3, 0), changed=False):
     sets = text(name) + struct.pack("<i", len(points)) + filled.tobytes()
     joints = struct.pack("<i8fH", 1, *[0.0] * 7, 0.1, 1)
     marked = b"".join(
-        struct.pack("<I3ffHf", MODEL_ID << 16 | k + 1, *place, 0.014, 0x0B if hidden else 0x0A, 0.001)
+        struct.pack(
+            "<I3ffHf", MODEL_ID << 16 | k + 1, *place, 0.014, 0x0B if hidden else 0x0A, 0.001
+        )
         for k, (place, hidden) in enumerate(zip(filled, gone, strict=True))
-    ) + struct.pack("<I3ffHf", 50_007, 1, 1, 1, 0.01, 0x12, 0.0)  # fmt: skip
+    ) + struct.pack("<I3ffHf", 50_007, 1, 1, 1, 0.01, 0x12, 0.0)
     device = struct.pack("<3i2f", 1, 1, 2, 0.5, 0.5)
     body = [
         section(1, sets),
@@ -75,20 +105,33 @@ def frame(number, points, name, version=(3, 0), changed=False):
         section(1, device),
         section(0, b""),
     ]
-    stamp = struct.pack("<2id3Q", 0, 0, number / 120, 0, 0, 0) + (b"\0" * 8 if version >= (4, 1) else b"")
-    return packet(FRAME, struct.pack("<i", number) + b"".join(body) + stamp + struct.pack("<Hi", 2 * changed, 0))
+    stamp = struct.pack("<2id3Q", 0, 0, number / 120, 0, 0, 0) + (
+        b"\0" * 8 if version >= (4, 1) else b""
+    )
+    return packet(
+        FRAME,
+        struct.pack("<i", number) + b"".join(body) + stamp + struct.pack("<Hi", 2 * changed, 0),
+    )
 
 
 class NatNetServer:
-    """Answers a client (unicast) and sends it packets at a rate; ``model`` may be changed in between."""
+    """Answers a client (unicast) and sends it packets at a rate; ``model`` may be changed in
+    between.
+    """
 
     def __init__(self, model_packet, version=(3, 0), rate_hz=120.0, answers=None, info=None):
-        self.model, self.version, self.rate_hz = model_packet, version, rate_hz
-        self.answers = {"FrameRate": struct.pack("<f", rate_hz), "UpAxis": struct.pack("<i", 1)} | (answers or {})
+        self.model = model_packet
+        self.version = version
+        self.rate_hz = rate_hz
+        self.answers = {"FrameRate": struct.pack("<f", rate_hz), "UpAxis": struct.pack("<i", 1)} | (
+            answers or {}
+        )
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self.socket.getsockname()[1]}"
-        self.client, self.asked, self.info = None, [], info or server_info(version)
+        self.client = None
+        self.asked = []
+        self.info = info or server_info(version)
         self._thread = threading.Thread(target=self._answer, daemon=True)
         self._thread.start()
 
@@ -107,7 +150,9 @@ class NatNetServer:
                 self.socket.sendto(self.model, client)
             elif kind == REQUEST:
                 found = self.answers.get(data[4:].split(b"\0")[0].decode())
-                self.socket.sendto(packet(100) if found is None else packet(RESPONSE, found), client)
+                self.socket.sendto(
+                    packet(100) if found is None else packet(RESPONSE, found), client
+                )
 
     def send(self, packets, paced=True):
         began = time.perf_counter()

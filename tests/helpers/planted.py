@@ -1,6 +1,8 @@
-"""A capture of a known person: the default body with few betas, planted shape, motion and marker placement.
+"""A capture of a known person: the default body with few betas, planted shape, motion and marker
+placement.
 
-Markers are carried by the posed surface with NumPy alone, so that a fit is held against a second spelling of M eq. 2.
+Markers are carried by the posed surface with NumPy alone, so that a fit is held against a second
+spelling of M eq. 2.
 """
 
 from dataclasses import dataclass, replace
@@ -22,13 +24,16 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.observe.markers import attach
 from habitus.population.captures import misplace, smooth_motion
 
-BETAS, RATE_HZ = 4, 30.0
+BETAS = 4
+RATE_HZ = 30.0
 NOISE = 5e-4  # metres, sd of each coordinate
 
 
 @dataclass(frozen=True)
 class Planted:
-    """Markers (T, M, 3) as observed and without noise, and the truth behind them; metres, radians."""
+    """Markers (T, M, 3) as observed and without noise, and the truth behind them; metres,
+    radians.
+    """
 
     body: BodyModel
     prior: PosePrior
@@ -78,7 +83,9 @@ def carried(attachment, betas, pose, trans) -> np.ndarray:
     t = (b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True)
     n = np.cross(b - a, c - a)
     n /= np.linalg.norm(n, axis=-1, keepdims=True)
-    return a + np.einsum("ktmc,mk->tmc", np.stack([n, t, np.cross(n, t)]), np.asarray(attachment.coefficients))
+    return a + np.einsum(
+        "ktmc,mk->tmc", np.stack([n, t, np.cross(n, t)]), np.asarray(attachment.coefficients)
+    )
 
 
 def rest(betas) -> np.ndarray:
@@ -88,15 +95,21 @@ def rest(betas) -> np.ndarray:
 
 
 def motion(frames: int, seed: int = 0, share: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
-    """Pose (T, J, 3) and trans (T, 3) of a smooth motion about the prior's mean, by a share of its spread."""
+    """Pose (T, J, 3) and trans (T, 3) of a smooth motion about the prior's mean, by a share of its
+    spread.
+    """
     prior = prior_of_poses().for_joints(person().joint_names)
-    sd, rng = np.sqrt(np.diag(prior.covariance)), np.random.default_rng(seed)
+    sd = np.sqrt(np.diag(prior.covariance))
+    rng = np.random.default_rng(seed)
     return smooth_motion(np.asarray(prior.mean), share * sd, frames, RATE_HZ, rng)
 
 
 def place_by_hand(betas, layout: MarkerLayout) -> np.ndarray:
-    """The layout's places (M, 3) on the body at rest: along the vertex normal, as far from the skin as it says."""
-    points, faces = rest(betas), np.asarray(person().faces)
+    """The layout's places (M, 3) on the body at rest: along the vertex normal, as far from the skin
+    as it says.
+    """
+    points = rest(betas)
+    faces = np.asarray(person().faces)
     a, b, c = np.moveaxis(points[faces], 1, 0)
     normals = np.zeros_like(points)
     for corner in faces.T:
@@ -120,12 +133,17 @@ def plant(
 ) -> Planted:
     """A capture and its truth.
 
-    placement: sd of the markers' places on the skin; standoff: how much further from it they are than the layout says;
-    states: pose and trans; soft_tissue (T, B) comes on top of betas.
+    placement: sd of the markers' places on the skin; standoff: how much further from it they are
+    than the layout says; states: pose and trans; soft_tissue (T, B) comes on top of betas.
     """
-    rng, body, markers, betas = np.random.default_rng(seed), person(), layout_of(layout), np.array(betas)
+    rng = np.random.default_rng(seed)
+    body = person()
+    markers = layout_of(layout)
+    betas = np.array(betas)
     pose, trans = motion(frames, seed) if states is None else states
-    latent = misplace(body, betas, markers.vertices(body), markers.distances() + standoff, placement, rng)
+    latent = misplace(
+        body, betas, markers.vertices(body), markers.distances() + standoff, placement, rng
+    )
     attachment = attach(latent, rest(betas), np.asarray(body.faces))
     exact = carried(attachment, betas + soft_tissue, pose, trans)
     observed = exact + noise * rng.normal(size=exact.shape)
@@ -133,19 +151,30 @@ def plant(
 
 
 def settings(shape=None, pose=None, **changes) -> MoshSettings:
-    """The ordinary settings with fewer frames; ``shape`` and ``pose``: weights that differ, by name."""
+    """The ordinary settings with fewer frames; ``shape`` and ``pose``: weights that differ, by
+    name.
+    """
     base = MoshSettings(frames=6)
-    return replace(base, shape=replace(base.shape, **shape or {}), pose=replace(base.pose, **pose or {}), **changes)
+    return replace(
+        base,
+        shape=replace(base.shape, **shape or {}),
+        pose=replace(base.pose, **pose or {}),
+        **changes,
+    )
 
 
 def fit(planted: Planted, observed=None, which: MoshSettings | None = None) -> MarkerFit:
     observed = planted.observed if observed is None else observed
     recording = Recording("planted", np.array(observed), RATE_HZ, "+y")
-    return fit_markers(planted.body, planted.prior, planted.layout, [recording], which or settings())[0]
+    return fit_markers(
+        planted.body, planted.prior, planted.layout, [recording], which or settings()
+    )[0]
 
 
 def degrees_apart(a, b) -> np.ndarray:
     """Angles (...) in degrees between rotation vectors (..., 3)."""
     shape = np.shape(a)[:-1]
-    turn = Rotation.from_rotvec(np.reshape(a, (-1, 3))).inv() * Rotation.from_rotvec(np.reshape(b, (-1, 3)))
+    turn = Rotation.from_rotvec(np.reshape(a, (-1, 3))).inv() * Rotation.from_rotvec(
+        np.reshape(b, (-1, 3))
+    )
     return np.degrees(turn.magnitude()).reshape(shape)

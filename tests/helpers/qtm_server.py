@@ -1,4 +1,6 @@
-"""A server that speaks QTM's real-time protocol on loopback: parameters, frames of labelled markers, events."""
+"""A server that speaks QTM's real-time protocol on loopback: parameters, frames of labelled
+markers, events.
+"""
 
 import socket
 import struct
@@ -7,8 +9,12 @@ import time
 
 import numpy as np
 
-COMMAND, XML, DATA, EVENT = 1, 2, 3, 6
-SETTINGS_CHANGED, SHUTTING_DOWN = 11, 12
+COMMAND = 1
+XML = 2
+DATA = 3
+EVENT = 6
+SETTINGS_CHANGED = 11
+SHUTTING_DOWN = 12
 
 
 def packet(kind, payload):
@@ -19,7 +25,9 @@ def parameters(labels, rate_hz, up="+Z"):
     names = "".join(f"<Label><Name>{x}</Name><RGBColor>65280</RGBColor></Label>" for x in labels)
     three = f"<The_3D><AxisUpwards>{up}</AxisUpwards><Labels>{len(labels)}</Labels>{names}</The_3D>"
     general = f"<General><Frequency>{rate_hz:g}</Frequency></General>"
-    return f'<?xml version="1.0"?><QTM_Parameters_Ver_1.20>{general}{three}</QTM_Parameters_Ver_1.20>'
+    return (
+        f'<?xml version="1.0"?><QTM_Parameters_Ver_1.20>{general}{three}</QTM_Parameters_Ver_1.20>'
+    )
 
 
 def frame(number, points):
@@ -33,7 +41,9 @@ class QtmServer:
     """Serves one client; ``labels`` may be changed in between."""
 
     def __init__(self, labels, rate_hz=120.0):
-        self.labels, self.rate_hz, self.commands = labels, rate_hz, []
+        self.labels = labels
+        self.rate_hz = rate_hz
+        self.commands = []
         self.listening = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self.listening.getsockname()[1]}"
         self.streaming = threading.Event()

@@ -1,4 +1,6 @@
-"""What Blender makes of a file: the program, or its Python module, imports it and tells the surface of some frames."""
+"""What Blender makes of a file: the program, or its Python module, imports it and tells the surface
+of some frames.
+"""
 
 import shutil
 import subprocess
@@ -10,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 PROGRAMS = {
-    "blender": ["blender", "--background", "--python-exit-code", "1", "--python"] if shutil.which("blender") else None,
+    "blender": ["blender", "--background", "--python-exit-code", "1", "--python"]
+    if shutil.which("blender")
+    else None,
     "bpy": [sys.executable] if find_spec("bpy") else None,
 }
 READERS = {
@@ -51,18 +55,28 @@ for path, operator in zip(files[::2], files[1::2]):
 
 def run(command: Sequence[str | Path]) -> None:
     """A program that must end well."""
-    ended = subprocess.run([str(word) for word in command], capture_output=True, timeout=500, text=True)
+    ended = subprocess.run(
+        [str(word) for word in command], capture_output=True, timeout=500, text=True
+    )
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
-def in_blender(program: str, files: Sequence[tuple[Path, str]], fps: int, frames: Sequence[int]) -> list[dict]:
-    """Of files and the operators that import them: surfaces (V, 3; m, z up) by frame, ``fps`` and shape ``keys``."""
+def in_blender(
+    program: str, files: Sequence[tuple[Path, str]], fps: int, frames: Sequence[int]
+) -> list[dict]:
+    """Of files and the operators that import them: surfaces (V, 3; m, z up) by frame, ``fps`` and
+    shape ``keys``.
+    """
     script = files[0][0].with_suffix(".py")
     script.write_text(_SCRIPT)
-    words = ("|".join(map(str, part)) for part in ([w for file in files for w in file], frames, [fps]))
+    words = (
+        "|".join(map(str, part)) for part in ([w for file in files for w in file], frames, [fps])
+    )
     run([*(PROGRAMS[program] or []), script, "--", *words])
     found = []
     for path, operator in files:
         with np.load(f"{path}.{operator}.npz") as seen:
-            found.append({int(name) if name.isdecimal() else name: seen[name] for name in seen.files})
+            found.append(
+                {int(name) if name.isdecimal() else name: seen[name] for name in seen.files}
+            )
     return found

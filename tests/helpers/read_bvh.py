@@ -1,4 +1,6 @@
-"""A second, small reader of BVH files: joints in space, position channels in the place of offsets."""
+"""A second, small reader of BVH files: joints in space, position channels in the place of
+offsets.
+"""
 
 from pathlib import Path
 
@@ -10,8 +12,13 @@ class Bvh:
     def __init__(self, path: Path):
         words = path.read_text().split()
         motion = words.index("MOTION")
-        self.names, self.parents, self.offsets, self.channels = [], [], [], []
-        self.ends, stack, at = [], [], 1
+        self.names = []
+        self.parents = []
+        self.offsets = []
+        self.channels = []
+        self.ends = []
+        stack = []
+        at = 1
         while at < motion:
             word = words[at]
             if word in ("ROOT", "JOINT"):
@@ -35,12 +42,15 @@ class Bvh:
                 assert word == "}"
                 stack.pop()
                 at += 1
-        frames, self.frame_time = int(words[motion + 2]), float(words[motion + 5])
+        frames = int(words[motion + 2])
+        self.frame_time = float(words[motion + 5])
         self.values = np.array(words[motion + 6 :], float).reshape(frames, -1)
 
     def joints(self, frame: int) -> dict[str, np.ndarray]:
         """Places in the file's own unit."""
-        values, turns, places = list(self.values[frame]), [], []
+        values = list(self.values[frame])
+        turns = []
+        places = []
         for joint, channels in enumerate(self.channels):
             given = [values.pop(0) for _ in channels]
             moved = given[:3] if channels[0] == "Xposition" else self.offsets[joint]
@@ -48,6 +58,8 @@ class Bvh:
             turn = Rotation.from_euler(order, given[-3:], degrees=True)
             parent = self.parents[joint]
             turns.append(turn if parent < 0 else turns[parent] * turn)
-            places.append(np.array(moved) if parent < 0 else places[parent] + turns[parent].apply(moved))
+            places.append(
+                np.array(moved) if parent < 0 else places[parent] + turns[parent].apply(moved)
+            )
         assert not values
         return dict(zip(self.names, places, strict=True))

@@ -1,4 +1,6 @@
-"""A second, small reader of binary FBX 7.4 files, and what is seen of them: struct, zlib and NumPy only."""
+"""A second, small reader of binary FBX 7.4 files, and what is seen of them: struct, zlib and NumPy
+only.
+"""
 
 import struct
 import zlib
@@ -32,8 +34,11 @@ class Record:
 
 def read_records(data: bytes) -> list[Record]:
     """The top records; every length and end in the file is checked."""
-    assert data[:23] == b"Kaydara FBX Binary  \0\x1a\0" and struct.unpack_from("<I", data, 23) == (7400,)
-    records, at = [], 27
+    assert data[:23] == b"Kaydara FBX Binary  \0\x1a\0" and struct.unpack_from("<I", data, 23) == (
+        7400,
+    )
+    records = []
+    at = 27
     while data[at : at + 13] != bytes(13):
         record, at = _record(data, at)
         records.append(record)
@@ -65,7 +70,8 @@ def _record(data: bytes, at: int) -> tuple[Record, int]:
 
 
 def _value(data: bytes, at: int) -> tuple[Any, int]:
-    kind, at = data[at : at + 1], at + 1
+    kind = data[at : at + 1]
+    at = at + 1
     if kind in SINGLES:
         return struct.unpack_from(SINGLES[kind], data, at)[0], at + struct.calcsize(SINGLES[kind])
     if kind in ARRAYS:
@@ -93,7 +99,9 @@ class Fbx:
         settings = self.top["GlobalSettings"]
         self.metres = settings.prop("UnitScaleFactor")[0] / 100.0
         self.up = settings.prop("UpAxis")[0]
-        self.geometry = next(o for o in self.objects.values() if o.name == "Geometry" and o.values[2] == "Mesh")
+        self.geometry = next(
+            o for o in self.objects.values() if o.name == "Geometry" and o.values[2] == "Mesh"
+        )
 
     def below(self, number: int, name: str = "", prop: str | None = None) -> list[Record]:
         return [
@@ -105,8 +113,11 @@ class Fbx:
     def curve(self, owner: Record, prop: str, part: str, frame: int, still: float) -> float:
         for node in self.below(owner.values[0], "AnimationCurveNode", prop):
             (curve,) = self.below(node.values[0], "AnimationCurve", f"d|{part}")
-            times, values = curve["KeyTime"].values[0], curve["KeyValueFloat"].values[0]
-            assert (np.diff(times) > 0).all() and len(times) == len(values) == curve["KeyAttrRefCount"].values[0].sum()
+            times = curve["KeyTime"].values[0]
+            values = curve["KeyValueFloat"].values[0]
+            assert (np.diff(times) > 0).all() and len(times) == len(values) == curve[
+                "KeyAttrRefCount"
+            ].values[0].sum()
             return float(values[frame])
         return still
 
@@ -117,13 +128,26 @@ class Fbx:
         """Matrices of all limbs (parents come first)."""
         found: dict[int, np.ndarray] = {}
         for limb in self.limbs():
-            number, local = limb.values[0], np.eye(4)
-            place, turn = limb.prop("Lcl Translation"), limb.prop("Lcl Rotation")
-            place = [self.curve(limb, "Lcl Translation", a, frame, s) for a, s in zip("XYZ", place, strict=True)]
-            turn = [self.curve(limb, "Lcl Rotation", a, frame, s) for a, s in zip("XYZ", turn, strict=True)]
-            local[:3, :3], local[:3, 3] = Rotation.from_euler("xyz", turn, degrees=True).as_matrix(), place
+            number = limb.values[0]
+            local = np.eye(4)
+            place = limb.prop("Lcl Translation")
+            turn = limb.prop("Lcl Rotation")
+            place = [
+                self.curve(limb, "Lcl Translation", a, frame, s)
+                for a, s in zip("XYZ", place, strict=True)
+            ]
+            turn = [
+                self.curve(limb, "Lcl Rotation", a, frame, s)
+                for a, s in zip("XYZ", turn, strict=True)
+            ]
+            local[:3, :3], local[:3, 3] = (
+                Rotation.from_euler("xyz", turn, degrees=True).as_matrix(),
+                place,
+            )
             (parent,) = (
-                link[2] for link in self.links if link[1] == number and link[0] == "OO" and link[2] in (0, *found)
+                link[2]
+                for link in self.links
+                if link[1] == number and link[0] == "OO" and link[2] in (0, *found)
             )
             found[number] = found[parent] @ local if parent else local
         return found
@@ -136,12 +160,17 @@ class Fbx:
                 (shape,) = self.below(channel.values[0], "Geometry")
                 percent = self.curve(channel, "DeformPercent", "DeformPercent", frame, 0.0)
                 assert -1e-4 <= percent <= 100.0001
-                points[shape["Indexes"].values[0]] += percent / 100 * shape["Vertices"].values[0].reshape(-1, 3)
+                points[shape["Indexes"].values[0]] += (
+                    percent / 100 * shape["Vertices"].values[0].reshape(-1, 3)
+                )
         (skin,) = (d for d in self.below(number, "Deformer") if d.values[2] == "Skin")
-        world, moved, total = self.world(frame), np.zeros_like(points), np.zeros(len(points))
+        world = self.world(frame)
+        moved = np.zeros_like(points)
+        total = np.zeros(len(points))
         for cluster in self.below(skin.values[0], "Deformer"):
             (limb,) = self.below(cluster.values[0], "Model")
-            index, weights = cluster["Indexes"].values[0], cluster["Weights"].values[0]
+            index = cluster["Indexes"].values[0]
+            weights = cluster["Weights"].values[0]
             bind = cluster["TransformLink"].values[0].reshape(4, 4).T
             assert np.allclose(cluster["Transform"].values[0].reshape(4, 4).T @ bind, np.eye(4))
             carry = world[limb.values[0]] @ np.linalg.inv(bind)

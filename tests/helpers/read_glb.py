@@ -1,4 +1,6 @@
-"""A second, small reader of skinned, morphed and animated GLB files: struct, json and NumPy only."""
+"""A second, small reader of skinned, morphed and animated GLB files: struct, json and NumPy
+only.
+"""
 
 import json
 import struct
@@ -26,21 +28,30 @@ class Glb:
         if "sparse" in a:
             return self._sparse(a)
         view = self.json["bufferViews"][a["bufferView"]]
-        start, width = view.get("byteOffset", 0) + a.get("byteOffset", 0), WIDTH[a["type"]]
+        start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
+        width = WIDTH[a["type"]]
         flat = np.frombuffer(self.blob, TYPES[a["componentType"]], a["count"] * width, start)
         return flat.reshape(a["count"], width) if width > 1 else flat
 
     def _sparse(self, a: dict) -> np.ndarray:
-        sparse, dense = a["sparse"], np.zeros((a["count"], WIDTH[a["type"]]))
+        sparse = a["sparse"]
+        dense = np.zeros((a["count"], WIDTH[a["type"]]))
         assert not {"bufferView", "byteOffset"} & set(a)
-        start = [self.json["bufferViews"][sparse[part]["bufferView"]]["byteOffset"] for part in ("indices", "values")]
-        index = np.frombuffer(self.blob, TYPES[sparse["indices"]["componentType"]], sparse["count"], start[0])
+        start = [
+            self.json["bufferViews"][sparse[part]["bufferView"]]["byteOffset"]
+            for part in ("indices", "values")
+        ]
+        index = np.frombuffer(
+            self.blob, TYPES[sparse["indices"]["componentType"]], sparse["count"], start[0]
+        )
         assert (np.diff(index.astype(int)) > 0).all()
         dense[index] = np.frombuffer(self.blob, "f4", sparse["count"] * 3, start[1]).reshape(-1, 3)
         return dense
 
     def vertices(self, time: float) -> np.ndarray:
-        """The surface at ``time`` (s), as the glTF 2.0 specification says (3.7.2.2 morph targets, 3.7.3 skins)."""
+        """The surface at ``time`` (s), as the glTF 2.0 specification says (3.7.2.2 morph targets,
+        3.7.3 skins).
+        """
         nodes = [dict(node) for node in self.json["nodes"]]
         weights = self._sample(nodes, time)
         primitive = self.json["meshes"][0]["primitives"][0]
@@ -49,16 +60,25 @@ class Glb:
         for weight, target in zip(weights, primitive.get("targets", []), strict=True):
             points = points + weight * self.array(target["POSITION"])
         skin = self.json["skins"][0]
-        bind = self.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1).astype(float)
+        bind = (
+            self.array(skin["inverseBindMatrices"])
+            .reshape(-1, 4, 4)
+            .transpose(0, 2, 1)
+            .astype(float)
+        )
         whole = self._world(nodes)
         matrices = np.stack([whole[node] for node in skin["joints"]]) @ bind
-        homogeneous, moved = np.c_[points, np.ones(len(points))], np.zeros((len(points), 4))
+        homogeneous = np.c_[points, np.ones(len(points))]
+        moved = np.zeros((len(points), 4))
         for k in range(9):
             if f"JOINTS_{k}" not in attributes:
                 break
-            index, value = self.array(attributes[f"JOINTS_{k}"]), self.array(attributes[f"WEIGHTS_{k}"])
+            index = self.array(attributes[f"JOINTS_{k}"])
+            value = self.array(attributes[f"WEIGHTS_{k}"])
             for c in range(4):
-                moved += value[:, c, None] * np.einsum("vij,vj->vi", matrices[index[:, c]], homogeneous)
+                moved += value[:, c, None] * np.einsum(
+                    "vij,vj->vi", matrices[index[:, c]], homogeneous
+                )
         return moved[:, :3]
 
     def _sample(self, nodes: list[dict], time: float) -> np.ndarray:
@@ -66,7 +86,8 @@ class Glb:
         animation = self.json["animations"][0]
         for channel in animation["channels"]:
             sampler = animation["samplers"][channel["sampler"]]
-            times, values = self.array(sampler["input"]), self.array(sampler["output"])
+            times = self.array(sampler["input"])
+            values = self.array(sampler["output"])
             values = values.reshape(len(times), -1)
             value = np.array([np.interp(time, times, column) for column in values.T])
             if channel["target"]["path"] == "weights":

@@ -8,16 +8,19 @@ from pxr import Usd, UsdGeom, UsdSkel, Vt
 
 def skinned(stage: Any, frame: int) -> np.ndarray:
     """The surface at a time code, as UsdSkel deforms it."""
-    cache, mesh = UsdSkel.Cache(), UsdGeom.Mesh.Get(stage, "/person/body")
+    cache = UsdSkel.Cache()
+    mesh = UsdGeom.Mesh.Get(stage, "/person/body")
     cache.Populate(UsdSkel.Root.Get(stage, "/person"), Usd.PrimDefaultPredicate)
     skeleton = cache.GetSkelQuery(UsdSkel.Skeleton.Get(stage, "/person/skeleton"))
-    skin, shapes = cache.GetSkinningQuery(mesh.GetPrim()), UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(mesh.GetPrim()))
+    skin = cache.GetSkinningQuery(mesh.GetPrim())
+    shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(mesh.GetPrim()))
     points = Vt.Vec3fArray(mesh.GetPointsAttr().Get())
     if skin.HasBlendShapes():
         weights = skeleton.GetAnimQuery().ComputeBlendShapeWeights(frame)
         mapped = skin.GetBlendShapeMapper().Remap(weights, Vt.FloatArray())
         sub = shapes.ComputeSubShapeWeights(mapped)
-        index, offsets = shapes.ComputeBlendShapePointIndices(), shapes.ComputeSubShapePointOffsets()
+        index = shapes.ComputeBlendShapePointIndices()
+        offsets = shapes.ComputeSubShapePointOffsets()
         assert shapes.ComputeDeformedPoints(*sub, index, offsets, points)
     assert skin.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(frame), points, frame)
     return np.array(points)

@@ -1,4 +1,6 @@
-"""A hasty fit of a little of a real capture: it is asked what can be made of a fit, not how good it is."""
+"""A hasty fit of a little of a real capture: it is asked what can be made of a fit, not how good it
+is.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -19,7 +21,9 @@ def real_capture(shared: Path) -> Capture:
 
 @cache
 def real_fit(shared: Path, folder: Path) -> tuple[MarkerFit, Path]:
-    """The fit of these frames with some samples of three markers hidden, and the C3D file that was fitted."""
+    """The fit of these frames with some samples of three markers hidden, and the C3D file that was
+    fitted.
+    """
     capture = real_capture(shared)
     markers = capture.markers.copy()
     for marker, gap in ((5, slice(10, 22)), (20, slice(0, 6)), (32, slice(30, 40))):

@@ -14,5 +14,6 @@ SCALE = 0.35
 @cache
 def small_scene(sensor: str = "azure-kinect") -> tuple[BodyModel, Scene]:
     """The default body, and a person near it in two views."""
-    body, rng = load_body("default"), np.random.default_rng(5)
+    body = load_body("default")
+    rng = np.random.default_rng(5)
     return body, rgbd_scene(body, planted_rest(body, rng), rng, sensor=sensor, scale=SCALE)

@@ -7,7 +7,8 @@ from habitus.observe.camera import Camera, look_at
 from habitus.render.triangles import Triangles, join
 from habitus.rotations import matrix_from_rotvec
 
-WIDTH, HEIGHT = 48, 36
+WIDTH = 48
+HEIGHT = 36
 
 
 def camera(width: int = WIDTH, height: int = HEIGHT, eye=(0.4, 1.3, 2.1), **more) -> Camera:
@@ -30,17 +31,29 @@ def scene(name: str) -> tuple[Camera, torch.Tensor, Triangles]:
         return camera(), vertices, Triangles.of(torch.arange(60).reshape(-1, 3), vertices)
     elif name == "sheet seen from both sides":
         u, v = torch.meshgrid(torch.linspace(-1, 1, 9), torch.linspace(-1, 1, 9), indexing="ij")
-        vertices = torch.stack([u, torch.sin(3 * u) * torch.cos(2 * v) * 0.5, v], -1).reshape(-1, 3).double() @ turn
+        vertices = (
+            torch.stack([u, torch.sin(3 * u) * torch.cos(2 * v) * 0.5, v], -1)
+            .reshape(-1, 3)
+            .double()
+            @ turn
+        )
         corner = (torch.arange(8)[:, None] * 9 + torch.arange(8)).flatten()
         faces = torch.cat(
-            [torch.stack([corner, corner + 1, corner + 9], -1), torch.stack([corner + 1, corner + 10, corner + 9], -1)]
+            [
+                torch.stack([corner, corner + 1, corner + 9], -1),
+                torch.stack([corner + 1, corner + 10, corner + 9], -1),
+            ]
         )
         return camera(), vertices, Triangles.of(faces, vertices)
     elif name == "two spheres, one in front and one through the near plane":
         ball = icosphere(2)
         apart = torch.tensor([[0.3, 0.9, 1.4]], dtype=torch.float64)
         parts = Triangles.of(ball.faces, ball.vertices)
-        return camera(near=1.0), torch.cat([ball.vertices, ball.vertices * 0.4 + apart]), join(parts, parts)
+        return (
+            camera(near=1.0),
+            torch.cat([ball.vertices, ball.vertices * 0.4 + apart]),
+            join(parts, parts),
+        )
     else:
         raise KeyError(name)
     vertices = shape.vertices @ turn

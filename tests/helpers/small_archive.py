@@ -25,7 +25,9 @@ def write(folder: Path, name: str, seed: int, frames: int = FRAMES) -> Path:
     planted = plant(betas=betas, seed=seed, states=motion(frames, seed, share=0.3))
     path = folder / f"{name}.c3d"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_c3d(Capture(path.stem, planted.layout.labels, np.array(planted.observed), 30.0, "+y"), path)
+    write_c3d(
+        Capture(path.stem, planted.layout.labels, np.array(planted.observed), 30.0, "+y"), path
+    )
     return path
 
 

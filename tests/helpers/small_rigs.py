@@ -1,4 +1,6 @@
-"""A small symmetric body with random numbers, people of its form, and training problems planted on it."""
+"""A small symmetric body with random numbers, people of its form, and training problems planted on
+it.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -20,8 +22,12 @@ from habitus.rotations import matrix_from_rotvec
 PARENTS = (-1, 0, 1, 1, 2, 3)
 JOINT_MIRROR = np.array([0, 1, 3, 2, 5, 4])
 FLIP = np.array([-1.0, 1.0, 1.0])
-_JOINTS = np.array([[0, 0.9, 0], [0, 1.2, 0], [0.2, 1.4, 0], [-0.2, 1.4, 0], [0.5, 1.4, 0], [-0.5, 1.4, 0]])
-_MIDDLES = np.array([[0, 1, 0], [0, 1.35, 0], [0.35, 1.4, 0], [-0.35, 1.4, 0], [0.65, 1.4, 0], [-0.65, 1.4, 0]])
+_JOINTS = np.array(
+    [[0, 0.9, 0], [0, 1.2, 0], [0.2, 1.4, 0], [-0.2, 1.4, 0], [0.5, 1.4, 0], [-0.5, 1.4, 0]]
+)
+_MIDDLES = np.array(
+    [[0, 1, 0], [0, 1.35, 0], [0.35, 1.4, 0], [-0.35, 1.4, 0], [0.65, 1.4, 0], [-0.65, 1.4, 0]]
+)
 
 
 @dataclass(frozen=True)
@@ -39,15 +45,20 @@ class Small:
 def small_body(seed=0, pairs=8, middle=3) -> Small:
     """V = 6 (2 pairs) / 2 + 2 middle: a cloud about each bone, exactly symmetric."""
     rng = np.random.default_rng(seed)
-    left, part = [], []
+    left = []
+    part = []
     for joint in (0, 1, 2, 4):
         own = _MIDDLES[joint] + 0.09 * rng.normal(size=(pairs, 3))
         if joint < 2:
             own[:, 0] = np.abs(own[:, 0]) + 0.02
         left.append(own)
         part += [joint] * pairs
-    left, part = np.concatenate(left), np.array(part)
-    central = [_MIDDLES[joint] * [0, 1, 1] + 0.09 * rng.normal(size=(middle, 3)) * [0, 1, 1] for joint in (0, 1)]
+    left = np.concatenate(left)
+    part = np.array(part)
+    central = [
+        _MIDDLES[joint] * [0, 1, 1] + 0.09 * rng.normal(size=(middle, 3)) * [0, 1, 1]
+        for joint in (0, 1)
+    ]
     vertices = np.concatenate([left, left * FLIP, *central])
     part = np.concatenate([part, JOINT_MIRROR[part], np.repeat([0, 1], middle)])
     n = len(left)
@@ -70,7 +81,9 @@ def _near(points, others, width):
     return raised / raised.sum(1, keepdims=True)
 
 
-def small_rig(small, seed=0, skinning="lbs", features="rotations", shape_features=0, size=0.01, count=4) -> Rig:
+def small_rig(
+    small, seed=0, skinning="lbs", features="rotations", shape_features=0, size=0.01, count=4
+) -> Rig:
     """Pose blend shapes are random, of ``size`` (m); none where that is None."""
     rng = np.random.default_rng([seed, 1])
     index, value = influences(small.weights, count)
@@ -79,7 +92,9 @@ def small_rig(small, seed=0, skinning="lbs", features="rotations", shape_feature
     return Rig(PARENTS, skinning, features, shape_features, index, value, posedirs)
 
 
-def people(small, count, seed=0, shape_features=0, symmetric=True, variation=0.03) -> list[RestPerson]:
+def people(
+    small, count, seed=0, shape_features=0, symmetric=True, variation=0.03
+) -> list[RestPerson]:
     """Smoothly different people whose joints are where the regressor says."""
     rng = np.random.default_rng([seed, 2])
     found = []
@@ -100,25 +115,49 @@ def poses(count, seed=0, largest=1.2):
     return axes * rng.uniform(0.1, largest, (count, len(PARENTS), 1))
 
 
-def planted(options=None, *, small=None, seed=0, subjects=2, each=6, noise=0.0, size=0.01, descriptors=True, **changes):
-    """A training problem and the estimate that made its registrations; what is started from is W_I itself."""
+def planted(
+    options=None,
+    *,
+    small=None,
+    seed=0,
+    subjects=2,
+    each=6,
+    noise=0.0,
+    size=0.01,
+    descriptors=True,
+    **changes,
+):
+    """A training problem and the estimate that made its registrations; what is started from is W_I
+    itself.
+    """
     options = TrainOptions(**changes) if options is None else options
     small = small_body(seed) if small is None else small
     rng = np.random.default_rng([seed, 4])
     wanted = None if options.pose_shapes == "none" else size
-    rig = small_rig(small, seed, options.skinning, options.pose_features, options.shape_features, wanted)
+    rig = small_rig(
+        small, seed, options.skinning, options.pose_features, options.shape_features, wanted
+    )
     persons = people(small, subjects, seed, options.shape_features)
     if not descriptors:
-        persons = [replace(person, descriptor=np.zeros(options.shape_features)) for person in persons]
-    turns, trans = poses(subjects * each, seed), 0.3 * rng.normal(size=(subjects * each, 3))
+        persons = [
+            replace(person, descriptor=np.zeros(options.shape_features)) for person in persons
+        ]
+    turns = poses(subjects * each, seed)
+    trans = 0.3 * rng.normal(size=(subjects * each, 3))
     who = np.repeat(np.arange(subjects), each)
-    vertices = np.stack([surface(rig, persons[i], pose) + t for i, pose, t in zip(who, turns, trans, strict=True)])
+    vertices = np.stack(
+        [surface(rig, persons[i], pose) + t for i, pose, t in zip(who, turns, trans, strict=True)]
+    )
     vertices += noise * rng.normal(size=vertices.shape)
     names = tuple(f"{k}" for k in range(len(who)))
     sets = ("pose",) * len(who)
-    registrations = Registrations(vertices, small.faces, tuple(f"s{i}" for i in who), ("",) * len(who), sets, names)
+    registrations = Registrations(
+        vertices, small.faces, tuple(f"s{i}" for i in who), ("",) * len(who), sets, names
+    )
     anatomy = Anatomy(small.mirror, JOINT_MIRROR, small.regressor)
-    problem = Problem(registrations, anatomy, small.weights, candidate_joints(PARENTS, small.weights), options)
+    problem = Problem(
+        registrations, anatomy, small.weights, candidate_joints(PARENTS, small.weights), options
+    )
     truth = Estimate(
         rig,
         np.stack([person.template for person in persons]),
@@ -170,11 +209,16 @@ def as_body(rig, small, shapedirs, template=None) -> BodyModel:
 
 
 def torch_surface(rig, template, joints, descriptor, pose, weights=None, posedirs=None):
-    """The posed surface by the body's own functions, differentiable; weights (V,J) and posedirs may be given."""
+    """The posed surface by the body's own functions, differentiable; weights (V,J) and posedirs may
+    be given.
+    """
     tensor = torch.as_tensor
-    template, joints, pose = tensor(template), tensor(joints), tensor(pose)
+    template = tensor(template)
+    joints = tensor(joints)
+    pose = tensor(pose)
     weights = tensor(rig.weights) if weights is None else weights
-    rotations, rest = matrix_from_rotvec(pose), template
+    rotations = matrix_from_rotvec(pose)
+    rest = template
     if rig.posedirs is not None:
         feature = POSE_FEATURES[rig.pose_features].of_pose(pose, rotations)
         feature = extended(feature, tensor(descriptor), rig.shape_features)

@@ -13,29 +13,48 @@ RATE = 60.0
 JOINTS = ("joint_0", "joint_1", "joint_6")
 
 
-def soft_tubes(controls: str = "joints", count: int = 2, shapes: int = 1, **kind: object) -> BodyModel:
+def soft_tubes(
+    controls: str = "joints", count: int = 2, shapes: int = 1, **kind: object
+) -> BodyModel:
     """Tubes whose flesh swings in ``count`` ways at 4 Hz and more."""
     body = tube_body(**kind)
-    return replace(body, dynamics=Dynamics(swaying(body, count), planted_regressor(controls, count, shapes)))
+    return replace(
+        body, dynamics=Dynamics(swaying(body, count), planted_regressor(controls, count, shapes))
+    )
 
 
 def swaying(body: BodyModel, count: int) -> np.ndarray:
     """Smooth blend shapes, orthogonal to each other, of 5 to 10 mm."""
     rng = np.random.default_rng(5)
-    waves = [np.sin(4.0 * body.v_template @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3)) for _ in range(count)]
+    waves = [
+        np.sin(4.0 * body.v_template @ rng.normal(size=(3, 3)) + rng.uniform(0, 6, 3))
+        for _ in range(count)
+    ]
     axes = np.linalg.qr(np.reshape(waves, (count, -1)).T)[0]
-    return (axes * np.sqrt(body.num_vertices) * np.linspace(0.01, 0.005, count)).reshape(-1, 3, count)
+    return (axes * np.sqrt(body.num_vertices) * np.linspace(0.01, 0.005, count)).reshape(
+        -1, 3, count
+    )
 
 
-def planted_regressor(controls: str = "joints", count: int = 2, shapes: int = 1) -> DynamicsRegressor:
-    """Damped oscillators that the joints drive; the first ``shapes`` coefficients change them a little."""
+def planted_regressor(
+    controls: str = "joints", count: int = 2, shapes: int = 1
+) -> DynamicsRegressor:
+    """Damped oscillators that the joints drive; the first ``shapes`` coefficients change them a
+    little.
+    """
     rng = np.random.default_rng(6)
-    angle, radius = 2 * np.pi * np.linspace(4.0, 7.0, count) / RATE, np.linspace(0.92, 0.88, count)
+    angle = 2 * np.pi * np.linspace(4.0, 7.0, count) / RATE
+    radius = np.linspace(0.92, 0.88, count)
     mix = np.linalg.qr(rng.normal(size=(count, count)))[0]
-    history = np.array([mix @ np.diag(each) @ mix.T for each in (2 * radius * np.cos(angle), -(radius**2))])
+    history = np.array(
+        [mix @ np.diag(each) @ mix.T for each in (2 * radius * np.cos(angle), -(radius**2))]
+    )
     inputs = CONTROLS[controls].count(len(JOINTS))
     drive = 0.02 * rng.normal(size=(count, inputs)) * _units(controls)
-    more = [0.01 * rng.normal(size=(shapes, *part.shape)) * np.abs(part).mean() for part in (history, drive)]
+    more = [
+        0.01 * rng.normal(size=(shapes, *part.shape)) * np.abs(part).mean()
+        for part in (history, drive)
+    ]
     return DynamicsRegressor(
         history=np.concatenate([history[None], more[0]]),
         drive=np.concatenate([drive[None], 10 * more[1]]),
@@ -54,12 +73,16 @@ def _units(controls: str) -> np.ndarray:
     return np.tile(np.repeat([0.3, 0.3, 0.05], 3), len(JOINTS))
 
 
-def shaken(frames: int, seed: int = 0, joints: int = 10, rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
+def shaken(
+    frames: int, seed: int = 0, joints: int = 10, rate: float = RATE
+) -> tuple[np.ndarray, np.ndarray]:
     """Pose (rad) and trans (m) of a motion with much going on below 5 Hz."""
-    rng, t = np.random.default_rng(seed), np.arange(frames) / rate
+    rng = np.random.default_rng(seed)
+    t = np.arange(frames) / rate
 
     def course(columns: int, size: float) -> np.ndarray:
-        hz, phase = rng.uniform(0.3, 5.0, (6, columns)), rng.uniform(0, 6, (6, columns))
+        hz = rng.uniform(0.3, 5.0, (6, columns))
+        phase = rng.uniform(0, 6, (6, columns))
         waves = np.sin(2 * np.pi * hz * t[:, None, None] + phase) / hz
         return size * (rng.normal(size=(6, columns)) * waves).sum(1)
 

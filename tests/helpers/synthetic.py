@@ -1,4 +1,6 @@
-"""Random bodies of the SMPL family for tests and benchmarks: no licensed data, same shapes and sparsity."""
+"""Random bodies of the SMPL family for tests and benchmarks: no licensed data, same shapes and
+sparsity.
+"""
 
 import pickle
 from dataclasses import replace
@@ -15,12 +17,19 @@ VERTICES = {"smpl": 6890, "smplh": 6890, "smplx": 10475, "mano": 778, "smal": 38
 
 
 def official_arrays(
-    family: str = "smpl", vertices: int | None = None, num_betas: int = 10, influences: int = 4, seed: int = 0
+    family: str = "smpl",
+    vertices: int | None = None,
+    num_betas: int = 10,
+    influences: int = 4,
+    seed: int = 0,
 ) -> dict[str, Any]:
-    """The arrays of a made-up model file under official names, exact in float32; pose blend shapes of 5 mm."""
+    """The arrays of a made-up model file under official names, exact in float32; pose blend shapes
+    of 5 mm.
+    """
     rng = np.random.default_rng(seed)
     layout = LAYOUTS[family]
-    v, j = vertices or VERTICES[family], len(layout.parents)
+    v = vertices or VERTICES[family]
+    j = len(layout.parents)
     joints = np.zeros((j, 3))
     for k, parent in enumerate(layout.parents[1:], 1):
         joints[k] = joints[parent] + rng.normal(0, 0.12, 3)
@@ -45,7 +54,9 @@ def official_arrays(
     }
     arrays = {key: array.astype(np.float32).astype(np.float64) for key, array in arrays.items()}
     arrays["kintree_table"] = np.array([layout.parents, range(j)]).astype(np.uint32)
-    corners = rng.integers(0, v, (2 * v, 1)) + np.cumsum(rng.integers(1, v // 3, (2 * v, 3)), axis=1)
+    corners = rng.integers(0, v, (2 * v, 1)) + np.cumsum(
+        rng.integers(1, v // 3, (2 * v, 3)), axis=1
+    )
     arrays["f"] = (corners % v).astype(np.uint32)
     return arrays | _hands(family, rng)
 
@@ -83,12 +94,19 @@ def synthetic_body(family: str = "smpl", vertices: int | None = 240, **options: 
 def with_features(
     body: BodyModel, name: str, shape_features: int = 0, joints: tuple[int, ...] | None = None
 ) -> BodyModel:
-    """The body with other, random pose blend shapes of 5 mm, driven by these features of some joints or all; exact in
-    float32."""
+    """The body with other, random pose blend shapes of 5 mm, driven by these features of some
+    joints or all; exact in float32.
+    """
     drivers = body.num_joints if joints is None else 1 + len(joints)
     shape = (body.num_vertices, 3, POSE_FEATURES[name].count(drivers, shape_features))
     posedirs = np.random.default_rng(7).normal(0, 0.005, shape).astype(np.float32)
-    return replace(body, posedirs=posedirs, pose_features=name, shape_features=shape_features, pose_joints=joints)
+    return replace(
+        body,
+        posedirs=posedirs,
+        pose_features=name,
+        shape_features=shape_features,
+        pose_joints=joints,
+    )
 
 
 def write_official(path: Path, arrays: dict[str, Any]) -> Path:

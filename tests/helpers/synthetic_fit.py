@@ -1,4 +1,6 @@
-"""A made-up marker fit: a small tube body that walks with made-up markers. Known in every digit, needs no file."""
+"""A made-up marker fit: a small tube body that walks with made-up markers. Known in every digit,
+needs no file.
+"""
 
 from typing import Any
 
@@ -13,15 +15,31 @@ from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 
 JOINTS = {  # name: (parent, rest place in metres, T-pose, body space)
-    "pelvis": (-1, (0, 0.95, 0)), "left_hip": (0, (0.09, 0.88, 0)), "right_hip": (0, (-0.09, 0.88, 0)),
-    "spine1": (0, (0, 1.05, 0)), "left_knee": (1, (0.1, 0.48, 0)), "right_knee": (2, (-0.1, 0.48, 0)),
-    "spine2": (3, (0, 1.18, 0)), "left_ankle": (4, (0.1, 0.08, -0.02)), "right_ankle": (5, (-0.1, 0.08, -0.02)),
-    "spine3": (6, (0, 1.25, 0)), "left_foot": (7, (0.1, 0.03, 0.12)), "right_foot": (8, (-0.1, 0.03, 0.12)),
-    "neck": (9, (0, 1.45, 0)), "left_collar": (9, (0.07, 1.4, 0)), "right_collar": (9, (-0.07, 1.4, 0)),
-    "head": (12, (0, 1.6, 0.02)), "left_shoulder": (13, (0.18, 1.4, 0)), "right_shoulder": (14, (-0.18, 1.4, 0)),
-    "left_elbow": (16, (0.45, 1.4, 0)), "right_elbow": (17, (-0.45, 1.4, 0)), "left_wrist": (18, (0.7, 1.4, 0)),
-    "right_wrist": (19, (-0.7, 1.4, 0)), "left_hand": (20, (0.8, 1.4, 0)), "right_hand": (21, (-0.8, 1.4, 0)),
-}  # fmt: skip
+    "pelvis": (-1, (0, 0.95, 0)),
+    "left_hip": (0, (0.09, 0.88, 0)),
+    "right_hip": (0, (-0.09, 0.88, 0)),
+    "spine1": (0, (0, 1.05, 0)),
+    "left_knee": (1, (0.1, 0.48, 0)),
+    "right_knee": (2, (-0.1, 0.48, 0)),
+    "spine2": (3, (0, 1.18, 0)),
+    "left_ankle": (4, (0.1, 0.08, -0.02)),
+    "right_ankle": (5, (-0.1, 0.08, -0.02)),
+    "spine3": (6, (0, 1.25, 0)),
+    "left_foot": (7, (0.1, 0.03, 0.12)),
+    "right_foot": (8, (-0.1, 0.03, 0.12)),
+    "neck": (9, (0, 1.45, 0)),
+    "left_collar": (9, (0.07, 1.4, 0)),
+    "right_collar": (9, (-0.07, 1.4, 0)),
+    "head": (12, (0, 1.6, 0.02)),
+    "left_shoulder": (13, (0.18, 1.4, 0)),
+    "right_shoulder": (14, (-0.18, 1.4, 0)),
+    "left_elbow": (16, (0.45, 1.4, 0)),
+    "right_elbow": (17, (-0.45, 1.4, 0)),
+    "left_wrist": (18, (0.7, 1.4, 0)),
+    "right_wrist": (19, (-0.7, 1.4, 0)),
+    "left_hand": (20, (0.8, 1.4, 0)),
+    "right_hand": (21, (-0.8, 1.4, 0)),
+}
 BETAS = 6
 
 
@@ -32,7 +50,9 @@ def tube_body(betas: int = BETAS, posedirs: bool = False, seed: int = 0) -> Any:
     places = np.array([place for _, place in JOINTS.values()], float)
     vertices, faces, index, value = _tubes(parents, places)
     modes = rng.normal(size=(3, 3, betas))
-    shapedirs = 0.02 * np.sin(np.einsum("vc,cdb->vdb", vertices, 3 * modes) + rng.uniform(0, 6, (1, 3, betas)))
+    shapedirs = 0.02 * np.sin(
+        np.einsum("vc,cdb->vdb", vertices, 3 * modes) + rng.uniform(0, 6, (1, 3, betas))
+    )
     features = 9 * (len(parents) - 1)
     smooth = np.sin(vertices @ rng.normal(size=(3, 5)) * 4)
     pose_shapes = 0.004 * np.einsum("vk,kcp->vcp", smooth, rng.normal(size=(5, 3, features)))
@@ -51,17 +71,29 @@ def tube_body(betas: int = BETAS, posedirs: bool = False, seed: int = 0) -> Any:
     )
 
 
-def _tubes(parents: tuple[int, ...], places: np.ndarray, around: int = 8, along: int = 6) -> tuple[np.ndarray, ...]:
-    vertices, faces, index, value = [], [], [], []
+def _tubes(
+    parents: tuple[int, ...], places: np.ndarray, around: int = 8, along: int = 6
+) -> tuple[np.ndarray, ...]:
+    vertices = []
+    faces = []
+    index = []
+    value = []
     for joint in range(1, len(parents)):
-        start, end = places[parents[joint]], places[joint]
+        start = places[parents[joint]]
+        end = places[joint]
         axis = (end - start) / np.linalg.norm(end - start)
         side = np.cross(axis, [0.3, 0.5, 0.81])
         side /= np.linalg.norm(side)
-        other, base = np.cross(axis, side), around * along * (joint - 1)
+        other = np.cross(axis, side)
+        base = around * along * (joint - 1)
         for k in range(along):
-            s, angle = k / (along - 1), 2 * np.pi * np.arange(around) / around
-            ring = start + s * (end - start) + 0.05 * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+            s = k / (along - 1)
+            angle = 2 * np.pi * np.arange(around) / around
+            ring = (
+                start
+                + s * (end - start)
+                + 0.05 * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other)
+            )
             vertices.append(ring)
             grand = parents[parents[joint]] if parents[parents[joint]] >= 0 else parents[joint]
             index.append(np.tile([parents[joint], joint, grand, 0], (around, 1)))
@@ -70,31 +102,50 @@ def _tubes(parents: tuple[int, ...], places: np.ndarray, around: int = 8, along:
             a = base + k * around + np.arange(around)
             b = base + k * around + (np.arange(around) + 1) % around
             faces += [np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)]
-    return np.concatenate(vertices), np.concatenate(faces), np.concatenate(index), np.concatenate(value)
+    return (
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        np.concatenate(index),
+        np.concatenate(value),
+    )
 
 
 def reference_vertices(
-    body: Any, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray, vertices: np.ndarray | None = None
+    body: Any,
+    betas: np.ndarray,
+    pose: np.ndarray,
+    trans: np.ndarray,
+    vertices: np.ndarray | None = None,
 ) -> np.ndarray:
-    """SMPL's function (S 3) written a second time, in NumPy: betas (T,B), pose (T,J,3), trans (T,3) -> (T,N,3)."""
+    """SMPL's function (S 3) written a second time, in NumPy: betas (T,B), pose (T,J,3), trans (T,3)
+    -> (T,N,3).
+    """
     get = lambda a: to_numpy(a).astype(np.float64)  # noqa: E731
     rows = np.arange(len(body.v_template)) if vertices is None else vertices
-    template, shapedirs, regressor = get(body.v_template), get(body.shapedirs), get(body.joint_regressor)
-    joints = regressor @ template + np.einsum("jcb,tb->tjc", np.tensordot(regressor, shapedirs, 1), betas)
+    template = get(body.v_template)
+    shapedirs = get(body.shapedirs)
+    regressor = get(body.joint_regressor)
+    joints = regressor @ template + np.einsum(
+        "jcb,tb->tjc", np.tensordot(regressor, shapedirs, 1), betas
+    )
     rotation = Rotation.from_rotvec(pose.reshape(-1, 3)).as_matrix().reshape(*pose.shape[:2], 3, 3)
     rest = template[rows] + np.einsum("vcb,tb->tvc", shapedirs[rows], betas)
     if body.posedirs is not None:
-        features = (rotation[:, list(body.pose_joints or range(1, len(body.parents)))] - np.eye(3)).reshape(
-            len(pose), -1
-        )
+        features = (
+            rotation[:, list(body.pose_joints or range(1, len(body.parents)))] - np.eye(3)
+        ).reshape(len(pose), -1)
         rest = rest + np.einsum("vcp,tp->tvc", get(body.posedirs)[rows], features)
-    whole, place = rotation.copy(), joints.copy()
+    whole = rotation.copy()
+    place = joints.copy()
     for j, parent in enumerate(body.parents):
         if parent >= 0:
             whole[:, j] = whole[:, parent] @ rotation[:, j]
-            place[:, j] = place[:, parent] + np.einsum("tcd,td->tc", whole[:, parent], joints[:, j] - joints[:, parent])
+            place[:, j] = place[:, parent] + np.einsum(
+                "tcd,td->tc", whole[:, parent], joints[:, j] - joints[:, parent]
+            )
     shift = place - np.einsum("tjcd,tjd->tjc", whole, joints)
-    index, value = np.asarray(body.skinning_index)[rows], get(body.skinning_value)[rows]
+    index = np.asarray(body.skinning_index)[rows]
+    value = get(body.skinning_value)[rows]
     posed = np.zeros_like(rest)
     for k in range(index.shape[1]):
         moved = np.einsum("tvcd,tvd->tvc", whole[:, index[:, k]], rest) + shift[:, index[:, k]]
@@ -102,26 +153,35 @@ def reference_vertices(
     return posed + trans[:, None]
 
 
-def walking_pose(frames: int, rate_hz: float, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+def walking_pose(
+    frames: int, rate_hz: float, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
     """A stylised walk along a circle in a z-up world: pose (T,J,3), trans (T,3)."""
     time = np.arange(frames) / rate_hz
-    phase, joint = 2 * np.pi * 0.9 * time, {name: k for k, name in enumerate(names)}
+    phase = 2 * np.pi * 0.9 * time
+    joint = {name: k for k, name in enumerate(names)}
     turn = lambda axis, angle: Rotation.from_rotvec(np.outer(angle, axis))  # noqa: E731
     x, y, z = np.eye(3)
     pose = np.zeros((frames, len(names), 3))
     heading = 2 * np.pi * time / 12
-    pose[:, 0] = (turn(z, heading) * turn(x, np.full(frames, np.pi / 2)) * turn(y, 0.06 * np.sin(phase))).as_rotvec()
+    pose[:, 0] = (
+        turn(z, heading) * turn(x, np.full(frames, np.pi / 2)) * turn(y, 0.06 * np.sin(phase))
+    ).as_rotvec()
     for side, sign in (("left", 1.0), ("right", -1.0)):
         swing = sign * np.sin(phase)
         pose[:, joint[f"{side}_hip"]] = np.outer(-0.45 * swing - 0.1, x)
-        pose[:, joint[f"{side}_knee"]] = np.outer(0.15 + 0.55 * np.maximum(0, sign * np.cos(phase)) ** 2, x)
+        pose[:, joint[f"{side}_knee"]] = np.outer(
+            0.15 + 0.55 * np.maximum(0, sign * np.cos(phase)) ** 2, x
+        )
         pose[:, joint[f"{side}_ankle"]] = np.outer(0.2 * swing - 0.1, x)
         arm = turn(x, 0.4 * swing) * turn(z, np.full(frames, -sign * 1.2))
         pose[:, joint[f"{side}_shoulder"]] = arm.as_rotvec()
         pose[:, joint[f"{side}_elbow"]] = np.outer(-sign * (0.35 + 0.2 * swing), y)
     pose[:, joint["spine2"]] = np.outer(0.08 * np.sin(phase), y)
     radius = 1.1 * 12 / (2 * np.pi)
-    path = np.stack([radius * np.cos(heading), radius * np.sin(heading), 0.02 * np.cos(2 * phase)], 1)
+    path = np.stack(
+        [radius * np.cos(heading), radius * np.sin(heading), 0.02 * np.cos(2 * phase)], 1
+    )
     return pose, path
 
 
@@ -129,7 +189,9 @@ def _carried(
     body: Any, attachment: MarkerAttachment, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
 ) -> np.ndarray:
     corners = reference_vertices(body, betas, pose, trans, attachment.triangles.ravel())
-    own = MarkerAttachment(np.arange(attachment.triangles.size).reshape(-1, 3), attachment.coefficients)
+    own = MarkerAttachment(
+        np.arange(attachment.triangles.size).reshape(-1, 3), attachment.coefficients
+    )
     return predict_markers(corners, own)
 
 
@@ -156,7 +218,9 @@ def synthetic_fit(
     pose, trans = walking_pose(frames, rate_hz, body.joint_names)
     root = to_numpy(body.joint_regressor)[0] @ to_numpy(body.v_template)
     trans = trans - root + [0, 0, 0.95]
-    wobble = np.sin(2 * np.pi * 1.8 * np.arange(frames)[:, None] / rate_hz + rng.uniform(0, 6, count))
+    wobble = np.sin(
+        2 * np.pi * 1.8 * np.arange(frames)[:, None] / rate_hz + rng.uniform(0, 6, count)
+    )
     soft_tissue = wobble * rng.normal(size=count) * 0.15 if soft else None
     rest = to_numpy(body.v_template) + to_numpy(body.shapedirs) @ betas
     latent = rest[vertices] + 0.0095 * vertex_normals(rest, to_numpy(body.faces))[vertices]
@@ -164,7 +228,9 @@ def synthetic_fit(
     still = np.tile(betas, (frames, 1))
     rigid = _carried(body, attachment, still, pose, trans)
     loose = _carried(body, attachment, betas + soft_tissue, pose, trans) if soft else rigid
-    observed = loose + rng.normal(size=loose.shape) * 0.003 + rng.normal(size=(1, markers, 3)) * 0.003
+    observed = (
+        loose + rng.normal(size=loose.shape) * 0.003 + rng.normal(size=(1, markers, 3)) * 0.003
+    )
     observed[rng.uniform(size=observed.shape[:2]) < 0.02] = np.nan
     observed[frames // 3 : frames // 2, 1] = np.nan
     swapped = slice(frames // 2, frames // 2 + frames // 10)
@@ -174,17 +240,43 @@ def synthetic_fit(
     weights = np.where(np.linalg.norm(observed - loose, axis=-1) > 0.04, 0.05, 0.95)
     labels = tuple(f"M{k:02d}" for k in range(markers)) if labels is None else labels
     values = {
-        "capture_name": "walk", "body_name": body.name, "layout_name": "made-up", "body": body, "up_axis": "+z",
-        "rate_hz": rate_hz, "labels": labels, "betas": betas, "latent_markers": latent,
-        "attachment": attachment, "pose_stage": (pose, trans), "marker_noise": np.full(markers, 0.004),
-        "pose": pose, "trans": trans, "soft_tissue": soft_tissue, "observed_markers": observed,
-        "predicted_pose_stage": rigid, "predicted_soft_tissue": loose if soft else None, "marker_weights": weights,
-        "held_out": None, "flagged_frames": flagged,
+        "capture_name": "walk",
+        "body_name": body.name,
+        "layout_name": "made-up",
+        "body": body,
+        "up_axis": "+z",
+        "rate_hz": rate_hz,
+        "labels": labels,
+        "betas": betas,
+        "latent_markers": latent,
+        "attachment": attachment,
+        "pose_stage": (pose, trans),
+        "marker_noise": np.full(markers, 0.004),
+        "pose": pose,
+        "trans": trans,
+        "soft_tissue": soft_tissue,
+        "observed_markers": observed,
+        "predicted_pose_stage": rigid,
+        "predicted_soft_tissue": loose if soft else None,
+        "marker_weights": weights,
+        "held_out": None,
+        "flagged_frames": flagged,
         "suspects": (Suspect(labels[2], "swapped with " + labels[3], frames // 10),),
         "costs": {"data": 1.25, "pose_prior": 0.4},
-        "stage_seconds": {"read": 0.2, "shape": 1.4, "pose": 0.8, "soft_tissue": 0.9 if soft else None, "export": 0.3,
-                          "total": 3.6}, "startup_seconds": 2.1,
-        "warnings": ("The file says metres; the data look like millimetres: millimetres were used.",),
-        "settings": {"weights": {"data": 1.0, "pose": 0.25}, "frames": 12}, "status": "converged", "seed": 3,
-    }  # fmt: skip
+        "stage_seconds": {
+            "read": 0.2,
+            "shape": 1.4,
+            "pose": 0.8,
+            "soft_tissue": 0.9 if soft else None,
+            "export": 0.3,
+            "total": 3.6,
+        },
+        "startup_seconds": 2.1,
+        "warnings": (
+            "The file says metres; the data look like millimetres: millimetres were used.",
+        ),
+        "settings": {"weights": {"data": 1.0, "pose": 0.25}, "frames": 12},
+        "status": "converged",
+        "seed": 3,
+    }
     return MarkerFit(**(values | changes))

@@ -10,7 +10,9 @@ from habitus.population.coarse_bodies import coarse_body
 from habitus.population.planted_body import joints_near_rings, planted_truth
 from habitus.population.registrations import Planted, planted_registrations
 
-OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=4, weights=EnergyWeights(joints=5.0, pose_shapes=1.0))
+OPTIONS = TrainOptions(
+    rounds=2, tolerance=0.0, num_betas=4, weights=EnergyWeights(joints=5.0, pose_shapes=1.0)
+)
 COMMAND = (
     "--rounds 2 --tolerance 0 --num-betas 4 --weight-joints 5 --weight-pose-shapes 1 --threads 1"
 ).split()  # the same on the command line
@@ -23,5 +25,11 @@ def toy() -> tuple[Template, Planted]:
     template = body_template(base)
     truth = planted_truth(base, joint_regressor=joints_near_rings(template))
     return template, planted_registrations(
-        truth, subjects=4, poses_per_subject=7, shape_people=11, test_subjects=1, test_poses=2, seed=2
+        truth,
+        subjects=4,
+        poses_per_subject=7,
+        shape_people=11,
+        test_subjects=1,
+        test_poses=2,
+        seed=2,
     )

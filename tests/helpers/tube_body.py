@@ -1,4 +1,6 @@
-"""A small body of tubes for tests of learning: a trunk with four limbs, shape directions, and pose blend shapes."""
+"""A small body of tubes for tests of learning: a trunk with four limbs, shape directions, and pose
+blend shapes.
+"""
 
 from types import MappingProxyType
 
@@ -27,7 +29,9 @@ _RADII = np.array([0.16, 0.15, 0.05, 0.04, 0.05, 0.04, 0.08, 0.06, 0.08, 0.06])
 def tube_body(seed=0, betas=4, around=6, along=4, skinning="lbs", pose_shapes=0.01):
     """V = 10 * around * (along + 1); a tube's first ring follows its parent half."""
     rng = np.random.default_rng(seed)
-    vertices, weights, faces = [], [], []
+    vertices = []
+    weights = []
+    faces = []
     for j, (a, b) in enumerate(_ENDS):
         axis = (b - a) / np.linalg.norm(b - a)
         side = np.cross(axis, [0.0, 0.0, 1.0])
@@ -35,7 +39,9 @@ def tube_body(seed=0, betas=4, around=6, along=4, skinning="lbs", pose_shapes=0.
         for i in range(along + 1):
             t = 2 * np.pi * np.arange(around) / around
             ring = a + (b - a) * i / along
-            vertices.append(ring + _RADII[j] * (np.cos(t)[:, None] * side + 0.7 * np.sin(t)[:, None] * up))
+            vertices.append(
+                ring + _RADII[j] * (np.cos(t)[:, None] * side + 0.7 * np.sin(t)[:, None] * up)
+            )
             own = min(1.0, 0.5 + i / along)
             row = np.zeros(len(PARENTS))
             row[j] += own
@@ -44,9 +50,11 @@ def tube_body(seed=0, betas=4, around=6, along=4, skinning="lbs", pose_shapes=0.
         first = j * around * (along + 1)
         for i in range(along):
             for k in range(around):
-                p, q = first + i * around + k, first + i * around + (k + 1) % around
+                p = first + i * around + k
+                q = first + i * around + (k + 1) % around
                 faces += [[p, p + around, q], [q, p + around, q + around]]
-    vertices, weights = np.concatenate(vertices), np.array(weights)
+    vertices = np.concatenate(vertices)
+    weights = np.array(weights)
     regressor = np.zeros((len(PARENTS), len(vertices)))
     for j in range(len(PARENTS)):
         ring = j * around * (along + 1) + np.arange(around)
@@ -76,4 +84,6 @@ def tube_body(seed=0, betas=4, around=6, along=4, skinning="lbs", pose_shapes=0.
 def random_pose(rng, joints=10, largest=1.5):
     """Rotation vectors of random axes; angles up to ``largest`` (rad)."""
     axes = rng.normal(size=(joints, 3))
-    return axes / np.linalg.norm(axes, axis=-1, keepdims=True) * rng.uniform(0, largest, (joints, 1))
+    return (
+        axes / np.linalg.norm(axes, axis=-1, keepdims=True) * rng.uniform(0, largest, (joints, 1))
+    )

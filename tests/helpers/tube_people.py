@@ -1,4 +1,6 @@
-"""Registrations of made-up people of tubes, and models to be held against them: small enough to be fitted at once."""
+"""Registrations of made-up people of tubes, and models to be held against them: small enough to be
+fitted at once.
+"""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,14 +32,20 @@ class TubePeople:
 
 @cache
 def tube_people() -> TubePeople:
-    """Two people in two poses and one in one, of the set "test"; two more registrations are of the set "pose"."""
-    rng, body = np.random.default_rng(0), tube_body(betas=4, around=5, along=3, pose_shapes=0.004)
+    """Two people in two poses and one in one, of the set "test"; two more registrations are of the
+    set "pose".
+    """
+    rng = np.random.default_rng(0)
+    body = tube_body(betas=4, around=5, along=3, pose_shapes=0.004)
     names = ("root", "neck", *body.joint_names[2:])
     body = replace(body, joint_names=names, faces=np.concatenate([body.faces, _bridges(body, 20)]))
-    model, subjects = PosableBody(body), (*SUBJECTS, "zoe", "zoe")
+    model = PosableBody(body)
+    subjects = (*SUBJECTS, "zoe", "zoe")
     betas = {name: rng.normal(size=4) for name in dict.fromkeys(subjects)}
     poses = [random_pose(rng, largest=0.6) for _ in subjects]
-    vertices = np.array([model.surface(betas[s], pose) for s, pose in zip(subjects, poses, strict=True)])
+    vertices = np.array(
+        [model.surface(betas[s], pose) for s, pose in zip(subjects, poses, strict=True)]
+    )
     words = {
         "subject": subjects,
         "sex": ("female", "male", "female", "male", "female", "", ""),
@@ -50,7 +58,9 @@ def tube_people() -> TubePeople:
 
 
 def _bridges(body: BodyModel, each: int) -> np.ndarray:
-    """A triangle from each tube of so many vertices to its parent's: triangle deformations need one piece."""
+    """A triangle from each tube of so many vertices to its parent's: triangle deformations need one
+    piece.
+    """
     tubes = body.v_template.reshape(-1, each, 3)
     corners = []
     for k, parent in enumerate(body.parents[1:], 1):
@@ -60,7 +70,9 @@ def _bridges(body: BodyModel, each: int) -> np.ndarray:
 
 
 def written_tubes(folder: Path) -> dict[str, Path]:
-    """Files: noisy and clean registrations, the body, one of dual quaternions, a BlendSCAPE model without a shape."""
+    """Files: noisy and clean registrations, the body, one of dual quaternions, a BlendSCAPE model
+    without a shape.
+    """
     people = tube_people()
     paths = {name: folder / f"{name}.npz" for name in ("noisy", "clean", "tubes", "dual", "scape")}
     write_registrations(people.noisy, paths["noisy"], dtype=np.float64)
@@ -72,8 +84,11 @@ def written_tubes(folder: Path) -> dict[str, Path]:
 
 
 def tube_scape(body: BodyModel) -> BlendScape:
-    """Triangles that turn with their parts, two made-up shape directions, no deformation by pose."""
-    faces, joints = body.faces, body.num_joints
+    """Triangles that turn with their parts, two made-up shape directions, no deformation by
+    pose.
+    """
+    faces = body.faces
+    joints = body.num_joints
     return BlendScape(
         name="scape",
         template=body.v_template,
@@ -81,7 +96,9 @@ def tube_scape(body: BodyModel) -> BlendScape:
         parents=body.parents,
         influence=body.skinning_weights,
         mean_shape=np.tile(np.eye(3), (len(faces), 1, 1)),
-        shape_directions=0.05 * np.random.default_rng(1).normal(size=(2, 1, 3, 3)) * np.ones((1, len(faces), 1, 1)),
+        shape_directions=0.05
+        * np.random.default_rng(1).normal(size=(2, 1, 3, 3))
+        * np.ones((1, len(faces), 1, 1)),
         pose_regression=np.zeros((9 * (joints - 1), len(faces), 3, 3)),
         shape_variances=np.array([3.0, 1.0, 0.5, 0.5]),
     )

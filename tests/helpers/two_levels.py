@@ -1,4 +1,6 @@
-"""A made-up body file of two levels of detail, 55 joints, twist, ages, expressions, dynamics: random arrays."""
+"""A made-up body file of two levels of detail, 55 joints, twist, ages, expressions, dynamics:
+random arrays.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,16 @@ DRIVERS = (20, 21, 16, 17, 1, 2)
 FLIP = np.array([-1.0, 1.0, 1.0])
 
 
-def two_level_arrays(pairs: int = 150, betas: int = 6, expressions: int = 4, seed: int = 0) -> dict[str, Any]:
-    """The arrays of a file; vertices k and k + pairs are partners, the first two thirds of each half are coarse."""
-    rng, j = np.random.default_rng(seed), len(SMPLX.parents)
-    v, near = 2 * pairs, 2 * pairs // 3
+def two_level_arrays(
+    pairs: int = 150, betas: int = 6, expressions: int = 4, seed: int = 0
+) -> dict[str, Any]:
+    """The arrays of a file; vertices k and k + pairs are partners, the first two thirds of each
+    half are coarse.
+    """
+    rng = np.random.default_rng(seed)
+    j = len(SMPLX.parents)
+    v = 2 * pairs
+    near = 2 * pairs // 3
     joints = np.cumsum(rng.normal(0, 0.05, (j, 3)), 0)
     joints -= joints[0]
     half = np.abs(joints[rng.integers(0, j, pairs)] + rng.normal(0, 0.06, (pairs, 3)))
@@ -45,7 +53,9 @@ def two_level_arrays(pairs: int = 150, betas: int = 6, expressions: int = 4, see
         "hidden_quads": rng.random(len(quads)) < 0.1,
         "mirror": mirror.astype(np.int32),
         "coarse_vertices": coarse.astype(np.int32),
-        "coarse_faces": np.array([rng.permutation(len(coarse))[:3] for _ in range(2 * near)], np.int32),
+        "coarse_faces": np.array(
+            [rng.permutation(len(coarse))[:3] for _ in range(2 * near)], np.int32
+        ),
         "joint_names": np.array(SMPLX.joint_names),
         "parents": np.array(SMPLX.parents, np.int32),
         "joint_regressor_rows": rows.astype(np.int32),

@@ -1,4 +1,6 @@
-"""The few classes of Unreal's editor that habitus_unreal uses, as its Python reference describes them."""
+"""The few classes of Unreal's editor that habitus_unreal uses, as its Python reference describes
+them.
+"""
 
 import types
 from dataclasses import dataclass, field
@@ -31,7 +33,8 @@ class FbxMotion(Editable):
 
 class FbxImportUI(Editable):
     known = (
-        "automated_import_should_detect_type mesh_type_to_import original_import_type import_mesh import_as_skeletal "
+        "automated_import_should_detect_type mesh_type_to_import original_import_type import_mesh "
+        "import_as_skeletal "
         "import_animations create_physics_asset skeleton"
     ).split()
 
@@ -49,7 +52,9 @@ class AnimPoseEvaluationOptions(Editable):
 
 @dataclass
 class Sequence:
-    """An animation: of each of its frames, and at rest, bones' places and quaternions (x, y, z, w) in the component."""
+    """An animation: of each of its frames, and at rest, bones' places and quaternions (x, y, z, w)
+    in the component.
+    """
 
     names: list[str]
     rest: Any
@@ -76,12 +81,17 @@ def module(assets: dict[str, Any], imported: list[Any]) -> types.ModuleType:
         imported.extend(tasks)
         for task in tasks:
             found = task.held["filename"].endswith("walk.fbx")
-            task.held["imported_object_paths"] = [f"{task.held['destination_path']}/walk"] if found else []
+            task.held["imported_object_paths"] = (
+                [f"{task.held['destination_path']}/walk"] if found else []
+            )
 
     tools = types.SimpleNamespace(import_asset_tasks=import_asset_tasks)
     unreal.AssetToolsHelpers = types.SimpleNamespace(get_asset_tools=lambda: tools)
-    unreal.EditorAssetLibrary = types.SimpleNamespace(save_loaded_asset=lambda asset: setattr(asset, "saved", True))
-    unreal.AnimationLibrary, unreal.AnimPoseExtensions = _curves(), _poses()
+    unreal.EditorAssetLibrary = types.SimpleNamespace(
+        save_loaded_asset=lambda asset: setattr(asset, "saved", True)
+    )
+    unreal.AnimationLibrary = _curves()
+    unreal.AnimPoseExtensions = _poses()
     return unreal
 
 
@@ -90,8 +100,14 @@ def _curves() -> types.SimpleNamespace:
         assert name not in sequence.curves and kind == 0 and not meta
         sequence.curves[name] = []
 
-    def add_float_curve_keys(sequence: Sequence, name: str, times: list[float], values: list[float]) -> None:
-        assert len(times) == len(values) and min(times) >= 0 and max(times) <= sequence.get_play_length() + 1e-9
+    def add_float_curve_keys(
+        sequence: Sequence, name: str, times: list[float], values: list[float]
+    ) -> None:
+        assert (
+            len(times) == len(values)
+            and min(times) >= 0
+            and max(times) <= sequence.get_play_length() + 1e-9
+        )
         sequence.curves[name] += zip(times, values, strict=True)
 
     return types.SimpleNamespace(
@@ -108,10 +124,13 @@ def _poses() -> types.SimpleNamespace:
         places, turns = pair
         place = types.SimpleNamespace(**dict(zip("xyz", places[bone], strict=True)))
         return types.SimpleNamespace(
-            translation=place, rotation=types.SimpleNamespace(**dict(zip("xyzw", turns[bone], strict=True)))
+            translation=place,
+            rotation=types.SimpleNamespace(**dict(zip("xyzw", turns[bone], strict=True))),
         )
 
-    def at_time(sequence: Sequence, time: float, options: AnimPoseEvaluationOptions) -> tuple[Sequence, int]:
+    def at_time(
+        sequence: Sequence, time: float, options: AnimPoseEvaluationOptions
+    ) -> tuple[Sequence, int]:
         assert options.held["optional_skeletal_mesh"] is not None
         return sequence, round(time * sequence.rate)
 

@@ -10,7 +10,9 @@ _JOINTS = np.array([-0.5, -0.2, 0.1, 0.4])  # where along x each part begins to 
 
 
 def worm_mesh(subdivisions=2):
-    """Vertices (m) and faces of an ellipsoid one and a half metres long, and its skinning weights."""
+    """Vertices (m) and faces of an ellipsoid one and a half metres long, and its skinning
+    weights.
+    """
     sphere = icosphere(subdivisions)
     vertices = sphere.vertices.numpy() * [0.75, 0.2, 0.25]
     steps = 1 / (1 + np.exp(-(vertices[:, :1] - _JOINTS[1:]) / 0.05))
@@ -19,9 +21,12 @@ def worm_mesh(subdivisions=2):
 
 
 def worm_model(rng, betas=3, shape=0.08, pose=0.05, subdivisions=2):
-    """Triangle deformations that vary smoothly along the worm; poses deform the triangles near their joints."""
+    """Triangle deformations that vary smoothly along the worm; poses deform the triangles near
+    their joints.
+    """
     vertices, faces, weights = worm_mesh(subdivisions)
-    centres, count = vertices[faces].mean(1), len(faces)
+    centres = vertices[faces].mean(1)
+    count = len(faces)
     waves = np.stack([np.cos(2.5 * centres @ rng.normal(size=3) + k) for k in range(betas)])
     near = np.exp(-(((centres[:, 0, None] - _JOINTS[1:]) / 0.15) ** 2)).T.repeat(9, 0)
     return BlendScape(

@@ -1,4 +1,6 @@
-"""Files and folders whole or not at all: what a full disk, a kill, a second run and a stranger's files leave behind."""
+"""Files and folders whole or not at all: what a full disk, a kill, a second run and a stranger's
+files leave behind.
+"""
 
 import errno
 import os
@@ -25,13 +27,19 @@ def write(folder: Path, text: str, names: tuple[str, ...] = OURS) -> None:
 
 
 def content(folder: Path) -> dict[str, str]:
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def test_a_folder_appears_when_all_of_it_is_there(tmp_path):
     with whole_folder(tmp_path / "deep" / "walk") as partial:
         write_text(partial / "page.html", "one")
-        assert not (tmp_path / "deep" / "walk").exists() and partial.name.startswith(".walk.partial-")
+        assert not (tmp_path / "deep" / "walk").exists() and partial.name.startswith(
+            ".walk.partial-"
+        )
     assert content(tmp_path) == {"deep/walk/page.html": "one"}
     assert (tmp_path / "deep" / "walk").stat().st_mode & 0o777 == 0o777 & ~files._umask()
 
@@ -46,7 +54,9 @@ def test_an_older_folder_is_replaced_whole_and_what_is_not_the_programs_stays(tm
     assert content(tmp_path / "walk") == expected and len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, OSError(errno.ENOSPC, "No space left on device")])
+@pytest.mark.parametrize(
+    "fault", [KeyboardInterrupt, RuntimeError, OSError(errno.ENOSPC, "No space left on device")]
+)
 def test_what_breaks_off_leaves_the_older_folder_as_it_was(fault, tmp_path):
     write(tmp_path / "walk", "old")
     expected = HabitusError if isinstance(fault, OSError) else fault
@@ -60,7 +70,8 @@ def test_what_breaks_off_leaves_the_older_folder_as_it_was(fault, tmp_path):
 @pytest.mark.parametrize("step", [1, 2])
 def test_a_rename_that_fails_leaves_the_older_folder_in_its_place(step, tmp_path, monkeypatch):
     write(tmp_path / "walk", "old")
-    rename, calls = os.rename, []
+    rename = os.rename
+    calls = []
 
     def failing(a, b):
         calls.append(a)
@@ -75,7 +86,9 @@ def test_a_rename_that_fails_leaves_the_older_folder_in_its_place(step, tmp_path
 
 
 def test_a_kill_at_any_step_of_the_replacement_leaves_one_of_both_whole(tmp_path):
-    """A process that ends before its n-th change of names, for every n; then the next run tidies up."""
+    """A process that ends before its n-th change of names, for every n; then the next run tidies
+    up.
+    """
     code = """
         import os, sys
         from pathlib import Path
@@ -95,7 +108,8 @@ def test_a_kill_at_any_step_of_the_replacement_leaves_one_of_both_whole(tmp_path
             files.write_text(partial / "page.html", "new")
         os._exit(0)
     """
-    codes, seen = [], set()
+    codes = []
+    seen = set()
     for n in range(1, 40):
         folder = tmp_path / str(n)
         write(folder / "walk", "old", ("page.html",))
@@ -106,7 +120,9 @@ def test_a_kill_at_any_step_of_the_replacement_leaves_one_of_both_whole(tmp_path
             assert (folder / "walk" / "page.html").read_text() in ("old", "new")
         tidy(folder, ("page.html",))
         found = content(folder)
-        assert found in [{"walk/page.html": text, "walk/notes.txt": "mine"} for text in ("old", "new")], n
+        assert found in [
+            {"walk/page.html": text, "walk/notes.txt": "mine"} for text in ("old", "new")
+        ], n
         seen.add(found["walk/page.html"])
         if codes[-1] == 0:
             break
@@ -114,8 +130,20 @@ def test_a_kill_at_any_step_of_the_replacement_leaves_one_of_both_whole(tmp_path
 
 
 def test_tidying_touches_nothing_else(tmp_path):
-    kept = ["walk/page.html", ".hidden/a", ".walk.partial", ".walk.old-2024/a", "walk.partial-abcdefgh/a", ".env"]
-    for name in [*kept, ".walk.partial-abcdefgh/page.html", ".walk.old-abcdefgh/page.html", ".m.partial-a1b2c3d4.npz"]:
+    kept = [
+        "walk/page.html",
+        ".hidden/a",
+        ".walk.partial",
+        ".walk.old-2024/a",
+        "walk.partial-abcdefgh/a",
+        ".env",
+    ]
+    for name in [
+        *kept,
+        ".walk.partial-abcdefgh/page.html",
+        ".walk.old-abcdefgh/page.html",
+        ".m.partial-a1b2c3d4.npz",
+    ]:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("x")
     tidy(tmp_path, OURS)
@@ -128,7 +156,9 @@ def test_a_link_is_replaced_and_what_it_led_to_is_not_touched(tmp_path):
     (tmp_path / "elsewhere" / "page.html").write_text("theirs")
     (tmp_path / "walk").symlink_to(tmp_path / "elsewhere")
     write(tmp_path / "walk", "new")
-    assert not (tmp_path / "walk").is_symlink() and content(tmp_path / "walk") == dict.fromkeys(OURS, "new")
+    assert not (tmp_path / "walk").is_symlink() and content(tmp_path / "walk") == dict.fromkeys(
+        OURS, "new"
+    )
     assert content(tmp_path / "elsewhere") == {"page.html": "theirs"}
 
 
@@ -144,7 +174,9 @@ def test_a_file_and_the_working_folder_are_not_replaced(tmp_path, monkeypatch):
 
 
 def test_a_full_disk_while_an_archive_is_written_is_one_clear_line(tmp_path):
-    """The limit on the size of files stands for the disk's: numpy and zipfile meet it in the midst of an array."""
+    """The limit on the size of files stands for the disk's: numpy and zipfile meet it in the midst
+    of an array.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
     try:
@@ -176,7 +208,10 @@ def test_a_second_run_in_a_folder_is_refused_and_a_later_one_is_not(tmp_path):
     with locked(tmp_path / "out"):
         refused = subprocess.run(other, capture_output=True, text=True)
         assert "another run is at work in it" in refused.stderr and refused.stdout == ""
-        with pytest.raises(HabitusError, match="another run is at work in it"), locked(tmp_path / "out"):
+        with (
+            pytest.raises(HabitusError, match="another run is at work in it"),
+            locked(tmp_path / "out"),
+        ):
             pass
     assert list((tmp_path / "out").iterdir()) == []
     assert subprocess.run(other, capture_output=True, text=True).stdout == "1\n"
@@ -187,7 +222,10 @@ def test_a_folder_that_cannot_be_locked_is_said_to_be_one(tmp_path):
     with pytest.raises(HabitusError, match="lock: cannot be locked"), locked(tmp_path):
         pass
     (tmp_path / "file").write_text("")
-    with pytest.raises(HabitusError, match=r"cannot write to .*--out"), locked(tmp_path / "file" / "out"):
+    with (
+        pytest.raises(HabitusError, match=r"cannot write to .*--out"),
+        locked(tmp_path / "file" / "out"),
+    ):
         pass
 
 

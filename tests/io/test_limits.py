@@ -34,7 +34,9 @@ READERS = {
 
 
 def refused(read, path: Path) -> str:
-    """The one line that a reader refuses a file with, having taken less than 1 GB and a few seconds."""
+    """The one line that a reader refuses a file with, having taken less than 1 GB and a few
+    seconds.
+    """
     tracemalloc.start()
     started = time.process_time()
     try:
@@ -49,7 +51,9 @@ def refused(read, path: Path) -> str:
 
 
 def npy(descr: str, shape: tuple[int, ...], data: bytes = b"") -> bytes:
-    text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
+    text = (
+        repr({"descr": descr, "fortran_order": False, "shape": shape}).encode().ljust(117) + b"\n"
+    )
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + data
 
 
@@ -60,7 +64,11 @@ def archive(path: Path, kind: int = zipfile.ZIP_STORED, **members: bytes) -> Pat
     return path
 
 
-WORDS = {"labels": npy("<U1", (1,), b"A\0\0\0"), "subject": npy("<U1", (1,), b"A\0\0\0"), "faces": npy("<i8", (0, 3))}
+WORDS = {
+    "labels": npy("<U1", (1,), b"A\0\0\0"),
+    "subject": npy("<U1", (1,), b"A\0\0\0"),
+    "faces": npy("<i8", (0, 3)),
+}
 CLAIMS = {
     "a hundred gigabytes": npy("<f8", (4_000_000_000, 3)),
     "no bytes, many rows": npy("<f8", (10**12, 0, 3)),
@@ -148,7 +156,7 @@ def test_a_ply_that_counts_more_than_it_has_is_refused(tmp_path, head):
         assert "a.ply" in refused(read_mesh, tmp_path / "a.ply")
 
 
-# -- HDF5 and zarr ----------------------------------------------------------------------------------------------------
+# -- HDF5 and zarr ---------------------------------------------------------------------------------
 
 
 def h5(path: Path, **options) -> Path:
@@ -202,7 +210,13 @@ def group(folder: Path, **changed) -> Path:
         {"subject": {"shape": [10**12]}},
         {"vertices": {"filters": [{"id": "pickle", "protocol": 2}]}},
         {"vertices": {"compressor": {"id": "pickle", "protocol": 2}}},
-        {"subject": {"dtype": "|O", "filters": [{"id": "pickle", "protocol": 2}], "fill_value": None}},
+        {
+            "subject": {
+                "dtype": "|O",
+                "filters": [{"id": "pickle", "protocol": 2}],
+                "fill_value": None,
+            }
+        },
         {"subject": {"dtype": "|O", "filters": [{"id": "json2"}], "fill_value": None}},
     ],
 )
@@ -215,10 +229,13 @@ def test_a_chunk_of_zarr_that_unpacks_without_end_is_refused(tmp_path):
     (folder / "faces" / "0.0").write_bytes(zlib.compress(bytes(200 << 20), 1))
     assert "packed piece" in refused(open_registrations, folder)
     folder = group(tmp_path / "b.zarr", faces={"compressor": {"id": "zstd", "level": 1}})
-    (folder / "faces" / "0.0").write_bytes(b"\x28\xb5\x2f\xfd\xe0" + (10**12).to_bytes(8, "little") + b"\1\0\0")
+    (folder / "faces" / "0.0").write_bytes(
+        b"\x28\xb5\x2f\xfd\xe0" + (10**12).to_bytes(8, "little") + b"\1\0\0"
+    )
     assert "chunk of faces" in refused(open_registrations, folder)
     folder = group(
-        tmp_path / "c.zarr", faces={"compressor": {"id": "blosc", "cname": "lz4", "clevel": 5, "shuffle": 1}}
+        tmp_path / "c.zarr",
+        faces={"compressor": {"id": "blosc", "cname": "lz4", "clevel": 5, "shuffle": 1}},
     )
     (folder / "faces" / "0.0").write_bytes(bytes((2, 1, 33, 8)) + b"\xff\xff\xff\x7f" * 3)
     assert "chunk of faces" in refused(open_registrations, folder)
@@ -231,7 +248,7 @@ def test_a_zarr_folder_does_not_lead_elsewhere(tmp_path):
     assert "link to elsewhere" in refused(open_registrations, folder)
 
 
-# -- the rules --------------------------------------------------------------------------------------------------------
+# -- the rules -------------------------------------------------------------------------------------
 
 
 def test_what_a_file_may_fill_grows_with_its_own_size():

@@ -1,4 +1,6 @@
-"""Names out of files as names of files: inside their folder, visible, short, encodable, whatever they were."""
+"""Names out of files as names of files: inside their folder, visible, short, encodable, whatever
+they were.
+"""
 
 import os
 import re
@@ -22,8 +24,14 @@ def test_any_text_is_one_name_inside_its_folder_or_refused(text):
         assert text.strip() in ("", ".", "..")
         return
     assert name.isprintable() and 0 < len(name.encode()) <= 200
-    assert not re.search(r'[<>:"/\\|?*]', name) and not name.startswith((".", " ")) and not name.endswith((".", " "))
-    assert Path("out", name).parent == Path("out") and os.path.normpath(f"out/{name}") == os.path.join("out", name)
+    assert (
+        not re.search(r'[<>:"/\\|?*]', name)
+        and not name.startswith((".", " "))
+        and not name.endswith((".", " "))
+    )
+    assert Path("out", name).parent == Path("out") and os.path.normpath(
+        f"out/{name}"
+    ) == os.path.join("out", name)
     assert file_name(name) == name
 
 
@@ -52,5 +60,6 @@ def test_what_names_become(text, name):
 
 
 def test_long_names_are_cut_and_still_told_apart():
-    one, other = file_name("ü" * 300 + "a"), file_name("ü" * 300 + "b")
+    one = file_name("ü" * 300 + "a")
+    other = file_name("ü" * 300 + "b")
     assert one != other and one[:80] == other[:80] and len(one.encode()) <= 200

@@ -37,7 +37,9 @@ def test_files_of_a_folder_come_in_the_order_of_their_numbers(tmp_path):
         scans_in([tmp_path / "empty"])
 
 
-@pytest.mark.parametrize(("name", "content"), [("a.ply", b"ply\nnothing"), ("a.txt", b""), ("a.stl", b"solid")])
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.ply", b"ply\nnothing"), ("a.txt", b""), ("a.stl", b"solid")]
+)
 def test_damage_is_said_in_one_line(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(HabitusError, match=name) as found:
@@ -54,9 +56,13 @@ def test_colours_of_vertices_are_read_as_linear_light(tmp_path):
         np.testing.assert_allclose(scan.colours[0], [1.0, 0.2159, 0.0], atol=3e-3)
         assert scan.colours.shape == scan.colour_places.shape == scan.points.shape
     trimesh.PointCloud(BOX.vertices, shades).export(tmp_path / "b.ply")
-    np.testing.assert_allclose(read_scan(tmp_path / "b.ply").colours[-1], [1.0, 0.2159, 0.0], atol=3e-3)
+    np.testing.assert_allclose(
+        read_scan(tmp_path / "b.ply").colours[-1], [1.0, 0.2159, 0.0], atol=3e-3
+    )
     mesh.export(tmp_path / "c.glb")
-    np.testing.assert_allclose(read_scan(tmp_path / "c.glb").colours[0], [1.0, 128 / 255, 0.0], atol=3e-3)
+    np.testing.assert_allclose(
+        read_scan(tmp_path / "c.glb").colours[0], [1.0, 128 / 255, 0.0], atol=3e-3
+    )
 
 
 @pytest.mark.parametrize("ending", ["obj", "glb"])
@@ -66,12 +72,16 @@ def test_a_picture_on_a_mesh_is_read_where_it_lies(tmp_path, ending):
     picture[:4], picture[4:, :, 1] = (255, 0, 0), 255  # red on top, green below
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
     visual = trimesh.visual.TextureVisuals(uv=square[:, :2], image=image.fromarray(picture))
-    trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False).export(tmp_path / f"a.{ending}")
+    trimesh.Trimesh(square, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False).export(
+        tmp_path / f"a.{ending}"
+    )
     scan = read_scan(tmp_path / f"a.{ending}")
     high = scan.colour_places[:, 1] > 0.5
     assert len(scan.colours) > 10_000 and len(scan.points) == 4
     np.testing.assert_allclose(scan.colours[high], np.tile([1.0, 0, 0], (high.sum(), 1)), atol=0.02)
-    np.testing.assert_allclose(scan.colours[~high], np.tile([0, 1.0, 0], ((~high).sum(), 1)), atol=0.02)
+    np.testing.assert_allclose(
+        scan.colours[~high], np.tile([0, 1.0, 0], ((~high).sum(), 1)), atol=0.02
+    )
 
 
 def test_a_scan_without_colours_has_none(tmp_path):

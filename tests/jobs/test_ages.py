@@ -1,4 +1,6 @@
-"""The age of a fit's person: asked for or told by the file, kept in what is written, refused where it is none."""
+"""The age of a fit's person: asked for or told by the file, kept in what is written, refused where
+it is none.
+"""
 
 import json
 from dataclasses import replace
@@ -31,24 +33,36 @@ def child():
 
 @pytest.fixture(scope="module")
 def capture(child) -> Capture:
-    rng, layout = np.random.default_rng(5), load_layout("cmu-41")
+    rng = np.random.default_rng(5)
+    layout = load_layout("cmu-41")
     prior = prior_of(child).for_joints(child.joint_names)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 20, 60.0, rng)
     places = layout.vertices(child), layout.distances()
     truth = simulate_capture(child, np.zeros(child.num_betas), pose, trans, *places, Faults(), rng)
-    return Capture("walk", layout.labels, truth.observed, 60.0, "+y", recorded={"age_years": AGE, "sex": "female"})
+    return Capture(
+        "walk",
+        layout.labels,
+        truth.observed,
+        60.0,
+        "+y",
+        recorded={"age_years": AGE, "sex": "female"},
+    )
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+    monkeypatch.setattr(
+        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+    )
 
 
 @pytest.fixture(scope="module")
 def written(capture, tmp_path_factory):
     """The fit of a child whose file says sex and age, and the folder that it was written to."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+        patch.setattr(
+            "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+        )
         out = tmp_path_factory.mktemp("child")
         write_c3d(capture, out / "walk.c3d")
         recipe = hb.Mosh(soft_tissue=False, gender="auto", age="auto")
@@ -56,7 +70,9 @@ def written(capture, tmp_path_factory):
 
 
 def numbers(glb: bytes) -> np.ndarray:
-    """All of a glb's binary part; correctives that are equally strong may come in either order, with either sign."""
+    """All of a glb's binary part; correctives that are equally strong may come in either order,
+    with either sign.
+    """
     start = 20 + int.from_bytes(glb[12:16], "little") + 8
     return np.frombuffer(glb[start:], np.float32)
 
@@ -69,15 +85,21 @@ def test_an_aged_fit_is_its_file(written, child, tmp_path):
     read = hb.load_fit(folder / "body.npz")
     assert (read.body.name, read.body.age) == ("female", AGE)
     np.testing.assert_allclose(read.vertices([0, 9]), fit.vertices([0, 9]), atol=1e-5)
-    assert np.allclose(hb.load_fit(folder / "body.npz", body="female").vertices(3), fit.vertices(3), atol=1e-5)
+    assert np.allclose(
+        hb.load_fit(folder / "body.npz", body="female").vertices(3), fit.vertices(3), atol=1e-5
+    )
     assert json.loads((folder / "metrics.json").read_text("utf-8"))["age_years"] == AGE
     assert "body female, 8 years" in (folder / "report.html").read_text("utf-8")
     for end in ("again.glb", "again.npz"):
         read.export(tmp_path / end)
     again, first = ((place).read_bytes() for place in (tmp_path / "again.glb", folder / "body.glb"))
     assert len(again) == len(first)
-    np.testing.assert_allclose(*(np.sort(np.abs(numbers(one))) for one in (again, first)), rtol=1e-3, atol=1e-7)
-    assert measure_file(folder / "body.npz").values == pytest.approx(fit.body.measure(fit.betas), abs=1e-5)
+    np.testing.assert_allclose(
+        *(np.sort(np.abs(numbers(one))) for one in (again, first)), rtol=1e-3, atol=1e-7
+    )
+    assert measure_file(folder / "body.npz").values == pytest.approx(
+        fit.body.measure(fit.betas), abs=1e-5
+    )
     read.save(tmp_path / "amass", npz_style="amass")
     assert np.load(tmp_path / "amass" / "body.npz")["age_years"] == AGE
 

@@ -1,4 +1,6 @@
-"""Many captures in one run: what fails is left behind with its reason, the others are as if it had not been there."""
+"""Many captures in one run: what fails is left behind with its reason, the others are as if it had
+not been there.
+"""
 
 import json
 import os
@@ -34,16 +36,22 @@ def planted():
 
 @pytest.fixture(scope="module")
 def fitted(planted):
-    """A fit that stands for all: these tests ask what is written and told, not how well the body fits."""
+    """A fit that stands for all: these tests ask what is written and told, not how well the body
+    fits.
+    """
     capture = Capture("walk", planted.layout.labels, np.array(planted.observed), 30.0, "+y")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+        patch.setattr(
+            "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+        )
         return RECIPE.fit(capture, person())
 
 
 @pytest.fixture(autouse=True)
 def subjects(fitted, monkeypatch):
-    """No fit is made; whose captures would be fitted together is written down, and a name in ``faults`` breaks off."""
+    """No fit is made; whose captures would be fitted together is written down, and a name in
+    ``faults`` breaks off.
+    """
 
     def stand_in(body, prior, layout, recordings, settings, progress):
         subjects.append([recording.name for recording in recordings])
@@ -63,7 +71,10 @@ def subjects(fitted, monkeypatch):
 
 def written(planted, path: Path, labels=None) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_c3d(Capture(path.stem, labels or planted.layout.labels, np.array(planted.observed), 30.0, "+y"), path)
+    write_c3d(
+        Capture(path.stem, labels or planted.layout.labels, np.array(planted.observed), 30.0, "+y"),
+        path,
+    )
     return path
 
 
@@ -81,7 +92,10 @@ def test_a_folder_is_fitted_past_what_is_bad_in_it(planted, subjects, tmp_path):
     outcomes = fit([data], tmp_path / "out", on_done=told.append)
     assert told == outcomes and len(outcomes) == 6
     failed = {one.source.name: one.reason for one in outcomes if one.failed}
-    assert set(failed) == {"bad.c3d", "strange.c3d"} and str(data / "bob" / "strange.c3d") in failed["strange.c3d"]
+    assert (
+        set(failed) == {"bad.c3d", "strange.c3d"}
+        and str(data / "bob" / "strange.c3d") in failed["strange.c3d"]
+    )
     assert [one.source.name for one in outcomes if one.left_out] == ["notes.csv"]
     places = {one.folder.relative_to(tmp_path / "out").as_posix() for one in outcomes if one.folder}
     assert places == {"ann/one", "ann/two", "bob/deep/walk"}
@@ -92,14 +106,23 @@ def test_a_folder_is_fitted_past_what_is_bad_in_it(planted, subjects, tmp_path):
 
 def test_files_that_are_given_are_one_subject_without_the_bad_ones(planted, subjects, tmp_path):
     good = [written(planted, tmp_path / f"{name}.c3d") for name in ("one", "two")]
-    strange = written(planted, tmp_path / "strange.c3d", [f"Q{k}" for k in range(len(planted.layout))])
+    strange = written(
+        planted, tmp_path / "strange.c3d", [f"Q{k}" for k in range(len(planted.layout))]
+    )
     outcomes = fit([good[0], strange, tmp_path / "none.c3d", good[1]], tmp_path / "out")
-    assert {one.name: one.failed for one in outcomes} == {"none": True, "strange": True, "one": False, "two": False}
+    assert {one.name: one.failed for one in outcomes} == {
+        "none": True,
+        "strange": True,
+        "one": False,
+        "two": False,
+    }
     assert subjects == [["one", "two"]]
 
 
 @pytest.mark.parametrize("fault", [ZeroDivisionError("oh"), HabitusError("two: no")])
-def test_a_fit_that_breaks_off_costs_only_its_own_capture(fault, planted, subjects, tmp_path, monkeypatch):
+def test_a_fit_that_breaks_off_costs_only_its_own_capture(
+    fault, planted, subjects, tmp_path, monkeypatch
+):
     monkeypatch.setattr(type(subjects), "faults", {"two": fault})
     paths = [written(planted, tmp_path / f"{name}.c3d") for name in ("one", "two", "three")]
     outcomes = fit(paths, tmp_path / "out")
@@ -110,7 +133,9 @@ def test_a_fit_that_breaks_off_costs_only_its_own_capture(fault, planted, subjec
     assert subjects == [["one", "two", "three"], ["two"], ["three"]]
 
 
-def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(planted, tmp_path, monkeypatch):
+def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(
+    planted, tmp_path, monkeypatch
+):
     paths = [written(planted, tmp_path / f"{name}.c3d") for name in ("one", "two")]
     before = fit(paths, tmp_path / "out")
     stamp = (before[0].folder / "metrics.json").read_text()
@@ -126,7 +151,9 @@ def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(planted
 
     monkeypatch.setattr(batch, "save_fit", full)
     outcomes = fit(paths, tmp_path / "out")
-    assert [one.failed for one in outcomes] == [True, False] and "No space left" in outcomes[0].reason
+    assert [one.failed for one in outcomes] == [True, False] and "No space left" in outcomes[
+        0
+    ].reason
     assert (tmp_path / "out" / "one" / "metrics.json").read_text() == stamp
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"one", "two", "index.html"}
 
@@ -150,7 +177,9 @@ def test_a_name_that_leads_elsewhere_is_refused_and_nothing_is_written(name, pla
     archive = tmp_path / "in" / name
     archive.parent.mkdir()
     with archive.open("wb") as file:
-        np.savez(file, markers=planted.observed, labels=np.array(planted.layout.labels), rate_hz=30.0)
+        np.savez(
+            file, markers=planted.observed, labels=np.array(planted.layout.labels), rate_hz=30.0
+        )
     (outcome,) = fit([archive], tmp_path / "a" / "out")
     assert outcome.failed and "rename the file" in outcome.reason and name in outcome.reason
     with pytest.raises(HabitusError, match="rename the file"):
@@ -168,7 +197,10 @@ def test_a_file_whose_name_is_no_text_is_fitted_under_an_escaped_one(planted, tm
     assert {path.name for path in outcome.folder.iterdir()} == FILES
     page = (outcome.folder / "report.html").read_text("utf-8")
     assert "w\\xff\\x1b[31m" in page and "\x1b" not in page
-    assert json.loads((outcome.folder / "metrics.json").read_text("utf-8"))["capture"] == "w\\xff\\x1b[31m"
+    assert (
+        json.loads((outcome.folder / "metrics.json").read_text("utf-8"))["capture"]
+        == "w\\xff\\x1b[31m"
+    )
 
 
 def test_what_nothing_can_begin_with_is_raised(planted, tmp_path):
@@ -195,8 +227,11 @@ def test_a_run_cleans_up_after_a_killed_one(planted, tmp_path):
 
 
 def test_kills_while_results_are_replaced_leave_old_or_new_ones(fitted, tmp_path):
-    """The short form of benchmarks/power_cuts.py: a child writes results again and again until it is killed."""
-    out, rng = tmp_path / "out", np.random.default_rng(0)
+    """The short form of benchmarks/power_cuts.py: a child writes results again and again until it
+    is killed.
+    """
+    out = tmp_path / "out"
+    rng = np.random.default_rng(0)
     save_fit(replace(fitted, seed=0), out / "walk")
     (out / "walk" / "notes.txt").write_text("mine")
     for k in range(1, 7):

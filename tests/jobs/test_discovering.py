@@ -1,4 +1,6 @@
-"""`layout="discover"`: what is found is fitted and written beside the fit; what is not decided is doubtful."""
+"""`layout="discover"`: what is found is fitted and written beside the fit; what is not decided is
+doubtful.
+"""
 
 from functools import partial
 
@@ -43,7 +45,9 @@ def found(planted, capture, monkeypatch):
         ("a note",),
     )
     monkeypatch.setattr("habitus.jobs.discovering.discover", lambda *known: result)
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+    monkeypatch.setattr(
+        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+    )
     return result
 
 
@@ -68,7 +72,9 @@ def test_what_is_not_decided_makes_a_fit_doubtful_and_is_kept_with_it(capture, f
 
 @pytest.mark.parametrize("asked", [{"hold_out": ("m3",)}, {"hold_out_every": 5}])
 def test_markers_that_tell_their_own_places_cannot_be_held_out(capture, asked):
-    with pytest.raises(HabitusError, match=r"each tells its own place; fit again with the layout.toml"):
+    with pytest.raises(
+        HabitusError, match=r"each tells its own place; fit again with the layout.toml"
+    ):
         hb.Mosh(layout="discover", soft_tissue=False).fit(capture, person(), **asked)
 
 

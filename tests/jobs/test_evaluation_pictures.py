@@ -1,4 +1,6 @@
-"""Pictures of turned heads: the neck is in them, whether it stands upright or lies, as an animal's."""
+"""Pictures of turned heads: the neck is in them, whether it stands upright or lies, as an
+animal's.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,9 @@ def test_a_neck_is_seen_from_across_whatever_way_it_points():
     person = coarse_body(load_body("default"), 450)
     lying = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # the head towards +z, as an animal's
     animal = replace(
-        person, v_template=person.v_template @ lying.T, shapedirs=np.einsum("ij,vjb->vib", lying, person.shapedirs)
+        person,
+        v_template=person.v_template @ lying.T,
+        shapedirs=np.einsum("ij,vjb->vib", lying, person.shapedirs),
     )
     for body in (person, animal):
         rows = neck_vertices([body])
@@ -27,4 +31,6 @@ def test_a_neck_is_seen_from_across_whatever_way_it_points():
         image = draw.picture(surface, body.faces, colours, towards, frame=frame).astype(float)
         covered = image[..., 3] > 128
         assert 0.15 < covered.mean() < 0.9  # neither nothing nor a slab
-        assert (covered & (image[..., 0] > 60)).sum() > 0.04 * covered.sum()  # of which the neck is a part
+        assert (
+            covered & (image[..., 0] > 60)
+        ).sum() > 0.04 * covered.sum()  # of which the neck is a part

@@ -1,4 +1,6 @@
-"""A file in, a file out: fits with their markers, motions without, real captures where there are such."""
+"""A file in, a file out: fits with their markers, motions without, real captures where there are
+such.
+"""
 
 import numpy as np
 import pytest
@@ -30,7 +32,9 @@ def test_a_fit_brings_its_markers_and_a_motion_has_none(tmp_path):
 def test_a_person_without_a_motion_is_a_rig_on_the_ground(tmp_path):
     known = body_from_measurements(sex="male", age=9.0, height=1.35)
     save_estimate(known, tmp_path / "him.npz")
-    told = export_file(tmp_path / "him.npz", tmp_path / "him.fbx", detail="coarse", correctives="live:12")
+    told = export_file(
+        tmp_path / "him.npz", tmp_path / "him.fbx", detail="coarse", correctives="live:12"
+    )
     found = Fbx(told.path).vertices(1)
     assert told.frames == 2 and told.drivers is not None
     assert np.allclose(np.ptp(found[:, 1]), 1.35, atol=2e-3) and abs(found[:, 1].min()) < 1e-5

@@ -1,4 +1,6 @@
-"""Captures below a folder: which are found, where their results go, which are taken for one subject's."""
+"""Captures below a folder: which are found, where their results go, which are taken for one
+subject's.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +25,26 @@ def places(found: list[Found]) -> list[str]:
 
 
 def test_captures_are_found_as_deep_as_they_lie(tmp_path):
-    names = ["b/two.C3D", "b/one.trc", "a.c3d", "b/deep/three.npz", "b/readme.txt", ".x.c3d", ".git/d.c3d"]
-    data = touched(tmp_path / "data", *names, "out/old/a.c3d", "results/walk/body.npz", "results/walk/metrics.json")
+    names = [
+        "b/two.C3D",
+        "b/one.trc",
+        "a.c3d",
+        "b/deep/three.npz",
+        "b/readme.txt",
+        ".x.c3d",
+        ".git/d.c3d",
+    ]
+    data = touched(
+        tmp_path / "data",
+        *names,
+        "out/old/a.c3d",
+        "results/walk/body.npz",
+        "results/walk/metrics.json",
+    )
     found = find_captures([data], data / "out")
-    assert places(found) == ["a", "b/one", "b/two", "b/deep/three"] and not any(one.given for one in found)
+    assert places(found) == ["a", "b/one", "b/two", "b/deep/three"] and not any(
+        one.given for one in found
+    )
 
 
 def test_files_that_differ_in_their_endings_get_folders_of_their_own(tmp_path):
@@ -37,31 +55,50 @@ def test_files_that_differ_in_their_endings_get_folders_of_their_own(tmp_path):
 def test_two_folders_keep_their_names(tmp_path):
     data = touched(tmp_path, "a/walk.c3d", "b/walk.c3d", "walk.c3d")
     found = find_captures([data / "a", data / "b", data / "walk.c3d"], tmp_path / "out")
-    assert places(found) == ["a/walk", "b/walk", "walk"] and [one.given for one in found] == [False, False, True]
+    assert places(found) == ["a/walk", "b/walk", "walk"] and [one.given for one in found] == [
+        False,
+        False,
+        True,
+    ]
 
 
 def test_names_that_would_meet_and_folders_without_captures_are_refused(tmp_path):
     data = touched(tmp_path, "a/walk.c3d", "b/walk.c3d", "empty/notes.txt")
     with pytest.raises(HabitusError, match="several captures are called walk"):
         find_captures([data / "a" / "walk.c3d", data / "b" / "walk.c3d"], tmp_path / "out")
-    assert places(find_captures([data / "a", data / "b" / "walk.c3d"], tmp_path / "out")) == ["walk_c3d", "walk"]
+    assert places(find_captures([data / "a", data / "b" / "walk.c3d"], tmp_path / "out")) == [
+        "walk_c3d",
+        "walk",
+    ]
     with pytest.raises(HabitusError, match="no capture in this folder"):
         find_captures([data / "empty"], tmp_path / "out")
 
 
 def test_real_captures_are_grouped_by_who_wears_which_markers(shared):
-    """One folder with captures of nine people, three of whom come twice or more; generic names tell nobody apart."""
+    """One folder with captures of nine people, three of whom come twice or more; generic names tell
+    nobody apart.
+    """
     mocap = shared / "mocap"
     names = (
-        "85_02 HC030A05 HC030A22 HC042A13 HC042A40 RoboStatic Running_0002 right_knee right_hip testsample testsample2"
+        "85_02 HC030A05 HC030A22 HC042A13 HC042A40 RoboStatic Running_0002 right_knee "
+        "right_hip testsample testsample2"
     )
     worn = [
-        (Found(mocap / f"{name}.c3d", Path(), name, False), Worn.of(read_capture(mocap / f"{name}.c3d")))
+        (
+            Found(mocap / f"{name}.c3d", Path(), name, False),
+            Worn.of(read_capture(mocap / f"{name}.c3d")),
+        )
         for name in names.split()
     ]
     found = {tuple(one.name for one in group) for group in grouped(worn)}
     several = {("HC030A05", "HC030A22"), ("HC042A13", "HC042A40"), ("testsample", "testsample2")}
-    assert found == {*several, ("right_knee", "right_hip"), ("85_02",), ("RoboStatic",), ("Running_0002",)}
+    assert found == {
+        *several,
+        ("right_knee", "right_hip"),
+        ("85_02",),
+        ("RoboStatic",),
+        ("Running_0002",),
+    }
     nameless = [(one, replace(seen, subject=None)) for one, seen in worn]
     assert {tuple(one.name for one in group) for group in grouped(nameless)} == found
 
@@ -70,13 +107,19 @@ def rigid(scale=1.0, subject=None, noise=0.0, labels=12, seed=0) -> Worn:
     rng = np.random.default_rng(seed)
     markers = scale * rng.uniform(0, 1, (1, labels, 3)) + rng.normal(size=(30, 1, 3))
     markers = markers + noise * rng.normal(size=markers.shape)
-    return Worn.of(Capture("x", tuple(f"M{k}" for k in range(labels)), markers, 100.0, "+y", subject))
+    return Worn.of(
+        Capture("x", tuple(f"M{k}" for k in range(labels)), markers, 100.0, "+y", subject)
+    )
 
 
 def test_what_makes_two_captures_alike():
     one = rigid()
     assert one.like(rigid(noise=1e-3)) and one.like(rigid(scale=1.01))
-    assert not one.like(rigid(scale=1.06)) and not one.like(rigid(seed=1)) and not one.like(rigid(subject="Ann"))
+    assert (
+        not one.like(rigid(scale=1.06))
+        and not one.like(rigid(seed=1))
+        and not one.like(rigid(subject="Ann"))
+    )
     assert not one.like(rigid(noise=0.2))  # nothing keeps its distance: nothing is known
     assert not rigid(labels=5).like(rigid(labels=5))
 

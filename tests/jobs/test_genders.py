@@ -1,4 +1,6 @@
-"""Which model of the body a person is fitted with: the one asked for, told by the file, or sure from the markers."""
+"""Which model of the body a person is fitted with: the one asked for, told by the file, or sure
+from the markers.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -21,7 +23,9 @@ QUICK = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=False)
 
 def walk(whose: str, seed: int, betas: np.ndarray | None = None, **recorded: str) -> Capture:
     """A made-up capture of somebody of a sex."""
-    body, layout, rng = load_body(whose), load_layout("cmu-41"), np.random.default_rng(seed)
+    body = load_body(whose)
+    layout = load_layout("cmu-41")
+    rng = np.random.default_rng(seed)
     prior = prior_of(body).for_joints(body.joint_names)
     shape = rng.normal(size=body.num_betas).clip(-2, 2) if betas is None else betas
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 20, 60.0, rng)
@@ -32,7 +36,9 @@ def walk(whose: str, seed: int, betas: np.ndarray | None = None, **recorded: str
 
 @pytest.fixture
 def hasty(monkeypatch):
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", lambda **known: replace(QUICK, soft_tissue=False))
+    monkeypatch.setattr(
+        "habitus.jobs.mosh.MoshSettings", lambda **known: replace(QUICK, soft_tissue=False)
+    )
 
 
 def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so(hasty):
@@ -63,5 +69,7 @@ def test_models_of_a_sex_are_like_the_neutral_one_in_all_else():
     for sex in ("female", "male"):
         found = of_gender(body, sex)
         assert (found.num_betas, found.joint_names) == (7, body.joint_names)
-        assert found.num_vertices == body.num_vertices and list(found.landmarks) == list(body.landmarks)
+        assert found.num_vertices == body.num_vertices and list(found.landmarks) == list(
+            body.landmarks
+        )
     assert of_gender(body, "neutral") is body

@@ -1,4 +1,6 @@
-"""Made registrations from files to files: a run that is stopped or lengthened ends at the same model; its errors."""
+"""Made registrations from files to files: a run that is stopped or lengthened ends at the same
+model; its errors.
+"""
 
 import json
 from dataclasses import replace
@@ -17,15 +19,21 @@ from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.mesh.known import Known
 
 FREE = TrainOptions(
-    start="body", fixed=("joint_regressor", "shapedirs", "people", "poses"), pose_shapes="local", rounds=2,
-    tolerance=0.0, weights=EnergyWeights(pose_shapes=1e-3),
-)  # fmt: skip
+    start="body",
+    fixed=("joint_regressor", "shapedirs", "people", "poses"),
+    pose_shapes="local",
+    rounds=2,
+    tolerance=0.0,
+    weights=EnergyWeights(pose_shapes=1e-3),
+)
 HELD = replace(FREE, rounds=1, fixed=(*FREE.fixed, "skinning_weights"))
 SHOWN = 6  # vertices that count, for speed
 
 
 def made():
-    """The toy's registrations with all that they were made from, and the body without its flesh to start from."""
+    """The toy's registrations with all that they were made from, and the body without its flesh to
+    start from.
+    """
     planted = toy()[1]
     known = Known(planted.pose, planted.trans, planted.betas)
     weights = np.zeros(planted.registrations.num_vertices)
@@ -39,7 +47,9 @@ def learn(out, options=FREE):
     return train(data.where(set="pose"), out, template=start, options=options, workers=1)[0].body
 
 
-def test_a_run_that_is_lengthened_and_stopped_in_a_round_ends_at_the_same_model(tmp_path, monkeypatch):
+def test_a_run_that_is_lengthened_and_stopped_in_a_round_ends_at_the_same_model(
+    tmp_path, monkeypatch
+):
     once = CheckpointingCallback.on_state
 
     def dying(callback, state):
@@ -67,23 +77,34 @@ def test_errors_in_known_poses_are_those_of_the_flesh_alone(tmp_path):
     assert all_people["truth"]["removed"] > all_people["learned"]["removed"] > 0.2
     assert all_people["plain LBS"]["removed"] == 0.0
     rows = data.where(set="test")
-    away = rows.vertices[:] - start(*(getattr(rows.known, key) for key in ("betas", "pose", "trans"))).vertices
+    away = (
+        rows.vertices[:]
+        - start(*(getattr(rows.known, key) for key in ("betas", "pose", "trans"))).vertices
+    )
     mean = np.linalg.norm(away, axis=-1)[:, data.weights > 0].mean()
     assert all_people["plain LBS"]["mean"] == pytest.approx(mean, rel=1e-9)
-    assert json.loads((tmp_path / "known.json").read_text())["metres"]["learned"]["all"] == all_people["learned"]
+    assert (
+        json.loads((tmp_path / "known.json").read_text())["metres"]["learned"]["all"]
+        == all_people["learned"]
+    )
     assert known_table(found).row_count == 4 * len(found.models["truth"])
 
 
 def test_known_people_in_new_poses_are_told_from_new_people_and_weights_count():
     data, start = made()
-    mixed = replace(data, set=("test", *data.set[1:]))  # the first pose of a person of whom others are in training
+    mixed = replace(
+        data, set=("test", *data.set[1:])
+    )  # the first pose of a person of whom others are in training
     groups = evaluate_known([replace(start, posedirs=None)], mixed).models["plain LBS"]
     assert set(groups) == {"all", "new people", "known people"}
     weights = np.zeros(data.num_vertices)
     weights[:7] = np.linspace(0.1, 0.5, 7)
     few = evaluate_known([start], replace(data, weights=weights)).errors["plain LBS"]
     rows = data.where(set="test")
-    away = rows.vertices[:] - start(*(getattr(rows.known, key) for key in ("betas", "pose", "trans"))).vertices
+    away = (
+        rows.vertices[:]
+        - start(*(getattr(rows.known, key) for key in ("betas", "pose", "trans"))).vertices
+    )
     mean = np.linalg.norm(away, axis=-1) @ weights / weights.sum()
     np.testing.assert_allclose(few.mean, mean, rtol=1e-9)
 

@@ -1,4 +1,6 @@
-"""A capture whose labels were taken away gets them back, as a file, with a report; what cannot be is refused."""
+"""A capture whose labels were taken away gets them back, as a file, with a report; what cannot be
+is refused.
+"""
 
 import json
 from dataclasses import replace
@@ -18,13 +20,20 @@ def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_pa
     named = read_capture(shared / "mocap" / "testsample.c3d")[:60]
     order = np.random.default_rng(0).permutation(len(named.labels))
     raw = replace(
-        named, labels=tuple(f"*{k}" for k in range(len(order))), markers=np.array(named.markers[:, order]), name="raw"
+        named,
+        labels=tuple(f"*{k}" for k in range(len(order))),
+        markers=np.array(named.markers[:, order]),
+        name="raw",
     )
     write_c3d(raw, tmp_path / "raw.c3d")
-    found = label(tmp_path / "raw.c3d", tmp_path / "out.c3d", like=shared / "mocap" / "testsample.c3d")
-    again, report = read_capture(tmp_path / "out.c3d"), json.loads((tmp_path / "out.labels.json").read_text())
+    found = label(
+        tmp_path / "raw.c3d", tmp_path / "out.c3d", like=shared / "mocap" / "testsample.c3d"
+    )
+    again = read_capture(tmp_path / "out.c3d")
+    report = json.loads((tmp_path / "out.labels.json").read_text())
     right = [
-        np.nanmax(np.abs(again.markers[:, again.labels.index(name)] - named.markers[:, column])) < 1e-4
+        np.nanmax(np.abs(again.markers[:, again.labels.index(name)] - named.markers[:, column]))
+        < 1e-4
         for column, name in enumerate(named.labels)
         if name in again.labels
     ]
@@ -45,7 +54,10 @@ def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_pa
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path: Path, options: dict, words: str) -> None:
     raw = tmp_path / "raw.c3d"
-    points = np.random.default_rng(0).uniform(0, 1.8, size=(5, 40, 3)) + 0.001 * np.arange(5)[:, None, None]
+    points = (
+        np.random.default_rng(0).uniform(0, 1.8, size=(5, 40, 3))
+        + 0.001 * np.arange(5)[:, None, None]
+    )
     capture = read_capture_like(points)
     write_c3d(capture, raw)
     with pytest.raises(HabitusError, match=words):

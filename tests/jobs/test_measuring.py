@@ -23,7 +23,9 @@ def body():
 def test_a_body_a_person_and_a_mesh_of_it_measure_alike(body, tmp_path):
     betas = np.array([1.0, -0.5, 0.8])
     truth = body.measure(betas)
-    np.savez(tmp_path / "fit.npz", betas=betas, surface_model_type="default", poses=np.zeros((1, 72)))
+    np.savez(
+        tmp_path / "fit.npz", betas=betas, surface_model_type="default", poses=np.zeros((1, 72))
+    )
     habitus.write_surface(body(betas), tmp_path / "rest.ply")
     habitus.write_surface(body(betas), tmp_path / "rest.obj")
     for name in ("fit.npz", "rest.ply", "rest.obj"):
@@ -39,7 +41,9 @@ def test_they_are_written_and_drawn(tmp_path):
     facts = json.loads((tmp_path / "a.json").read_text())
     assert facts["measurements"] == pytest.approx(found.values) and "arms level" in facts["pose"]
     rows = list(csv.DictReader((tmp_path / "a.csv").open()))
-    assert {row["name"]: float(row["value"]) for row in rows} == pytest.approx(found.values, rel=1e-4)
+    assert {row["name"]: float(row["value"]) for row in rows} == pytest.approx(
+        found.values, rel=1e-4
+    )
     assert (tmp_path / "a.svg").read_text().startswith("<svg")
     for write, name in ((found.save, "a.txt"), (found.draw, "a.jpg")):
         with pytest.raises(HabitusError, match=f"{name}: expected a name in"):
@@ -119,12 +123,20 @@ def test_a_mesh_of_either_level_of_any_space_is_known_for_what_it_is(tmp_path):
         betas = [1.0, -1.0, 1.5, 1.0]
         habitus.write_surface(body(betas), tmp_path / f"{sex}.ply")
         found = measure_file(tmp_path / f"{sex}.ply")
-        assert found.values == pytest.approx(body.measure(betas), abs=1e-4) and found.body.name == sex
+        assert (
+            found.values == pytest.approx(body.measure(betas), abs=1e-4) and found.body.name == sex
+        )
 
 
 def test_skin_of_another_body_is_refused(tmp_path):
     """Taken without a word, the person would be measured as betas alone have them."""
     path = tmp_path / "person.npz"
-    np.savez(path, betas=np.zeros(3), surface_model_type="neutral", gender="neutral", skin_offset=np.zeros(11))
+    np.savez(
+        path,
+        betas=np.zeros(3),
+        surface_model_type="neutral",
+        gender="neutral",
+        skin_offset=np.zeros(11),
+    )
     with pytest.raises(HabitusError, match=r"skin_offset is \(11,\); expected \(7499,\)"):
         measure_file(path)

@@ -1,4 +1,6 @@
-"""`habitus.Mosh`: one capture gives a fit, a list a list; options reach the recipe; a live fit follows its markers."""
+"""`habitus.Mosh`: one capture gives a fit, a list a list; options reach the recipe; a live fit
+follows its markers.
+"""
 
 import re
 from dataclasses import replace
@@ -28,11 +30,14 @@ def body():
 
 @pytest.fixture(scope="module")
 def truth(body):
-    rng, layout = np.random.default_rng(5), load_layout("cmu-41")
+    rng = np.random.default_rng(5)
+    layout = load_layout("cmu-41")
     prior = load_pose_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), FRAMES, 120.0, rng)
-    return simulate_capture(body, betas, pose, trans, layout.vertices(body), layout.distances(), Faults(), rng)
+    return simulate_capture(
+        body, betas, pose, trans, layout.vertices(body), layout.distances(), Faults(), rng
+    )
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +48,9 @@ def capture(truth) -> Capture:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """A hasty shape stage: these tests ask what goes where, not how well the body fits."""
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3))
+    monkeypatch.setattr(
+        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
+    )
 
 
 def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
@@ -68,14 +75,19 @@ def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
 def test_a_file_and_its_capture_are_the_same(body, capture, tmp_path):
     write_c3d(capture, tmp_path / "walk.c3d")
     recipe = hb.Mosh(soft_tissue=False, rate_hz=60.0)
-    fit, again = (recipe.fit(one, body) for one in (tmp_path / "walk.c3d", hb.read_capture(tmp_path / "walk.c3d")))
+    fit, again = (
+        recipe.fit(one, body)
+        for one in (tmp_path / "walk.c3d", hb.read_capture(tmp_path / "walk.c3d"))
+    )
     np.testing.assert_array_equal(fit.pose, again.pose)
     assert fit.rate_hz == again.rate_hz == 60.0
 
 
 def test_weights_change_the_fit(body, capture):
     loose, stiff = (
-        hb.mosh(capture, body=body, soft_tissue=False, weights=hb.MoshWeights(acceleration=weight))[0]
+        hb.mosh(capture, body=body, soft_tissue=False, weights=hb.MoshWeights(acceleration=weight))[
+            0
+        ]
         for weight in (0.0, 1e4)
     )
     shaking = [np.abs(np.diff(fit.pose[:, 1:], 2, axis=0)).mean() for fit in (loose, stiff)]
@@ -84,7 +96,8 @@ def test_weights_change_the_fit(body, capture):
 
 def test_held_out_markers_by_one_or_by_two_workers(body, capture):
     alone, shared = (
-        hb.Mosh(soft_tissue=False).fit(capture[:10], body, hold_out_every=2, workers=workers) for workers in (None, 2)
+        hb.Mosh(soft_tissue=False).fit(capture[:10], body, hold_out_every=2, workers=workers)
+        for workers in (None, 2)
     )
     assert set(alone.held_out.labels) == set(capture.labels)
     np.testing.assert_allclose(alone.held_out.pose, shared.held_out.pose, atol=1e-9)

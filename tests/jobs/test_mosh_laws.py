@@ -1,4 +1,6 @@
-"""From a capture's file to a fit: held-out markers by name and by rotation, causal and whole, one person or several."""
+"""From a capture's file to a fit: held-out markers by name and by rotation, causal and whole, one
+person or several.
+"""
 
 from dataclasses import replace
 
@@ -27,7 +29,9 @@ def longer():
 
 def written(planted, folder, name="walk", observed=None):
     markers = planted.observed if observed is None else observed
-    write_c3d(Capture(name, planted.layout.labels, np.array(markers), 30.0, "+y"), folder / f"{name}.c3d")
+    write_c3d(
+        Capture(name, planted.layout.labels, np.array(markers), 30.0, "+y"), folder / f"{name}.c3d"
+    )
     return folder / f"{name}.c3d"
 
 
@@ -64,8 +68,12 @@ def test_held_out_errors_are_distances_from_where_the_others_make_one_expect_the
     assert set(held.labels) | set(labels) == set(planted.layout.labels)
     layout = replace(planted.layout, markers=tuple(planted.layout[label] for label in labels))
     others = planted.layout.restricted_to(held.labels)
-    told = load_placements().expected(others, held.latent_markers - place_by_hand(held.betas, others), layout)
-    attachment = attach(told + place_by_hand(held.betas, layout), rest(held.betas), np.asarray(person().faces))
+    told = load_placements().expected(
+        others, held.latent_markers - place_by_hand(held.betas, others), layout
+    )
+    attachment = attach(
+        told + place_by_hand(held.betas, layout), rest(held.betas), np.asarray(person().faces)
+    )
     predicted = carried(attachment, held.betas, *held.pose_stage)
     by_hand = np.linalg.norm(predicted - planted.observed[:, planted.columns(*labels)], axis=2)
     np.testing.assert_allclose(held.held_out.pose, by_hand, atol=2e-5)
@@ -106,7 +114,8 @@ def test_a_rotation_that_leaves_nothing_is_refused(file, every):
 def test_causal_follows_the_whole_sequence(longer, tmp_path):
     """Smooth motion: what comes later adds little to what a frame and those before it tell."""
     file = written(longer, tmp_path)
-    whole, causal = run(file), run(file, causal=True, soft_tissue=True)
+    whole = run(file)
+    causal = run(file, causal=True, soft_tissue=True)
     assert causal.soft_tissue is None and causal.status == "causal" and whole.status != "causal"
     np.testing.assert_allclose(causal.betas, whole.betas, atol=1e-12)
     apart = degrees_apart(causal.pose, whole.pose)[3:]
@@ -114,7 +123,9 @@ def test_causal_follows_the_whole_sequence(longer, tmp_path):
     assert np.linalg.norm(causal.trans - whole.trans, axis=1)[3:].mean() < 5e-3
     assert np.nanmean(causal.errors("pose")) < 1.3 * np.nanmean(whole.errors("pose"))
     distance = causal.errors("pose")
-    np.testing.assert_allclose(causal.marker_weights, (1.0 / (1.0 + (distance / 0.10) ** 2)) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(
+        causal.marker_weights, (1.0 / (1.0 + (distance / 0.10) ** 2)) ** 2, rtol=1e-9
+    )
 
 
 def test_causal_begins_at_the_first_frame_with_markers_and_stays_over_gaps(longer, tmp_path):

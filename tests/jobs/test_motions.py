@@ -1,4 +1,6 @@
-"""What is made of a fit of a real capture: files of exaggerated and retargeted motions, and who they belong to."""
+"""What is made of a fit of a real capture: files of exaggerated and retargeted motions, and who
+they belong to.
+"""
 
 from dataclasses import replace
 
@@ -24,9 +26,19 @@ def real(shared, tmp_path_factory):
 
 def test_a_real_fit_is_exaggerated_and_read_back(real, tmp_path, capsys):
     real.export(tmp_path / "body.npz")
-    main(["exaggerate", str(tmp_path / "body.npz"), "--factor", "1.5", "--out", str(tmp_path / "more.npz")])
+    main(
+        [
+            "exaggerate",
+            str(tmp_path / "body.npz"),
+            "--factor",
+            "1.5",
+            "--out",
+            str(tmp_path / "more.npz"),
+        ]
+    )
     assert "40 frames; soft tissue moves the skin by" in capsys.readouterr().out
-    again, direct = hb.load_motion(tmp_path / "more.npz"), hb.exaggerate(real, 1.5)
+    again = hb.load_motion(tmp_path / "more.npz")
+    direct = hb.exaggerate(real, 1.5)
     np.testing.assert_allclose(again.vertices([0, 20]), direct.vertices([0, 20]), atol=1e-9)
     assert again.made == direct.made and "fitted to the markers of gappy" in again.made[0]
     with pytest.raises(HabitusError, match=r"expected the body\.npz of a fit"):
@@ -40,7 +52,9 @@ def test_a_real_fit_on_a_character_keeps_its_feet(real, tmp_path, capsys):
     hero = level.v_template.copy()
     legs = hero[:, 1] < level.joint_template[1, 1]
     hero[legs, 1] = level.joint_template[1, 1] + 0.75 * (hero[legs, 1] - level.joint_template[1, 1])
-    hb.write_surface(type("hero", (), {"vertices": hero, "faces": level.faces}), tmp_path / "hero.ply")
+    hb.write_surface(
+        type("hero", (), {"vertices": hero, "faces": level.faces}), tmp_path / "hero.ply"
+    )
     hb.exaggerate(real, 1.0, out=tmp_path / "walk.npz")
     words = ["retarget", str(tmp_path / "walk.npz"), "--to", str(tmp_path / "hero.ply")]
     main([*words, "--out", str(tmp_path / "hero.npz")])
@@ -49,17 +63,24 @@ def test_a_real_fit_on_a_character_keeps_its_feet(real, tmp_path, capsys):
     found = hb.retarget(real, tmp_path / "hero.ply")
     assert found.slip[2] < found.slip[0] + 0.01 and found.below[2] > min(0, found.below[0]) - 0.003
     again = hb.load_motion(tmp_path / "hero.npz")
-    np.testing.assert_allclose(again.vertices(7), found.motion.vertices(7), atol=1e-5)  # PLY keeps 32 bits
+    np.testing.assert_allclose(
+        again.vertices(7), found.motion.vertices(7), atol=1e-5
+    )  # PLY keeps 32 bits
     np.testing.assert_allclose(again.body.full.v_template, hero, atol=1e-6)
     with np.load(tmp_path / "hero.npz") as file:
-        assert str(file["surface_model_type"]) == "hero" and "retargeted to hero" in str(file["made"][-1])
+        assert str(file["surface_model_type"]) == "hero" and "retargeted to hero" in str(
+            file["made"][-1]
+        )
     with pytest.raises(HabitusError, match="belong to the body 'hero'"):
         hb.load_motion(_without(tmp_path / "hero.npz", ("character_vertices", "character_base")))
 
 
 def _without(path, names):
     with np.load(path) as file:
-        np.savez(path.with_name("less.npz"), **{name: file[name] for name in file.files if name not in names})
+        np.savez(
+            path.with_name("less.npz"),
+            **{name: file[name] for name in file.files if name not in names},
+        )
     return path.with_name("less.npz")
 
 
@@ -76,8 +97,14 @@ def test_whom_a_motion_is_retargeted_to(real, tmp_path):
     body, betas, _ = find_target(motion, tmp_path / "body.npz")
     assert body is motion.body and np.array_equal(betas, real.betas)
     tube = tube_body()
-    hb.write_surface(type("t", (), {"vertices": tube.v_template, "faces": tube.faces}), tmp_path / "tube.obj")
-    for wrong, said in ((tmp_path / "tube.obj", "register"), ("nobody", "nobody to retarget"), ([1.0] * 25, "24")):
+    hb.write_surface(
+        type("t", (), {"vertices": tube.v_template, "faces": tube.faces}), tmp_path / "tube.obj"
+    )
+    for wrong, said in (
+        (tmp_path / "tube.obj", "register"),
+        ("nobody", "nobody to retarget"),
+        ([1.0] * 25, "24"),
+    ):
         with pytest.raises(HabitusError, match=said):
             find_target(motion, wrong)
 
@@ -90,7 +117,13 @@ def test_files_as_amass_has_them(real, tmp_path):
     joints = replace(whole, soft_tissue=None).joints()
     np.testing.assert_allclose(again.joints()[:, kept], joints[:, kept], atol=1e-6)
     poses = np.zeros((3, 156))
-    np.savez(tmp_path / "amass.npz", poses=poses, trans=np.zeros((3, 3)), betas=np.ones(16), mocap_framerate=120.0)
+    np.savez(
+        tmp_path / "amass.npz",
+        poses=poses,
+        trans=np.zeros((3, 3)),
+        betas=np.ones(16),
+        mocap_framerate=120.0,
+    )
     with pytest.raises(HabitusError, match="do not say to which body"):
         hb.load_motion(tmp_path / "amass.npz")
     with pytest.raises(HabitusError, match="another person"):
@@ -98,7 +131,11 @@ def test_files_as_amass_has_them(real, tmp_path):
     smplh = load_body("default", joints="smplh")
     theirs = replace(smplh, name="smplh", finer=None, full_vertices=None)
     found = hb.load_motion(tmp_path / "amass.npz", theirs)
-    assert found.betas.tolist() == 16 * [1.0] + 8 * [0.0] and found.up_axis == "+z" and found.num_frames == 3
+    assert (
+        found.betas.tolist() == 16 * [1.0] + 8 * [0.0]
+        and found.up_axis == "+z"
+        and found.num_frames == 3
+    )
 
 
 def test_motions_that_cannot_be_read_or_written(tmp_path):
@@ -111,9 +148,15 @@ def test_motions_that_cannot_be_read_or_written(tmp_path):
     np.testing.assert_allclose(again.vertices(), motion.vertices(), atol=1e-12)
     with pytest.raises(HabitusError, match=r"\.npz .*\.glb"):
         hb.exaggerate(motion, 2.0, out=tmp_path / "x.stl")
-    for spoilt in ({"poses": np.zeros((4, 71))}, {"trans": np.zeros((5, 3))}, {"mocap_framerate": np.array(0.0)}):
+    for spoilt in (
+        {"poses": np.zeros((4, 71))},
+        {"trans": np.zeros((5, 3))},
+        {"mocap_framerate": np.array(0.0)},
+    ):
         with np.load(tmp_path / "tubes.npz") as file:
-            arrays = {name: file[name] for name in file.files if name != "mocap_frame_rate"} | spoilt
+            arrays = {
+                name: file[name] for name in file.files if name != "mocap_frame_rate"
+            } | spoilt
         np.savez(tmp_path / "spoilt.npz", **arrays)
         with pytest.raises(HabitusError, match=r"spoilt\.npz"):
             hb.load_motion(tmp_path / "spoilt.npz", fit.body)
@@ -122,7 +165,8 @@ def test_motions_that_cannot_be_read_or_written(tmp_path):
 
 
 def test_files_of_a_real_capture_show_the_fit(real, tmp_path):
-    turn, frames = up_rotation(real.up_axis), [0, 20, 39]
+    turn = up_rotation(real.up_axis)
+    frames = [0, 20, 39]
     full = np.concatenate([part.vertices for part in real.surfaces(frames, body=real.finest_body)])
     told = hb.export_file(real, tmp_path / "a.fbx")
     found = Fbx(told.path)

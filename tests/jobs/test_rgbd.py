@@ -1,4 +1,6 @@
-"""From a folder of views to results: what is planted is found, what is written can be read, bad folders say so."""
+"""From a folder of views to results: what is planted is found, what is written can be read, bad
+folders say so.
+"""
 
 import csv
 import json
@@ -29,7 +31,8 @@ def results(tmp_path_factory):
 
 def test_the_planted_person_is_found(results):
     out, body, scene, _ = results
-    motion, numbers = hb.load_motion(out / "body.npz"), json.loads((out / "metrics.json").read_text())
+    motion = hb.load_motion(out / "body.npz")
+    numbers = json.loads((out / "metrics.json").read_text())
     with np.load(out / "body.npz") as file:
         ways = file["T_world_sensor"]
     for k, way in enumerate(ways):
@@ -38,7 +41,10 @@ def test_the_planted_person_is_found(results):
     assert numbers["verdict"]["level"] in ("good", "doubtful")
     true = body.measure_rest(scene.rest)
     assert abs(numbers["body_measurements"]["height_m"] - true["height_m"]) < 0.03
-    assert abs(numbers["body_measurements"]["waist_circumference_m"] - true["waist_circumference_m"]) < 0.06
+    assert (
+        abs(numbers["body_measurements"]["waist_circumference_m"] - true["waist_circumference_m"])
+        < 0.06
+    )
 
 
 def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
@@ -47,7 +53,9 @@ def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
 
     def found(views, body, **options):
         settings = options.pop("settings")
-        asked.update(options, views=len(views.views), body=body, clothes=settings.clothes, hair=settings.hair)
+        asked.update(
+            options, views=len(views.views), body=body, clothes=settings.clothes, hair=settings.hair
+        )
         return replace(fit, appearance=None)
 
     monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", found)
@@ -69,7 +77,11 @@ def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr().out
     told = {"clothes": 0.002, "hair": RgbdSettings().hair}
     assert asked == {"views": 2, "body": "female", "turns": (0.0, 45.0), "age": None, **told}
-    assert fit.verdict.level in said and "waist" in said and (tmp_path / "out" / "report.html").exists()
+    assert (
+        fit.verdict.level in said
+        and "waist" in said
+        and (tmp_path / "out" / "report.html").exists()
+    )
 
 
 def test_the_files_say_the_same(results):
@@ -81,21 +93,31 @@ def test_the_files_say_the_same(results):
     with (out / "measurements.csv").open() as lines:
         rows = {row["name"]: float(row["value"]) for row in csv.DictReader(lines)}
     assert rows.keys() == numbers["body_measurements"].keys()
-    assert all(abs(rows[name] - value) < 1e-4 * max(value, 1) for name, value in numbers["body_measurements"].items())
+    assert all(
+        abs(rows[name] - value) < 1e-4 * max(value, 1)
+        for name, value in numbers["body_measurements"].items()
+    )
     main(["measure", str(out / "body.npz"), "--out", str(out.parent / "again.json")])
     again = json.loads((out.parent / "again.json").read_text())["measurements"]
     assert all(abs(again[name] - value) < 1e-4 * max(value, 1) for name, value in rows.items())
     with np.load(out / "body.npz") as file:
         assert 1e-4 < file["skin_offset"].std() < 0.01
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png") >= 13 and "Albedo" in page and "http" not in page.replace("http-equiv", "")
+    assert (
+        page.count("data:image/png") >= 13
+        and "Albedo" in page
+        and "http" not in page.replace("http-equiv", "")
+    )
 
 
 def test_the_glb_carries_the_texture(results):
     out, _, _, _ = results
     document = Glb(out / "body.glb")
     material = document.json["materials"][0]["pbrMetallicRoughness"]
-    assert material["baseColorTexture"]["index"] == 0 and document.json["images"][0]["mimeType"] == "image/png"
+    assert (
+        material["baseColorTexture"]["index"] == 0
+        and document.json["images"][0]["mimeType"] == "image/png"
+    )
 
 
 def test_bad_folders_give_one_line(tmp_path, capsys):
@@ -111,7 +133,9 @@ def test_bad_folders_give_one_line(tmp_path, capsys):
         line = capsys.readouterr().err.strip()
         said.append(line)
         assert end.value.code == 2 and line.startswith("habitus: ") and "\n" not in line
-    for words, line in zip(("no depth image", "no intrinsics", "fx, fy", "unit", "person"), said, strict=True):
+    for words, line in zip(
+        ("no depth image", "no intrinsics", "fx, fy", "unit", "person"), said, strict=True
+    ):
         assert words in line
     assert not (tmp_path / "out").exists()
 

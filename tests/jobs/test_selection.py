@@ -1,4 +1,6 @@
-"""Markers and poses chosen on the default body: files, layouts that are read back and matched, goals."""
+"""Markers and poses chosen on the default body: files, layouts that are read back and matched,
+goals.
+"""
 
 import json
 
@@ -13,7 +15,9 @@ from habitus.jobs.marker_pools import find_layout, find_pool
 
 
 def test_a_selection_and_what_it_leaves(tmp_path, capsys):
-    words = "select-markers --from 50 --start 47 --people 1 --fewest 44 --keep 45 48 --pairs".split()
+    words = (
+        "select-markers --from 50 --start 47 --people 1 --fewest 44 --keep 45 48 --pairs".split()
+    )
     main([*words, "--out", str(tmp_path / "selection")])
     said = capsys.readouterr().out
     assert "47 markers" in said and "(start)" in said and "50 candidates" in said
@@ -40,7 +44,9 @@ def test_a_selection_and_what_it_leaves(tmp_path, capsys):
 def test_a_real_capture_matches_a_selected_layout(shared, tmp_path):
     """What was chosen of a set's markers is a layout for captures with that set."""
     capture = hb.read_capture(shared / "mocap" / "85_02.c3d")[:5]
-    found = hb.select_markers("cmu-41", "cmu-41", people=1, fewest=36, keep=(36,), out=tmp_path / "s")
+    found = hb.select_markers(
+        "cmu-41", "cmu-41", people=1, fewest=36, keep=(36,), out=tmp_path / "s"
+    )
     layout = load_layout(tmp_path / "s" / "markers-36.toml")
     match = match_layout(capture.labels, capture.markers, [layout])
     assert set(match.matched) <= set(layout.labels) and len(match.matched) >= 36
@@ -50,7 +56,8 @@ def test_a_real_capture_matches_a_selected_layout(shared, tmp_path):
 
 
 def test_pools():
-    body, start = hb.load_body("default"), find_layout("mosh-47")
+    body = hb.load_body("default")
+    start = find_layout("mosh-47")
     pool = find_pool(body, 114, start, pairs=True)
     assert len(pool.candidates.labels) == len(set(pool.candidates.labels)) == 114
     assert sorted(k for group in pool.candidates.groups for k in group) == list(range(114))
@@ -71,6 +78,9 @@ def test_poses_are_a_motion(tmp_path):
     np.testing.assert_allclose(motion.pose, poses, atol=1e-12)
     assert motion.rate_hz == 1.0 and motion.up_axis == "+y" and len(choice.errors) == 3
     np.testing.assert_allclose(motion.vertices()[..., 1].min(axis=1), 0.0, atol=1e-6)
-    for given, said in (({"count": 9, "candidates": 6}, "expected 1 or more"), ({"out": "x.csv"}, r"\.npz")):
+    for given, said in (
+        ({"count": 9, "candidates": 6}, "expected 1 or more"),
+        ({"out": "x.csv"}, r"\.npz"),
+    ):
         with pytest.raises(HabitusError, match=said):
             hb.select_poses("mosh-47", **({"count": 2, "candidates": 3} | given))

@@ -20,7 +20,9 @@ def column(capture: Capture, label: str) -> np.ndarray:
 
 
 def test_captures_of_one_person_share_the_union_of_their_markers(capture):
-    fewer = replace(capture, name="fewer", labels=capture.labels[:-1], markers=capture.markers[:, :-1])
+    fewer = replace(
+        capture, name="fewer", labels=capture.labels[:-1], markers=capture.markers[:, :-1]
+    )
     both = person([capture, fewer], "auto")
     assert set(both.layout.labels) == set(capture.labels)
     missing = both.layout.labels.index(capture.labels[-1])
@@ -33,12 +35,16 @@ def test_held_out_markers_are_in_nothing_that_is_fitted(capture):
     kept, held = leave_out(whole, ["RANK", "LFHD"])
     assert set(kept.layout.labels) == set(whole.layout.labels) - {"RANK", "LFHD"}
     assert set(held.layout.labels) == {"RANK", "LFHD"}
-    for label, observed in zip(held.layout.labels, np.moveaxis(held.observed[0], 1, 0), strict=True):
+    for label, observed in zip(
+        held.layout.labels, np.moveaxis(held.observed[0], 1, 0), strict=True
+    ):
         np.testing.assert_array_equal(observed, column(capture, label))
 
 
 def test_labels_that_the_file_exchanges_are_put_right_before_they_are_held_out(capture):
-    _, held = leave_out(person([capture], "auto"), ["LWRA"])  # this file has its left wrist's pair the wrong way round
+    _, held = leave_out(
+        person([capture], "auto"), ["LWRA"]
+    )  # this file has its left wrist's pair the wrong way round
     assert held.layout.markers[0].landmark == "left_wrist_radial"
     np.testing.assert_array_equal(held.observed[0][:, 0], column(capture, "LWRB"))
 

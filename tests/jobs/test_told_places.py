@@ -1,4 +1,6 @@
-"""Held-out markers at places that another capture told: near where they really sit, and still without a say."""
+"""Held-out markers at places that another capture told: near where they really sit, and still
+without a say.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ def capture(planted, frames, name, without=(), moved=()):
     observed = np.array(planted.observed[frames])
     observed[:, planted.columns(*moved)] += (0.0, 0.04, 0.0)
     kept = [k for k, label in enumerate(planted.layout.labels) if label not in without]
-    return Capture(name, tuple(planted.layout.labels[k] for k in kept), observed[:, kept], 30.0, "+y")
+    return Capture(
+        name, tuple(planted.layout.labels[k] for k in kept), observed[:, kept], 30.0, "+y"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +28,16 @@ def planted():
 
 
 def run(one, other, **options):
-    return mosh(one, layout="cmu-41", body=person(), soft_tissue=False, places_from=other, **options)[0]
+    return mosh(
+        one, layout="cmu-41", body=person(), soft_tissue=False, places_from=other, **options
+    )[0]
 
 
 @pytest.fixture(scope="module")
 def told(planted):
     held = tuple(label for label in planted.layout.labels if label in HELD)
-    one, other = capture(planted, slice(0, 8), "walk"), capture(planted, slice(8, 24), "other")
+    one = capture(planted, slice(0, 8), "walk")
+    other = capture(planted, slice(8, 24), "other")
     return held, run(one, other, hold_out=held)
 
 
@@ -42,7 +49,9 @@ def test_told_places_are_nearer_than_the_layouts(told):
 
 
 def test_held_out_markers_have_no_say_in_what_is_told(planted, told):
-    """Moved by 4 cm in the capture that is judged, they change their own errors and nothing else."""
+    """Moved by 4 cm in the capture that is judged, they change their own errors and nothing
+    else.
+    """
     held, fit = told
     moved = capture(planted, slice(0, 8), "walk", moved=held)
     again = run(moved, capture(planted, slice(8, 24), "other"), hold_out=held)
@@ -55,12 +64,16 @@ def test_what_the_other_lacks_has_no_number_and_is_said(planted, told):
     held, _ = told
     other = capture(planted, slice(8, 24), "other", without=held[:1])
     fit = run(capture(planted, slice(0, 8), "walk"), other, hold_out=held)
-    assert np.isnan(fit.held_out_told.pose[:, 0]).all() and np.isfinite(fit.held_out_told.pose[:, 1:]).all()
+    assert (
+        np.isnan(fit.held_out_told.pose[:, 0]).all()
+        and np.isfinite(fit.held_out_told.pose[:, 1:]).all()
+    )
     assert any(f"not told there: {held[0]}" in warning for warning in fit.warnings)
 
 
 def test_places_that_cannot_be_told_are_refused(planted):
-    one, other = capture(planted, slice(0, 8), "walk"), capture(planted, slice(8, 24), "other", without=("C7",))
+    one = capture(planted, slice(0, 8), "walk")
+    other = capture(planted, slice(8, 24), "other", without=("C7",))
     with pytest.raises(HabitusError, match="none is held out: add hold-out-every K"):
         run(one, other)
     with pytest.raises(HabitusError, match="other has none of the held-out labels C7"):

@@ -1,4 +1,6 @@
-"""`habitus view`: a page with a body under sliders, a motion and a mesh; what it cannot show it says in one line."""
+"""`habitus view`: a page with a body under sliders, a motion and a mesh; what it cannot show it
+says in one line.
+"""
 
 import urllib.request
 from pathlib import Path
@@ -43,7 +45,8 @@ def test_the_page_is_served(shown):
 
 
 def test_sliders_move_the_body_and_its_measurements(shown):
-    panel, body = shown.panels[0], habitus.load_body("female", detail="full")
+    panel = shown.panels[0]
+    body = habitus.load_body("female", detail="full")
     panel.betas[0].value, panel.joint.value, panel.turn[1].value = 1.5, "left_elbow", -80.0
     expected = body([1.5], {"left_elbow": (0.0, np.deg2rad(-80.0), 0.0)}).vertices
     np.testing.assert_allclose(panel._skin.vertices, expected, atol=1e-5)

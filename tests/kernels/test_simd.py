@@ -1,4 +1,6 @@
-"""Lanes are LANES independent numbers: each operation against NumPy, then blocks and rotations made of them."""
+"""Lanes are LANES independent numbers: each operation against NumPy, then blocks and rotations made
+of them.
+"""
 
 import numpy as np
 import pytest
@@ -6,14 +8,24 @@ from numba import njit
 from numba.core.errors import TypingError
 from scipy.spatial.transform import Rotation
 
-from habitus.kernels.simd import CACHE_LINE, LANES, lane_array, load, root, spread, store, where_less
+from habitus.kernels.simd import (
+    CACHE_LINE,
+    LANES,
+    lane_array,
+    load,
+    root,
+    spread,
+    store,
+    where_less,
+)
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row, load3, rotation_and_jacobian9, store9
 
 
 @njit
 def each(room):
-    a, b = load(room, 0), load(room, 1)
+    a = load(room, 0)
+    b = load(room, 1)
     store(room, 2, a + b)
     store(room, 3, a - b)
     store(room, 4, a * b)
@@ -32,7 +44,18 @@ def test_operations_agree_with_numpy():
     room[:2] = rng.normal(size=(2, LANES))
     a, b = room[:2].copy()
     each(room)
-    expected = [a + b, a - b, a * b, a / b, -a, abs(a), 2.5 * a - 1, 1 / b + 3, np.where(a < b, 1, b), 0.25 + 0 * a]
+    expected = [
+        a + b,
+        a - b,
+        a * b,
+        a / b,
+        -a,
+        abs(a),
+        2.5 * a - 1,
+        1 / b + 3,
+        np.where(a < b, 1, b),
+        0.25 + 0 * a,
+    ]
     np.testing.assert_allclose(room[2:], expected, rtol=1e-14)
 
 
@@ -70,7 +93,8 @@ def test_rotations_up_to_a_whole_turn(angle):
     turn(room)
     matrices = Rotation.from_rotvec(vectors).as_matrix()
     np.testing.assert_allclose(room[3:12].T.reshape(-1, 3, 3), matrices, atol=2e-13)
-    change, step = rng.normal(size=3), 1e-6
+    change = rng.normal(size=3)
+    step = 1e-6
     moved = [Rotation.from_rotvec(vectors + sign * step * change) for sign in (1, -1)]
     rate = (moved[0] * moved[1].inv()).as_rotvec() / (2 * step)
     np.testing.assert_allclose(room[12:21].T.reshape(-1, 3, 3) @ change, rate, atol=1e-8)
@@ -87,7 +111,8 @@ def test_block_cholesky_solves_every_lane(blocks):
     rng = np.random.default_rng(blocks)
     n = 3 * blocks
     tables = rng.normal(size=(LANES, n, n + 4))
-    matrices, rights = tables @ tables.transpose(0, 2, 1), rng.normal(size=(LANES, n))
+    matrices = tables @ tables.transpose(0, 2, 1)
+    rights = rng.normal(size=(LANES, n))
     first = block_row(blocks, 0)
     room = lane_array(first + n)
     for r in range(blocks):
@@ -96,4 +121,6 @@ def test_block_cholesky_solves_every_lane(blocks):
             room[block_row(r, c) : block_row(r, c) + 9] = block.reshape(LANES, 9).T
     room[first:] = rights.T
     solve(room, blocks, first)
-    np.testing.assert_allclose(room[first:].T, np.linalg.solve(matrices, rights[..., None])[..., 0], rtol=1e-8)
+    np.testing.assert_allclose(
+        room[first:].T, np.linalg.solve(matrices, rights[..., None])[..., 0], rtol=1e-8
+    )

@@ -32,7 +32,9 @@ def surfaces():
     body, rng = skinned(), np.random.default_rng(0)
     betas = torch.tensor(rng.normal(size=(SUBJECTS, body.num_betas))).repeat_interleave(POSES, 0)
     pose = torch.tensor(rng.normal(size=(SUBJECTS * POSES, 24, 3)) * 0.4)
-    vertices = body(betas, pose, torch.tensor(rng.normal(size=(SUBJECTS * POSES, 3)))).vertices.numpy()
+    vertices = body(
+        betas, pose, torch.tensor(rng.normal(size=(SUBJECTS * POSES, 3)))
+    ).vertices.numpy()
     return vertices + rng.normal(0, 0.001, vertices.shape)
 
 
@@ -93,9 +95,15 @@ def test_good_registrations_pass(surfaces, template):
 def test_one_spoilt_mesh_is_named_and_no_other(surfaces, template, spoil, message):
     vertices = surfaces[: 2 * POSES].copy()
     vertices[8] = spoil(vertices[8])
-    findings = [f for f in check_registrations(registrations_of(vertices, template), template) if f.kind == "error"]
+    findings = [
+        f
+        for f in check_registrations(registrations_of(vertices, template), template)
+        if f.kind == "error"
+    ]
     assert [f.name for f in findings] == ["scan 8"]
-    with pytest.raises(HabitusError, match=rf"^1 error in the registrations: scan 8: .*({message})[^\n]*$"):
+    with pytest.raises(
+        HabitusError, match=rf"^1 error in the registrations: scan 8: .*({message})[^\n]*$"
+    ):
         refuse(findings)
 
 
@@ -108,18 +116,31 @@ def test_where_a_body_stands_and_how_it_is_turned_does_not_matter(surfaces, temp
 @pytest.mark.parametrize("rows", [[8], [8, 20], [0, 13, 29]])
 def test_registrations_under_another_subjects_name_are_found_and_no_other(surfaces, template, rows):
     honest = [f"person {k // POSES}" for k in range(len(surfaces))]
-    subject = [f"person {(k // POSES + 2) % SUBJECTS}" if k in rows else word for k, word in enumerate(honest)]
-    errors = [finding for finding in told(surfaces, template, subject=tuple(subject)) if finding[0] == "error"]
+    subject = [
+        f"person {(k // POSES + 2) % SUBJECTS}" if k in rows else word
+        for k, word in enumerate(honest)
+    ]
+    errors = [
+        finding
+        for finding in told(surfaces, template, subject=tuple(subject))
+        if finding[0] == "error"
+    ]
     assert [name for _, name, _ in errors] == [f"scan {k}" for k in rows]
     for k, (_, _, message) in zip(rows, errors, strict=True):
         assert f"said to be {subject[k]} but is built like {honest[k]}" in message
 
 
 def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(surfaces, template):
-    kept = [k for k in range(len(surfaces)) if k % POSES < 2 or k == 8]  # two of each, three of the second
+    kept = [
+        k for k in range(len(surfaces)) if k % POSES < 2 or k == 8
+    ]  # two of each, three of the second
     subject = ["a", "a", "b", "b", "c", "c", "b", "d", "d", "e", "e"]
     assert [k // POSES for k in kept] == [0, 0, 1, 1, 1, 2, 2, 3, 3, 4, 4]
-    errors = [finding for finding in told(surfaces[kept], template, subject=tuple(subject)) if finding[0] == "error"]
+    errors = [
+        finding
+        for finding in told(surfaces[kept], template, subject=tuple(subject))
+        if finding[0] == "error"
+    ]
     assert {name for _, name, _ in errors} <= {"scan 4", "scan 6"}
 
 
@@ -139,7 +160,11 @@ def test_a_subject_with_one_pose_is_reported(surfaces, template):
 
 @pytest.mark.parametrize(
     ("joint", "straight"),
-    [("left_elbow", {"left_shoulder": 0, "left_wrist": 0}), ("neck", {}), ("right_knee", {"right_hip": 1})],
+    [
+        ("left_elbow", {"left_shoulder": 0, "left_wrist": 0}),
+        ("neck", {}),
+        ("right_knee", {"right_hip": 1}),
+    ],
 )
 def test_a_joint_that_hardly_bends_is_named(template, joint, straight):
     """Its neighbours do not turn along the limb, at that axis: flesh hands such a twist on over the joint."""
@@ -177,7 +202,9 @@ def test_another_topology_is_refused_but_not_another_order_of_faces(surfaces, te
     cases = {
         "4 of 14986 faces are not": replace(good, faces=flipped),
         "14985 faces, the template has 14986": replace(good, faces=template.faces[1:]),
-        "7500 vertices, the template has 7499": replace(good, vertices=np.zeros((len(good), 7500, 3))),
+        "7500 vertices, the template has 7499": replace(
+            good, vertices=np.zeros((len(good), 7500, 3))
+        ),
     }
     for message, registrations in cases.items():
         with pytest.raises(HabitusError, match=message):
@@ -208,7 +235,9 @@ def test_registrations_are_read_one_at_a_time_and_may_be_measured_in_threads(sur
             self.read.append(int(k))
             return surfaces[k]
 
-    registrations = registrations_of(Counting(), template, sex=swapped(["female"] * len(surfaces), k3="male"))
+    registrations = registrations_of(
+        Counting(), template, sex=swapped(["female"] * len(surfaces), k3="male")
+    )
     with ThreadPoolExecutor(2) as pool:
         threaded = check_registrations(registrations, template, over=pool.map)
     assert sorted(Counting.read) == list(range(len(surfaces)))
@@ -238,12 +267,17 @@ def test_holes_are_noted_once_and_what_is_seen_is_judged(surfaces, template):
     assert [kind for kind, *_ in told(vertices, template, weights=weights)] == ["warning"]
     vertices[8, 600:700] *= 1000
     found = told(vertices, template, weights=weights)
-    assert [(kind, name) for kind, name, _ in found] == [("error", "scan 8"), ("warning", "the registrations")]
+    assert [(kind, name) for kind, name, _ in found] == [
+        ("error", "scan 8"),
+        ("warning", "the registrations"),
+    ]
     (error, *_) = told(vertices, template, weights=2 * weights)
     assert error[2] == "scan 0: its weights run from 0 to 2; expected 0 to 1"
 
 
-def test_parts_that_are_scattered_over_the_mesh_are_refused_and_pieces_apart_noted(surfaces, template):
+def test_parts_that_are_scattered_over_the_mesh_are_refused_and_pieces_apart_noted(
+    surfaces, template
+):
     random = np.random.default_rng(0).permutation(template.part)
     (error, *_) = told(surfaces[:6], replace(template, part=random))
     assert error[:2] == ("error", "the template") and "its 24 parts lie in" in error[2]
@@ -257,7 +291,10 @@ def test_parts_that_are_scattered_over_the_mesh_are_refused_and_pieces_apart_not
 
 def test_a_template_that_faces_backwards_or_whose_sides_are_exchanged_is_noted(template):
     (found,) = check_template(replace(template, vertices=template.vertices * [-1, 1, -1]))
-    assert (found.kind, found.name) == ("warning", "the template") and "joints called left have smaller x" in str(found)
+    assert (found.kind, found.name) == (
+        "warning",
+        "the template",
+    ) and "joints called left have smaller x" in str(found)
     assert check_template(template) == []
 
 
@@ -298,4 +335,6 @@ def test_many_of_a_kind_are_one_note(surfaces, template):
 
 
 def test_no_registrations_at_all_are_a_warning(surfaces, template):
-    assert [(kind, name) for kind, name, _ in told(surfaces[:0], template)] == [("warning", "the registrations")]
+    assert [(kind, name) for kind, name, _ in told(surfaces[:0], template)] == [
+        ("warning", "the registrations")
+    ]

@@ -1,4 +1,6 @@
-"""Training that starts from a body: what it knows besides is carried over, and its arrays are started from or held."""
+"""Training that starts from a body: what it knows besides is carried over, and its arrays are
+started from or held.
+"""
 
 from dataclasses import replace
 
@@ -26,15 +28,22 @@ from habitus.learn.train import train_body
 def test_what_a_body_knows_besides_is_carried_over():
     body = body_of()
     shape = ShapeSpace(body.v_template, body.shapedirs, np.ones(BETAS))
-    found = assemble("trained", template_of(body), small_rig(SMALL), body.joint_regressor, shape, body)
+    found = assemble(
+        "trained", template_of(body), small_rig(SMALL), body.joint_regressor, shape, body
+    )
     assert dict(found.landmarks) == dict(body.landmarks) and found.pose_prior is body.pose_prior
     assert set(found.extras) == {"hands_mean"}
     bare = assemble("trained", template_of(body), small_rig(SMALL), body.joint_regressor, shape)
-    assert bare.pose_prior is None and bare.female_direction is None and dict(bare.landmarks) == dict(body.landmarks)
+    assert (
+        bare.pose_prior is None
+        and bare.female_direction is None
+        and dict(bare.landmarks) == dict(body.landmarks)
+    )
 
 
 def test_the_sex_of_a_person_is_the_same_in_another_shape_space_wherever_that_stands():
-    body, rng = body_of(), np.random.default_rng(0)
+    body = body_of()
+    rng = np.random.default_rng(0)
     turn = rng.normal(size=(BETAS, BETAS))  # the same people by other coefficients
     shift = rng.normal(size=BETAS)
     mean = body.v_template + body.shapedirs @ shift + [0.3, -1.0, 2.0]
@@ -42,7 +51,12 @@ def test_the_sex_of_a_person_is_the_same_in_another_shape_space_wherever_that_st
     for betas in rng.normal(size=(5, BETAS)):
         told = body.female_direction[0] @ (shift + turn @ betas) + body.female_direction[1]
         assert direction @ betas + bias == pytest.approx(told, abs=1e-9)
-    assert sex_direction(replace(body, female_direction=None), ShapeSpace(mean, body.shapedirs, np.ones(2))) is None
+    assert (
+        sex_direction(
+            replace(body, female_direction=None), ShapeSpace(mean, body.shapedirs, np.ones(2))
+        )
+        is None
+    )
 
 
 def test_training_starts_from_a_bodys_own_arrays():
@@ -78,11 +92,19 @@ def test_what_is_held_fixed_is_what_it_was_and_the_rest_is_learned():
             steps.append((record.step, record.energy.total))
 
     options = replace(WARM, fixed=("skinning_weights", "joint_regressor", "shapedirs"))
-    trained = train_body(registrations_of(body), template_of(body), options, body=body, callback=Steps())
+    trained = train_body(
+        registrations_of(body), template_of(body), options, body=body, callback=Steps()
+    )
     found = trained.body
     for name in ("skinning_weights", "joint_regressor", "v_template", "shapedirs"):
         assert np.array_equal(getattr(found, name), getattr(body, name)), name
-    assert [name for name, _ in steps] == ["poses by edges", "subjects", "pose shapes", "poses", "further"]
+    assert [name for name, _ in steps] == [
+        "poses by edges",
+        "subjects",
+        "pose shapes",
+        "poses",
+        "further",
+    ]
     assert not np.array_equal(found.posedirs, body.posedirs)
     energies = np.array([energy for _, energy in steps])
     assert (np.diff(energies) <= 1e-9 * energies[0]).all() and energies[-1] < 0.2 * energies[0]
@@ -100,7 +122,14 @@ def test_fixed_blend_shapes_stay():
 
 def test_joints_that_are_held_are_the_regressors_and_no_way_down_is_left():
     """The step's minimum among joints that are the regressor's: no energy in between."""
-    problem, _ = planted(small=SMALL, each=5, noise=0.004, start="body", fixed=("joint_regressor",), pose_shapes="none")
+    problem, _ = planted(
+        small=SMALL,
+        each=5,
+        noise=0.004,
+        start="body",
+        fixed=("joint_regressor",),
+        pose_shapes="none",
+    )
     rng = np.random.default_rng(0)
     _, truth = planted(small=SMALL, each=5, noise=0.004, pose_shapes="none")
     moved = truth.templates + 0.01 * rng.normal(size=truth.templates.shape)
@@ -111,16 +140,33 @@ def test_joints_that_are_held_are_the_regressors_and_no_way_down_is_left():
     assert least < 0.5 * measure_energy(problem, start, ALONE).total
     for k in range(10):
         off = found.templates + 10.0 ** -(2 + k % 3) * rng.normal(size=moved.shape)
-        assert measure_energy(problem, replace(found, templates=off, joints=SMALL.regressor @ off), ALONE).total > least
+        assert (
+            measure_energy(
+                problem, replace(found, templates=off, joints=SMALL.regressor @ off), ALONE
+            ).total
+            > least
+        )
 
 
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"fixed": ("pose",), "start": "body"}, "fixed names 'pose'; expected some of skinning_weights"),
-        ({"fixed": ("posedirs",)}, "posedirs fixed, with a start from 'parts'; expected start 'body'"),
-        ({"fixed": ("posedirs",), "start": "body", "pose_shapes": "none"}, "posedirs fixed with pose_shapes 'none'"),
-        ({"fixed": ("shapedirs",), "start": "body", "shape_features": 1}, "shapedirs fixed with shape_features 1"),
+        (
+            {"fixed": ("pose",), "start": "body"},
+            "fixed names 'pose'; expected some of skinning_weights",
+        ),
+        (
+            {"fixed": ("posedirs",)},
+            "posedirs fixed, with a start from 'parts'; expected start 'body'",
+        ),
+        (
+            {"fixed": ("posedirs",), "start": "body", "pose_shapes": "none"},
+            "posedirs fixed with pose_shapes 'none'",
+        ),
+        (
+            {"fixed": ("shapedirs",), "start": "body", "shape_features": 1},
+            "shapedirs fixed with shape_features 1",
+        ),
         ({"start": "anywhere"}, "start is 'anywhere'; expected one of parts, body"),
     ],
 )
@@ -135,7 +181,9 @@ def test_a_start_without_a_body_of_the_template_is_refused():
     with pytest.raises(HabitusError, match="start 'body' without a body of this template"):
         train_body(data, template_of(body), WARM)
     driven = replace(WARM, fixed=("posedirs",), pose_features="angles")
-    with pytest.raises(HabitusError, match="posedirs fixed, but those of small are driven by 'rotations'"):
+    with pytest.raises(
+        HabitusError, match="posedirs fixed, but those of small are driven by 'rotations'"
+    ):
         train_body(data, template_of(body), driven, body=body)
 
 
@@ -152,7 +200,10 @@ def test_a_body_trained_on_the_default_template_carries_the_shipped_layouts(tmp_
     """After it was saved and read again: `habitus mosh --body model.npz` asks for no more."""
     template, body = template_and_body("default")
     rig = Rig(body.parents, "lbs", "rotations", 0, body.skinning_index, body.skinning_value, None)
-    save_body(assemble("trained", template, rig, body.joint_regressor, shape_space_of(body), body), tmp_path / "m.npz")
+    save_body(
+        assemble("trained", template, rig, body.joint_regressor, shape_space_of(body), body),
+        tmp_path / "m.npz",
+    )
     found = load_body(tmp_path / "m.npz")
     for layout in shipped_layouts():
         assert np.array_equal(layout.vertices(found), layout.vertices(body)), layout.name

@@ -1,4 +1,6 @@
-"""Training from beginning to end on a small planted body: what comes out is the body that made the registrations."""
+"""Training from beginning to end on a small planted body: what comes out is the body that made the
+registrations.
+"""
 
 import contextlib
 import io
@@ -28,8 +30,12 @@ from habitus.population.planted_body import joints_near_rings, planted_truth
 from habitus.population.registrations import Planted, planted_registrations
 
 BETAS = 3
-WEIGHTS = EnergyWeights(joints=2.0, pose_shapes=0.3)  # fewer registrations and vertices than the papers'
-OPTIONS = TrainOptions(rounds=2, tolerance=0.0, num_betas=BETAS, regressor="convex", weights=WEIGHTS)
+WEIGHTS = EnergyWeights(
+    joints=2.0, pose_shapes=0.3
+)  # fewer registrations and vertices than the papers'
+OPTIONS = TrainOptions(
+    rounds=2, tolerance=0.0, num_betas=BETAS, regressor="convex", weights=WEIGHTS
+)
 
 
 class Recorder(NoCallback):
@@ -68,19 +74,34 @@ def run() -> Run:
     template = body_template(base)
     truth = planted_truth(base, joint_regressor=joints_near_rings(template), num_betas=BETAS)
     planted = planted_registrations(
-        truth, subjects=5, poses_per_subject=10, shape_people=24, test_subjects=2, test_poses=4, noise_rms=5e-4, seed=2
+        truth,
+        subjects=5,
+        poses_per_subject=10,
+        shape_people=24,
+        test_subjects=2,
+        test_poses=4,
+        noise_rms=5e-4,
+        seed=2,
     )
     recorder = Recorder()
     return Run(
-        template, truth, planted, train_body(planted.registrations, template, OPTIONS, callback=recorder), recorder
+        template,
+        truth,
+        planted,
+        train_body(planted.registrations, template, OPTIONS, callback=recorder),
+        recorder,
     )
 
 
 def errors(body, run):
-    """Mean distance (m) of a body fitted to held-out people in held-out poses from the surfaces without noise."""
+    """Mean distance (m) of a body fitted to held-out people in held-out poses from the surfaces
+    without noise.
+    """
     rows = run.rows("test")
     clean = run.planted.clean[rows]
-    fits = model_generalisation(PosableBody(body, "any"), run.planted.registrations.take(rows), [BETAS], clean=clean)
+    fits = model_generalisation(
+        PosableBody(body, "any"), run.planted.registrations.take(rows), [BETAS], clean=clean
+    )
     return fits.clean_errors.mean()
 
 
@@ -98,18 +119,28 @@ def test_the_energy_falls_from_step_to_step(run):
 
 
 def test_held_out_people_are_reproduced(run):
-    found, bare = errors(run.trained.body, run), errors(replace(run.trained.body, posedirs=None), run)
+    found = errors(run.trained.body, run)
+    bare = errors(replace(run.trained.body, posedirs=None), run)
     assert found < 1.5e-3 and found < 0.6 * bare
 
 
 def test_joints_are_found(run):
-    """Where they stand in the registrations, against where the rings of the start would have them."""
-    rows, estimate = run.rows("pose"), run.trained.estimate
+    """Where they stand in the registrations, against where the rings of the start would have
+    them.
+    """
+    rows = run.rows("pose")
+    estimate = run.trained.estimate
     who = run.planted.registrations.where(set="pose").subject_index
-    parents, planted = run.template.parents, run.planted
+    parents = run.template.parents
+    planted = run.planted
 
     def stand(joints, poses, places):
-        return np.stack([skeleton(parents, p).positions(j) + t for j, p, t in zip(joints, poses, places, strict=True)])
+        return np.stack(
+            [
+                skeleton(parents, p).positions(j) + t
+                for j, p, t in zip(joints, poses, places, strict=True)
+            ]
+        )
 
     truth = stand(planted.joints[who], planted.pose[rows], planted.trans[rows])
     started, ended = (
@@ -128,8 +159,11 @@ def test_the_zero_pose_stays_the_templates(run):
 
 
 def test_shapes_are_those_of_the_shape_set(run):
-    """Edges tell: they hardly hear how a body is turned at rest, which registrations hardly tell."""
-    body, faces = run.trained.body, run.template.faces
+    """Edges tell: they hardly hear how a body is turned at rest, which registrations hardly
+    tell.
+    """
+    body = run.trained.body
+    faces = run.template.faces
     people = run.truth.rest_vertices(torch.from_numpy(run.planted.betas[run.rows("shape")])).numpy()
 
     def lengths(surface):
@@ -141,14 +175,20 @@ def test_shapes_are_those_of_the_shape_set(run):
     span = np.linalg.qr(body.shapedirs.reshape(-1, BETAS))[0]
     varied -= np.tile((varied.reshape(len(people), -1, 3)).mean(1), (1, body.num_vertices))
     assert ((varied @ span) ** 2).sum() > 0.95 * (varied**2).sum()
-    variances = run.trained.shape.variances  # as many directions as were planted; next is how arms are turned at rest
+    variances = (
+        run.trained.shape.variances
+    )  # as many directions as were planted; next is how arms are turned at rest
     assert variances[BETAS] < 0.02 * variances[BETAS - 1]
     assert np.sqrt(variances[BETAS] / body.num_vertices) < 1e-3  # m; the noise is half of it
 
 
 def test_weights_are_sparse_shares(run):
     weights = run.trained.body.skinning_weights
-    assert weights.min() >= 0 and np.abs(weights.sum(1) - 1).max() < 1e-9 and ((weights > 0).sum(1) <= 4).all()
+    assert (
+        weights.min() >= 0
+        and np.abs(weights.sum(1) - 1).max() < 1e-9
+        and ((weights > 0).sum(1) <= 4).all()
+    )
     assert np.abs(weights - run.truth.skinning_weights).sum(1).mean() < 0.2
 
 
@@ -165,13 +205,20 @@ def test_a_saved_model_is_the_same_to_smplx(run, tmp_path):
     save_body(body, tmp_path / "SMPL_NEUTRAL.pkl")
     with contextlib.redirect_stdout(io.StringIO()):
         theirs = smplx.SMPL(
-            str(tmp_path / "SMPL_NEUTRAL.pkl"), num_betas=BETAS, dtype=torch.float64, vertex_ids=defaultdict(int)
+            str(tmp_path / "SMPL_NEUTRAL.pkl"),
+            num_betas=BETAS,
+            dtype=torch.float64,
+            vertex_ids=defaultdict(int),
         )
     rows = run.rows("test")
-    betas, pose, trans = (torch.from_numpy(x[rows]) for x in (run.planted.betas, run.planted.pose, run.planted.trans))
+    betas, pose, trans = (
+        torch.from_numpy(x[rows]) for x in (run.planted.betas, run.planted.pose, run.planted.trans)
+    )
     flat = pose.flatten(1)
     with torch.no_grad():
-        surface = theirs(betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans).vertices
+        surface = theirs(
+            betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans
+        ).vertices
     ours = body(betas, pose, trans).vertices
     again = load_body(tmp_path / "SMPL_NEUTRAL.pkl")(betas, pose, trans).vertices
     assert (surface - ours).abs().max() < 1e-6
@@ -179,17 +226,33 @@ def test_a_saved_model_is_the_same_to_smplx(run, tmp_path):
 
 
 def test_without_a_shape_set_the_subjects_serve(run, tmp_path):
-    few = run.planted.registrations.where(set="pose").take(np.concatenate([np.arange(5), np.arange(20, 25)]))
+    few = run.planted.registrations.where(set="pose").take(
+        np.concatenate([np.arange(5), np.arange(20, 25)])
+    )
     options = TrainOptions(
-        skinning="dqbs", pose_shapes="sparse", pose_features="quaternions", rounds=1, num_betas=1, weights=WEIGHTS
+        skinning="dqbs",
+        pose_shapes="sparse",
+        pose_features="quaternions",
+        rounds=1,
+        num_betas=1,
+        weights=WEIGHTS,
     )
     trained = train_body(few, run.template, options, workers=Threads(2), name="few")
     body = trained.body
-    assert (body.name, body.skinning, body.pose_features, body.num_betas) == ("few", "dqbs", "quaternions", 1)
+    assert (body.name, body.skinning, body.pose_features, body.num_betas) == (
+        "few",
+        "dqbs",
+        "quaternions",
+        1,
+    )
     between = np.diff(trained.estimate.templates, axis=0)[0]
-    between = (between - body.joint_regressor[0] @ between).flatten()  # where a root stands is nobody's shape
+    between = (
+        between - body.joint_regressor[0] @ between
+    ).flatten()  # where a root stands is nobody's shape
     along = body.shapedirs.flatten()
-    assert abs(between @ along) == pytest.approx(np.linalg.norm(between) * np.linalg.norm(along), rel=1e-6)
+    assert abs(between @ along) == pytest.approx(
+        np.linalg.norm(between) * np.linalg.norm(along), rel=1e-6
+    )
     save_body(body, tmp_path / "few.npz")
     again = load_body(tmp_path / "few.npz")
     state = torch.ones(1, dtype=torch.float64), torch.from_numpy(run.planted.pose[3])
@@ -214,7 +277,8 @@ def test_nothing_to_learn_from_is_said(run):
 def test_registrations_with_holes_give_nearly_the_same_body(run):
     """A tenth of every mesh unseen, in patches, and rubbish written there."""
     whole = run.planted.registrations
-    rng, vertices = np.random.default_rng(6), np.array(whole.vertices[:], dtype=float)
+    rng = np.random.default_rng(6)
+    vertices = np.array(whole.vertices[:], dtype=float)
     for k in range(len(vertices)):
         middle = vertices[k, rng.integers(vertices.shape[1])]
         near = np.argsort(np.linalg.norm(vertices[k] - middle, axis=1))[: vertices.shape[1] // 10]

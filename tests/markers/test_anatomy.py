@@ -16,8 +16,11 @@ def body():
 
 @pytest.mark.parametrize("layout", SHIPPED, ids=lambda layout: layout.name)
 def test_labels_say_where_layouts_put_them(layout, body):
-    sole, crown = body.v_template[:, 1].min(), body.v_template[:, 1].max()
-    for marker, (left, up, front) in zip(layout.markers, body.v_template[layout.vertices(body)], strict=True):
+    sole = body.v_template[:, 1].min()
+    crown = body.v_template[:, 1].max()
+    for marker, (left, up, front) in zip(
+        layout.markers, body.v_template[layout.vertices(body)], strict=True
+    ):
         if place := place_of(marker.label):
             assert abs(6.0 * (up - sole) / (crown - sole) - place.height) < 1.1, marker.label
             assert place.side in (-1, 0, 1) and place.depth in (-1, 0, 1)

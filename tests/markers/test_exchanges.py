@@ -1,4 +1,6 @@
-"""Pairs of markers whose labels change places: told by anatomy, by time, and only where the evidence is strong."""
+"""Pairs of markers whose labels change places: told by anatomy, by time, and only where the
+evidence is strong.
+"""
 
 import numpy as np
 import pytest
@@ -11,13 +13,19 @@ OUT = np.array([1.0, 0.0, 0.0])
 
 
 def pair(frames=FRAMES, seed=0):
-    """Two markers 6 cm apart that turn slowly, and the direction in which the first lies, unsure by some 20 degrees."""
+    """Two markers 6 cm apart that turn slowly, and the direction in which the first lies, unsure by
+    some 20 degrees.
+    """
     rng = np.random.default_rng(seed)
     angle = np.linspace(0.0, 2.0, frames)
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros(frames)], axis=1)
     middle = np.cumsum(0.01 * rng.normal(size=(frames, 3)), axis=0)
     hint = direction + 0.3 * rng.normal(size=(frames, 3))
-    return middle + 0.03 * direction, middle - 0.03 * direction, hint / np.linalg.norm(hint, axis=1, keepdims=True)
+    return (
+        middle + 0.03 * direction,
+        middle - 0.03 * direction,
+        hint / np.linalg.norm(hint, axis=1, keepdims=True),
+    )
 
 
 def swapped_in(first, second, frames):
@@ -89,7 +97,8 @@ def test_a_pair_that_turned_much_in_a_single_missing_frame_is_judged_anew():
     first, second, hint = pair()
     turned = np.arange(FRAMES) >= 30
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    middle, half = (first + second) / 2, (first - second) / 2
+    middle = (first + second) / 2
+    half = (first - second) / 2
     half, hint = (np.where(turned[:, None], each @ quarter.T, each) for each in (half, hint))
     one, two = swapped_in(middle + half, middle - half, turned)
     one[30] = two[30] = np.nan
@@ -100,11 +109,17 @@ def test_a_pair_that_turned_much_in_a_single_missing_frame_is_judged_anew():
 
 @pytest.mark.parametrize("medial", [True, False])
 def test_knees_follow_their_ankles_or_where_one_of_these_lacks_the_pelvis(medial):
-    places = {"right_asis": (-0.1, 1.0, 0.0), "left_asis": (0.1, 1.0, 0.0), "left_ankle_lateral": (0.1, 0.1, 0.1)}
+    places = {
+        "right_asis": (-0.1, 1.0, 0.0),
+        "left_asis": (0.1, 1.0, 0.0),
+        "left_ankle_lateral": (0.1, 0.1, 0.1),
+    }
     places |= {"left_ankle_medial": (0.05, 0.1, 0.0)} if medial else {}
     scene = Scene(np.array([list(places.values())]), {name: k for k, name in enumerate(places)})
     expected = {first: expect for first, _, expect in PAIRS}["knee_lateral"](scene, "left")[1]
-    np.testing.assert_allclose(expected, [[0.2**0.5, 0.0, 0.8**0.5]] if medial else leg_outward(scene, "left"))
+    np.testing.assert_allclose(
+        expected, [[0.2**0.5, 0.0, 0.8**0.5]] if medial else leg_outward(scene, "left")
+    )
 
 
 def test_markers_go_back_to_their_columns_and_the_others_stay():

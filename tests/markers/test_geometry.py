@@ -11,13 +11,19 @@ TRUNK = {
     "right_psis": (-0.05, 1.0, -0.1), "c7": (0.0, 1.5, -0.08), "jugular_notch": (0.0, 1.5, 0.08),
     "left_acromion": (0.2, 1.45, 0.0), "right_acromion": (-0.2, 1.45, 0.0),
 }  # fmt: skip
-BACK, FRONT, LEFT, RIGHT, UP = (0, 0, -1), (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0)
+BACK = (0, 0, -1)
+FRONT = (0, 0, 1)
+LEFT = (1, 0, 0)
+RIGHT = (-1, 0, 0)
+UP = (0, 1, 0)
 SIDES = (("left", 1.0), ("right", -1.0))
 
 
 def scene(**extra) -> Scene:
     places = TRUNK | extra
-    return Scene(np.array([list(places.values())], dtype=float), {name: k for k, name in enumerate(places)})
+    return Scene(
+        np.array([list(places.values())], dtype=float), {name: k for k, name in enumerate(places)}
+    )
 
 
 def arm(side: str, elbow, wrist) -> dict:
@@ -38,13 +44,20 @@ def leg(side: str, knee, ankle, toe=(0.0, 0.0, 0.2)) -> dict:
     return {f"{side}_{name}": tuple(place) for name, place in places.items()}
 
 
-HANGING, RAISED, ALONG = (0.0, -0.3, 0.0), (0.0, 0.3, 0.0), (0.3, 0.0, 0.0)
-FORWARD, DOWN, BACKWARD = (0.0, 0.0, 0.25), (0.0, -0.4, 0.0), (0.0, 0.0, -0.4)
+HANGING = (0.0, -0.3, 0.0)
+RAISED = (0.0, 0.3, 0.0)
+ALONG = (0.3, 0.0, 0.0)
+FORWARD = (0.0, 0.0, 0.25)
+DOWN = (0.0, -0.4, 0.0)
+BACKWARD = (0.0, 0.0, -0.4)
 
 
 def test_the_trunk_knows_left_up_and_front():
     whole = scene()
-    for found, expected in ((geometry.trunk_left(whole), LEFT), (geometry.trunk_front(whole), FRONT)):
+    for found, expected in (
+        (geometry.trunk_left(whole), LEFT),
+        (geometry.trunk_front(whole), FRONT),
+    ):
         np.testing.assert_allclose(found[0], expected, atol=1e-12)
     assert geometry.trunk_up(whole)[0] @ UP > 0.99
 
@@ -57,11 +70,17 @@ def test_half_of_a_pelvis_is_enough(without):
 
 
 @pytest.mark.parametrize(("side", "sign"), SIDES)
-@pytest.mark.parametrize(("upper", "lower", "axis"), [(HANGING, FORWARD, LEFT), (ALONG, FORWARD, UP)])
+@pytest.mark.parametrize(
+    ("upper", "lower", "axis"), [(HANGING, FORWARD, LEFT), (ALONG, FORWARD, UP)]
+)
 def test_a_bent_elbow_has_its_lateral_end_outside(side, sign, upper, lower, axis):
-    """Arm hanging and forearm forward: outward. Arm held sideways, forearm forward (palm down): up."""
+    """Arm hanging and forearm forward: outward. Arm held sideways, forearm forward (palm down):
+    up.
+    """
     found = geometry.flexion_axis(scene(**arm(side, upper, lower)), side, "elbow")
-    np.testing.assert_allclose(found[0], (sign if axis == LEFT else 1.0) * np.array(axis), atol=1e-9)
+    np.testing.assert_allclose(
+        found[0], (sign if axis == LEFT else 1.0) * np.array(axis), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("side", "sign"), SIDES)
@@ -75,8 +94,13 @@ def test_a_joint_that_is_nearly_straight_says_nothing(degrees):
     turned = np.radians(degrees)
     forearm = (0.0, -0.25 * np.cos(turned), 0.25 * np.sin(turned))
     bent = scene(**arm("left", HANGING, forearm))
-    for found in (geometry.flexion_axis(bent, "left", "elbow"), geometry.thumb_direction(bent, "left")):
-        assert np.isfinite(found).all() == (degrees > 25.0) and np.isfinite(found).any() == (degrees > 25.0)
+    for found in (
+        geometry.flexion_axis(bent, "left", "elbow"),
+        geometry.thumb_direction(bent, "left"),
+    ):
+        assert np.isfinite(found).all() == (degrees > 25.0) and np.isfinite(found).any() == (
+            degrees > 25.0
+        )
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -85,7 +109,10 @@ def test_an_arm_with_a_marker_on_the_ground_says_nothing(side, fallen):
     places = TRUNK | arm(side, HANGING, FORWARD)
     x, _, z = places[f"{side}_{fallen}"]
     whole = scene(**places | {f"{side}_{fallen}": (x + 0.9, 0.0, z)})
-    for found in (geometry.flexion_axis(whole, side, "elbow"), geometry.thumb_direction(whole, side)):
+    for found in (
+        geometry.flexion_axis(whole, side, "elbow"),
+        geometry.thumb_direction(whole, side),
+    ):
         assert np.isnan(found).all()
     assert np.isnan(geometry.hanging_elbow_outward(whole, side)).all()
 
@@ -139,13 +166,21 @@ def test_the_outer_side_of_a_foot_is_that_of_the_little_toe(side, sign):
 
 @pytest.mark.parametrize(("side", "sign"), SIDES)
 def test_the_outer_side_of_a_leg_is_away_from_the_other(side, sign):
-    np.testing.assert_allclose(geometry.leg_outward(scene(), side)[0], sign * np.array(LEFT), atol=1e-12)
+    np.testing.assert_allclose(
+        geometry.leg_outward(scene(), side)[0], sign * np.array(LEFT), atol=1e-12
+    )
 
 
 def test_what_lacks_is_none():
     whole = scene()
-    assert geometry.flexion_axis(whole, "left", "elbow") is None and geometry.foot_outward(whole, "left") is None
-    assert geometry.hanging_elbow_outward(whole, "right") is None and geometry.thumb_direction(whole, "left") is None
+    assert (
+        geometry.flexion_axis(whole, "left", "elbow") is None
+        and geometry.foot_outward(whole, "left") is None
+    )
+    assert (
+        geometry.hanging_elbow_outward(whole, "right") is None
+        and geometry.thumb_direction(whole, "left") is None
+    )
     empty = Scene(np.zeros((1, 0, 3)), {})
     assert geometry.trunk_left(empty) is None and geometry.trunk_front(empty) is None
     assert geometry.along(None, np.zeros((1, 3))).shape == (0,)

@@ -12,11 +12,17 @@ from habitus.markers.joint_matching import match_together
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import best_match
 
-PAIR_NAMES = [(f"{side}_{first}", f"{side}_{second}") for first, second, _ in PAIRS for side in ("left", "right")]
+PAIR_NAMES = [
+    (f"{side}_{first}", f"{side}_{second}")
+    for first, second, _ in PAIRS
+    for side in ("left", "right")
+]
 
 
 def scene(seed=0, **changes):
-    """A layout whose labels are the landmark names, and the figure's markers (T, M, 3) in its order."""
+    """A layout whose labels are the landmark names, and the figure's markers (T, M, 3) in its
+    order.
+    """
     figure = stick_figure(seed)
     markers = tuple(changes.get(name, Marker(name, landmark=name)) for name in figure)
     return MarkerLayout("stick", markers), np.stack(list(figure.values()), axis=1)
@@ -65,7 +71,10 @@ def test_corrections_do_not_depend_on_the_world():
     markers[:, pair] = markers[:, pair[::-1]]
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    texts = [[c.text for c in checked(layout, moved)[1]] for moved in (markers, markers @ turn.T + [5.0, -2.0, 9.0])]
+    texts = [
+        [c.text for c in checked(layout, moved)[1]]
+        for moved in (markers, markers @ turn.T + [5.0, -2.0, 9.0])
+    ]
     assert texts[0] == texts[1]
 
 
@@ -86,7 +95,10 @@ def test_left_and_right_exchanged_throughout(what):
         markers = markers * [-1.0, 1.0, 1.0]
     else:
         swapped = {"left_": "right_", "right_": "left_"}
-        names = [next((o + n.removeprefix(s) for s, o in swapped.items() if n.startswith(s)), n) for n in layout.labels]
+        names = [
+            next((o + n.removeprefix(s) for s, o in swapped.items() if n.startswith(s)), n)
+            for n in layout.labels
+        ]
         layout = MarkerLayout("stick", tuple(Marker(name, landmark=name) for name in names))
     result, corrections = checked(layout, markers)
     assert [correction.check for correction in loud(corrections)] == ["mirrored capture"]
@@ -95,15 +107,26 @@ def test_left_and_right_exchanged_throughout(what):
 
 @pytest.mark.parametrize(("shear", "mirrored"), [(1.5, True), (4.5, False)])
 def test_left_and_right_are_exchanged_where_all_fronts_say_so_clearly(shear, mirrored):
-    """Mirrored, and all that is in front moved to one side: fronts say so with cosines of about -0.55, or -0.2."""
+    """Mirrored, and all that is in front moved to one side: fronts say so with cosines of about
+    -0.55, or -0.2.
+    """
     layout, markers = scene(5)
     at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
     left = at["left_asis"] - at["right_asis"]
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     pairs = [("c7", "jugular_notch"), ("t10", "xiphoid")]
-    pairs += [(f"{s}_{back}", f"{s}_{front}") for s in ("left", "right")
-              for back, front in (("psis", "asis"), ("back_head", "temple"), ("heel", "mt5_head"),
-                                  ("heel", "mt2_head"), ("heel", "toe_tip"), ("heel", "little_toe"))]  # fmt: skip
+    pairs += [
+        (f"{s}_{back}", f"{s}_{front}")
+        for s in ("left", "right")
+        for back, front in (
+            ("psis", "asis"),
+            ("back_head", "temple"),
+            ("heel", "mt5_head"),
+            ("heel", "mt2_head"),
+            ("heel", "toe_tip"),
+            ("heel", "little_toe"),
+        )
+    ]
     for back, front in [pair for pair in pairs if set(pair) <= set(at)]:
         depth = np.linalg.norm(at[front] - at[back], axis=1, keepdims=True)
         markers[:, layout.labels.index(front)] += shear * depth * left
@@ -114,19 +137,27 @@ def test_left_and_right_are_exchanged_where_all_fronts_say_so_clearly(shear, mir
 def test_a_lone_shoulder_blade_marker_goes_to_its_side():
     layout, markers = scene(6)
     column = layout.labels.index("right_scapula_mid")
-    layout = replace(layout, markers=tuple(other_side(m) if i == column else m for i, m in enumerate(layout.markers)))
+    layout = replace(
+        layout,
+        markers=tuple(other_side(m) if i == column else m for i, m in enumerate(layout.markers)),
+    )
     result, corrections = checked(layout, markers)
     assert result.markers[column].landmark == "right_scapula_mid"
     assert [correction.check for correction in loud(corrections)] == ["side of a single marker"]
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize(("across", "moved"), [(0.02, False), (-0.02, False), (-0.04, True), (-0.08, True)])
+@pytest.mark.parametrize(
+    ("across", "moved"), [(0.02, False), (-0.02, False), (-0.04, True), (-0.08, True)]
+)
 def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved, side):
     layout, markers = scene(6)
-    column, other = layout.labels.index("right_scapula_mid"), "left" if side == "right" else "right"
+    column = layout.labels.index("right_scapula_mid")
+    other = "left" if side == "right" else "right"
     lone = Marker(f"{side}_scapula_mid", landmark=f"{side}_scapula_mid")
-    layout = replace(layout, markers=tuple(lone if k == column else m for k, m in enumerate(layout.markers)))
+    layout = replace(
+        layout, markers=tuple(lone if k == column else m for k, m in enumerate(layout.markers))
+    )
     at = {label: markers[:, k] for k, label in enumerate(layout.labels)}
     outward = at[f"{side}_asis"] - at[f"{other}_asis"]
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
@@ -137,9 +168,14 @@ def test_a_lone_marker_must_be_clearly_on_the_other_side(across, moved, side):
 
 @pytest.mark.parametrize(("out", "wand"), [(0.0, False), (0.05, True)])
 def test_wand_or_skin_is_told_by_the_distance(out, wand):
-    unsure = Marker("left_shank_lateral", landmark="left_shank_lateral", distance=0.03, distance_spread=0.025)
+    unsure = Marker(
+        "left_shank_lateral", landmark="left_shank_lateral", distance=0.03, distance_spread=0.025
+    )
     layout, markers = scene(7, left_shank_lateral=unsure)
-    column = {name: layout.labels.index(f"left_{name}") for name in ("shank_lateral", "knee_lateral", "knee_medial")}
+    column = {
+        name: layout.labels.index(f"left_{name}")
+        for name in ("shank_lateral", "knee_lateral", "knee_medial")
+    }
     away = markers[:, column["knee_lateral"]] - markers[:, column["knee_medial"]]
     markers[:, column["shank_lateral"]] += out * away / np.linalg.norm(away, axis=1, keepdims=True)
     found = checked(layout, markers)[0]["left_shank_lateral"]
@@ -151,7 +187,9 @@ def test_wand_or_skin_is_told_by_the_distance(out, wand):
 def test_the_bar_across_a_wrist_sets_its_distance(extra):
     layout, markers = scene(8)
     a, b = (layout.labels.index(f"right_wrist_{name}") for name in ("radial", "ulnar"))
-    outward = (markers[:, a] - markers[:, b]) / np.linalg.norm(markers[:, a] - markers[:, b], axis=1, keepdims=True)
+    outward = (markers[:, a] - markers[:, b]) / np.linalg.norm(
+        markers[:, a] - markers[:, b], axis=1, keepdims=True
+    )
     markers[:, a] += extra * outward
     markers[:, b] -= extra * outward
     found = checked(layout, markers)[0]["right_wrist_radial"].distance
@@ -162,7 +200,9 @@ def test_the_bar_across_a_wrist_sets_its_distance(extra):
 def test_free_markers_get_the_share_of_the_limb_that_they_show(share):
     free = Marker("left_upper_arm", landmark="left_upper_arm", place_spread=0.06)
     layout, markers = scene(9, left_upper_arm=free)
-    arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
+    arm, top, end = (
+        layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral")
+    )
     markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
     found, corrections = checked(layout, markers)
     assert [c.check for c in corrections if c.text.startswith("measured")] == ["places along limbs"]
@@ -176,7 +216,9 @@ def test_a_marker_that_wanders_along_its_limb_shows_no_share(wobble, measured):
     """Uniformly over so much of the limb: half of that lies between the quartiles."""
     free = Marker("left_upper_arm", landmark="left_upper_arm", place_spread=0.06)
     layout, markers = scene(9, left_upper_arm=free)
-    arm, top, end = (layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral"))
+    arm, top, end = (
+        layout.labels.index(f"left_{name}") for name in ("upper_arm", "acromion", "elbow_lateral")
+    )
     share = 0.5 + wobble * (np.random.default_rng(0).permutation(FRAMES) / FRAMES - 0.5)[:, None]
     markers[:, arm] = markers[:, top] + share * (markers[:, end] - markers[:, top])
     assert (checked(layout, markers)[0]["left_upper_arm"].between is not None) == measured
@@ -186,15 +228,22 @@ def test_the_waist_s_middle_is_told_from_its_sides():
     layout, markers = scene(10)
     names = ("left_asis", "right_asis", "left_psis", "right_psis")
     corners = [markers[:, layout.labels.index(name)] for name in names]
-    front, back = (corners[0] + corners[1]) / 2, (corners[2] + corners[3]) / 2
-    extra = (Marker("LMWT", landmark="left_iliac_crest"), Marker("RMWT", landmark="right_iliac_crest"))
+    front = (corners[0] + corners[1]) / 2
+    back = (corners[2] + corners[3]) / 2
+    extra = (
+        Marker("LMWT", landmark="left_iliac_crest"),
+        Marker("RMWT", landmark="right_iliac_crest"),
+    )
     wide = replace(layout, markers=layout.markers + extra)
     found = checked(wide, np.concatenate([markers, front[:, None], back[:, None]], axis=1))[0]
     assert (found["LMWT"].landmark, found["RMWT"].landmark) == ("waist_front", "waist_back")
     out = corners[0] - corners[1]
     sides = np.stack([front + 0.8 * out, front - 0.8 * out], axis=1)
     found = checked(wide, np.concatenate([markers, sides], axis=1))[0]
-    assert (found["LMWT"].landmark, found["RMWT"].landmark) == ("left_iliac_crest", "right_iliac_crest")
+    assert (found["LMWT"].landmark, found["RMWT"].landmark) == (
+        "left_iliac_crest",
+        "right_iliac_crest",
+    )
 
 
 def test_captures_of_one_person_are_judged_together():
@@ -211,4 +260,6 @@ def test_captures_of_one_person_are_judged_together():
     good, bad = match_together([(layout.labels, moving), (layout.labels, exchanged)], [layout])
     assert np.array_equal(good.select(moving), moving)
     assert np.array_equal(bad.select(exchanged), moving)
-    assert bad.warnings == ("left_elbow_lateral and left_elbow_medial change places in all frames: put back",)
+    assert bad.warnings == (
+        "left_elbow_lateral and left_elbow_medial change places in all frames: put back",
+    )

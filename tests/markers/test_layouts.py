@@ -23,7 +23,9 @@ class Cube:
 
     name: str = "cube"
     landmarks: dict = field(default_factory=lambda: {"left_a": 7, "left_b": 3, "middle": 0})
-    v_template: np.ndarray = field(default_factory=lambda: np.indices((2, 2, 2)).reshape(3, 8).T.astype(float))
+    v_template: np.ndarray = field(
+        default_factory=lambda: np.indices((2, 2, 2)).reshape(3, 8).T.astype(float)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,7 @@ def body():
         pytest.skip(f"the default body is not there: {error}")
 
 
-# -- shipped layouts on the default body ------------------------------------------------------------------------------
+# -- shipped layouts on the default body -----------------------------------------------------------
 
 
 @each_layout
@@ -66,7 +68,9 @@ def test_left_labels_are_on_the_left(layout, body):
 
 @each_layout
 def test_labels_and_places_agree_on_the_side(layout):
-    """A label that has a twin on the other side sits on the side that its name says, its twin at the mirrored place."""
+    """A label that has a twin on the other side sits on the side that its name says, its twin at
+    the mirrored place.
+    """
     for marker in layout.markers:
         twin = "R" + marker.label[1:]
         if marker.label[0] in "Ll" and twin in layout.labels:
@@ -76,7 +80,9 @@ def test_labels_and_places_agree_on_the_side(layout):
 
 
 def test_thumb_side_and_outer_sides(body):
-    """Radial is the thumb side, lateral the outer one, on the template (arms out, palms down: thumbs ahead)."""
+    """Radial is the thumb side, lateral the outer one, on the template (arms out, palms down:
+    thumbs ahead).
+    """
     at = {name: np.asarray(body.v_template)[index] for name, index in body.landmarks.items()}
     for side in ("left", "right"):
         ahead = at[f"{side}_wrist_radial"] - at[f"{side}_wrist_ulnar"]
@@ -86,13 +92,15 @@ def test_thumb_side_and_outer_sides(body):
             assert abs(at[f"{side}_{joint}_lateral"][0]) > abs(at[f"{side}_{joint}_medial"][0])
         assert abs(at[f"{side}_mt5_head"][0]) > abs(at[f"{side}_mt1_head"][0])
         for name in ("shoulder", "head"):
-            front, back = (f"{side}_{name}_front", f"{side}_{name}_back")
+            front = f"{side}_{name}_front"
+            back = f"{side}_{name}_back"
             if name == "head":
-                front, back = f"{side}_front_head", f"{side}_back_head"
+                front = f"{side}_front_head"
+                back = f"{side}_back_head"
             assert at[front][2] > at[back][2]
 
 
-# -- layouts ----------------------------------------------------------------------------------------------------------
+# -- layouts ---------------------------------------------------------------------------------------
 
 
 def test_labels_are_unique():
@@ -102,7 +110,8 @@ def test_labels_are_unique():
 
 def test_missing_landmarks_are_listed():
     layout = MarkerLayout(
-        "x", (Marker("A", landmark="nose"), Marker("B", landmark="left_a"), Marker("C", landmark="ear"))
+        "x",
+        (Marker("A", landmark="nose"), Marker("B", landmark="left_a"), Marker("C", landmark="ear")),
     )
     with pytest.raises(HabitusError, match="no landmark ear, nose"):
         layout.vertices(Cube())
@@ -122,12 +131,17 @@ def test_vertex_ids_serve_their_own_body_only():
 
 @given(st.floats(0.0, 1.0))
 def test_a_blend_goes_from_one_landmark_to_the_other(share):
-    vertex = MarkerLayout("x", (Marker("A", between=("left_a", "middle", share)),)).vertices(Cube())[0]
+    vertex = MarkerLayout("x", (Marker("A", between=("left_a", "middle", share)),)).vertices(
+        Cube()
+    )[0]
     assert vertex == (7 if share < 0.5 else 0) or share == 0.5
 
 
 def test_spreads_and_distances_are_metres_in_order():
-    layout = MarkerLayout("x", (Marker("A", landmark="a"), Marker("B", landmark="b", distance=0.05, place_spread=0.06)))
+    layout = MarkerLayout(
+        "x",
+        (Marker("A", landmark="a"), Marker("B", landmark="b", distance=0.05, place_spread=0.06)),
+    )
     assert np.array_equal(layout.distances(), [0.0095, 0.05])
     assert np.array_equal(layout.distance_spreads(), [0.001, 0.001])
     assert np.array_equal(layout.place_spreads(), [0.02, 0.06])
@@ -139,11 +153,12 @@ def test_mirroring_twice_changes_nothing(marker):
     assert other_side(other_side(marker)) == marker
 
 
-# -- labels -----------------------------------------------------------------------------------------------------------
+# -- labels ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "label", ["L_IAS", "L.IAS", "LIAS", "LeftIAS", "Left IAS", "l_ias", "S1:LIAS", "Q_LIAS", "L-IAS"]
+    "label",
+    ["L_IAS", "L.IAS", "LIAS", "LeftIAS", "Left IAS", "l_ias", "S1:LIAS", "Q_LIAS", "L-IAS"],
 )
 def test_spellings_of_one_label(label):
     assert normalised(label) == "LIAS"
@@ -158,7 +173,9 @@ def test_combined_labels_offer_each_part():
 def test_normalising_is_idempotent_and_never_fails(label):
     once = normalised(label)
     assert once == once.upper().strip() or once
-    assert all(spellings(label)) and (fragment_of(label) is None or label.strip().startswith(fragment_of(label)))
+    assert all(spellings(label)) and (
+        fragment_of(label) is None or label.strip().startswith(fragment_of(label))
+    )
 
 
 @given(st.sampled_from([label for layout in SHIPPED for label in layout.labels]))

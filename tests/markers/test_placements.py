@@ -1,4 +1,6 @@
-"""Laws of the prior over placements: sides mirror, labels go before places, and what nobody knows stays."""
+"""Laws of the prior over placements: sides mirror, labels go before places, and what nobody knows
+stays.
+"""
 
 from dataclasses import replace
 
@@ -10,17 +12,24 @@ from habitus.markers.checks import other_side
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.placements import PlacementPrior, UsualPlace, label_keys, sideless
 
-HERE, THERE = UsualPlace((0.01, -0.02, 0.03), 0.004), UsualPlace((0.0, 0.05, 0.0), -0.001, 0.012, 2)
+HERE = UsualPlace((0.01, -0.02, 0.03), 0.004)
+THERE = UsualPlace((0.0, 0.05, 0.0), -0.001, 0.012, 2)
 PRIOR = PlacementPrior({"asis": HERE}, {("asis", "[LR]FWT"): THERE})
 PAIR = (Marker("LFWT", landmark="left_asis"), Marker("RFWT", landmark="right_asis"))
-OTHERS = (Marker("LASI", landmark="left_asis"), Marker("RASI", landmark="right_asis"), Marker("C7", landmark="c7"))
+OTHERS = (
+    Marker("LASI", landmark="left_asis"),
+    Marker("RASI", landmark="right_asis"),
+    Marker("C7", landmark="c7"),
+)
 
 
 def test_a_label_goes_before_its_place_and_others_stay():
     moved = PRIOR.applied(MarkerLayout("x", (*PAIR, *OTHERS)))
     assert moved["LFWT"].shift == THERE.shift and moved["LFWT"].place_spread == PAIR[0].place_spread
     assert moved["LASI"].shift == HERE.shift
-    assert moved["LASI"].distance == pytest.approx(OTHERS[0].distance + 0.001)  # as far as the layout is unsure
+    assert moved["LASI"].distance == pytest.approx(
+        OTHERS[0].distance + 0.001
+    )  # as far as the layout is unsure
     unsure = PRIOR.applied(MarkerLayout("x", (replace(OTHERS[0], distance_spread=0.02),)))
     assert unsure["LASI"].distance == pytest.approx(OTHERS[0].distance + HERE.off)
     assert moved["C7"] == OTHERS[2]
@@ -29,7 +38,9 @@ def test_a_label_goes_before_its_place_and_others_stay():
 def test_sides_mirror():
     layout = MarkerLayout("x", (*PAIR, *OTHERS))
     mirrored = replace(layout, markers=tuple(other_side(marker) for marker in layout.markers))
-    assert PRIOR.applied(mirrored).markers == tuple(other_side(marker) for marker in PRIOR.applied(layout).markers)
+    assert PRIOR.applied(mirrored).markers == tuple(
+        other_side(marker) for marker in PRIOR.applied(layout).markers
+    )
 
 
 def test_a_shift_of_the_layout_itself_stays():
@@ -41,11 +52,19 @@ def test_twins_are_told_by_their_places():
     names = ("LFWT", "RFWT", "L.Knee", "R.Knee", "LBAK", "CLAV", "l_calc", "r_calc")
     places = ("asis", "asis", "knee_lateral", "knee_lateral", "scapula_mid", "c7", "heel", "heel")
     markers = [
-        Marker(name, landmark=place if name == "CLAV" else f"{'left' if name[0] in 'Ll' else 'right'}_{place}")
+        Marker(
+            name,
+            landmark=place
+            if name == "CLAV"
+            else f"{'left' if name[0] in 'Ll' else 'right'}_{place}",
+        )
         for name, place in zip(names, places, strict=True)
     ]
     keys = label_keys(MarkerLayout("x", tuple(markers)))
-    assert list(keys.values()) == ["[LR]FWT"] * 2 + ["[LR].Knee"] * 2 + ["LBAK", "CLAV"] + ["[lr]_calc"] * 2
+    assert (
+        list(keys.values())
+        == ["[LR]FWT"] * 2 + ["[LR].Knee"] * 2 + ["LBAK", "CLAV"] + ["[lr]_calc"] * 2
+    )
 
 
 def test_no_marker_sinks_into_the_skin():
@@ -56,7 +75,8 @@ def test_no_marker_sinks_into_the_skin():
 
 @pytest.mark.parametrize("name", list_layouts())
 def test_the_shipped_prior_moves_shipped_layouts_and_their_places_only(name):
-    plain, loaded = plain_layout(name), load_layout(name)
+    plain = plain_layout(name)
+    loaded = load_layout(name)
     known = load_placements().places
     for before, after in zip(plain.markers, loaded.markers, strict=True):
         assert after.place == before.place and after.aliases == before.aliases
@@ -77,11 +97,15 @@ def test_a_twin_is_expected_where_its_mirror_image_was_found():
 
 def test_what_is_placed_freely_has_a_share_of_its_own():
     free = MarkerLayout("x", (replace(PAIR[1], place_spread=0.04),))
-    np.testing.assert_allclose(TWINS.expected(MarkerLayout("x", PAIR[:1]), UP, free), 0.3 * UP * [-1, 1, 1])
+    np.testing.assert_allclose(
+        TWINS.expected(MarkerLayout("x", PAIR[:1]), UP, free), 0.3 * UP * [-1, 1, 1]
+    )
 
 
 def test_other_labels_and_places_tell_nothing():
-    assert not TWINS.expected(MarkerLayout("x", PAIR), np.tile(UP, (2, 1)), MarkerLayout("x", OTHERS)).any()
+    assert not TWINS.expected(
+        MarkerLayout("x", PAIR), np.tile(UP, (2, 1)), MarkerLayout("x", OTHERS)
+    ).any()
 
 
 def test_a_twin_that_is_elsewhere_tells_nothing():

@@ -18,7 +18,10 @@ def test_a_landmark_is_called_by_a_landmark_there(body, name):
     said = place_in_words(body, body.landmarks[name])
     template = np.asarray(body.v_template)
     assert said.between is None
-    assert np.linalg.norm(template[body.landmarks[said.landmark]] - template[body.landmarks[name]]) < 0.012
+    assert (
+        np.linalg.norm(template[body.landmarks[said.landmark]] - template[body.landmarks[name]])
+        < 0.012
+    )
 
 
 def test_any_vertex_is_said_to_within_centimetres_and_on_its_side(body):
@@ -27,7 +30,11 @@ def test_any_vertex_is_said_to_within_centimetres_and_on_its_side(body):
         said = place_in_words(body, int(vertex))
         place = template[MarkerLayout("one", (said,)).vertices(body)[0]]
         assert np.linalg.norm(place - template[vertex]) < 0.04, said.place
-        assert abs(place[0]) < 0.03 or place[0] * template[vertex][0] > 0 or abs(template[vertex][0]) < 0.03
+        assert (
+            abs(place[0]) < 0.03
+            or place[0] * template[vertex][0] > 0
+            or abs(template[vertex][0]) < 0.03
+        )
 
 
 def test_a_body_without_landmarks_has_vertices():

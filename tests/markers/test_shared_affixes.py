@@ -11,8 +11,11 @@ LABELS = tuple(marker.label for marker in load_layout("cmu-41").markers)
 
 @pytest.mark.parametrize("spell", ["X{}", "Subj1{}", "{}Q", "{}marker", "L{}", "R{}", "Left{}"])
 def test_what_all_labels_share_is_left_off(spell):
-    plain, match = match_layout(LABELS), match_layout([spell.format(label) for label in LABELS])
-    assert match.layout.name == plain.layout.name == "cmu-41" and match.confidence == plain.confidence
+    plain = match_layout(LABELS)
+    match = match_layout([spell.format(label) for label in LABELS])
+    assert (
+        match.layout.name == plain.layout.name == "cmu-41" and match.confidence == plain.confidence
+    )
     assert [m.place for m in match.layout.markers] == [m.place for m in plain.layout.markers]
     assert match.layout.labels == tuple(spell.format(label) for label in LABELS)
     assert any("without what they share" in warning for warning in match.warnings)

@@ -25,8 +25,12 @@ def test_holes_are_bridged_evenly_and_what_is_seen_stays():
 
 def test_an_end_takes_its_neighbours_value_and_a_piece_unseen_none():
     seen = np.array([1, 1, 0, 0, 0], bool)
-    assert np.allclose(fill_holes(path(5), seen, np.array([1.0, 2, 9, 9, 9])), [1, 2, 2, 2, 2], atol=1e-6)
-    assert np.allclose(fill_holes(path(5, cut=3), seen, np.array([1.0, 2, 9, 9, 9])), [1, 2, 2, 0, 0], atol=1e-6)
+    assert np.allclose(
+        fill_holes(path(5), seen, np.array([1.0, 2, 9, 9, 9])), [1, 2, 2, 2, 2], atol=1e-6
+    )
+    assert np.allclose(
+        fill_holes(path(5, cut=3), seen, np.array([1.0, 2, 9, 9, 9])), [1, 2, 2, 0, 0], atol=1e-6
+    )
     whole = np.arange(5.0)
     assert fill_holes(path(5), np.ones(5, bool), whole) is whole
 
@@ -35,7 +39,9 @@ def test_without_holes_the_laplacian_measures_the_least_that_any_filling_has():
     rng = np.random.default_rng(0)
     weight = np.triu(rng.random((30, 30)) * (rng.random((30, 30)) < 0.2), 1)
     weight += weight.T
-    laplacian, seen, values = csr_array(np.diag(weight.sum(1)) - weight), rng.random(30) < 0.6, rng.normal(size=30)
+    laplacian = csr_array(np.diag(weight.sum(1)) - weight)
+    seen = rng.random(30) < 0.6
+    values = rng.normal(size=30)
     filled = fill_holes(laplacian, seen, values)
     least = eliminate_holes(laplacian, seen)
     spoilt = np.where(seen, values, 1e3)

@@ -21,7 +21,8 @@ def test_pairs_are_those_of_looking_at_every_pair():
     expected = set()
     for a in range(len(BALL.faces)):
         for b in range(len(BALL.faces), len(faces)):
-            one, other = vertices[faces[a]], vertices[faces[b]]
+            one = vertices[faces[a]]
+            other = vertices[faces[b]]
             if edges_cross(one, other) or edges_cross(other, one):
                 expected.add((a, b))
     assert found == expected and len(found) > 5
@@ -30,7 +31,8 @@ def test_pairs_are_those_of_looking_at_every_pair():
 def edges_cross(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether an edge of one triangle passes through the other."""
     for k in range(3):
-        a, b = one[k], one[(k + 1) % 3]
+        a = one[k]
+        b = one[(k + 1) % 3]
         sides = np.stack([a - b, other[1] - other[0], other[2] - other[0]], 1)
         if abs(np.linalg.det(sides)) < 1e-18:
             continue

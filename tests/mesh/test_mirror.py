@@ -34,7 +34,9 @@ def test_a_mesh_that_is_symmetric_but_for_noise_is_paired_by_its_faces(body):
     vertices, faces, mirror = arrays(body)
     skin = trimesh.graph.connected_components(trimesh.geometry.faces_to_edges(faces), min_len=4)
     skin = np.isin(np.arange(len(vertices)), max(skin, key=len))
-    size = np.where(skin, 0.002, 0.0005)  # m; an eyeball's edges are 2 mm, and no faces lead there from the skin
+    size = np.where(
+        skin, 0.002, 0.0005
+    )  # m; an eyeball's edges are 2 mm, and no faces lead there from the skin
     noisy = vertices + size[:, None] * np.random.default_rng(0).normal(size=vertices.shape)
     assert (~skin).sum() == 2 * 72
     assert np.array_equal(find_mirror(noisy, faces), mirror)
@@ -60,7 +62,8 @@ def test_quads_cut_along_other_diagonals_are_paired_by_place():
 
 def test_two_layers_that_nearly_touch_are_not_confused():
     shape = icosphere(2)
-    vertices, faces = shape.vertices.numpy(), shape.faces.numpy()
+    vertices = shape.vertices.numpy()
+    faces = shape.faces.numpy()
     both = np.concatenate([vertices, 0.97 * vertices])
     noisy = both + np.random.default_rng(0).normal(0, 0.012, both.shape)
     nearest = KDTree(noisy).query(noisy * [-1, 1, 1])[1]
@@ -72,17 +75,36 @@ def test_two_layers_that_nearly_touch_are_not_confused():
 
 def test_a_mesh_without_symmetry_is_refused_with_the_number_of_lonely_vertices(body):
     vertices, faces, _ = arrays(body)
-    with pytest.raises(HabitusError, match=rf"\d+ of {len(vertices)} vertices .* have no partner across x = 0"):
+    with pytest.raises(
+        HabitusError, match=rf"\d+ of {len(vertices)} vertices .* have no partner across x = 0"
+    ):
         find_mirror(vertices + np.array([0.3, 0.0, 0.0]), faces)
     with pytest.raises(HabitusError, match=r"no partner across x = 0"):
-        find_mirror(vertices, faces[vertices[faces, 0].mean(1) < 0.4])  # the left hand's faces are lost
+        find_mirror(
+            vertices, faces[vertices[faces, 0].mean(1) < 0.4]
+        )  # the left hand's faces are lost
 
 
 STYLES = (
-    "left_{}|right_{}", "l_{}|r_{}", "L_{}|R_{}", "{}_L|{}_R", "{}_l|{}_r", "{}.l|{}.r", "{}.L|{}.R", "left{}|right{}",
-    "Left{}|Right{}", "{}Left|{}Right", "l{}|r{}", "L{}|R{}", "{}L|{}R", "Bip01 L {}|Bip01 R {}",
-    "rig:Left{}|rig:Right{}", "{} (left)|{} (right)", "LEFT_{}|RIGHT_{}", "l-{}|r-{}",
-)  # fmt: skip
+    "left_{}|right_{}",
+    "l_{}|r_{}",
+    "L_{}|R_{}",
+    "{}_L|{}_R",
+    "{}_l|{}_r",
+    "{}.l|{}.r",
+    "{}.L|{}.R",
+    "left{}|right{}",
+    "Left{}|Right{}",
+    "{}Left|{}Right",
+    "l{}|r{}",
+    "L{}|R{}",
+    "{}L|{}R",
+    "Bip01 L {}|Bip01 R {}",
+    "rig:Left{}|rig:Right{}",
+    "{} (left)|{} (right)",
+    "LEFT_{}|RIGHT_{}",
+    "l-{}|r-{}",
+)
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -90,7 +112,14 @@ STYLES = (
 def test_names_tell_the_sides_in_any_spelling(style, words):
     left, right = style.split("|")
     hip, knee = words.split()
-    names = ("root", left.format(hip), right.format(hip), "middle", left.format(knee), right.format(knee))
+    names = (
+        "root",
+        left.format(hip),
+        right.format(hip),
+        "middle",
+        left.format(knee),
+        right.format(knee),
+    )
     assert mirrored_joints(names, PARENTS).tolist() == PARTNERS
 
 
@@ -98,13 +127,16 @@ def test_names_tell_the_sides_in_any_spelling(style, words):
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.integers(1, 8))
 def test_trees_without_telling_names_are_paired_by_place(seed, middle, side):
     rng = np.random.default_rng(seed)
-    parents, places, partner = [-1], [[0.0, *rng.normal(size=2)]], [0]
+    parents = [-1]
+    places = [[0.0, *rng.normal(size=2)]]
+    partner = [0]
     for _ in range(middle):
         parents.append(int(rng.choice([k for k in range(len(parents)) if partner[k] == k])))
         places.append([0.0, *rng.normal(size=2)])
         partner.append(len(partner))
     for _ in range(side):
-        above, place = int(rng.integers(len(parents))), rng.normal(size=3)
+        above = int(rng.integers(len(parents)))
+        place = rng.normal(size=3)
         place[0] = abs(place[0]) + 0.5
         n = len(parents)
         parents += [above, partner[above]]
@@ -138,5 +170,6 @@ def test_a_template_gets_both_maps_by_names_and_by_places(body):
     for template in (with_mirror(named), with_mirror(nameless)):
         assert np.array_equal(template.mirror, mirror)
         assert [named.joint_names[k] for k in template.joint_mirror] == [
-            name.replace("left", "*").replace("right", "left").replace("*", "right") for name in named.joint_names
+            name.replace("left", "*").replace("right", "left").replace("*", "right")
+            for name in named.joint_names
         ]

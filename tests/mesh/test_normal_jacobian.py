@@ -8,9 +8,12 @@ from habitus.mesh.shapes import sphere
 
 
 def test_it_is_what_small_moves_show():
-    rng, ball = np.random.default_rng(0), sphere()
+    rng = np.random.default_rng(0)
+    ball = sphere()
     faces = np.asarray(ball.faces)
-    vertices = np.asarray(ball.vertices) * [1.0, 1.3, 0.7] + 0.01 * rng.normal(size=np.shape(ball.vertices))
+    vertices = np.asarray(ball.vertices) * [1.0, 1.3, 0.7] + 0.01 * rng.normal(
+        size=np.shape(ball.vertices)
+    )
     way = rng.normal(size=vertices.shape)
     ahead, behind = (vertex_normals(vertices + step * way, faces) for step in (1e-6, -1e-6))
     found = (normal_jacobian(vertices, faces) @ way.ravel()).reshape(-1, 3)
@@ -19,7 +22,8 @@ def test_it_is_what_small_moves_show():
 
 def test_normals_stay_when_a_surface_moves_or_grows_as_a_whole():
     ball = sphere()
-    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    vertices = np.asarray(ball.vertices)
+    faces = np.asarray(ball.faces)
     jacobian = normal_jacobian(vertices, faces)
     for way in (np.ones_like(vertices), vertices):
         assert np.abs(jacobian @ way.ravel()).max() < 1e-9

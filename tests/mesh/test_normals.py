@@ -20,7 +20,9 @@ def test_a_balls_normals_point_outwards_and_turn_with_it():
     both = vertex_normals(torch.stack([vertices, 3 * vertices @ turn.T + 5]), faces)
     assert torch.allclose(both[1], normals @ turn.T, atol=1e-13)
     assert torch.allclose(both.norm(dim=-1), torch.ones(2, len(vertices), dtype=torch.float64))
-    assert torch.allclose(face_normals(vertices, faces).sum(0), torch.zeros(3, dtype=torch.float64), atol=1e-13)
+    assert torch.allclose(
+        face_normals(vertices, faces).sum(0), torch.zeros(3, dtype=torch.float64), atol=1e-13
+    )
 
 
 def test_loose_and_flattened_vertices_have_no_normal_and_harmless_gradients():
@@ -48,9 +50,12 @@ def test_compiled_normals_are_those_of_array_operations(dtype):
     torch.testing.assert_close(vertex_normals(vertices, faces), unit_sums(vertices, faces), **close)
     leaf = vertices.requires_grad_()
     found, expected = (
-        torch.autograd.grad((f(leaf, faces) * weights).sum(), leaf)[0] for f in (vertex_normals, unit_sums)
+        torch.autograd.grad((f(leaf, faces) * weights).sum(), leaf)[0]
+        for f in (vertex_normals, unit_sums)
     )
-    torch.testing.assert_close(found, expected, atol=1e-3 if dtype == torch.float32 else 1e-10, rtol=0)
+    torch.testing.assert_close(
+        found, expected, atol=1e-3 if dtype == torch.float32 else 1e-10, rtol=0
+    )
 
 
 def test_they_can_be_derived_twice_forward_and_over_batches():
@@ -68,7 +73,9 @@ def test_they_can_be_derived_twice_forward_and_over_batches():
     for found, expected in zip(along(vertex_normals), along(unit_sums), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-9, rtol=1e-9)
     leaf = vertices.requires_grad_()
-    (first,) = torch.autograd.grad((vertex_normals(leaf, faces) * weights).sum(), leaf, create_graph=True)
+    (first,) = torch.autograd.grad(
+        (vertex_normals(leaf, faces) * weights).sum(), leaf, create_graph=True
+    )
     (again,) = torch.autograd.grad((first * step).sum(), leaf)
     torch.testing.assert_close(again, along(unit_sums)[1], atol=1e-9, rtol=1e-9)
 

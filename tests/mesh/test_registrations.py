@@ -30,7 +30,11 @@ names = st.sampled_from(sorted(SEX))
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(names, max_size=12), st.lists(names, max_size=3), st.sampled_from(["pose", "shape", "test"]))
+@given(
+    st.lists(names, max_size=12),
+    st.lists(names, max_size=3),
+    st.sampled_from(["pose", "shape", "test"]),
+)
 def test_a_choice_keeps_order_and_words_and_choices_of_choices_commute(subject, chosen, which):
     whole = registrations(subject)
     kept = [k for k in range(len(subject)) if subject[k] in chosen and whole.set[k] == which]
@@ -52,7 +56,9 @@ def test_a_choice_keeps_order_and_words_and_choices_of_choices_commute(subject, 
 def test_subjects_are_numbered_as_they_appear(subject):
     whole = registrations(subject)
     assert [whole.subjects[k] for k in whole.subject_index] == subject
-    assert [int(k) for k in dict.fromkeys(whole.subject_index.tolist())] == list(range(len(whole.subjects)))
+    assert [int(k) for k in dict.fromkeys(whole.subject_index.tolist())] == list(
+        range(len(whole.subjects))
+    )
     assert whole.subject_sex == tuple(SEX[word] for word in whole.subjects)
 
 
@@ -64,7 +70,12 @@ def test_choices_read_only_what_is_asked_for():
             self.read.append(rows)
             return np.zeros((4, 4, 3))[rows]
 
-    chosen = registrations(vertices=Counting()).where(subject="ann").where(sex="female").take(np.array([1, 0]))
+    chosen = (
+        registrations(vertices=Counting())
+        .where(subject="ann")
+        .where(sex="female")
+        .take(np.array([1, 0]))
+    )
     assert Counting.read == []
     assert chosen.read(0).shape == (4, 3) and Counting.read == [2]
     assert chosen.vertices[:].shape == (2, 4, 3) and Counting.read[1].tolist() == [2, 0]
@@ -114,7 +125,10 @@ def template(**changed):
 
 def test_joints_without_vertices_are_told():
     assert template().empty_joints == ("middle",)
-    assert template().part_vertices(2).tolist() == [2, 3] and template().part_vertices(1).tolist() == []
+    assert (
+        template().part_vertices(2).tolist() == [2, 3]
+        and template().part_vertices(1).tolist() == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -149,7 +163,9 @@ def test_holes_and_weights_go_with_their_registrations():
     for weights in (None, each[0], each):
         chosen = replace(whole, vertices=vertices, weights=weights).take(np.array([2, 1]))
         for place, k in enumerate((2, 1)):
-            expected = np.ones(4) if weights is None else np.where(weights.ndim == 2, each[k], each[0])
+            expected = (
+                np.ones(4) if weights is None else np.where(weights.ndim == 2, each[k], each[0])
+            )
             expected = np.where(np.isnan(vertices[k]).any(1), 0.0, expected)
             found, weight = chosen.read_seen(place)
             assert np.array_equal(np.ones(4) if weight is None else weight, expected)

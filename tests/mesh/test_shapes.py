@@ -52,7 +52,10 @@ def test_every_edge_is_run_once_each_way_and_faces_look_outwards(name):
 
 def test_sizes():
     assert all(volume(shape) == pytest.approx(4 / 3 * np.pi, rel=5e-3) for shape in ROUND)
-    assert all(torch.allclose(shape.vertices.norm(dim=1), torch.ones((), dtype=torch.float64)) for shape in ROUND)
+    assert all(
+        torch.allclose(shape.vertices.norm(dim=1), torch.ones((), dtype=torch.float64))
+        for shape in ROUND
+    )
     assert volume(torus(200, 100, tube=0.3)) == pytest.approx(2 * np.pi**2 * 0.3**2, rel=2e-3)
     assert volume(cube()) == volume(cube(hard=False)) == pytest.approx(1)
     assert volume(tetrahedron(2)) == pytest.approx(volume(tetrahedron()))
@@ -66,7 +69,9 @@ def test_texture_coordinates_stay_in_the_image_and_are_not_mirrored(shape):
     assert shape.uv.min() == 0 and shape.uv.max() == 1
     a, b, c = shape.uv[shape.faces].unbind(1)
     (x, y), (s, t) = (b - a).unbind(1), (c - a).unbind(1)
-    assert (x * t - y * s).min() > 0  # counter-clockwise on the texture, as on the surface seen from outside
+    assert (
+        x * t - y * s
+    ).min() > 0  # counter-clockwise on the texture, as on the surface seen from outside
 
 
 def test_a_globe_has_its_map_the_right_way_round():
@@ -78,13 +83,17 @@ def test_a_globe_has_its_map_the_right_way_round():
     assert torch.allclose(torch.atan2(x, z)[away], 2 * np.pi * (u[away] - 0.5), atol=1e-12)
     pole = (y.abs() == 1)[globe.faces]
     others = torch.where(pole, 0.0, u[globe.faces]).sum(1) / 2
-    assert pole.sum() == 2 * 16 and torch.allclose(u[globe.faces][pole], others[pole.any(1)])  # above their middle
+    assert pole.sum() == 2 * 16 and torch.allclose(
+        u[globe.faces][pole], others[pole.any(1)]
+    )  # above their middle
 
 
 def test_the_square_faces_its_viewer():
     square = quadrilateral()
     a, b, c = square.vertices[square.faces].unbind(1)
-    assert torch.allclose(torch.linalg.cross(b - a, c - a).sum(0) / 2, torch.tensor([0.0, 0, 1], dtype=torch.float64))
+    assert torch.allclose(
+        torch.linalg.cross(b - a, c - a).sum(0) / 2, torch.tensor([0.0, 0, 1], dtype=torch.float64)
+    )
 
 
 @pytest.mark.parametrize(

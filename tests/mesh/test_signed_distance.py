@@ -26,7 +26,10 @@ def test_direction_is_the_gradient(mesh):
     here = signed_distance(points, *mesh)
     for axis in range(3):
         step = 1e-6 * np.eye(3)[axis]
-        slope = (signed_distance(points + step, *mesh).distance - signed_distance(points - step, *mesh).distance) / 2e-6
+        slope = (
+            signed_distance(points + step, *mesh).distance
+            - signed_distance(points - step, *mesh).distance
+        ) / 2e-6
         np.testing.assert_allclose(slope, here.direction[:, axis], atol=1e-4)
 
 

@@ -14,7 +14,10 @@ seeds = pytest.mark.parametrize("seed", range(12))
 
 
 def uniform(seed: int, *shape: int) -> torch.Tensor:
-    return 2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 1
+    return (
+        2 * torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        - 1
+    )
 
 
 def some_camera(seed: int, coefficients: int = 8) -> Camera:
@@ -44,9 +47,12 @@ def opencv_matrix(camera: Camera) -> np.ndarray:
 
 
 def by_opencv(camera: Camera, points: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels and their derivatives to rotation, translation, focal length, centre, distortion, as OpenCV has them."""
+    """Pixels and their derivatives to rotation, translation, focal length, centre, distortion, as
+    OpenCV has them.
+    """
     lens = None if camera.distortion is None else camera.distortion.numpy()
-    turn, move = camera.rotation.numpy(), camera.translation.numpy()
+    turn = camera.rotation.numpy()
+    move = camera.translation.numpy()
     pixels, slopes = cv2.projectPoints(points.numpy(), turn, move, opencv_matrix(camera), lens)
     return pixels[:, 0] + 0.5, slopes
 
@@ -70,7 +76,9 @@ def test_derivatives_are_opencvs(seed):
     def pixels(*values):
         return camera.replace(**dict(zip(names, values, strict=True))).project(points)[0]
 
-    ours = torch.func.jacrev(pixels, argnums=tuple(range(5)))(*(getattr(camera, name) for name in names))
+    ours = torch.func.jacrev(pixels, argnums=tuple(range(5)))(
+        *(getattr(camera, name) for name in names)
+    )
     ours = torch.cat(ours, -1).flatten(0, 1).numpy()
     theirs = by_opencv(camera, points)[1]
     assert np.abs(ours - theirs).max() < 1e-8 * np.abs(theirs).max()
@@ -80,7 +88,9 @@ def test_derivatives_are_opencvs(seed):
 def test_forward_and_backward_derivatives_are_those_of_finite_steps(coefficients):
     camera = some_camera(3, coefficients)
     names = [
-        name for name in ("focal_length", "rotation", "translation", "distortion") if coefficients or name[0] != "d"
+        name
+        for name in ("focal_length", "rotation", "translation", "distortion")
+        if coefficients or name[0] != "d"
     ]
     points = seen_points(camera, 3, 3)
 
@@ -110,7 +120,9 @@ def test_the_axis_meets_the_middle_of_the_image_and_opencv_counts_half_a_pixel_l
     axis = torch.tensor([[0.0, 0.0, 2.0]], dtype=torch.float64)
     assert Camera.of(5, 4).project(axis)[0].tolist() == [[2.5, 2.0]]
     matrix = np.array([[7.0, 0, 2.0], [0, 7.0, 1.5], [0, 0, 1]])
-    assert Camera.from_opencv(matrix, None, np.zeros(3), np.zeros(3), 5, 4).project(axis)[0].tolist() == [[2.5, 2.0]]
+    assert Camera.from_opencv(matrix, None, np.zeros(3), np.zeros(3), 5, 4).project(axis)[
+        0
+    ].tolist() == [[2.5, 2.0]]
 
 
 @seeds
@@ -118,17 +130,26 @@ def test_from_opencv_takes_what_a_calibration_returns(seed):
     camera = some_camera(seed)
     points = seen_points(camera, seed)
     lens = np.concatenate([camera.distortion.numpy(), np.zeros(6)])[None]
-    turn, move = camera.rotation.numpy()[:, None], camera.translation.numpy()[:, None]
+    turn = camera.rotation.numpy()[:, None]
+    move = camera.translation.numpy()[:, None]
     for rotation in (turn, cv2.Rodrigues(turn)[0]):
         again = Camera.from_opencv(opencv_matrix(camera), lens, rotation, move, 640, 480)
         torch.testing.assert_close(again.screen(points), camera.screen(points), rtol=0, atol=1e-8)
 
 
 def test_points_behind_the_camera_poison_nothing():
-    camera = some_camera(1).replace(rotation=torch.zeros(3).double(), translation=torch.zeros(3).double())
-    bad = torch.tensor([[0.1, 0.2, 0.0], [0.0, 0.0, 0.0], [1.0, -1.0, -3.0], [5.0, 5.0, 1e-300]], dtype=torch.float64)
+    camera = some_camera(1).replace(
+        rotation=torch.zeros(3).double(), translation=torch.zeros(3).double()
+    )
+    bad = torch.tensor(
+        [[0.1, 0.2, 0.0], [0.0, 0.0, 0.0], [1.0, -1.0, -3.0], [5.0, 5.0, 1e-300]],
+        dtype=torch.float64,
+    )
     points = torch.cat([seen_points(camera, 1, 3), bad]).requires_grad_()
-    values = [getattr(camera, name).clone().requires_grad_() for name in ("rotation", "translation", "distortion")]
+    values = [
+        getattr(camera, name).clone().requires_grad_()
+        for name in ("rotation", "translation", "distortion")
+    ]
     camera = camera.replace(rotation=values[0], translation=values[1], distortion=values[2])
     screen = camera.screen(points)
     assert screen.isfinite().all()
@@ -155,11 +176,14 @@ def test_the_valid_radius_ends_where_the_picture_folds():
     folds = 0
     for seed in range(60):
         camera = some_camera(seed)
-        limit, scanned = camera.valid_radius_squared().item(), fold_by_scanning(camera.distortion)
+        limit = camera.valid_radius_squared().item()
+        scanned = fold_by_scanning(camera.distortion)
         folds += scanned < math.inf
         assert limit == pytest.approx(scanned, rel=1e-4) if scanned < math.inf else limit > 9.0
     assert 10 < folds < 60
-    assert Camera.of(4, 4, distortion=[-0.3, 0, 0, 0]).valid_radius_squared().item() == pytest.approx(1 / 0.9)
+    assert Camera.of(
+        4, 4, distortion=[-0.3, 0, 0, 0]
+    ).valid_radius_squared().item() == pytest.approx(1 / 0.9)
     for none in (None, torch.zeros(8), [0.2, 0.1, 0.0, 0.0, 0.05]):
         assert Camera.of(4, 4, distortion=none).valid_radius_squared().item() == math.inf
 
@@ -167,10 +191,15 @@ def test_the_valid_radius_ends_where_the_picture_folds():
 @seeds
 def test_rays_undo_projection_wherever_the_lens_is_valid(seed):
     camera = some_camera(seed)
-    camera = camera.replace(distortion=camera.distortion * torch.tensor([1, 1, 0.1, 0.1, 1, 1, 1, 1]))
+    camera = camera.replace(
+        distortion=camera.distortion * torch.tensor([1, 1, 0.1, 0.1, 1, 1, 1, 1])
+    )
     reach = min(0.95 * camera.valid_radius_squared().item() ** 0.5, 1.2)
-    angle, radius = math.pi * uniform(seed, 200), reach * uniform(seed + 1, 200)
-    rays = torch.stack([radius * angle.cos(), radius * angle.sin(), torch.ones(200, dtype=torch.float64)], -1)
+    angle = math.pi * uniform(seed, 200)
+    radius = reach * uniform(seed + 1, 200)
+    rays = torch.stack(
+        [radius * angle.cos(), radius * angle.sin(), torch.ones(200, dtype=torch.float64)], -1
+    )
     assert (camera.rays(camera.project_camera_points(rays)) - rays).abs().max() < 1e-9
 
 
@@ -190,7 +219,9 @@ def test_rays_have_first_derivatives():
 
 def test_a_pixel_that_no_ray_reaches_is_nan_and_poisons_nothing():
     lens = torch.tensor([-0.3, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64, requires_grad=True)
-    rays = Camera.of(200, 200, 100.0, distortion=lens).rays(torch.tensor([[300.0, 100.0], [130.0, 90.0]]).double())
+    rays = Camera.of(200, 200, 100.0, distortion=lens).rays(
+        torch.tensor([[300.0, 100.0], [130.0, 90.0]]).double()
+    )
     assert rays[0, :2].isnan().all() and rays[1].isfinite().all()
     assert torch.autograd.grad(rays[1].sum(), lens)[0].isfinite().all()
 
@@ -198,20 +229,31 @@ def test_a_pixel_that_no_ray_reaches_is_nan_and_poisons_nothing():
 def test_batches_are_loops():
     cameras = [some_camera(seed) for seed in range(4)]
     names = ("focal_length", "principal_point", "rotation", "translation", "distortion")
-    together = cameras[0].replace(**{name: torch.stack([getattr(c, name) for c in cameras]) for name in names})
+    together = cameras[0].replace(
+        **{name: torch.stack([getattr(c, name) for c in cameras]) for name in names}
+    )
     points = torch.stack([seen_points(c, seed) for seed, c in enumerate(cameras)])
     assert together.batch_shape == (4,)
     for k, camera in enumerate(cameras):
         torch.testing.assert_close(together.screen(points)[k], camera.screen(points[k]))
         torch.testing.assert_close(together.screen(points[0])[k], camera.screen(points[0]))
-        torch.testing.assert_close(together.rays(points[k, :, :2])[k], camera.rays(points[k, :, :2]), equal_nan=True)
-        torch.testing.assert_close(together.valid_radius_squared()[k], camera.valid_radius_squared())
+        torch.testing.assert_close(
+            together.rays(points[k, :, :2])[k], camera.rays(points[k, :, :2]), equal_nan=True
+        )
+        torch.testing.assert_close(
+            together.valid_radius_squared()[k], camera.valid_radius_squared()
+        )
     shared = cameras[0].replace(translation=together.translation)
     torch.testing.assert_close(
-        shared.screen(points[0])[2], shared.replace(translation=cameras[2].translation).screen(points[0])
+        shared.screen(points[0])[2],
+        shared.replace(translation=cameras[2].translation).screen(points[0]),
     )
-    mapped = torch.func.vmap(lambda turn: cameras[0].replace(rotation=turn).screen(points[0]))(together.rotation)
-    torch.testing.assert_close(mapped, cameras[0].replace(rotation=together.rotation).screen(points[0]))
+    mapped = torch.func.vmap(lambda turn: cameras[0].replace(rotation=turn).screen(points[0]))(
+        together.rotation
+    )
+    torch.testing.assert_close(
+        mapped, cameras[0].replace(rotation=together.rotation).screen(points[0])
+    )
 
 
 def test_a_scaled_camera_sees_the_same_picture_in_other_pixels():
@@ -257,7 +299,10 @@ GOOD = {"width": 64, "height": 48, "focal_length": 50.0}
         ({"rotation": [0.0, math.nan, 0.0]}, "rotation has NaN"),
         ({"translation": torch.zeros(4)}, r"translation is \(4,\)"),
         ({"distortion": [0.1, 0.2]}, "expected 4, 5 or 8"),
-        ({"rotation": torch.zeros(2, 3), "translation": torch.zeros(3, 3)}, "leading axes do not fit"),
+        (
+            {"rotation": torch.zeros(2, 3), "translation": torch.zeros(3, 3)},
+            "leading axes do not fit",
+        ),
     ],
 )
 def test_bad_cameras_are_one_clear_line(changes, words):
@@ -282,8 +327,14 @@ def test_bad_use_is_one_clear_line():
         (lambda: look_at(eye, eye), "eye is target"),
         (lambda: look_at(eye, eye + torch.tensor([0.0, 1.0, 0.0])), "up points along"),
         (lambda: Camera.from_opencv(np.eye(3)[:2], None, eye, eye, 4, 4), "camera matrix"),
-        (lambda: Camera.from_opencv(np.eye(3), None, -np.eye(3), eye, 4, 4), "expected a rotation matrix"),
-        (lambda: Camera.from_opencv(np.eye(3), [0.0] * 8 + [1.0] * 4, eye, eye, 4, 4), "thin prism"),
+        (
+            lambda: Camera.from_opencv(np.eye(3), None, -np.eye(3), eye, 4, 4),
+            "expected a rotation matrix",
+        ),
+        (
+            lambda: Camera.from_opencv(np.eye(3), [0.0] * 8 + [1.0] * 4, eye, eye, 4, 4),
+            "thin prism",
+        ),
     ]
     for use, words in uses:
         with pytest.raises(HabitusError, match=words):

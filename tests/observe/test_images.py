@@ -27,7 +27,10 @@ def test_levels_are_opencvs_pyrdown(size):
     for fine, coarse in pairwise(levels):
         assert coarse.shape == ((fine.shape[0] + 1) // 2, (fine.shape[1] + 1) // 2, 3)
         if min(fine.shape[:2]) > 1:  # OpenCV's mirror needs two pixels
-            assert np.abs(coarse.numpy() - cv2.pyrDown(fine.numpy()).reshape(coarse.shape)).max() < 1e-12
+            assert (
+                np.abs(coarse.numpy() - cv2.pyrDown(fine.numpy()).reshape(coarse.shape)).max()
+                < 1e-12
+            )
 
 
 @pytest.mark.parametrize("size", [(4, 4), (16, 16), (8, 30)], ids=str)
@@ -51,12 +54,15 @@ def test_a_constant_image_is_constant_at_all_levels_and_has_no_bands(size):
 @sizes
 def test_a_laplacian_pyramid_gives_its_image_back(size):
     image = some_image(2, *size, 3)
-    torch.testing.assert_close(im.from_laplacian_pyramid(im.laplacian_pyramid(image, 4)), image, rtol=0, atol=1e-14)
+    torch.testing.assert_close(
+        im.from_laplacian_pyramid(im.laplacian_pyramid(image, 4)), image, rtol=0, atol=1e-14
+    )
 
 
 @pyramids
 def test_pyramids_are_linear_and_batches_are_loops(pyramid):
-    one, two = some_image(4, 9, 14, 2), some_image(4, 9, 14, 2, seed=1)
+    one = some_image(4, 9, 14, 2)
+    two = some_image(4, 9, 14, 2, seed=1)
     parts = [im.as_vector(pyramid(image, 3)) for image in (one, two)]
     torch.testing.assert_close(im.as_vector(pyramid(2 * one - two, 3)), 2 * parts[0] - parts[1])
     assert parts[0].shape == (4, 2 * (9 * 14 + 5 * 7 + 3 * 4 + 2 * 2))
@@ -74,29 +80,38 @@ def test_each_level_is_blurrier_than_the_last():
     step = torch.zeros(64, 64, 1, dtype=torch.float64)
     step[:, 32:] = 1.0
     steepest = [
-        level[..., 1:, :].sub(level[..., :-1, :]).max() / 2**k for k, level in enumerate(im.gaussian_pyramid(step, 4))
+        level[..., 1:, :].sub(level[..., :-1, :]).max() / 2**k
+        for k, level in enumerate(im.gaussian_pyramid(step, 4))
     ]
     assert all(b < 0.75 * a for a, b in pairwise(steepest))
 
 
 @pyramids
 def test_normalisations_weigh_levels_as_opendr_does(pyramid):
-    image, start = some_image(2, 12, 10, 3), some_image(2, 12, 10, 3, seed=1)
-    plain, first = pyramid(image, 2), pyramid(start, 2)
+    image = some_image(2, 12, 10, 3)
+    start = some_image(2, 12, 10, 3, seed=1)
+    plain = pyramid(image, 2)
+    first = pyramid(start, 2)
     for level, bare in zip(pyramid(image, 2, "size"), plain, strict=True):
         torch.testing.assert_close(level, bare / bare[0].numel())
     for level, bare, ref in zip(pyramid(image, 2, "SSE", start), plain, first, strict=True):
         torch.testing.assert_close(level, bare / ref.flatten(1).norm(dim=1)[:, None, None, None])
     for level in pyramid(start, 2, "SSE", start):
-        torch.testing.assert_close(level.square().sum((1, 2, 3)), torch.ones(2, dtype=torch.float64))
+        torch.testing.assert_close(
+            level.square().sum((1, 2, 3)), torch.ones(2, dtype=torch.float64)
+        )
 
 
 def test_the_reference_is_constant_and_a_black_one_divides_nothing():
     image = some_image(6, 6, 1).requires_grad_()
     square = im.as_vector(im.gaussian_pyramid(image, 2, "SSE", image)).square().sum()
-    assert torch.autograd.grad(square, image)[0].abs().max() > 0.01  # of a self-normalised one it would be 0
+    assert (
+        torch.autograd.grad(square, image)[0].abs().max() > 0.01
+    )  # of a self-normalised one it would be 0
     black = torch.zeros(6, 6, 1, dtype=torch.float64)
-    for a, b in zip(im.gaussian_pyramid(image, 2, "SSE", black), im.gaussian_pyramid(image, 2), strict=True):
+    for a, b in zip(
+        im.gaussian_pyramid(image, 2, "SSE", black), im.gaussian_pyramid(image, 2), strict=True
+    ):
         torch.testing.assert_close(a, b)
 
 
@@ -115,7 +130,9 @@ def test_the_reference_is_constant_and_a_black_one_divides_nothing():
 def test_derivatives_are_right_both_ways(function, size):
     image = some_image(*size, 2) + 0.1
     assert torch.autograd.gradcheck(function, image.clone().requires_grad_())
-    torch.testing.assert_close(torch.func.jacfwd(function)(image), torch.func.jacrev(function)(image))
+    torch.testing.assert_close(
+        torch.func.jacfwd(function)(image), torch.func.jacrev(function)(image)
+    )
 
 
 def test_edges_are_differences_of_neighbours():
@@ -131,13 +148,18 @@ def test_edges_are_differences_of_neighbours():
 def test_moments_are_opencvs(size):
     image = some_image(*size)
     theirs = cv2.moments(image.numpy())
-    raw, central = im.moments(image[..., None])[:, 0], im.central_moments(image[..., None])[:, 0]
+    raw = im.moments(image[..., None])[:, 0]
+    central = im.central_moments(image[..., None])[:, 0]
     middle = [theirs["m10"] / theirs["m00"] + 0.5, theirs["m01"] / theirs["m00"] + 0.5]
     expected = [theirs["m00"], *middle, theirs["mu20"], theirs["mu11"], theirs["mu02"]]
-    torch.testing.assert_close(central, torch.tensor(expected, dtype=torch.float64), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        central, torch.tensor(expected, dtype=torch.float64), rtol=1e-9, atol=1e-9
+    )
     torch.testing.assert_close(raw[1:3] / raw[0], torch.tensor(middle, dtype=torch.float64))
     eta = torch.tensor([theirs["nu20"], theirs["nu11"], theirs["nu02"]], dtype=torch.float64)
-    torch.testing.assert_close(im.normalized_moments(image[..., None])[:, 0], eta, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(
+        im.normalized_moments(image[..., None])[:, 0], eta, rtol=1e-9, atol=1e-9
+    )
 
 
 def test_moments_of_a_moved_image_move():
@@ -146,7 +168,11 @@ def test_moments_of_a_moved_image_move():
     moved = image.roll((13, 21), (1, 2))
     m00, m10, m01, m20, m11, m02 = im.moments(image).unbind(-2)
     shifted = [m00, m10 + 21 * m00, m01 + 13 * m00]
-    shifted += [m20 + 42 * m10 + 441 * m00, m11 + 21 * m01 + 13 * m10 + 273 * m00, m02 + 26 * m01 + 169 * m00]
+    shifted += [
+        m20 + 42 * m10 + 441 * m00,
+        m11 + 21 * m01 + 13 * m10 + 273 * m00,
+        m02 + 26 * m01 + 169 * m00,
+    ]
     torch.testing.assert_close(im.moments(moved), torch.stack(shifted, -2))
     move = torch.tensor([0, 21, 13, 0, 0, 0], dtype=torch.float64)[:, None]
     torch.testing.assert_close(im.central_moments(moved), im.central_moments(image) + move)
@@ -163,9 +189,11 @@ def test_an_empty_silhouette_has_no_centroid_and_finite_derivatives():
 
 
 def test_a_mask_hides_whatever_lies_outside():
-    image, observed = some_image(2, 4, 5, 3), some_image(2, 4, 5, 3, seed=1)
+    image = some_image(2, 4, 5, 3)
+    observed = some_image(2, 4, 5, 3, seed=1)
     mask = some_image(4, 5, seed=2) > 0.5
-    broken, holes = image.clone(), observed.clone()
+    broken = image.clone()
+    holes = observed.clone()
     broken[:, ~mask], holes[:, ~mask] = math.inf, math.nan
     broken.requires_grad_()
     difference = im.masked_difference(broken, holes, mask)
@@ -195,9 +223,12 @@ def test_robust_differences_are_plain_near_zero_odd_and_smooth(function):
 
 
 def test_squares_of_robust_differences_are_the_named_losses():
-    d, s = torch.linspace(-4, 4, 82, dtype=torch.float64), 0.7
+    d = torch.linspace(-4, 4, 82, dtype=torch.float64)
+    s = 0.7
     torch.testing.assert_close(im.geman_mcclure(d, s) ** 2, s**2 * d**2 / (s**2 + d**2))
-    torch.testing.assert_close(im.huber(d, s) ** 2, torch.where(d.abs() <= s, d**2, 2 * s * d.abs() - s**2))
+    torch.testing.assert_close(
+        im.huber(d, s) ** 2, torch.where(d.abs() <= s, d**2, 2 * s * d.abs() - s**2)
+    )
     torch.testing.assert_close(
         im.huber(d, s) ** 2, 2 * torch.nn.functional.huber_loss(d, 0 * d, reduction="none", delta=s)
     )

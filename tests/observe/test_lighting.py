@@ -5,7 +5,13 @@ import torch
 
 from habitus.errors import HabitusError
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.lighting import ambient, harmonics, harmonics_slope, point_light, spherical_harmonics
+from habitus.observe.lighting import (
+    ambient,
+    harmonics,
+    harmonics_slope,
+    point_light,
+    spherical_harmonics,
+)
 from habitus.rotations import matrix_from_rotvec
 
 
@@ -18,15 +24,20 @@ def directions(count: int, seed: int = 0) -> torch.Tensor:
 
 
 def light_from(towards: torch.Tensor, coefficients: torch.Tensor) -> torch.Tensor:
-    """The light itself (before any surface): Y of each order, from the basis without the Lambertian factors."""
+    """The light itself (before any surface): Y of each order, from the basis without the Lambertian
+    factors.
+    """
     kept = torch.tensor([math.pi] + [2 * math.pi / 3] * 3 + [math.pi / 4] * 5, dtype=torch.float64)
     return (harmonics(towards) / kept) @ coefficients
 
 
 def even_directions(count: int) -> torch.Tensor:
-    """A Fibonacci lattice on the sphere: integrals of smooth functions by it are good to about 1 / count."""
+    """A Fibonacci lattice on the sphere: integrals of smooth functions by it are good to about 1 /
+    count.
+    """
     k = torch.arange(count, dtype=torch.float64) + 0.5
-    z, angle = 1 - 2 * k / count, math.pi * (1 + math.sqrt(5)) * k
+    z = 1 - 2 * k / count
+    angle = math.pi * (1 + math.sqrt(5)) * k
     r = (1 - z * z).sqrt()
     return torch.stack([r * angle.cos(), r * angle.sin(), z], -1)
 
@@ -40,10 +51,14 @@ def test_the_harmonics_are_orthonormal():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_brightness_is_the_integral_of_light_times_clamped_cosine(seed):
-    towards, normals, coefficients = even_directions(100_000), directions(20, seed), random(seed, 9, 2)
+    towards = even_directions(100_000)
+    normals = directions(20, seed)
+    coefficients = random(seed, 9, 2)
     cosine = (normals @ towards.T).clamp(min=0)
     integral = 4 * math.pi / len(towards) * cosine @ light_from(towards, coefficients)
-    torch.testing.assert_close(spherical_harmonics(normals, coefficients), integral, rtol=0, atol=1e-3)
+    torch.testing.assert_close(
+        spherical_harmonics(normals, coefficients), integral, rtol=0, atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -52,16 +67,18 @@ def test_turning_light_and_surface_together_changes_nothing(seed):
     towards = directions(500, seed)
     # The turned light L'(d) = L(R^T d), found by fitting its values.
     matrix = torch.linalg.lstsq(
-        light_from(towards, torch.eye(9).double()), light_from(towards @ turn, torch.eye(9).double())
+        light_from(towards, torch.eye(9).double()),
+        light_from(towards @ turn, torch.eye(9).double()),
     )
     turned = matrix.solution
-    normals, coefficients = directions(50, seed + 1), random(seed, 9, 3)
-    before, after = (
-        spherical_harmonics(normals, coefficients),
-        spherical_harmonics(normals @ turn.T, turned @ coefficients),
-    )
+    normals = directions(50, seed + 1)
+    coefficients = random(seed, 9, 3)
+    before = spherical_harmonics(normals, coefficients)
+    after = spherical_harmonics(normals @ turn.T, turned @ coefficients)
     torch.testing.assert_close(after, before, rtol=0, atol=1e-10)
-    torch.testing.assert_close(turned @ turned.T, torch.eye(9, dtype=torch.float64), rtol=0, atol=1e-10)
+    torch.testing.assert_close(
+        turned @ turned.T, torch.eye(9, dtype=torch.float64), rtol=0, atol=1e-10
+    )
 
 
 def test_the_first_coefficient_is_constant_light_and_the_next_three_are_y_z_x():
@@ -73,23 +90,36 @@ def test_the_first_coefficient_is_constant_light_and_the_next_three_are_y_z_x():
     linear = torch.zeros(9, 3, dtype=torch.float64)
     linear[1:4] = torch.eye(3, dtype=torch.float64)
     brightness = spherical_harmonics(normals, linear)
-    torch.testing.assert_close(brightness / brightness[:, :1], normals[:, [1, 2, 0]] / normals[:, [1]])
+    torch.testing.assert_close(
+        brightness / brightness[:, :1], normals[:, [1, 2, 0]] / normals[:, [1]]
+    )
 
 
 def test_a_lamp_far_away_gives_the_cosine_and_nothing_behind():
-    normals, points = directions(200), random(1, 200, 3)
+    normals = directions(200)
+    points = random(1, 200, 3)
     towards = directions(1, 5)[0]
-    brightness = point_light(points, normals, 1e9 * towards, torch.tensor([2.0, 0.5], dtype=torch.float64))
+    brightness = point_light(
+        points, normals, 1e9 * towards, torch.tensor([2.0, 0.5], dtype=torch.float64)
+    )
     cosine = (normals @ towards).clamp(min=0)
-    torch.testing.assert_close(brightness, cosine[:, None] * torch.tensor([2.0, 0.5]).double(), rtol=0, atol=1e-7)
+    torch.testing.assert_close(
+        brightness, cosine[:, None] * torch.tensor([2.0, 0.5]).double(), rtol=0, atol=1e-7
+    )
     assert (brightness == 0).any() and (brightness > 0).any()
 
 
 def test_a_lamp_moves_and_scales_with_its_scene():
-    normals, points, position, colour = directions(50), random(1, 50, 3), random(2, 3), random(3, 3).abs()
-    turn, move = matrix_from_rotvec(random(4, 3)), random(5, 3)
+    normals = directions(50)
+    points = random(1, 50, 3)
+    position = random(2, 3)
+    colour = random(3, 3).abs()
+    turn = matrix_from_rotvec(random(4, 3))
+    move = random(5, 3)
     before = point_light(points, normals, position, colour)
-    after = point_light(3 * points @ turn.T + move, normals @ turn.T, 3 * turn @ position + move, colour)
+    after = point_light(
+        3 * points @ turn.T + move, normals @ turn.T, 3 * turn @ position + move, colour
+    )
     torch.testing.assert_close(after, before)
 
 
@@ -100,12 +130,18 @@ def test_a_lamp_on_a_point_leaves_everything_finite():
     position = torch.zeros(3, dtype=torch.float64, requires_grad=True)
     brightness = point_light(points, directions(2), position, torch.ones(1).double())
     assert brightness[0] == 0
-    assert all(slope.isfinite().all() for slope in torch.autograd.grad(brightness.sum(), [points, position]))
+    assert all(
+        slope.isfinite().all()
+        for slope in torch.autograd.grad(brightness.sum(), [points, position])
+    )
 
 
 def test_batches_are_loops_and_lights_add():
-    points, normals = random(0, 4, 20, 3), directions(80).reshape(4, 20, 3)
-    position, colour, coefficients = random(1, 4, 3), random(2, 4, 2), random(3, 4, 9, 2)
+    points = random(0, 4, 20, 3)
+    normals = directions(80).reshape(4, 20, 3)
+    position = random(1, 4, 3)
+    colour = random(2, 4, 2)
+    coefficients = random(3, 4, 9, 2)
 
     def lit(points, normals, position, colour, coefficients):
         return (
@@ -117,37 +153,59 @@ def test_batches_are_loops_and_lights_add():
     together = lit(points, normals, position, colour, coefficients)
     assert together.shape == (4, 20, 2)
     for k in range(4):
-        torch.testing.assert_close(together[k], lit(points[k], normals[k], position[k], colour[k], coefficients[k]))
+        torch.testing.assert_close(
+            together[k], lit(points[k], normals[k], position[k], colour[k], coefficients[k])
+        )
     one_surface = lit(points[0], normals[0], position, colour, coefficients)
-    torch.testing.assert_close(one_surface[2], lit(points[0], normals[0], position[2], colour[2], coefficients[2]))
+    torch.testing.assert_close(
+        one_surface[2], lit(points[0], normals[0], position[2], colour[2], coefficients[2])
+    )
     assert ambient(points[0], colour).shape == (4, 20, 2)
 
 
 def test_derivatives_reach_vertices_lights_and_albedo():
     faces = torch.tensor([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
-    inputs = [random(0, 4, 3), random(1, 9, 2), 3 * random(2, 3), random(3, 2).abs(), random(4, 2), random(5, 4, 2)]
+    inputs = [
+        random(0, 4, 3),
+        random(1, 9, 2),
+        3 * random(2, 3),
+        random(3, 2).abs(),
+        random(4, 2),
+        random(5, 4, 2),
+    ]
 
     def drawn(vertices, coefficients, position, colour, everywhere, albedo):
         normals = vertex_normals(vertices, faces)
         lamp = point_light(vertices, normals, position, colour)
-        return albedo * (spherical_harmonics(normals, coefficients) + lamp + ambient(vertices, everywhere))
+        return albedo * (
+            spherical_harmonics(normals, coefficients) + lamp + ambient(vertices, everywhere)
+        )
 
     assert torch.autograd.gradcheck(drawn, [value.requires_grad_() for value in inputs])
     inputs = [value.detach() for value in inputs]
     every = tuple(range(6))
-    forward, backward = (way(drawn, argnums=every)(*inputs) for way in (torch.func.jacfwd, torch.func.jacrev))
+    forward, backward = (
+        way(drawn, argnums=every)(*inputs) for way in (torch.func.jacfwd, torch.func.jacrev)
+    )
     for a, b in zip(forward, backward, strict=True):
         torch.testing.assert_close(a, b)
 
 
 def test_bad_light_is_one_clear_line():
     normals = directions(5)
-    lamp, colour = torch.zeros(3).double(), torch.ones(1).double()
+    lamp = torch.zeros(3).double()
+    colour = torch.ones(1).double()
     uses = [
         (lambda: spherical_harmonics(normals, torch.zeros(8).double()), r"coefficients are \(8,\)"),
-        (lambda: spherical_harmonics(normals, torch.zeros(3, 9).double()), r"coefficients are \(3, 9\)"),
+        (
+            lambda: spherical_harmonics(normals, torch.zeros(3, 9).double()),
+            r"coefficients are \(3, 9\)",
+        ),
         (lambda: spherical_harmonics(normals, torch.zeros(9)), "float32"),
-        (lambda: spherical_harmonics(normals[:, :2], torch.zeros(9).double()), r"normals are \(5, 2\)"),
+        (
+            lambda: spherical_harmonics(normals[:, :2], torch.zeros(9).double()),
+            r"normals are \(5, 2\)",
+        ),
         (lambda: point_light(normals[0], normals, lamp, colour), r"points are \(3,\)"),
         (lambda: point_light(normals, normals, lamp[:2], colour), r"position is \(2,\)"),
         (lambda: point_light(normals, normals, lamp, colour[0]), "colour is one number"),

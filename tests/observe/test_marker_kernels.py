@@ -1,4 +1,6 @@
-"""Predicted markers, compiled and by the body, against a torch reference; every derivative against autodiff."""
+"""Predicted markers, compiled and by the body, against a torch reference; every derivative against
+autodiff.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,8 @@ MARKERS = 7
 
 
 def setting(seed, **kind):
-    body, rng = random_body(seed, **kind), np.random.default_rng(seed + 100)
+    body = random_body(seed, **kind)
+    rng = np.random.default_rng(seed + 100)
     betas = rng.normal(size=body.shapedirs.shape[2])
     rest = body.v_template + body.shapedirs @ betas
     triangles = body.faces[:MARKERS]
@@ -32,7 +35,13 @@ def states(body, rng, angle):
     return pose, rng.normal(size=(3, 3))
 
 
-KINDS = [{}, {"drivers": (4, 1)}, {"posedirs": False}, {"joints": 11, "influences": 4}, {"joints": 2, "influences": 1}]
+KINDS = [
+    {},
+    {"drivers": (4, 1)},
+    {"posedirs": False},
+    {"joints": 11, "influences": 4},
+    {"joints": 2, "influences": 1},
+]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -43,35 +52,55 @@ def test_linearization_agrees_with_autodiff(kind, angle):
     soft = rng.normal(size=(3, len(betas))) * 0.3
     found = BodyMarkers(body, betas, attachment).jacobian(pose, trans, soft)
     by_trans = np.broadcast_to(np.eye(3), (3, MARKERS, 3, 3))
-    markers, jacobian = found.markers, np.concatenate([by_trans, found.by_pose, found.by_betas], axis=-1)
-    np.testing.assert_allclose(predict(marker_rig(body, betas, attachment), pose, trans, soft), markers, atol=1e-12)
+    markers = found.markers
+    jacobian = np.concatenate([by_trans, found.by_pose, found.by_betas], axis=-1)
+    np.testing.assert_allclose(
+        predict(marker_rig(body, betas, attachment), pose, trans, soft), markers, atol=1e-12
+    )
 
     def reference(flat):
-        move, turn, shape = flat[:3], flat[3 : 3 + pose[0].size].reshape(-1, 3), flat[3 + pose[0].size :]
+        move = flat[:3]
+        turn = flat[3 : 3 + pose[0].size].reshape(-1, 3)
+        shape = flat[3 + pose[0].size :]
         return predict_markers(surface(body, torch.tensor(betas) + shape, turn, move), attachment)
 
     for t in range(3):
         flat = torch.tensor(np.concatenate([trans[t], pose[t].ravel(), soft[t]]))
         np.testing.assert_allclose(markers[t], reference(flat), atol=1e-12)
-        np.testing.assert_allclose(jacobian[t], torch.autograd.functional.jacobian(reference, flat), atol=1e-10)
+        np.testing.assert_allclose(
+            jacobian[t], torch.autograd.functional.jacobian(reference, flat), atol=1e-10
+        )
 
 
 @pytest.mark.parametrize("kind", [MarkerRig, BodyMarkers])
 def test_no_soft_tissue_is_zero_soft_tissue(kind):
     body, betas, attachment, rng = setting(5)
-    pose, trans = (np.tile(each, (BATCH, *[1] * (each.ndim - 1))) for each in states(body, rng, 0.7))
-    marked = marker_rig(body, betas, attachment) if kind is MarkerRig else BodyMarkers(body, betas, attachment)
+    pose, trans = (
+        np.tile(each, (BATCH, *[1] * (each.ndim - 1))) for each in states(body, rng, 0.7)
+    )
+    marked = (
+        marker_rig(body, betas, attachment)
+        if kind is MarkerRig
+        else BodyMarkers(body, betas, attachment)
+    )
     none = predict(marked, pose, trans)
-    np.testing.assert_allclose(none, predict(marked, pose, trans, np.zeros((len(pose), len(betas)))), atol=1e-14)
+    np.testing.assert_allclose(
+        none, predict(marked, pose, trans, np.zeros((len(pose), len(betas)))), atol=1e-14
+    )
     np.testing.assert_allclose(none[3 * BATCH - 3 :], none[:3], atol=1e-14)
     assert predict(marked, pose[:0], trans[:0]).shape == (0, MARKERS, 3)
-    np.testing.assert_allclose(marked.rest_joints, body.rest_joints(torch.tensor(betas)), atol=1e-14)
+    np.testing.assert_allclose(
+        marked.rest_joints, body.rest_joints(torch.tensor(betas)), atol=1e-14
+    )
 
 
-@pytest.mark.parametrize("change", [{"skinning": "dqbs"}, {"pose_features": "angles"}, {"shape_features": 2}])
+@pytest.mark.parametrize(
+    "change", [{"skinning": "dqbs"}, {"pose_features": "angles"}, {"shape_features": 2}]
+)
 def test_bodies_of_other_kinds_go_by_the_body(change):
     body, betas, attachment, rng = setting(6)
-    per_joint, blocks = (3 if "pose_features" in change else 9), 1 + change.get("shape_features", 0)
+    per_joint = 3 if "pose_features" in change else 9
+    blocks = 1 + change.get("shape_features", 0)
     count = 5 * per_joint * blocks
     body = replace(body, posedirs=0.02 * rng.normal(size=(40, 3, count)), **change)
     pose, trans = states(body, rng, 0.7)
@@ -80,7 +109,9 @@ def test_bodies_of_other_kinds_go_by_the_body(change):
         marked_body(replace(body, posedirs=None, skinning="lbs"), betas, attachment), MarkerRig
     )
     posed = body(torch.tensor(betas), torch.tensor(pose), torch.tensor(trans)).vertices
-    np.testing.assert_allclose(predict(marked, pose, trans), predict_markers(posed, attachment), atol=1e-13)
+    np.testing.assert_allclose(
+        predict(marked, pose, trans), predict_markers(posed, attachment), atol=1e-13
+    )
 
 
 def test_soft_tissue_is_a_change_of_betas():
@@ -97,7 +128,9 @@ def test_rest_pose_returns_the_latent_markers():
     rest = body.v_template + body.shapedirs @ betas
     latent = predict_markers(rest, attachment)
     rig = marker_rig(body, betas, attachment)
-    np.testing.assert_allclose(predict(rig, np.zeros((1, 6, 3)), np.zeros((1, 3)))[0], latent, atol=1e-13)
+    np.testing.assert_allclose(
+        predict(rig, np.zeros((1, 6, 3)), np.zeros((1, 3)))[0], latent, atol=1e-13
+    )
 
 
 def test_bases_are_the_derivative_to_the_coefficients():
@@ -119,7 +152,8 @@ def test_a_turn_of_the_world_turns_the_markers():
     still = predict(rig, pose, np.zeros((3, 3)))
     pose[:, 0] = (0.0, np.pi / 2, 0.0)
     turned = predict(rig, pose, np.zeros((3, 3)))
-    quarter, root = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), rig.rest_joints[0]
+    quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    root = rig.rest_joints[0]
     np.testing.assert_allclose(turned - root, (still - root) @ quarter.T, atol=1e-12)
 
 
@@ -130,10 +164,16 @@ def test_bodies_that_kernels_do_not_know_are_refused():
     for features, shapes, count in (("angles", 0, 15), ("rotations", 2, 135)):
         posedirs = np.zeros((40, 3, count))
         other = replace(body, pose_features=features, shape_features=shapes, posedirs=posedirs)
-        with pytest.raises(HabitusError, match=f"driven by '{features}'.*; marker fits need 'rotations' alone"):
+        with pytest.raises(
+            HabitusError, match=f"driven by '{features}'.*; marker fits need 'rotations' alone"
+        ):
             marker_rig(other, betas, attachment)
-    assert marker_rig(replace(other, posedirs=None), betas, attachment).corner_posedirs.shape[2] == 0
+    assert (
+        marker_rig(replace(other, posedirs=None), betas, attachment).corner_posedirs.shape[2] == 0
+    )
     with pytest.raises(HabitusError, match="sit on vertex"):
-        marker_rig(body, betas, MarkerAttachment(attachment.triangles + 1000, attachment.coefficients))
+        marker_rig(
+            body, betas, MarkerAttachment(attachment.triangles + 1000, attachment.coefficients)
+        )
     with pytest.raises(HabitusError, match="betas"):
         marker_rig(body, np.zeros(99), attachment)

@@ -5,7 +5,13 @@ import pytest
 import torch
 
 from habitus.errors import HabitusError
-from habitus.observe.markers import MarkerAttachment, attach, closest_triangles, predict_markers, triangle_bases
+from habitus.observe.markers import (
+    MarkerAttachment,
+    attach,
+    closest_triangles,
+    predict_markers,
+    triangle_bases,
+)
 
 
 def sheet(rng):
@@ -39,7 +45,9 @@ def test_bases_are_right_handed_and_orthonormal():
     vertices, faces = sheet(rng)
     origin, basis = triangle_bases(torch.tensor(vertices), faces)
     np.testing.assert_allclose(origin, vertices[faces[:, 0]])
-    np.testing.assert_allclose(basis.transpose(-1, -2) @ basis, np.broadcast_to(np.eye(3), basis.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        basis.transpose(-1, -2) @ basis, np.broadcast_to(np.eye(3), basis.shape), atol=1e-12
+    )
     np.testing.assert_allclose(torch.linalg.det(basis), np.ones(len(faces)), atol=1e-12)
 
 

@@ -1,4 +1,6 @@
-"""Large arrays: over nameless files, worked on a few frames at a time, with the numbers of NumPy at once."""
+"""Large arrays: over nameless files, worked on a few frames at a time, with the numbers of NumPy at
+once.
+"""
 
 import errno
 import os
@@ -35,13 +37,19 @@ def test_large_ones_are_arrays_like_others_and_leave_no_file_behind(monkeypatch,
     monkeypatch.setattr(blocks.tempfile, "tempdir", None)
     values = RNG.normal(size=(100, 7, 3))
     array = over_file(values)
-    assert type(array) is np.ndarray and blocks.lies_over_a_file(array) and not list(tmp_path.iterdir())
+    assert (
+        type(array) is np.ndarray
+        and blocks.lies_over_a_file(array)
+        and not list(tmp_path.iterdir())
+    )
     blocks.release(array, array[3:], None, values)
     np.testing.assert_array_equal(array, values)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(array)), values)
 
 
-@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="this system does not reserve room on a disk")
+@pytest.mark.skipif(
+    not hasattr(os, "posix_fallocate"), reason="this system does not reserve room on a disk"
+)
 def test_a_full_disk_is_told_before_it_kills(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -53,7 +61,8 @@ def test_a_full_disk_is_told_before_it_kills(monkeypatch):
 
 @pytest.mark.parametrize("frames", [1, 16, 17, 200])
 def test_mapping_is_what_it_would_be_at_once_and_never_sees_more_than_a_block(frames):
-    values, seen = over_file(RNG.normal(size=(frames, 50, 3))), []
+    values = over_file(RNG.normal(size=(frames, 50, 3)))
+    seen = []
 
     def length(part):
         seen.append(len(part))
@@ -64,7 +73,8 @@ def test_mapping_is_what_it_would_be_at_once_and_never_sees_more_than_a_block(fr
 
 
 def test_joining_columns_and_distances():
-    first, second = RNG.normal(size=(40, 9, 3)), RNG.normal(size=(70, 9, 3))
+    first = RNG.normal(size=(40, 9, 3))
+    second = RNG.normal(size=(70, 9, 3))
     together = np.concatenate([first, second])
     np.testing.assert_array_equal(blocks.joined([first, second]), together)
     assert blocks.joined([first]) is first
@@ -92,7 +102,9 @@ def test_some_columns_of_a_copy_are_changed(large, monkeypatch):
     assert blocks.lies_over_a_file(changed) == large
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="this system does not say what is in memory")
+@pytest.mark.skipif(
+    not os.path.exists("/proc/self/statm"), reason="this system does not say what is in memory"
+)
 def test_memory_is_let_go_of_while_blocks_pass(monkeypatch):
     """Sixty-four megabytes go through, a few stay resident."""
     monkeypatch.setattr(blocks, "BLOCK", 1 << 12)

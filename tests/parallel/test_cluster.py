@@ -23,7 +23,9 @@ distributed = pytest.importorskip("distributed")
 @pytest.fixture(scope="module")
 def address():
     """A cluster of two processes on this machine."""
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as cluster:
         yield cluster.scheduler_address
 
 
@@ -36,20 +38,25 @@ def people(tmp_path_factory):
 
 
 def test_the_cluster_trains_the_same_model(address, people, tmp_path):
-    template, options = toy()[0], replace(OPTIONS, rounds=1)
+    template = toy()[0]
+    options = replace(OPTIONS, rounds=1)
     few = people.take(np.r_[:14, 28:38])
     more = {"template": template, "options": options}
     (here,) = train(few, tmp_path / "here", workers=1, **more)
     (there,) = train(few, tmp_path / "there", workers=address, **more)
-    here, there = here.trained, there.trained
+    here = here.trained
+    there = there.trained
     for name in ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_weights"):
-        torch.testing.assert_close(getattr(there.body, name), getattr(here.body, name), rtol=0, atol=1e-9)
+        torch.testing.assert_close(
+            getattr(there.body, name), getattr(here.body, name), rtol=0, atol=1e-9
+        )
     np.testing.assert_allclose(there.estimate.pose, here.estimate.pose, rtol=0, atol=1e-9)
 
 
 def test_results_come_in_order_and_few_wait(address):
     with connect(address) as workers:
-        found, most = [], 0
+        found = []
+        most = 0
         for result in workers.map(divmod, 100, range(1, 40)):
             found.append(result)
             most = max(most, len(workers.client.futures))
@@ -72,7 +79,8 @@ def test_the_work_of_a_machine_that_dies_is_done_by_another(address, tmp_path):
 
 
 def test_a_queue_does_what_earlier_results_call_for(address):
-    todo, found = [5], {}
+    todo = [5]
+    found = {}
     with connect(address) as workers:
         for item, result in Spread(workers).done(divmod, 100, lambda: todo.pop() if todo else None):
             found[item] = result
@@ -106,7 +114,9 @@ def test_an_item_that_kills_processes_is_lost_and_a_scheduler_that_is_gone_ends_
 
 def test_a_queue_sends_again_what_the_scheduler_forgot():
     todo = [4, 3]
-    found = dict(Spread(Cluster(Forgetful(1))).done(divmod, 100, lambda: todo.pop() if todo else None))
+    found = dict(
+        Spread(Cluster(Forgetful(1))).done(divmod, 100, lambda: todo.pop() if todo else None)
+    )
     assert found == {3: divmod(100, 3), 4: divmod(100, 4)}
 
 
@@ -125,7 +135,8 @@ class Forgetful:
         return things
 
     def submit(self, function, *arguments, **_):
-        future, self.forgets = Future(), self.forgets - 1
+        future = Future()
+        self.forgets = self.forgets - 1
         if self.forgets >= 0:
             future.cancel()
         else:
@@ -137,7 +148,8 @@ class Forgetful:
 
 
 @pytest.mark.parametrize(
-    ("forgets", "status", "lost"), [(2, "running", False), (50, "running", True), (1, "closed", True)]
+    ("forgets", "status", "lost"),
+    [(2, "running", False), (50, "running", True), (1, "closed", True)],
 )
 def test_a_task_that_the_scheduler_forgot_is_sent_again(forgets, status, lost):
     client = Forgetful(forgets)
@@ -151,7 +163,10 @@ def test_a_task_that_the_scheduler_forgot_is_sent_again(forgets, status, lost):
 
 
 def test_bad_input_is_said_as_without_a_cluster(address, people):
-    with connect(address) as workers, pytest.raises(HabitusError, match="registrations 99 to 99 asked for"):
+    with (
+        connect(address) as workers,
+        pytest.raises(HabitusError, match="registrations 99 to 99 asked for"),
+    ):
         list(workers.map(type(people).take, people, [np.array([1]), np.array([99])]))
 
 

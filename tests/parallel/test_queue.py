@@ -1,4 +1,6 @@
-"""Items in this process: what is done first decides what is done next; one thread is all that they use."""
+"""Items in this process: what is done first decides what is done next; one thread is all that they
+use.
+"""
 
 import pytest
 
@@ -8,7 +10,8 @@ from habitus.parallel.queue import Here, open_queue
 
 
 def test_items_here_are_done_one_after_another_as_they_come():
-    todo, found = [5], []
+    todo = [5]
+    found = []
     with open_queue(1) as queue:
         for item, result in queue.done(divmod, 100, lambda: todo.pop() if todo else None):
             found.append((item, result))

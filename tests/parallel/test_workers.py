@@ -1,4 +1,6 @@
-"""Workers answer in order whatever the number of threads, pass on what goes wrong, and do not run far ahead."""
+"""Workers answer in order whatever the number of threads, pass on what goes wrong, and do not run
+far ahead.
+"""
 
 import threading
 import time
@@ -21,7 +23,9 @@ def test_results_come_in_order(count, items):
         time.sleep(0.002 * (item % 3 == 0))
         return shared + item
 
-    assert list(Threads(count).map(slowly, 100, range(items))) == [100 + item for item in range(items)]
+    assert list(Threads(count).map(slowly, 100, range(items))) == [
+        100 + item for item in range(items)
+    ]
 
 
 @threads
@@ -59,7 +63,8 @@ def test_work_waits_until_results_are_taken(count):
 
 
 def test_threads_work_at_once_and_share():
-    both, shared = threading.Barrier(2, timeout=10), object()
+    both = threading.Barrier(2, timeout=10)
+    shared = object()
 
     def meet(given, item):
         assert given is shared
@@ -72,13 +77,21 @@ def test_threads_work_at_once_and_share():
 @threads
 def test_linear_algebra_keeps_to_one_core_meanwhile(count):
     before = [(pool["filepath"], pool["num_threads"]) for pool in threadpool_info()]
-    inside = list(Threads(count).map(lambda *_: [pool["num_threads"] for pool in threadpool_info()], None, range(3)))
+    inside = list(
+        Threads(count).map(
+            lambda *_: [pool["num_threads"] for pool in threadpool_info()], None, range(3)
+        )
+    )
     assert all(number == 1 for numbers in inside for number in numbers)
     assert [(pool["filepath"], pool["num_threads"]) for pool in threadpool_info()] == before
 
 
 def test_blocks_cover_everything_once():
-    assert in_blocks(0, 4) == [] and in_blocks(8, 4) == [range(4), range(4, 8)] and in_blocks(9, 4)[-1] == range(8, 9)
+    assert (
+        in_blocks(0, 4) == []
+        and in_blocks(8, 4) == [range(4), range(4, 8)]
+        and in_blocks(9, 4)[-1] == range(8, 9)
+    )
 
 
 @pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
@@ -88,7 +101,8 @@ def test_training_is_the_same_on_threads(skinning):
     )
     alone = together = disturbed(truth)
     for step in STEPS.values():
-        alone, together = step(problem, alone, Threads(1)), step(problem, together, Threads(2))
+        alone = step(problem, alone, Threads(1))
+        together = step(problem, together, Threads(2))
     for key in ("templates", "joints", "pose", "trans"):
         assert np.array_equal(getattr(alone, key), getattr(together, key))
     assert np.array_equal(alone.rig.posedirs, together.rig.posedirs)

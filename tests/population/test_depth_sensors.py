@@ -1,4 +1,6 @@
-"""Sensors do to depth what the literature says: noise that grows, steps, holes, shadows beside what is near."""
+"""Sensors do to depth what the literature says: noise that grows, steps, holes, shadows beside what
+is near.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,8 @@ import pytest
 from habitus.errors import HabitusError
 from habitus.population.depth_sensors import SENSORS, sense, shadow
 
-KINECT, AZURE = SENSORS["kinect-v1"], SENSORS["azure-kinect"]
+KINECT = SENSORS["kinect-v1"]
+AZURE = SENSORS["azure-kinect"]
 
 
 def wall(sensor, distance, cosine=1.0):
@@ -49,7 +52,9 @@ def test_the_projector_leaves_a_shadow_as_wide_as_parallax():
     depth[:, 300:400] = 2.0
     found = shadow(depth, KINECT.focal, KINECT.baseline)
     width = KINECT.focal * KINECT.baseline * (1 / 2.0 - 1 / 4.0)
-    assert abs(found[0].sum() - width) <= 1.5 and found[:, 270:300].any() and not found[:, 300:].any()
+    assert (
+        abs(found[0].sum() - width) <= 1.5 and found[:, 270:300].any() and not found[:, 300:].any()
+    )
 
 
 def test_another_size_is_refused():

@@ -1,4 +1,6 @@
-"""Made scans have as many points, holes and noise as was asked for, and show only what a camera sees."""
+"""Made scans have as many points, holes and noise as was asked for, and show only what a camera
+sees.
+"""
 
 import numpy as np
 import trimesh
@@ -19,5 +21,10 @@ def test_a_scan_has_its_points_its_noise_and_its_holes():
 
 
 def test_a_camera_sees_its_side_only():
-    scan = scanned(BALL.vertices, BALL.faces, Scanner(4000, 0.0, 0.0, ((0.0, 0.0, 1.0),)), np.random.default_rng(1))
+    scan = scanned(
+        BALL.vertices,
+        BALL.faces,
+        Scanner(4000, 0.0, 0.0, ((0.0, 0.0, 1.0),)),
+        np.random.default_rng(1),
+    )
     assert scan.points[:, 2].min() > 0.0 and len(scan.points) > 1500

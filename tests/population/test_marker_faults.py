@@ -6,7 +6,8 @@ import pytest
 from habitus.errors import HabitusError
 from habitus.population import marker_faults as faults
 
-T, M = 50, 5
+T = 50
+M = 5
 
 
 @pytest.fixture
@@ -48,7 +49,9 @@ def test_who_was_never_seen_cannot_fall(markers):
 def test_a_ghost_stands_still_beside_the_marker(markers):
     spoilt = faults.ghost(markers, 4, slice(5, 15), np.array([0.1, 0.0, 0.0]))
     assert changed(markers, spoilt) == (set(range(5, 15)), {4})
-    np.testing.assert_allclose(spoilt[5:15, 4], np.broadcast_to(markers[5, 4] + (0.1, 0, 0), (10, 3)))
+    np.testing.assert_allclose(
+        spoilt[5:15, 4], np.broadcast_to(markers[5, 4] + (0.1, 0, 0), (10, 3))
+    )
 
 
 def test_a_wrong_label_sits_between_two_others(markers):

@@ -1,4 +1,6 @@
-"""Planted registrations are what they say: exact in the class, out of reach outside it, the same for the same seed."""
+"""Planted registrations are what they say: exact in the class, out of reach outside it, the same
+for the same seed.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,13 @@ from habitus.rotations import matrix_from_rotvec
 
 SIDE = np.array([-1.0, 1.0, 1.0])
 TURN = np.array([1.0, -1.0, -1.0])
-SMALL = {"subjects": 3, "poses_per_subject": 4, "shape_people": 5, "test_subjects": 2, "test_poses": 3}
+SMALL = {
+    "subjects": 3,
+    "poses_per_subject": 4,
+    "shape_people": 5,
+    "test_subjects": 2,
+    "test_poses": 3,
+}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +65,9 @@ def some_states(surface, count, seed=0):
 
 
 def mirrored(body, vertices, pose):
-    return vertices[:, body.mirror] * torch.from_numpy(SIDE), pose[:, mirrored_names(body.joint_names)] * TURN
+    return vertices[:, body.mirror] * torch.from_numpy(SIDE), pose[
+        :, mirrored_names(body.joint_names)
+    ] * TURN
 
 
 # coarse bodies
@@ -66,7 +76,12 @@ def mirrored(body, vertices, pose):
 def test_a_coarse_body_is_closed_symmetric_and_made_of_the_bodys_vertices(people, coarse):
     mesh = trimesh.Trimesh(coarse.v_template, coarse.faces, process=False)
     assert 560 <= coarse.num_vertices <= 600
-    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 2 and mesh.body_count == 1
+    assert (
+        mesh.is_watertight
+        and mesh.is_winding_consistent
+        and mesh.euler_number == 2
+        and mesh.body_count == 1
+    )
     assert mesh.volume == pytest.approx(
         trimesh.Trimesh(people.v_template, people.faces, process=False).volume, rel=0.05
     )
@@ -80,7 +95,9 @@ def test_a_coarse_body_moves_as_the_whole_one(people, coarse):
     places = {tuple(point): k for k, point in enumerate(people.v_template.tolist())}
     rows = [places[tuple(point)] for point in coarse.v_template.tolist()]
     betas, pose = some_states(coarse, 4)
-    apart = (coarse(betas, pose).vertices - people(betas, pose, vertices=rows).vertices).norm(dim=-1)
+    apart = (coarse(betas, pose).vertices - people(betas, pose, vertices=rows).vertices).norm(
+        dim=-1
+    )
     assert apart.mean() < 0.005  # joints are regressed anew
     rest = torch.zeros(1, people.num_betas, dtype=torch.float64)
     assert (coarse.rest_joints(rest) - people.rest_joints(rest)).norm(dim=-1).max() < 0.001
@@ -101,7 +118,9 @@ def test_bodies_that_cannot_be_made_coarse_are_refused(people, coarse):
 def test_poses_keep_to_the_limits_and_use_every_joint(coarse):
     limits = joint_limits(coarse.joint_names)
     pose = sample_poses(np.random.default_rng(0), 400, limits)
-    assert (pose >= np.minimum(limits.low, 0) - 1e-12).all() and (pose <= np.maximum(limits.high, 0) + 1e-12).all()
+    assert (pose >= np.minimum(limits.low, 0) - 1e-12).all() and (
+        pose <= np.maximum(limits.high, 0) + 1e-12
+    ).all()
     turned = np.degrees(np.linalg.norm(pose, axis=-1))
     assert ((turned > 10).mean(0) > 0.1).all()
     wide = limits.high - limits.low > np.radians(20)
@@ -110,7 +129,8 @@ def test_poses_keep_to_the_limits_and_use_every_joint(coarse):
 
 def test_left_and_right_have_mirrored_limits_and_some_poses_are_symmetric(coarse):
     limits = joint_limits(coarse.joint_names)
-    low, high = limits.low[limits.mirror] * TURN, limits.high[limits.mirror] * TURN
+    low = limits.low[limits.mirror] * TURN
+    high = limits.high[limits.mirror] * TURN
     np.testing.assert_allclose(np.minimum(low, high), limits.low)
     np.testing.assert_allclose(np.maximum(low, high), limits.high)
     pose = sample_poses(np.random.default_rng(0), 400, limits)
@@ -120,13 +140,18 @@ def test_left_and_right_have_mirrored_limits_and_some_poses_are_symmetric(coarse
 
 
 def test_bends_go_the_way_people_bend(people):
-    """A flexed knee lifts the ankle backwards, a flexed elbow brings the wrist forward, an A-pose lowers the wrists."""
-    limits, names = joint_limits(people.joint_names), people.joint_names.index
+    """A flexed knee lifts the ankle backwards, a flexed elbow brings the wrist forward, an A-pose
+    lowers the wrists.
+    """
+    limits = joint_limits(people.joint_names)
+    names = people.joint_names.index
     still = people().joints
     for side in ("left", "right"):
         for joint, end in (("knee", "ankle"), ("elbow", "wrist")):
             k = names(f"{side}_{joint}")
-            most = np.where(np.abs(limits.low[k]) > np.abs(limits.high[k]), limits.low[k], limits.high[k])
+            most = np.where(
+                np.abs(limits.low[k]) > np.abs(limits.high[k]), limits.low[k], limits.high[k]
+            )
             pose = {f"{side}_{joint}": most * (np.abs(most) > np.radians(100))}
             moved = people(pose=pose).joints[names(f"{side}_{end}")] - still[names(f"{side}_{end}")]
             assert (moved[2] < -0.1) if joint == "knee" else (moved[2] > 0.1)
@@ -139,12 +164,16 @@ def test_joints_of_unknown_names_turn_anywhere_in_a_ball():
     pose = sample_poses(np.random.default_rng(0), 500, joint_limits(("root", "tail1", "tail2")))
     turned = np.linalg.norm(pose, axis=-1)
     assert turned.max() <= 0.9 and np.abs(pose.mean((0, 1))).max() < 0.1
-    assert np.mean(turned < 0.9 * 0.5 ** (1 / 3)) == pytest.approx(0.5, abs=0.05)  # half the ball's volume
+    assert np.mean(turned < 0.9 * 0.5 ** (1 / 3)) == pytest.approx(
+        0.5, abs=0.05
+    )  # half the ball's volume
 
 
 def test_motion_poses_are_frames_far_apart(tmp_path):
     rng = np.random.default_rng(0)
-    walk = np.repeat(rng.standard_normal((6, 24, 3)), 50, axis=0) + 1e-3 * rng.standard_normal((300, 24, 3))
+    walk = np.repeat(rng.standard_normal((6, 24, 3)), 50, axis=0) + 1e-3 * rng.standard_normal(
+        (300, 24, 3)
+    )
     np.savez(tmp_path / "walk.npz", poses=walk.reshape(300, 72))
     poses = motion_poses([tmp_path / "walk.npz"], 6, 24)
     apart = np.linalg.norm((poses[:, None] - poses).reshape(6, 6, -1), axis=-1)
@@ -173,7 +202,9 @@ def test_planted_pose_shapes_are_as_large_as_asked_and_stay_near_their_joint(tru
     shapes = torch.as_tensor(truth.posedirs).unflatten(2, (-1, 9))
     rest = torch.as_tensor(truth.joint_template)
     bends = torch.randn(200, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    feature = (matrix_from_rotvec(bends / bends.norm(dim=1, keepdim=True)) - torch.eye(3)).flatten(1)
+    feature = (matrix_from_rotvec(bends / bends.norm(dim=1, keepdim=True)) - torch.eye(3)).flatten(
+        1
+    )
     shift = (shapes @ feature.T).norm(dim=1)  # (V, J - 1, bends)
     np.testing.assert_allclose(shift.amax(0).mean(1), 0.01, rtol=0.15)
     far = torch.cdist(torch.as_tensor(truth.v_template), rest[1:]) > 0.4
@@ -183,9 +214,13 @@ def test_planted_pose_shapes_are_as_large_as_asked_and_stay_near_their_joint(tru
 
 
 def test_bulges_are_no_linear_function_of_rotations_yet_near_one(coarse, flesh):
-    """Regressed on vec(R - I), held-out bulges keep a tenth and more of their size, and lose most of it."""
+    """Regressed on vec(R - I), held-out bulges keep a tenth and more of their size, and lose most
+    of it.
+    """
     _, pose = some_states(flesh, 1500)
-    bulge = flesh.effort(pose) @ flesh.bulges  # of the template's girth: what is left is the angle's doing
+    bulge = (
+        flesh.effort(pose) @ flesh.bulges
+    )  # of the template's girth: what is left is the angle's doing
     features = POSE_FEATURES["rotations"].of_pose(pose, matrix_from_rotvec(pose))
     fitted = torch.linalg.lstsq(features[:1200], bulge[:1200], driver="gelsd").solution
     left = (bulge[1200:] - features[1200:] @ fitted).norm() / bulge[1200:].norm()
@@ -226,7 +261,9 @@ def test_a_data_set_has_the_sets_asked_for(truth):
     assert len(data.subjects) == 10 and len(set(data.name)) == len(data) == 23
     assert planted.joints.shape == (10, 24, 3)
     for k, person in enumerate(data.subject_index):
-        np.testing.assert_allclose(planted.joints[person], truth.rest_joints(planted.betas[k]), atol=1e-12)
+        np.testing.assert_allclose(
+            planted.joints[person], truth.rest_joints(planted.betas[k]), atol=1e-12
+        )
     assert len(np.unique(planted.betas, axis=0)) == 10
     assert {"female", "male"} >= set(data.sex) and all(
         len({data.sex[k] for k in np.flatnonzero(data.subject_index == p)}) == 1 for p in range(10)
@@ -295,19 +332,26 @@ def test_numbers_without_sense_are_refused(truth):
 @pytest.mark.parametrize("kind", ["hole", "torn", "shuffled", "millimetres"])
 def test_a_broken_registration_is_the_only_one_changed(truth, kind):
     planted = planted_registrations(truth, **SMALL)
-    before, after = planted.registrations.vertices[:], spoil(planted, kind, 5).registrations.vertices
-    same = np.array([np.array_equal(a, b, equal_nan=True) for a, b in zip(before, after[:], strict=True)])
+    before = planted.registrations.vertices[:]
+    after = spoil(planted, kind, 5).registrations.vertices
+    same = np.array(
+        [np.array_equal(a, b, equal_nan=True) for a, b in zip(before, after[:], strict=True)]
+    )
     assert np.flatnonzero(~same).tolist() == [5]
     np.testing.assert_allclose(after[5], after[:][5], atol=1e-3 if kind == "millimetres" else 2e-7)
     off = np.linalg.norm(after[5] - before[5], axis=-1)
-    amount = {"hole": np.isnan(off).sum() == 1, "torn": (off > 0.01).mean() == pytest.approx(0.1, abs=0.01)}
+    amount = {
+        "hole": np.isnan(off).sum() == 1,
+        "torn": (off > 0.01).mean() == pytest.approx(0.1, abs=0.01),
+    }
     amount |= {"shuffled": (off > 0.1).mean() > 0.5, "millimetres": np.ptp(after[5][:, 1]) > 800}
     assert amount[kind]
 
 
 def test_mislabelled_and_unposed_are_what_they_say(truth):
     planted = planted_registrations(truth, **SMALL)
-    data, wrong = planted.registrations, spoil(planted, "mislabelled", 5).registrations
+    data = planted.registrations
+    wrong = spoil(planted, "mislabelled", 5).registrations
     changed = [k for k in range(len(data)) if data.subject[k] != wrong.subject[k]]
     assert changed == [5] and wrong.subject[5] in data.where(set=data.set[5]).subjects
     elbow = truth.joint_names.index("left_elbow")

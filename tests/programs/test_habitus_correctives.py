@@ -1,4 +1,6 @@
-"""The plain Python that Maya and Unreal share: no NumPy in it, and the same axes however a mesh was turned."""
+"""The plain Python that Maya and Unreal share: no NumPy in it, and the same axes however a mesh was
+turned.
+"""
 
 import ast
 import itertools
@@ -23,11 +25,14 @@ def module(monkeypatch):
 def test_any_turned_or_mirrored_mesh_of_any_person_has_the_bodys_axes(tmp_path, module):
     file = exported("live:64")
     told = module.Correctives(Imported(np.eye(3), 1.0, file).save_drivers(tmp_path).read_text())
-    rng, names = np.random.default_rng(4), file.body.joint_names
+    rng = np.random.default_rng(4)
+    names = file.body.joint_names
     for order in itertools.permutations(range(3)):
         for signs in itertools.product([1.0, -1.0], repeat=3):
             axes = np.eye(3)[list(order)] * signs
-            other = file.body.rest_joints(rng.normal(size=file.body.num_betas)) @ axes.T * 100.0 + 7.0
+            other = (
+                file.body.rest_joints(rng.normal(size=file.body.num_betas)) @ axes.T * 100.0 + 7.0
+            )
             found = told.axes(dict(zip(names, other.tolist(), strict=True)))
             assert np.array_equal([sign * np.eye(3)[axis] for axis, sign in found], axes.T)
     with pytest.raises(ValueError, match="another skeleton"):
@@ -45,6 +50,10 @@ def test_scripts_need_nothing_but_their_program():
     for path in FOLDER.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(), feature_version=(3, 7))):
             if isinstance(node, ast.Import | ast.ImportFrom):
-                names = [node.module] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names]
+                names = (
+                    [node.module]
+                    if isinstance(node, ast.ImportFrom)
+                    else [alias.name for alias in node.names]
+                )
                 found |= {name.partition(".")[0] for name in names}
     assert found - set(sys.stdlib_module_names) == {"maya", "unreal", "habitus_correctives"}

@@ -1,4 +1,6 @@
-"""A real importer's bones, driven by the JSON beside the file: an FBX in Blender takes any pose as the body does."""
+"""A real importer's bones, driven by the JSON beside the file: an FBX in Blender takes any pose as
+the body does.
+"""
 
 from pathlib import Path
 
@@ -59,7 +61,8 @@ np.savez(f"{folder}/found.npz", vertices=points.reshape(-1, 3) @ whole[:3, :3].T
 def test_any_pose_of_an_imported_person_is_the_bodys(tmp_path, program, operator):
     if PROGRAMS[program] is None:
         pytest.skip(f"no {program} here: apt-get install blender python3-numpy, or pip install bpy")
-    fit, rng = synthetic_fit(3, soft=False, body=tube_body(posedirs=True)), np.random.default_rng(6)
+    fit = synthetic_fit(3, soft=False, body=tube_body(posedirs=True))
+    rng = np.random.default_rng(6)
     fit.export(tmp_path / "a.fbx", correctives="all")
     pose = rng.normal(0, 0.5, (fit.body.num_joints, 3))
     pose[0] = 0
@@ -70,4 +73,6 @@ def test_any_pose_of_an_imported_person_is_the_bodys(tmp_path, program, operator
     with np.load(tmp_path / "found.npz") as found:
         known = fit.body(fit.betas, pose).vertices[:, [0, 2, 1]] * [1, -1, 1]  # +y up to +z up
         assert np.linalg.norm(found["vertices"] - known, axis=1).max() < 1e-4
-        assert (found["turned"] > 0.1) == (operator == "import_scene.fbx")  # bones with axes of their own
+        assert (found["turned"] > 0.1) == (
+            operator == "import_scene.fbx"
+        )  # bones with axes of their own

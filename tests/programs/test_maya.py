@@ -13,9 +13,13 @@ FOLDER = Path(__file__).resolve().parents[2] / "programs"
 
 
 def scene_of(person: Imported) -> Scene:
-    """What Maya's FBX plug-in leaves: joints in a name space, a skin whose places have holes, baked blend shapes."""
-    file, scene = person.file, Scene(history=["skin", "blend"])
-    skin, aliases = {}, {name: f"weight[{3 * k}]" for k, name in enumerate(file.animation.morph_names)}
+    """What Maya's FBX plug-in leaves: joints in a name space, a skin whose places have holes, baked
+    blend shapes.
+    """
+    file = person.file
+    scene = Scene(history=["skin", "blend"])
+    skin = {}
+    aliases = {name: f"weight[{3 * k}]" for k, name in enumerate(file.animation.morph_names)}
     for joint, name in enumerate(file.body.joint_names):
         place = 2 * joint
         skin[f"bindPreMatrix[{place}]"] = np.linalg.inv(person.rests[joint]).T.ravel().tolist()
@@ -68,7 +72,9 @@ def test_any_pose_gets_the_bodys_own_surface(tmp_path, opened, axes):
     assert person.file.off(weights).max() < 1e-4 and person.file.bare.max() > 0.01
     assert scene.links["blend.weight[0]"].startswith(node)  # the baked curve gave way
     declared = scene.types["habitusCorrectives"]
-    assert {first for first, second in declared.affects if second == "weight"} == set(declared.attributes) - {"weight"}
+    assert {first for first, second in declared.affects if second == "weight"} == set(
+        declared.attributes
+    ) - {"weight"}
 
 
 def test_what_does_not_belong_together_is_refused(tmp_path, opened):

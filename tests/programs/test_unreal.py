@@ -1,4 +1,6 @@
-"""Unreal's editor script against a stub of the editor: the curves that it bakes make habitus' own surface."""
+"""Unreal's editor script against a stub of the editor: the curves that it bakes make habitus' own
+surface.
+"""
 
 import importlib
 import sys
@@ -23,7 +25,10 @@ def motion_of(person: Imported) -> Sequence:
     return Sequence(
         ["root", *person.file.body.joint_names],
         tuple(np.concatenate([[part[0]], part]) for part in pair(still)),
-        [tuple(np.concatenate([[part[0]], part]) for part in pair(turns)) for turns in person.worlds],
+        [
+            tuple(np.concatenate([[part[0]], part]) for part in pair(turns))
+            for turns in person.worlds
+        ],
         30.0,
         {"left_knee_xy": [(0.0, 9.0)], "smile": [(0.0, 1.0)]},
     )
@@ -31,8 +36,13 @@ def motion_of(person: Imported) -> Sequence:
 
 @pytest.fixture
 def editor(monkeypatch):
-    person, imported = Imported(UNREAL, 100.0, exported("all")), []
-    assets = {"/Game/dance": motion_of(person), "/Game/People/walk": object(), "/Game/People/bones": "bones"}
+    person = Imported(UNREAL, 100.0, exported("all"))
+    imported = []
+    assets = {
+        "/Game/dance": motion_of(person),
+        "/Game/People/walk": object(),
+        "/Game/People/bones": "bones",
+    }
     monkeypatch.setitem(sys.modules, "unreal", module(assets, imported))
     monkeypatch.syspath_prepend(str(FOLDER))
     yield person, assets, imported, importlib.import_module("habitus_unreal")
@@ -43,7 +53,8 @@ def test_curves_make_the_bodys_own_surface(tmp_path, editor):
     person, assets, _, script = editor
     path = person.save_drivers(tmp_path)
     count = script.bake("/Game/dance", path, "/Game/People/walk")
-    motion, names = assets["/Game/dance"], person.file.animation.morph_names
+    motion = assets["/Game/dance"]
+    names = person.file.animation.morph_names
     weights = np.zeros((len(person.file.poses), len(names)))
     for name, keys in motion.curves.items():
         if name in names:
@@ -51,7 +62,9 @@ def test_curves_make_the_bodys_own_surface(tmp_path, editor):
             weights[:, names.index(name)] = [value for _, value in keys]
     assert person.file.off(weights).max() < 1e-4 + 1e-3 and person.file.bare.max() > 0.01
     assert np.abs(weights - person.file.weights).max() < 1.1e-3  # what is too small for a curve
-    assert motion.saved and motion.curves["smile"] == [(0.0, 1.0)] and count == len(motion.curves) - 1
+    assert (
+        motion.saved and motion.curves["smile"] == [(0.0, 1.0)] and count == len(motion.curves) - 1
+    )
     with pytest.raises(ValueError, match="there is no /Game/song"):
         script.bake("/Game/song", path, "/Game/People/walk")
     motion.names[4] = "elsewhere"
@@ -61,10 +74,16 @@ def test_curves_make_the_bodys_own_surface(tmp_path, editor):
 
 def test_an_import_keeps_rate_units_and_morph_targets(editor):
     _, _, imported, script = editor
-    assert script.import_person("walk.fbx", "/Game/People", "/Game/People/bones") == ["/Game/People/walk"]
+    assert script.import_person("walk.fbx", "/Game/People", "/Game/People/bones") == [
+        "/Game/People/walk"
+    ]
     (task,) = imported
     options = task.held["options"].held
-    assert options["import_as_skeletal"] and options["import_animations"] and options["skeleton"] == "bones"
+    assert (
+        options["import_as_skeletal"]
+        and options["import_animations"]
+        and options["skeleton"] == "bones"
+    )
     assert options["skeletal_mesh_import_data"].held["import_morph_targets"]
     assert not options["anim_sequence_import_data"].held["use_default_sample_rate"]
     assert task.held["automated"] and Path(task.held["filename"]).is_absolute()

@@ -14,7 +14,9 @@ SCENES = [sphere(9, 14), torus(24, 11), icosphere(2), cube(), quadrilateral()]
 
 
 def posed(shape, seed=0, distance=NEAR):
-    """The shape turned at random, its middle about the near plane; and its triangles, welded as it was made."""
+    """The shape turned at random, its middle about the near plane; and its triangles, welded as it
+    was made.
+    """
     generator = torch.Generator().manual_seed(seed)
     turn = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=generator))[0]
     turn = turn * torch.linalg.det(turn)
@@ -28,7 +30,9 @@ def area_vectors(points, faces):
 
 
 def kept_share(z):
-    """The share of each triangle's area with z >= NEAR, from its corners' z (F, 3): similar triangles."""
+    """The share of each triangle's area with z >= NEAR, from its corners' z (F, 3): similar
+    triangles.
+    """
     low, middle, high = z.sort(1).values.unbind(1)
     tip = (high - NEAR) ** 2 / ((high - low) * (high - middle))
     stump = 1 - (low - NEAR) ** 2 / ((middle - low) * (high - low))
@@ -41,7 +45,9 @@ def assert_areas(points, triangles, clipped):
     whole = area_vectors(points, triangles.faces)
     parts = area_vectors(clipped.points, clipped.triangles.faces)
     kept = torch.zeros_like(whole).index_add(0, clipped.source_face, parts)
-    assert torch.allclose(kept, whole * kept_share(points[:, 2][triangles.faces])[:, None], rtol=1e-12, atol=1e-12)
+    assert torch.allclose(
+        kept, whole * kept_share(points[:, 2][triangles.faces])[:, None], rtol=1e-12, atol=1e-12
+    )
     assert ((parts * whole[clipped.source_face]).sum(1) >= -1e-12).all()
 
 
@@ -121,7 +127,9 @@ def test_nothing_to_do_and_nothing_left():
 
 def test_vertices_behind_do_no_harm_to_a_projections_gradient():
     square = quadrilateral()
-    points = torch.cat([square.vertices + torch.tensor([0, 0, 2.0]), torch.zeros(1, 3, dtype=torch.float64)])
+    points = torch.cat(
+        [square.vertices + torch.tensor([0, 0, 2.0]), torch.zeros(1, 3, dtype=torch.float64)]
+    )
     unused = Triangles.of(square.faces, num_vertices=5)
     for triangles in (unused, Triangles.of([[0, 1, 2], [0, 2, 3], [0, 4, 1]])):
         points = points.clone().requires_grad_()
@@ -134,18 +142,26 @@ def test_vertices_behind_do_no_harm_to_a_projections_gradient():
 
 def test_triangles_on_and_touching_the_plane():
     z = torch.tensor([1.0, 1, 1, 0, 2, 2])
-    points = torch.stack([torch.tensor([0.0, 1, 0, 1, 1, 0]), torch.tensor([0.0, 0, 1, 1, 2, 2]), z], 1)
+    points = torch.stack(
+        [torch.tensor([0.0, 1, 0, 1, 1, 0]), torch.tensor([0.0, 0, 1, 1, 2, 2]), z], 1
+    )
     faces = [[0, 1, 2], [0, 1, 3], [0, 3, 3], [1, 2, 4], [3, 4, 1], [2, 4, 5]]
     clipped = clip_near(points, Triangles.of(faces), NEAR)
     assert clipped.source_face.tolist() == [0, 3, 4, 5]  # those that touch from behind are gone
     assert clipped.cut_ends.tolist() == [[3, 4]] and clipped.cut_fraction.tolist() == [0.5]
-    assert clipped.triangles.faces[2].tolist() == [4, 1, 6] and clipped.points[6].tolist() == [1, 1.5, 1]
+    assert clipped.triangles.faces[2].tolist() == [4, 1, 6] and clipped.points[6].tolist() == [
+        1,
+        1.5,
+        1,
+    ]
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_derivatives_agree_with_finite_differences_forwards_and_backwards(seed):
     points, triangles = posed(icosphere(1), seed)
-    values = torch.randn(len(points), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+    values = torch.randn(
+        len(points), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
+    )
     corners = values[triangles.faces]
 
     def results(points, values):
@@ -158,23 +174,33 @@ def test_derivatives_agree_with_finite_differences_forwards_and_backwards(seed):
     h = 1e-6
     for k, argument in enumerate((points, values)):
         columns = []
-        for step in h * torch.eye(argument.numel(), dtype=torch.float64).reshape(-1, *argument.shape):
-            low, high = ([a + s * step if j == k else a for j, a in enumerate((points, values))] for s in (-1, 1))
+        for step in h * torch.eye(argument.numel(), dtype=torch.float64).reshape(
+            -1, *argument.shape
+        ):
+            low, high = (
+                [a + s * step if j == k else a for j, a in enumerate((points, values))]
+                for s in (-1, 1)
+            )
             columns.append((results(*high) - results(*low)) / (2 * h))
         differences = torch.stack(columns, 1).reshape(forwards[k].shape)
-        assert torch.allclose(forwards[k], differences, rtol=1e-6, atol=1e-6 * differences.abs().max())
+        assert torch.allclose(
+            forwards[k], differences, rtol=1e-6, atol=1e-6 * differences.abs().max()
+        )
         assert torch.allclose(forwards[k], backwards[k], rtol=1e-12, atol=1e-12)
 
 
 def test_single_precision():
     points, triangles = posed(torus(24, 11))
-    clipped, exact = clip_near(points.float(), triangles, 0.9), clip_near(points, triangles, 0.9)
+    clipped = clip_near(points.float(), triangles, 0.9)
+    exact = clip_near(points, triangles, 0.9)
     assert clipped.points.dtype == clipped.corner_weights.dtype == torch.float32
     assert torch.equal(clipped.triangles.faces, exact.triangles.faces)
     assert torch.allclose(clipped.points.double(), exact.points, atol=1e-6)
 
 
-NUMBERS = st.one_of(st.integers(-2, 3).map(float), st.floats(-3, 3), st.floats(1 - 1e-14, 1 + 1e-14))
+NUMBERS = st.one_of(
+    st.integers(-2, 3).map(float), st.floats(-3, 3), st.floats(1 - 1e-14, 1 + 1e-14)
+)
 
 
 @settings(deadline=None)
@@ -197,7 +223,11 @@ def test_any_soup_of_triangles_is_cut(points, faces):
     grazing = ((z - NEAR).abs() < 1e-13) & (z != NEAR)  # the share of these is ill-conditioned
     assert torch.allclose(torch.where(grazing.any(1, True), kept, whole * share), kept, atol=1e-11)
     assert (clipped.points[:, 2] >= NEAR).all() and clipped.points.isfinite().all()
-    assert clipped.cut_fraction.min() >= 0 and clipped.cut_fraction.max() <= 1 if len(clipped.cut_fraction) else True
+    assert (
+        clipped.cut_fraction.min() >= 0 and clipped.cut_fraction.max() <= 1
+        if len(clipped.cut_fraction)
+        else True
+    )
     own = clipped.corner_weights @ points[triangles.faces][clipped.source_face]
     assert torch.allclose(own, clipped.points[clipped.triangles.faces], atol=1e-12)
 
@@ -222,4 +252,6 @@ def test_values_must_match():
     with pytest.raises(HabitusError, match="a row for each of 24 vertices"):
         clip_near(points, triangles, NEAR).extend(points[:5])
     with pytest.raises(HabitusError, match="leading batch axes"):
-        torch.func.vmap(lambda batch: clip_near(batch, triangles, NEAR).points)(torch.stack([points, points]))
+        torch.func.vmap(lambda batch: clip_near(batch, triangles, NEAR).points)(
+            torch.stack([points, points])
+        )

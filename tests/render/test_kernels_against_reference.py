@@ -19,7 +19,8 @@ def screen_of(name):
     points = camera.to_camera(vertices)
     clipped = clip_near(points, triangles, camera.near)
     if clipped is not None:
-        points, triangles = clipped.points, clipped.triangles
+        points = clipped.points
+        triangles = clipped.triangles
     return torch.cat([camera.project_camera_points(points), points[:, 2:]], -1), triangles
 
 
@@ -31,11 +32,14 @@ def test_what_is_seen(name, cull):
     slow = rasterize_reference(screen, triangles, *SIZE, cull, True)
     assert torch.equal(fast.ids.long(), slow.ids.long()) and (fast.ids >= 0).any()
     listed = fast.pixels, fast.faces[: len(fast.pixels)], fast.points[: len(fast.pixels)]
-    assert all(torch.equal(x, y) for x, y in zip(listed, list_pixels_reference(slow.ids), strict=True))
+    assert all(
+        torch.equal(x, y) for x, y in zip(listed, list_pixels_reference(slow.ids), strict=True)
+    )
     a, b = (_in_order(visibility.fragments) for visibility in (fast, slow))
     assert len(a.pixel) > 20
     for name in EdgeFragments.__dataclass_fields__:
-        x, y = getattr(a, name), getattr(b, name)
+        x = getattr(a, name)
+        y = getattr(b, name)
         assert x.shape == y.shape, name
         if x.is_floating_point():
             torch.testing.assert_close(
@@ -88,10 +92,13 @@ def _in_order(fragments):
 def test_samples_and_images(dtype):
     screen, triangles = screen_of("soup")
     visibility = rasterize(screen, triangles, *SIZE, False, True)
-    screen, points = screen.to(dtype).requires_grad_(), visibility.points.to(dtype)
+    screen = screen.to(dtype).requires_grad_()
+    points = visibility.points.to(dtype)
     generator = torch.Generator().manual_seed(0)
     values = torch.randn(len(screen), 3, generator=generator, dtype=dtype).requires_grad_()
-    background = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype).requires_grad_()
+    background = torch.randn(
+        SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype
+    ).requires_grad_()
     weights = torch.rand(len(visibility.inner), generator=generator, dtype=dtype).requires_grad_()
     cotangent = torch.randn(SIZE[0] * SIZE[1], 3, generator=generator, dtype=dtype)
     inputs = screen, values, background, weights
@@ -106,10 +113,17 @@ def test_samples_and_images(dtype):
     fast = operators.compose(fast, background, weights, visibility)
     slow = reference.interpolate(values, corners, reference.barycentrics(screen, corners, points))
     slow = reference.compose(slow, background, weights, visibility)
-    tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    tolerance = (
+        {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    )
     torch.testing.assert_close(fast, slow, **tolerance)
-    for a, b in zip(*(torch.autograd.grad((image * cotangent).sum(), inputs) for image in (fast, slow)), strict=True):
-        torch.testing.assert_close(a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max()))
+    for a, b in zip(
+        *(torch.autograd.grad((image * cotangent).sum(), inputs) for image in (fast, slow)),
+        strict=True,
+    ):
+        torch.testing.assert_close(
+            a, b, rtol=tolerance["rtol"], atol=tolerance["atol"] * float(b.abs().max())
+        )
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -129,14 +143,19 @@ def test_images_in_one_go(dtype, channels, rows):
 
     def in_steps(screen, values, background, weights):
         corners = triangles.faces[visibility.faces]
-        found = reference.interpolate(values, corners, reference.barycentrics(screen, corners, visibility.points))
+        found = reference.interpolate(
+            values, corners, reference.barycentrics(screen, corners, visibility.points)
+        )
         return reference.compose(found, background, weights, visibility)
 
     def at_once(screen, values, background, weights):
         return operators.image(screen, triangles.faces, values, background, weights, visibility)
 
-    fast, slow = at_once(*inputs), in_steps(*inputs)
-    tolerance = {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    fast = at_once(*inputs)
+    slow = in_steps(*inputs)
+    tolerance = (
+        {"rtol": 1e-4, "atol": 1e-3} if dtype == torch.float32 else {"rtol": 1e-9, "atol": 1e-9}
+    )
     torch.testing.assert_close(fast, slow, **tolerance)
     gradients = [torch.autograd.grad(image, inputs, cotangent) for image in (fast, slow)]
     for a, b in zip(*gradients, strict=True):
@@ -156,8 +175,11 @@ def test_images_in_one_go(dtype, channels, rows):
 def test_forward_mode_agrees_with_backward():
     screen, triangles = screen_of("torus")
     visibility = rasterize(screen, triangles, *SIZE, False, True)
-    values = torch.randn(len(screen), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    weights, background = visibility.fragments.weight, torch.ones(1, 2, dtype=torch.float64)
+    values = torch.randn(
+        len(screen), 2, dtype=torch.float64, generator=torch.Generator().manual_seed(1)
+    )
+    weights = visibility.fragments.weight
+    background = torch.ones(1, 2, dtype=torch.float64)
 
     def image(screen, values, weights, background):
         at = operators.barycentrics(screen, triangles.faces, visibility.faces, visibility.points)
@@ -171,5 +193,6 @@ def test_forward_mode_agrees_with_backward():
     forward = torch.func.jvp(image, inputs, steps)[1]
     backward = torch.func.vjp(image, *inputs)[1](cotangent)
     torch.testing.assert_close(
-        (forward * cotangent).sum(), sum((a * b).sum() for a, b in zip(backward, steps, strict=True))
+        (forward * cotangent).sum(),
+        sum((a * b).sum() for a, b in zip(backward, steps, strict=True)),
     )

@@ -14,7 +14,11 @@ def test_the_formula_is_where_the_readme_says():
     trees = [ast.parse(path.read_text()) for path in files.values()]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     defined = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    fields = {node.target.id for node in nodes if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+    fields = {
+        node.target.id
+        for node in nodes
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
     arguments = {node.arg for node in nodes if isinstance(node, ast.arg)}
     named = re.findall(r"`([^`]+)`", (ROOM / "README.md").read_text())
     assert len(named) > 40

@@ -17,7 +17,8 @@ def test_images_and_gradients_are_those_of_the_processor(name, boundary):
         vertices = vertices.to(device).requires_grad_()
         values = vertices.detach().abs().requires_grad_()
         frame = draw(camera.to(device), vertices, triangles.to(device), boundary=boundary)
-        image, depth = frame.image(values), frame.depth()
+        image = frame.image(values)
+        depth = frame.depth()
         make = torch.Generator().manual_seed(4)
         weights = torch.rand(image.shape, generator=make, dtype=image.dtype).to(device)
         seen = depth.isfinite()
@@ -26,7 +27,9 @@ def test_images_and_gradients_are_those_of_the_processor(name, boundary):
         assert image.device.type == depth.device.type == vertices.grad.device.type == device
         return tuple(part.detach().cpu() for part in (image, depth, vertices.grad, values.grad))
 
-    for here, there, what in zip(look("cpu"), look("cuda"), ("image", "depth", "vertices", "values"), strict=True):
+    for here, there, what in zip(
+        look("cpu"), look("cuda"), ("image", "depth", "vertices", "values"), strict=True
+    ):
         assert here.isfinite().equal(there.isfinite()), what
         scale = float(here[here.isfinite()].abs().max())
         assert (here - there)[here.isfinite()].abs().max() < 1e-9 * max(scale, 1.0), what

@@ -21,7 +21,8 @@ def picture(translation):
 
 def test_a_picture_is_the_same_with_and_without_derivatives():
     place = torch.tensor([0.1, 0.2, 3.0], dtype=torch.float64)
-    plain, leaf = picture(place), place.clone().requires_grad_()
+    plain = picture(place)
+    leaf = place.clone().requires_grad_()
     derived = picture(leaf)
     assert derived.requires_grad and not plain.requires_grad
     with torch.no_grad():

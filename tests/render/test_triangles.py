@@ -15,11 +15,16 @@ from habitus.render.triangles import Triangles, join, welded
 def slow_edges(faces, positions):
     """{ends: [(face, corner), ...]} by dictionaries, and the set of ends that are seams."""
     first = {}
-    weld = [first.setdefault(tuple(float(x) + 0.0 for x in point), k) for k, point in enumerate(positions)]
-    around, names = {}, {}
+    weld = [
+        first.setdefault(tuple(float(x) + 0.0 for x in point), k)
+        for k, point in enumerate(positions)
+    ]
+    around = {}
+    names = {}
     for f, face in enumerate(faces):
         for c in range(3):
-            a, b = int(face[c]), int(face[(c + 1) % 3])
+            a = int(face[c])
+            b = int(face[(c + 1) % 3])
             if weld[a] != weld[b]:
                 ends = frozenset((weld[a], weld[b]))
                 around.setdefault(ends, []).append((f, c))
@@ -28,11 +33,20 @@ def slow_edges(faces, positions):
 
 
 def fast_edges(triangles, weld):
-    around, seams = {}, set()
+    around = {}
+    seams = set()
     for e in range(len(triangles.edge_seam)):
         span = slice(int(triangles.edge_start[e]), int(triangles.edge_start[e + 1]))
-        sides = list(zip(triangles.edge_face[span].tolist(), triangles.edge_corner[span].tolist(), strict=True))
-        ends = {frozenset(weld[int(triangles.faces[f, (c + k) % 3])] for k in (0, 1)) for f, c in sides}
+        sides = list(
+            zip(
+                triangles.edge_face[span].tolist(),
+                triangles.edge_corner[span].tolist(),
+                strict=True,
+            )
+        )
+        ends = {
+            frozenset(weld[int(triangles.faces[f, (c + k) % 3])] for k in (0, 1)) for f, c in sides
+        }
         assert len(ends) == 1 and not ends & around.keys()
         around[ends.copy().pop()] = sides
         if triangles.edge_seam[e]:
@@ -41,17 +55,23 @@ def fast_edges(triangles, weld):
 
 
 @given(
-    st.lists(st.tuples(*[st.integers(0, 7)] * 3), max_size=12), st.lists(st.integers(0, 1), min_size=24, max_size=24)
+    st.lists(st.tuples(*[st.integers(0, 7)] * 3), max_size=12),
+    st.lists(st.integers(0, 1), min_size=24, max_size=24),
 )
 def test_edges_are_those_of_the_slow_twin_for_any_triangles(faces, bits):
-    positions = np.array(bits, float).reshape(8, 3) * np.where(np.arange(8) % 2, 1.0, -1.0)[:, None].clip(0)
+    positions = np.array(bits, float).reshape(8, 3) * np.where(np.arange(8) % 2, 1.0, -1.0)[
+        :, None
+    ].clip(0)
     faces = np.array(faces, int).reshape(-1, 3)
     triangles = Triangles.of(faces, positions)
     weld, around, seams = slow_edges(faces, positions)
     assert weld == triangles.weld.tolist()
     assert fast_edges(triangles, weld) == (around, seams)
     alone = Triangles.of(faces, num_vertices=8)
-    assert fast_edges(alone, range(8))[0] == slow_edges(faces, np.eye(8))[1] and not alone.edge_seam.any()
+    assert (
+        fast_edges(alone, range(8))[0] == slow_edges(faces, np.eye(8))[1]
+        and not alone.edge_seam.any()
+    )
 
 
 def test_both_zeros_are_one_place():
@@ -60,9 +80,14 @@ def test_both_zeros_are_one_place():
 
 def test_seams_are_found_and_are_no_borders():
     shape = sphere(6, 8)
-    apart, whole = Triangles.of(shape.faces), Triangles.of(shape.faces, shape.vertices)
-    assert (apart.edge_start.diff() == 1).sum() == 2 * 4 + 4 * 8 and (whole.edge_start.diff() == 2).all()
-    assert whole.edge_seam.sum() == 4 + 2 * 8  # the meridian, and between the triangles at each pole
+    apart = Triangles.of(shape.faces)
+    whole = Triangles.of(shape.faces, shape.vertices)
+    assert (apart.edge_start.diff() == 1).sum() == 2 * 4 + 4 * 8 and (
+        whole.edge_start.diff() == 2
+    ).all()
+    assert (
+        whole.edge_seam.sum() == 4 + 2 * 8
+    )  # the meridian, and between the triangles at each pole
     hard = cube()
     assert Triangles.of(hard.faces, hard.vertices).edge_seam.sum() == 12
     square = Triangles.of(quadrilateral().faces)
@@ -75,7 +100,9 @@ def test_joined_meshes_keep_their_edges():
     empty = Triangles.of(np.zeros((0, 3), int), num_vertices=4)
     joined = join(each[0], empty, each[1], each[2])
     assert joined.num_vertices == sum(part.num_vertices for part in each) + 4
-    shift_v, shift_f, e = 0, 0, 0
+    shift_v = 0
+    shift_f = 0
+    e = 0
     for part in (each[0], empty, each[1], each[2]):
         own = slice(shift_f, shift_f + len(part.faces))
         assert torch.equal(joined.faces[own], part.faces + shift_v)
@@ -86,16 +113,26 @@ def test_joined_meshes_keep_their_edges():
             assert torch.equal(joined.edge_corner[there], part.edge_corner[span])
             assert joined.edge_seam[e] == part.edge_seam[k]
             e += 1
-        shift_v, shift_f = shift_v + part.num_vertices, shift_f + len(part.faces)
+        shift_v = shift_v + part.num_vertices
+        shift_f = shift_f + len(part.faces)
     assert torch.equal(joined.weld[-12:], each[2].weld + 4 + len(parts[0][0].vertices) + 24)
     assert e == len(joined.edge_seam) == len(joined.edge_start) - 1
     alone = join(each[0])
-    assert torch.equal(alone.edge_start, each[0].edge_start) and torch.equal(alone.faces, each[0].faces)
+    assert torch.equal(alone.edge_start, each[0].edge_start) and torch.equal(
+        alone.faces, each[0].faces
+    )
 
 
 def test_nothing_is_a_mesh_too():
-    for empty in (Triangles.of(np.zeros((0, 3), int)), Triangles.of(torch.zeros(0, 3, dtype=torch.int32), np.eye(3))):
-        assert empty.faces.shape == (0, 3) and empty.edge_start.tolist() == [0] and len(empty.edge_seam) == 0
+    for empty in (
+        Triangles.of(np.zeros((0, 3), int)),
+        Triangles.of(torch.zeros(0, 3, dtype=torch.int32), np.eye(3)),
+    ):
+        assert (
+            empty.faces.shape == (0, 3)
+            and empty.edge_start.tolist() == [0]
+            and len(empty.edge_seam) == 0
+        )
     assert empty.num_vertices == 3 and join(empty, empty).num_vertices == 6
     assert empty.to("cpu").faces.dtype == torch.int64 and empty.device.type == "cpu"
 
@@ -112,7 +149,11 @@ def test_nothing_is_a_mesh_too():
         ([[0, 1, 2], [0, 3, 2]], np.eye(3), "Face 1 names vertex 3; expected 0 to 2"),
         ([[0, 1, 2]], np.zeros((3, 2)), r"positions of shape \(3, 2\)"),
         ([[0, 1, 2]], np.eye(3) == 1, "positions of type torch.bool"),
-        ([[0, 1, 2]], np.diag([1, np.nan, np.inf]), r"Vertex 1 is at \(0.0, nan, 0.0\).*2 vertices have others"),
+        (
+            [[0, 1, 2]],
+            np.diag([1, np.nan, np.inf]),
+            r"Vertex 1 is at \(0.0, nan, 0.0\).*2 vertices have others",
+        ),
     ],
 )
 def test_bad_input_is_one_clear_line(faces, positions, message):
@@ -138,7 +179,10 @@ def test_topology_is_plain_inside_torch_func():
         return points[triangles.faces].sum()
 
     derivative = torch.func.jacfwd(scale)(shape.vertices)
-    assert torch.allclose(derivative, torch.full_like(derivative, 5)) and len(seen[0].edge_face.numpy()) == 60
+    assert (
+        torch.allclose(derivative, torch.full_like(derivative, 5))
+        and len(seen[0].edge_face.numpy()) == 60
+    )
     torch.func.grad(scale)(shape.vertices)
     with pytest.raises(HabitusError, match="leading batch axes"):
         torch.func.vmap(lambda points: outside(len, points))(shape.vertices)

@@ -20,13 +20,18 @@ BALL = icosphere(1)
 REAL = (torch.float32, torch.float64)
 
 
-@pytest.mark.parametrize("kind", [torch.bool, torch.uint8, torch.int32, torch.int64, torch.float16, torch.bfloat16])
+@pytest.mark.parametrize(
+    "kind", [torch.bool, torch.uint8, torch.int32, torch.int64, torch.float16, torch.bfloat16]
+)
 @pytest.mark.parametrize("dtype", REAL)
 def test_whole_numbers_and_truth_values_keep_their_antialiased_borders(kind, dtype):
     frame = draw(VIEW.to(dtype), BALL.vertices.to(dtype), BALL.faces)
     values = torch.arange(len(BALL.vertices))[:, None].remainder(2).to(kind)
     expected = frame.image(values.to(dtype), 1.0)
-    for found in (frame.image(values, torch.tensor(True)), frame.image(values.double().numpy(), [1]).to(dtype)):
+    for found in (
+        frame.image(values, torch.tensor(True)),
+        frame.image(values.double().numpy(), [1]).to(dtype),
+    ):
         assert found.dtype == dtype
         torch.testing.assert_close(found, expected)
     assert ((expected % 1) != 0).any()
@@ -49,14 +54,18 @@ def test_kernels_are_compiled_for_two_types_only(boundary):
         *(getattr(surfaces, name) for name in ("draw_values", "draw_depths", "draw_jumps")),
         surfaces_vjp.draw_values_vjp,
         *(getattr(samples, name) for name in ("interpolate", "interpolate_vjp", "barycentrics")),
-        *(getattr(texture_kernels, name) for name in ("sample_texels", "sample_texels_vjp", "sample_uv_vjp")),
+        *(
+            getattr(texture_kernels, name)
+            for name in ("sample_texels", "sample_texels_vjp", "sample_uv_vjp")
+        ),
     ]
     known = {kernel: set(kernel.signatures) for kernel in kernels}
     globe = sphere(6, 8)
     for first, second, third in itertools.product(REAL, repeat=3):
         vertices = globe.vertices.clone().to(first).requires_grad_()
         values, uv = (at.clone().to(second).requires_grad_() for at in (globe.vertices, globe.uv))
-        behind, texels = torch.zeros(12, 16, 3, dtype=third), torch.rand(4, 4, 3, dtype=third).requires_grad_()
+        behind = torch.zeros(12, 16, 3, dtype=third)
+        texels = torch.rand(4, 4, 3, dtype=third).requires_grad_()
         frame = draw(VIEW.to(first), vertices, globe.faces, boundary)
         image = frame.image(values, behind)
         textured = frame.textured(Texture.of(texels), uv, globe.faces.int(), values)
@@ -70,25 +79,38 @@ def test_kernels_are_compiled_for_two_types_only(boundary):
         )
     for kernel in kernels:
         for signature in set(kernel.signatures) - known[kernel]:
-            kinds = {str(part.dtype) for part in signature if getattr(part, "ndim", 0) and "float" in str(part.dtype)}
+            kinds = {
+                str(part.dtype)
+                for part in signature
+                if getattr(part, "ndim", 0) and "float" in str(part.dtype)
+            }
             assert len(kinds - {"float64"}) <= 1, (kernel.__name__, signature)
 
 
 def test_mixed_types_are_the_wider_one():
-    narrow, wide = torch.ones(2), torch.ones(2, dtype=torch.float64)
+    narrow = torch.ones(2)
+    wide = torch.ones(2, dtype=torch.float64)
     assert [x.dtype for x in of_one_type(narrow, wide)] == [torch.float64] * 2
     assert [x.dtype for x in of_one_type(narrow, narrow)] == [torch.float32] * 2
 
 
 def test_what_cannot_be_drawn_is_one_clear_line():
-    frame, points = draw(VIEW, BALL.vertices, BALL.faces), BALL.vertices
-    globe, texture = sphere(6, 8), Texture.of(torch.rand(4, 4, 3))
+    frame = draw(VIEW, BALL.vertices, BALL.faces)
+    points = BALL.vertices
+    globe = sphere(6, 8)
+    texture = Texture.of(torch.rand(4, 4, 3))
     two = torch.ones(len(globe.uv), 2)
     ball = draw(VIEW, globe.vertices, globe.faces)
     cases = [
         (lambda: draw(VIEW, points[None][:0], BALL.faces), r"vertices are a batch of \(0,\)"),
-        (lambda: draw(VIEW.replace(translation=torch.zeros(0, 3).double()), points, BALL.faces), "cameras are a batch"),
-        (lambda: draw(VIEW.to(torch.float16), points.half(), BALL.faces), "float16; expected .* float32 or float64"),
+        (
+            lambda: draw(VIEW.replace(translation=torch.zeros(0, 3).double()), points, BALL.faces),
+            "cameras are a batch",
+        ),
+        (
+            lambda: draw(VIEW.to(torch.float16), points.half(), BALL.faces),
+            "float16; expected .* float32 or float64",
+        ),
         (lambda: draw(VIEW, ["ball"], BALL.faces), "vertices is of type list"),
         (lambda: frame.image(points.to(torch.complex64)), "complex64; expected real numbers"),
         (lambda: frame.image(points, [0.0, 1.0]), r"background is \(2,\)"),

@@ -25,11 +25,16 @@ def bit(bits):
 @pytest.mark.parametrize("count", [1, 3, PIXELS])
 def test_a_span_is_drawn_where_it_is_nearer_or_a_tie_of_an_earlier_face(count):
     random = np.random.default_rng(count)
-    nearest, ids = random.random((3, 20)), random.integers(-1, 9, (3, 20)).astype(np.int32)
-    start, across, at, f = 0.4, 0.01, 27, np.int32(5)
+    nearest = random.random((3, 20))
+    ids = random.integers(-1, 9, (3, 20)).astype(np.int32)
+    start = 0.4
+    across = 0.01
+    at = 27
+    f = np.int32(5)
     w = start + np.arange(7, 7 + count) * across
     nearest.reshape(-1)[at] = w[0]
-    expected, shown = nearest.copy(), ids.copy()
+    expected = nearest.copy()
+    shown = ids.copy()
     for k in range(count):
         before = expected.reshape(-1)[at + k]
         if w[k] > before or (w[k] == before and f < shown.reshape(-1)[at + k]):
@@ -42,10 +47,19 @@ def test_a_span_is_drawn_where_it_is_nearer_or_a_tie_of_an_earlier_face(count):
 def test_boxes_that_meet_a_box(count):
     random = np.random.default_rng(count)
     low, size = random.random((2, 2, 40)).astype(np.float32)
-    bounds = np.stack([low[0], low[0] + size[0], low[1], low[1] + size[1], random.random(40, np.float32)])
+    bounds = np.stack(
+        [low[0], low[0] + size[0], low[1], low[1] + size[1], random.random(40, np.float32)]
+    )
     bounds = np.ascontiguousarray(bounds, np.float32)
-    box, least, first = np.array([0.5, 0.7, 0.4, 0.8], np.float32), np.float32(0.3), 11
-    meets = (bounds[0] <= box[1]) & (bounds[1] >= box[0]) & (bounds[2] <= box[3]) & (bounds[3] >= box[2])
+    box = np.array([0.5, 0.7, 0.4, 0.8], np.float32)
+    least = np.float32(0.3)
+    first = 11
+    meets = (
+        (bounds[0] <= box[1])
+        & (bounds[1] >= box[0])
+        & (bounds[2] <= box[3])
+        & (bounds[3] >= box[2])
+    )
     meets = (meets & (bounds[4] >= least))[first : first + count]
     assert met(bounds, first, count, box, least) == sum(1 << k for k in range(count) if meets[k])
     assert meets.any() or count == 1
@@ -62,5 +76,12 @@ def extremes(first, second):
 
 def test_the_lesser_and_the_greater_of_two():
     large = np.uint64(2**63 + 5)
-    for pair in ((1, 2), (2, 1), (-3, 4), (0.5, -0.5), (np.float32(0.25), 1), (large, np.uint64(7))):
+    for pair in (
+        (1, 2),
+        (2, 1),
+        (-3, 4),
+        (0.5, -0.5),
+        (np.float32(0.25), 1),
+        (large, np.uint64(7)),
+    ):
         assert extremes(*pair) == (min(pair), max(pair))

@@ -14,7 +14,17 @@ from habitus.parallel import blocks
 from habitus.report import metrics, write_metrics
 
 KEYS = {
-    *("capture", "body", "layout", "frames", "rate_hz", "markers", "missing_fraction", "warnings", "gender"),
+    *(
+        "capture",
+        "body",
+        "layout",
+        "frames",
+        "rate_hz",
+        "markers",
+        "missing_fraction",
+        "warnings",
+        "gender",
+    ),
     *(
         "marker_error_mm",
         "held_out_error_mm",
@@ -35,13 +45,25 @@ def no_constants(name):
 def test_keys_are_those_of_the_design():
     found = metrics(synthetic_fit())
     assert set(found) == KEYS
-    assert set(found["stage_seconds"]) == {"read", "shape", "pose", "soft_tissue", "export", "total", "startup"}
+    assert set(found["stage_seconds"]) == {
+        "read",
+        "shape",
+        "pose",
+        "soft_tissue",
+        "export",
+        "total",
+        "startup",
+    }
     assert set(found["marker_error_mm"]["pose"]) == {"mean", "median", "p95", "max", "per_marker"}
     assert found["frames_per_second"]["pose"] == pytest.approx(90 / 0.8)
 
 
 def test_markers_that_were_put_right_are_told_from_those_still_wrong():
-    told = metrics(synthetic_fit(suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))))
+    told = metrics(
+        synthetic_fit(
+            suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))
+        )
+    )
     assert told["suspect_markers"] == [
         {"label": "M02", "reason": "fell", "frames": 4, "corrected": False},
         {"label": "M03", "reason": "put back", "frames": 7, "corrected": True},
@@ -52,13 +74,20 @@ def test_errors_are_distances_over_visible_markers_in_mm():
     observed = np.full((4, 4, 3), np.nan)
     observed[:3, 0] = [[0.001, 0, 0], [0.002, 0, 0], [0, 0, 0.003]]
     observed[0, 1] = [0, 0.006, 0.008]
-    fit = synthetic_fit(4, 4, soft=False, observed_markers=observed, predicted_pose_stage=np.zeros_like(observed))
+    fit = synthetic_fit(
+        4, 4, soft=False, observed_markers=observed, predicted_pose_stage=np.zeros_like(observed)
+    )
     found = metrics(fit)
     error = found["marker_error_mm"]["pose"]
     assert error["mean"] == pytest.approx(4) and error["median"] == pytest.approx(2.5)
     assert error["max"] == pytest.approx(10) and 3 < error["p95"] < 10
-    assert error["per_marker"] == pytest.approx({"M00": 2, "M01": 10, "M02": np.nan, "M03": np.nan}, nan_ok=True)
-    assert found["missing_fraction"] == pytest.approx(0.75) and found["marker_error_mm"]["soft_tissue"] is None
+    assert error["per_marker"] == pytest.approx(
+        {"M00": 2, "M01": 10, "M02": np.nan, "M03": np.nan}, nan_ok=True
+    )
+    assert (
+        found["missing_fraction"] == pytest.approx(0.75)
+        and found["marker_error_mm"]["soft_tissue"] is None
+    )
 
 
 def test_never_seen_marker_is_null_in_the_file(tmp_path):
@@ -73,7 +102,10 @@ def test_never_seen_marker_is_null_in_the_file(tmp_path):
 
 def test_nothing_seen_at_all(tmp_path):
     fit = synthetic_fit(soft=False)
-    write_metrics(replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan)), tmp_path / "m.json")
+    write_metrics(
+        replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan)),
+        tmp_path / "m.json",
+    )
     found = json.loads((tmp_path / "m.json").read_text("utf-8"), parse_constant=no_constants)
     assert found["missing_fraction"] == 1 and found["marker_error_mm"]["pose"]["mean"] is None
 
@@ -81,7 +113,9 @@ def test_nothing_seen_at_all(tmp_path):
 def test_held_out_markers_have_their_own_labels():
     held = HeldOut(("CHIN",), np.array([[0.01], [np.nan], [0.03]]), None)
     found = metrics(synthetic_fit(3, held_out=held))["held_out_error_mm"]
-    assert found["pose"]["mean"] == pytest.approx(20) and found["pose"]["per_marker"] == pytest.approx({"CHIN": 20.0})
+    assert found["pose"]["mean"] == pytest.approx(20) and found["pose"][
+        "per_marker"
+    ] == pytest.approx({"CHIN": 20.0})
     assert found["soft_tissue"] is None
 
 
@@ -99,7 +133,11 @@ def test_gender_is_a_probability():
     fit = synthetic_fit(3, body=body)
     found = metrics(fit)["gender"]
     probability = female_probability(body, fit.betas, betas_covariance(fit))
-    assert found == {"female_probability": probability, "says": said_of(probability), "model": "neutral"}
+    assert found == {
+        "female_probability": probability,
+        "says": said_of(probability),
+        "model": "neutral",
+    }
     assert metrics(synthetic_fit(3))["gender"] is None
 
 
@@ -107,7 +145,11 @@ def test_a_fit_with_the_model_of_a_sex_says_why():
     fit = synthetic_fit(3, gender="male")
     assert metrics(fit)["gender"] == {"female_probability": None, "says": None, "model": "male"}
     chosen = replace(fit, female_probability=0.07)
-    assert metrics(chosen)["gender"] == {"female_probability": 0.07, "says": "male", "model": "male"}
+    assert metrics(chosen)["gender"] == {
+        "female_probability": 0.07,
+        "says": "male",
+        "model": "male",
+    }
 
 
 def test_numbers_are_exact_where_memory_is_short(monkeypatch):

@@ -1,4 +1,6 @@
-"""Terms that a user gives to `habitus.minimize`: a planted body is found; each term is what it is named for."""
+"""Terms that a user gives to `habitus.minimize`: a planted body is found; each term is what it is
+named for.
+"""
 
 import numpy as np
 import torch
@@ -10,8 +12,11 @@ from habitus.observe.markers import attach
 
 
 def test_a_planted_body_is_found_from_its_markers():
-    body, rng = tube_body(betas=3), np.random.default_rng(2)
-    betas, pose, trans = rng.normal(size=(1, 3)), 0.2 * rng.normal(size=(1, 24, 3)), rng.normal(size=(1, 3))
+    body = tube_body(betas=3)
+    rng = np.random.default_rng(2)
+    betas = rng.normal(size=(1, 3))
+    pose = 0.2 * rng.normal(size=(1, 24, 3))
+    trans = rng.normal(size=(1, 3))
     sites = np.arange(0, body.num_vertices, 2)
     observed = reference_vertices(body, betas, pose, trans, sites)[0]
     observed[3] = np.nan
@@ -34,7 +39,8 @@ def test_a_planted_body_is_found_from_its_markers():
 
 
 def test_markers_off_the_skin_ride_on_their_triangles():
-    body, rng = tube_body(betas=2), np.random.default_rng(3)
+    body = tube_body(betas=2)
+    rng = np.random.default_rng(3)
     rest = np.asarray(body.v_template)
     attachment = attach(rest[[5, 90]] + 0.01 * rng.normal(size=(2, 3)), rest, body.faces)
     state = [torch.as_tensor(0.1 * rng.normal(size=size)) for size in ((2,), (24, 3), (3,))]

@@ -1,4 +1,6 @@
-"""The shape stage's terms: their Jacobians against differences of their residuals, and simulated markers at rest."""
+"""The shape stage's terms: their Jacobians against differences of their residuals, and simulated
+markers at rest.
+"""
 
 import numpy as np
 import pytest
@@ -34,7 +36,8 @@ def stage(body) -> tuple[dict, dict, LatentMarkers]:
     betas = 0.3 * rng.normal(size=body.num_betas)
     start = default_markers(body, betas, placement.vertices, placement.distance)
     latent = start + 0.01 * rng.normal(size=start.shape)
-    pose, trans = 0.3 * rng.normal(size=(FRAMES, body.num_joints, 3)), rng.normal(size=(FRAMES, 3))
+    pose = 0.3 * rng.normal(size=(FRAMES, body.num_joints, 3))
+    trans = rng.normal(size=(FRAMES, 3))
     weights = rng.uniform(0.5, 1.0, size=(FRAMES, len(latent)))
     weights[1, 2] = 0.0
     prior = load_pose_prior().for_joints(body.joint_names)
@@ -56,23 +59,35 @@ PAIRS = [
 def test_jacobians_are_the_derivatives_of_the_residuals(stage, name, unknown):
     terms, values, _ = stage
     function = terms[name].residual
-    taken = {key: values[key] for key in function.__code__.co_varnames[: function.__code__.co_argcount]}
+    taken = {
+        key: values[key] for key in function.__code__.co_varnames[: function.__code__.co_argcount]
+    }
     residual, jacobians = function(**taken)
     jacobian = (jacobians() if callable(jacobians) else jacobians)[unknown]
     direction = np.random.default_rng(1).normal(size=values[unknown].shape)
-    moved = [function(**{**taken, unknown: values[unknown] + sign * 1e-6 * direction})[0] for sign in (1, -1)]
+    moved = [
+        function(**{**taken, unknown: values[unknown] + sign * 1e-6 * direction})[0]
+        for sign in (1, -1)
+    ]
     expected = (moved[0] - moved[1]).ravel() / 2e-6
     assert jacobian.shape == (residual.size, direction.size)
-    np.testing.assert_allclose(jacobian @ direction.ravel(), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        jacobian @ direction.ravel(), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max()
+    )
 
 
 def test_start_places_without_distance_have_exact_jacobians(body):
     """Then the normals, which are held in the derivative, play no part."""
-    ids, count = np.array([5, 700, 3000]), body.num_betas
+    ids = np.array([5, 700, 3000])
+    count = body.num_betas
     term = start_place(body, ids, np.zeros(3), np.array([0.01, 0.02, 0.03]), 1.0)
     rng = np.random.default_rng(4)
-    betas, latent = rng.normal(size=count), rng.normal(size=(3, 3))
-    expected = [term.residual(betas + step, latent)[0] - term.residual(betas, latent)[0] for step in np.eye(count)]
+    betas = rng.normal(size=count)
+    latent = rng.normal(size=(3, 3))
+    expected = [
+        term.residual(betas + step, latent)[0] - term.residual(betas, latent)[0]
+        for step in np.eye(count)
+    ]
     jacobians = term.residual(betas, latent)[1]
     np.testing.assert_allclose(jacobians["betas"], np.reshape(expected, (count, 9)).T, atol=1e-9)
 
@@ -80,7 +95,8 @@ def test_start_places_without_distance_have_exact_jacobians(body):
 def test_the_gradient_of_the_energy_is_the_slope_of_its_cost(stage):
     terms, values, _ = stage
     problem = Objective.of(terms, None, Unknowns.of(values, fixed=["betas"]))
-    evaluate, x = least_squares_problem(problem, Differentiation()), problem.unknowns.vector
+    evaluate = least_squares_problem(problem, Differentiation())
+    x = problem.unknowns.vector
     gradient, matrix = evaluate(x)[1]()
     assert scipy.sparse.issparse(matrix) or matrix.shape == (len(x), len(x))
     rng = np.random.default_rng(2)
@@ -98,4 +114,6 @@ def test_latent_markers_at_rest_are_where_they_are_said_to_be(stage, body):
     np.testing.assert_allclose(found.markers[0], latent, atol=1e-12)
     np.testing.assert_allclose(markers(*still)[0], latent, atol=1e-12)
     np.testing.assert_allclose(found.by_betas, 0.0, atol=1e-10)
-    np.testing.assert_allclose(found.by_latent[0], np.broadcast_to(np.eye(3), (len(latent), 3, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        found.by_latent[0], np.broadcast_to(np.eye(3), (len(latent), 3, 3)), atol=1e-12
+    )

@@ -13,16 +13,21 @@ def arrow(request) -> ArrowMatrix:
     rng = np.random.default_rng(shared)
     rows = rng.normal(size=(count, 3 * (shared + width), shared + width))
     grams = np.swapaxes(rows, 1, 2) @ rows
-    return ArrowMatrix(grams[:, :shared, :shared].sum(0), grams[:, shared:, :shared], grams[:, shared:, shared:])
+    return ArrowMatrix(
+        grams[:, :shared, :shared].sum(0), grams[:, shared:, :shared], grams[:, shared:, shared:]
+    )
 
 
 def test_product_diagonal_and_solution_are_those_of_the_dense_matrix(arrow):
     dense = arrow.dense()
     rng = np.random.default_rng(1)
-    vector, damping = rng.normal(size=len(dense)), rng.uniform(size=len(dense))
+    vector = rng.normal(size=len(dense))
+    damping = rng.uniform(size=len(dense))
     np.testing.assert_allclose(arrow @ vector, dense @ vector)
     np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense))
-    np.testing.assert_allclose(arrow.solve(damping, vector), np.linalg.solve(dense + np.diag(damping), vector))
+    np.testing.assert_allclose(
+        arrow.solve(damping, vector), np.linalg.solve(dense + np.diag(damping), vector)
+    )
 
 
 def test_an_indefinite_matrix_is_refused(arrow):

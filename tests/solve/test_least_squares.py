@@ -1,4 +1,6 @@
-"""Laws of the dense solvers: known minima, agreement with SciPy, both interfaces, numbers that go wrong."""
+"""Laws of the dense solvers: known minima, agreement with SciPy, both interfaces, numbers that go
+wrong.
+"""
 
 import numpy as np
 import pytest
@@ -14,22 +16,29 @@ PAIRS = [(dogleg, dogleg_normal), (levenberg, levenberg_normal)]
 
 
 def rosenbrock(x):
-    return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]), np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
+    return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]), np.array(
+        [[-20 * x[0], 10.0], [-1.0, 0.0]]
+    )
 
 
 def powell(x):
     """Powell's singular function: its Jacobian loses rank at the minimum."""
     a, b, c, d = x
-    root5, root10 = np.sqrt(5.0), np.sqrt(10.0)
+    root5 = np.sqrt(5.0)
+    root10 = np.sqrt(10.0)
     residual = np.array([a + 10 * b, root5 * (c - d), (b - 2 * c) ** 2, root10 * (a - d) ** 2])
-    u, v = 2 * (b - 2 * c), 2 * root10 * (a - d)
-    return residual, np.array([[1, 10, 0, 0], [0, 0, root5, -root5], [0, u, -2 * u, 0], [v, 0, 0, -v]], dtype=float)
+    u = 2 * (b - 2 * c)
+    v = 2 * root10 * (a - d)
+    return residual, np.array(
+        [[1, 10, 0, 0], [0, 0, root5, -root5], [0, u, -2 * u, 0], [v, 0, 0, -v]], dtype=float
+    )
 
 
 def curve(seed, rows=30, columns=6):
     """A random non-linear least-squares problem with residuals left at its minimum."""
     rng = np.random.default_rng(seed)
-    mix, target = rng.normal(size=(rows, columns)), rng.normal(size=rows)
+    mix = rng.normal(size=(rows, columns))
+    target = rng.normal(size=rows)
 
     def function(x):
         inner = mix @ x
@@ -69,14 +78,17 @@ def test_the_minimum_is_scipys(solve, seed):
 def test_columns_of_very_different_units(solve):
     function, start = curve(11)
     units = 10.0 ** np.arange(-3, 3)
-    scaled = solve(lambda y: (function(units * y)[0], function(units * y)[1] * units), start / units)
+    scaled = solve(
+        lambda y: (function(units * y)[0], function(units * y)[1] * units), start / units
+    )
     np.testing.assert_allclose(units * scaled.x, solve(function, start).x, atol=1e-4)
 
 
 @pytest.mark.parametrize("solve", SOLVERS)
 def test_a_linear_problem_takes_one_step(solve):
     rng = np.random.default_rng(1)
-    matrix, target = rng.normal(size=(12, 4)), rng.normal(size=12)
+    matrix = rng.normal(size=(12, 4))
+    target = rng.normal(size=12)
     result = solve(lambda x: (matrix @ x - target, matrix), np.zeros(4), max_iterations=60)
     np.testing.assert_allclose(result.x, np.linalg.lstsq(matrix, target, rcond=None)[0], atol=1e-6)
     assert solve is levenberg or result.iterations <= 2
@@ -134,7 +146,9 @@ def test_an_unknown_that_nothing_depends_on_stays(solve):
 def test_limits_and_callbacks_stop(solve):
     assert solve(rosenbrock, [-1.2, 1.0], max_iterations=2).status == "iterations"
     seen = []
-    result = solve(rosenbrock, [-1.2, 1.0], callback=lambda k, x, cost: seen.append((k, cost)) or k == 3)
+    result = solve(
+        rosenbrock, [-1.2, 1.0], callback=lambda k, x, cost: seen.append((k, cost)) or k == 3
+    )
     assert result.status == "stopped" and [k for k, _ in seen] == [1, 2, 3]
     loose = solve(rosenbrock, [-1.2, 1.0], tolerances=Tolerances(cost=0.5))
     assert loose.iterations < solve(rosenbrock, [-1.2, 1.0]).iterations
@@ -143,15 +157,21 @@ def test_limits_and_callbacks_stop(solve):
 @pytest.mark.parametrize("share, flat", [(0.99, True), (1.01, False)])
 def test_a_gradient_is_flat_where_the_residual_is_orthogonal_to_every_column(share, flat):
     """|g_k| <= tolerance |J_k| |r|, the second column the longer one."""
-    jacobian, residual, tolerance = np.diag([1.0, 20.0]), np.array([3.0, 4.0]), 1e-4
+    jacobian = np.diag([1.0, 20.0])
+    residual = np.array([3.0, 4.0])
+    tolerance = 1e-4
     cost = 0.5 * residual @ residual
     for column, length in enumerate((1.0, 20.0)):
         gradient = np.zeros(2)
         gradient[column] = share * tolerance * length * np.linalg.norm(residual)
-        assert Linearized(np.zeros(2), cost, gradient, jacobian.T @ jacobian).flat(tolerance) == flat
+        assert (
+            Linearized(np.zeros(2), cost, gradient, jacobian.T @ jacobian).flat(tolerance) == flat
+        )
 
 
-@pytest.mark.parametrize("ratio, factor", [(1.0, 1 / 3), (0.5, 1.0), (0.25, 1.125), (0.9, 1 - 0.8**3), (3.0, 1 / 3)])
+@pytest.mark.parametrize(
+    "ratio, factor", [(1.0, 1 / 3), (0.5, 1.0), (0.25, 1.125), (0.9, 1 - 0.8**3), (3.0, 1 / 3)]
+)
 def test_damping_follows_how_well_a_step_was_foreseen(ratio, factor):
     steps = Damped(0.1)
     steps.learn(True, ratio, 1.0)
@@ -159,7 +179,8 @@ def test_damping_follows_how_well_a_step_was_foreseen(ratio, factor):
 
 
 def test_every_step_refused_in_a_row_is_damped_twice_as_much_more():
-    steps, seen = Damped(1.0), []
+    steps = Damped(1.0)
+    seen = []
     for taken in (False, False, False, True, False):
         steps.learn(taken, 0.5, 1.0)
         seen.append(steps.damping)

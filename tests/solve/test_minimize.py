@@ -1,4 +1,6 @@
-"""Laws of `minimize`: known minima, agreement of methods and of ways to differentiate, weights, what a result says."""
+"""Laws of `minimize`: known minima, agreement of methods and of ways to differentiate, weights,
+what a result says.
+"""
 
 import subprocess
 import sys
@@ -28,17 +30,26 @@ ROSENBROCK = {"x": torch.tensor(-1.2), "y": torch.tensor(1.0)}
 
 
 def waves(seed=0, rows=40, noise=0.1):
-    """A fit of a mixture through tanh with residuals left over: a function of (2, 3) and (2,), and a start."""
+    """A fit of a mixture through tanh with residuals left over: a function of (2, 3) and (2,), and
+    a start.
+    """
     rng = torch.Generator().manual_seed(seed)
-    mix, shift = torch.randn(rows, 6, generator=rng).double(), torch.randn(rows, 2, generator=rng).double()
+    mix = torch.randn(rows, 6, generator=rng).double()
+    shift = torch.randn(rows, 2, generator=rng).double()
 
     def predict(bend, offset):
         inner = mix @ bend.reshape(-1)
         return torch.tanh(inner) + 0.3 * inner + shift @ offset
 
-    truth = {"bend": torch.randn(2, 3, generator=rng).double(), "offset": torch.randn(2, generator=rng).double()}
+    truth = {
+        "bend": torch.randn(2, 3, generator=rng).double(),
+        "offset": torch.randn(2, generator=rng).double(),
+    }
     data = predict(**truth) + noise * torch.randn(rows, generator=rng).double()
-    start = {name: value + 0.3 * torch.randn(value.shape, generator=rng).double() for name, value in truth.items()}
+    start = {
+        name: value + 0.3 * torch.randn(value.shape, generator=rng).double()
+        for name, value in truth.items()
+    }
     return lambda bend, offset: predict(bend, offset) - data, start, truth
 
 
@@ -48,7 +59,10 @@ def with_jacobians(function, wrap, lazy=False):
     def term(bend, offset):
         def jacobians():
             found = torch.func.jacrev(function, argnums=(0, 1))(bend, offset)
-            return {k: wrap(part.reshape(-1, n)) for k, part, n in zip(["bend", "offset"], found, [6, 2], strict=True)}
+            return {
+                k: wrap(part.reshape(-1, n))
+                for k, part, n in zip(["bend", "offset"], found, [6, 2], strict=True)
+            }
 
         return function(bend, offset), (jacobians if lazy else jacobians())
 
@@ -99,7 +113,9 @@ def test_a_weight_scales_the_residual_by_its_root(method):
     weighted = minimize(terms, start, method, weights={"small": 0.3})
     scaled = minimize({**terms, "small": lambda bend: 0.3**0.5 * bend}, start, method)
     close(weighted.values, scaled.values, 1e-6)
-    assert weighted.costs["small"] == pytest.approx(0.15 * float((weighted.values["bend"] ** 2).sum()))
+    assert weighted.costs["small"] == pytest.approx(
+        0.15 * float((weighted.values["bend"] ** 2).sum())
+    )
     free = minimize(function, start, method)
     assert float((weighted.values["bend"] ** 2).sum()) < float((free.values["bend"] ** 2).sum())
     close(minimize(terms, start, method, weights={"small": 0}).values, free.values, 1e-12)
@@ -109,17 +125,25 @@ def test_a_weight_scales_the_residual_by_its_root(method):
 def test_costs_of_terms_sum_to_the_cost_which_never_rises(method):
     function, start, _ = waves(4)
     wide = {name: 6 * value for name, value in start.items()}
-    terms = {"data": function, "bend": lambda bend: bend, "both": lambda bend, offset: bend[0, :2] * offset}
+    terms = {
+        "data": function,
+        "bend": lambda bend: bend,
+        "both": lambda bend, offset: bend[0, :2] * offset,
+    }
     result = minimize(terms, wide, method, weights={"bend": 0.1, "both": 2.0})
     assert list(result.costs) == list(terms) and all(cost > 0 for cost in result.costs.values())
     assert sum(result.costs.values()) == pytest.approx(result.cost, rel=1e-12)
-    assert (np.diff(result.history) <= 0).all() and result.history[-1] == result.cost < result.history[0]
+    assert (np.diff(result.history) <= 0).all() and result.history[
+        -1
+    ] == result.cost < result.history[0]
     assert len(result.history) == result.iterations + 1 and result.seconds > 0
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("lazy", [False, True])
-@pytest.mark.parametrize("wrap", [torch.clone, torch.Tensor.numpy, scipy.sparse.csr_matrix, scipy.sparse.coo_array])
+@pytest.mark.parametrize(
+    "wrap", [torch.clone, torch.Tensor.numpy, scipy.sparse.csr_matrix, scipy.sparse.coo_array]
+)
 def test_explicit_jacobians_take_the_same_path(method, wrap, lazy):
     function, start, _ = waves(1)
     plain = minimize(function, start, method, max_iterations=6)
@@ -129,7 +153,9 @@ def test_explicit_jacobians_take_the_same_path(method, wrap, lazy):
 
 
 def chain(size, explicit):
-    """A smoothed line and its lifted head: many unknowns; Jacobians explicit and mostly sparse, or left to autodiff."""
+    """A smoothed line and its lifted head: many unknowns; Jacobians explicit and mostly sparse, or
+    left to autodiff.
+    """
     target = torch.sin(torch.linspace(0, 9, size, dtype=torch.float64))
 
     def data(line):
@@ -146,9 +172,15 @@ def chain(size, explicit):
     bends = scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(size - 2, size))
     minus = -scipy.sparse.eye_array(10, size)
     return {
-        "data": lambda line: (data(line), {"line": scipy.sparse.diags_array(1 + 0.3 * line.numpy() ** 2)}),
+        "data": lambda line: (
+            data(line),
+            {"line": scipy.sparse.diags_array(1 + 0.3 * line.numpy() ** 2)},
+        ),
         "smooth": lambda line: (bends.tocsr() @ line.numpy(), {"line": bends.tocoo()}),
-        "head": lambda tail, line: (head(tail, line), {"line": minus, "tail": torch.diag(1 + 3 * tail**2)}),
+        "head": lambda tail, line: (
+            head(tail, line),
+            {"line": minus, "tail": torch.diag(1 + 3 * tail**2)},
+        ),
     }
 
 
@@ -156,12 +188,19 @@ def test_sparse_jacobians_give_a_sparse_matrix_and_the_same_minimum():
     start = {"line": torch.zeros(600), "tail": torch.ones(10).double()}
     results = []
     for explicit in (True, False):
-        terms, weights = {**chain(600, explicit), "tail": lambda tail: tail}, {"smooth": 50.0, "tail": 0.1}
-        problem = least_squares_problem(Objective.of(terms, weights, Unknowns.of(start)), Differentiation())
+        terms = {**chain(600, explicit), "tail": lambda tail: tail}
+        weights = {"smooth": 50.0, "tail": 0.1}
+        problem = least_squares_problem(
+            Objective.of(terms, weights, Unknowns.of(start)), Differentiation()
+        )
         _, derivatives = problem(np.linspace(-1, 1, 610))
         results.append((*derivatives(), minimize(terms, start, weights=weights)))
     (gradient, matrix, result), (dense_gradient, dense, peer) = results
-    assert scipy.sparse.issparse(matrix) and matrix.nnz < 0.02 * dense.size and isinstance(dense, np.ndarray)
+    assert (
+        scipy.sparse.issparse(matrix)
+        and matrix.nnz < 0.02 * dense.size
+        and isinstance(dense, np.ndarray)
+    )
     np.testing.assert_allclose(matrix.toarray(), dense, atol=1e-10)
     np.testing.assert_allclose(gradient, dense_gradient, atol=1e-10)
     assert result.converged and result.cost == pytest.approx(peer.cost, rel=1e-9)
@@ -169,7 +208,9 @@ def test_sparse_jacobians_give_a_sparse_matrix_and_the_same_minimum():
 
 
 @pytest.mark.parametrize("method", GAUSS_NEWTON)
-@pytest.mark.parametrize("options", [{"mode": "reverse"}, {"mode": "forward", "chunk_size": 1}, {"chunk_size": 4}])
+@pytest.mark.parametrize(
+    "options", [{"mode": "reverse"}, {"mode": "forward", "chunk_size": 1}, {"chunk_size": 4}]
+)
 def test_all_ways_to_differentiate_take_the_same_path(method, options):
     function, start, _ = waves(2)
     expected = minimize(function, start, method, mode="forward")
@@ -191,7 +232,9 @@ def test_few_residuals_of_many_unknowns_are_differentiated_by_rows():
 
 
 class Cube(torch.autograd.Function):
-    """x^3 as the renderer writes its functions: a backward outside torch, a jvp in torch, no batched primals."""
+    """x^3 as the renderer writes its functions: a backward outside torch, a jvp in torch, no
+    batched primals.
+    """
 
     @staticmethod
     def forward(x):
@@ -247,7 +290,11 @@ def test_values_come_back_as_they_went_in(method, dtype):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_an_unknown_that_nothing_depends_on_stays(method):
-    free = {**ROSENBROCK, "unused": torch.tensor([7.0, -3.0]), "multiplied by zero": torch.tensor(2.5)}
+    free = {
+        **ROSENBROCK,
+        "unused": torch.tensor([7.0, -3.0]),
+        "multiplied by zero": torch.tensor(2.5),
+    }
 
     def term(x, y, **others):
         return rosenbrock(x, y) + 0 * others["multiplied by zero"]
@@ -271,7 +318,8 @@ def test_the_method_follows_from_the_terms():
         return 0.5 * (rosenbrock(x, y) ** 2).sum()
 
     assert minimize(rosenbrock, ROSENBROCK).method == "dogleg"
-    scalar, squares = minimize(cost, ROSENBROCK), minimize(rosenbrock, ROSENBROCK, "lbfgs")
+    scalar = minimize(cost, ROSENBROCK)
+    squares = minimize(rosenbrock, ROSENBROCK, "lbfgs")
     assert scalar.method == "lbfgs"
     close(scalar.values, squares.values, 1e-6)
     mixed = minimize({"a": cost, "b": lambda x: 0 * x[None]}, ROSENBROCK, weights={"a": 3})
@@ -308,7 +356,9 @@ def test_a_start_that_is_not_finite_is_reported(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_hole_in_the_domain_is_stepped_around(method):
     """The logarithm is not finite below zero, where the first step would land."""
-    result = minimize(lambda x: torch.log(x) - 1.0, {"x": torch.tensor([0.5, 40.0]).double()}, method)
+    result = minimize(
+        lambda x: torch.log(x) - 1.0, {"x": torch.tensor([0.5, 40.0]).double()}, method
+    )
     assert result.converged
     close(result.values, {"x": torch.full((2,), torch.e).double()}, 1e-4)
 
@@ -327,12 +377,19 @@ def test_limits_and_callbacks_stop(method):
     assert none.status == "iterations" and none.iterations == 0 and none.values == ROSENBROCK
     seen = []
     result = minimize(
-        rosenbrock, ROSENBROCK, method, callback=lambda k, values, cost: seen.append((k, values, cost)) or k == 3
+        rosenbrock,
+        ROSENBROCK,
+        method,
+        callback=lambda k, values, cost: seen.append((k, values, cost)) or k == 3,
     )
     assert result.status == "stopped" and [k for k, _, _ in seen] == [1, 2, 3]
-    assert seen[-1][1] == result.values and [cost for _, _, cost in seen] == list(result.history[1:])
+    assert seen[-1][1] == result.values and [cost for _, _, cost in seen] == list(
+        result.history[1:]
+    )
     loose = minimize(rosenbrock, ROSENBROCK, method, tolerances=Tolerances(cost=0.5))
-    assert loose.converged and loose.iterations < minimize(rosenbrock, ROSENBROCK, method).iterations
+    assert (
+        loose.converged and loose.iterations < minimize(rosenbrock, ROSENBROCK, method).iterations
+    )
 
 
 @pytest.mark.parametrize("method", GAUSS_NEWTON)
@@ -351,7 +408,9 @@ def test_refused_steps_compute_no_derivatives(method):
 
 @pytest.mark.parametrize("method", GAUSS_NEWTON)
 def test_edges_far_off_are_not_followed_pixel_by_pixel(method):
-    """A Jacobian of an image knows an edge's own pixels only, a few; steps are stretched over the other hundreds."""
+    """A Jacobian of an image knows an edge's own pixels only, a few; steps are stretched over the
+    other hundreds.
+    """
     pixels = torch.arange(600.0, dtype=torch.float64)
 
     def bar(left, width):
@@ -379,7 +438,10 @@ BAD = {
     "keep their number": (lambda x: x[x > 0.5], ONE),
     "Jacobians of 'y'": (lambda x: (x, {"y": torch.eye(2)}), ONE),
     "Jacobians of a list": (lambda x: (x, [torch.eye(2)]), ONE),
-    r"has shape \(3, 3\); expected \(2, 2\)": (lambda x: (x, {"x": scipy.sparse.eye_array(3)}), ONE),
+    r"has shape \(3, 3\); expected \(2, 2\)": (
+        lambda x: (x, {"x": scipy.sparse.eye_array(3)}),
+        ONE,
+    ),
     r"has shape \(2,\); expected \(2, 2\)": (lambda x: (x, {"x": torch.ones(2)}), ONE),
     "a cost; it needs residuals": (lambda x: x.sum(), ONE),
 }
@@ -405,7 +467,9 @@ def test_bad_options_are_one_clear_line():
             minimize(lambda x: x, ONE, **options)
 
 
-@pytest.mark.parametrize("first", ["import habitus.solve.minimize", "import habitus.solve.dogleg", "pass"])
+@pytest.mark.parametrize(
+    "first", ["import habitus.solve.minimize", "import habitus.solve.dogleg", "pass"]
+)
 def test_the_function_keeps_its_name_whatever_was_imported_first(first):
     code = f"""
 import sys, habitus.solve

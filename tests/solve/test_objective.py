@@ -14,7 +14,8 @@ class Counted:
     """(x - target) with its Jacobian, and the points at which it was asked."""
 
     def __init__(self, target):
-        self.target, self.points = np.asarray(target, dtype=float), []
+        self.target = np.asarray(target, dtype=float)
+        self.points = []
 
     def __call__(self, x):
         self.points.append(x.tobytes())
@@ -22,7 +23,9 @@ class Counted:
 
 
 def objective(weights=None, **terms):
-    return Objective.of({name: Term(term) for name, term in terms.items()}, weights, Unknowns.of({"x": np.zeros(2)}))
+    return Objective.of(
+        {name: Term(term) for name, term in terms.items()}, weights, Unknowns.of({"x": np.zeros(2)})
+    )
 
 
 def test_the_two_latest_points_are_remembered_and_no_more():
@@ -42,14 +45,16 @@ def test_the_two_latest_points_are_remembered_and_no_more():
 def test_costs_and_derivatives_at_a_point_evaluate_it_once():
     term = Counted([1.0, 2.0])
     made = objective(term=term)
-    evaluate, x = least_squares_problem(made, Differentiation()), np.array([3.0, -1.0])
+    evaluate = least_squares_problem(made, Differentiation())
+    x = np.array([3.0, -1.0])
     _, derivatives = evaluate(x)
     derivatives()
     assert made.costs(x) == {"term": pytest.approx(6.5)} and term.points.count(x.tobytes()) == 1
 
 
 def test_a_term_of_no_weight_is_named_and_never_evaluated_again():
-    one, other = Counted([1.0, 0.0]), Counted([0.0, 1.0])
+    one = Counted([1.0, 0.0])
+    other = Counted([0.0, 1.0])
     made = objective({"other": 0.0}, one=one, other=other)
     assert made.costs(np.array([2.0, 0.0])) == {"one": pytest.approx(0.5), "other": 0.0}
     assert len(other.points) == 1

@@ -1,4 +1,6 @@
-"""The schedule of the sequence solver: which levels it solves and how often, who starts where, who does the work."""
+"""The schedule of the sequence solver: which levels it solves and how often, who starts where, who
+does the work.
+"""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -16,10 +18,12 @@ from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
 class Wells(DenseVisits):
     """Frames whose cost has two wells, at 1 and (deeper) at -1, linked to their neighbours."""
 
-    threads, lanes = 1, 1
+    threads = 1
+    lanes = 1
 
     def __init__(self, frames, link=0.0):
-        self.links, self.visits = np.full((frames, 1), link), []
+        self.links = np.full((frames, 1), link)
+        self.visits = []
 
     def cost(self, frames, states):
         return 0.5 * ((states[:, 0] ** 2 - 1) ** 2 + 0.1 * (states[:, 0] + 1) ** 2)
@@ -40,13 +44,22 @@ class Wells(DenseVisits):
 
 
 def solve(problem, start, **options):
-    return solve_sequence(problem, np.asarray(start, dtype=float)[:, None], slice(0, 1), SequenceOptions(**options))
+    return solve_sequence(
+        problem, np.asarray(start, dtype=float)[:, None], slice(0, 1), SequenceOptions(**options)
+    )
 
 
 def test_levels_go_from_coarse_to_fine_and_only_the_coarsest_and_the_finest_take_long(monkeypatch):
-    levels, chances = [], []
-    monkeypatch.setattr(Level, "solve", lambda self, most: levels.append((self.frames.tolist(), most)) or ("", [0.0]))
-    monkeypatch.setattr(solver, "second_chances", lambda level, most: chances.append((len(level.frames), most)))
+    levels = []
+    chances = []
+    monkeypatch.setattr(
+        Level,
+        "solve",
+        lambda self, most: levels.append((self.frames.tolist(), most)) or ("", [0.0]),
+    )
+    monkeypatch.setattr(
+        solver, "second_chances", lambda level, most: chances.append((len(level.frames), most))
+    )
     solve(Wells(34), np.zeros(34), strides=(8, 4, 2, 1), coarse_sweeps=7, sweeps=9)
     assert [most for _, most in levels] == [7, 2, 2, 9]
     assert levels[0][0] == [0, 8, 16, 24, 32, 33] and levels[-1][0] == list(range(34))
@@ -55,7 +68,9 @@ def test_levels_go_from_coarse_to_fine_and_only_the_coarsest_and_the_finest_take
 
 def test_levels_too_coarse_for_a_sequence_are_left_out(monkeypatch):
     levels = []
-    monkeypatch.setattr(Level, "solve", lambda self, most: levels.append(len(self.frames)) or ("", [0.0]))
+    monkeypatch.setattr(
+        Level, "solve", lambda self, most: levels.append(len(self.frames)) or ("", [0.0])
+    )
     solve(Wells(9), np.zeros(9), strides=(16, 2, 1))
     assert levels == [5, 9]
     levels.clear()
@@ -75,10 +90,13 @@ class Bowls(Wells):
 
 def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
     """A damped step is short; the way that is left is not."""
-    start, damping = np.array([[3.0], [0.5], [1.2]]), np.array([0.0, 5.0, 80.0])
+    start = np.array([[3.0], [0.5], [1.2]])
+    damping = np.array([0.0, 5.0, 80.0])
     step = (1.0 - start[:, 0]) * 4.0 / (4.0 + damping)
     with ThreadPoolExecutor(1) as pool:
-        level = Level(Bowls(3), np.arange(3), start, 1, damping, slice(0, 1), SequenceOptions(), pool)
+        level = Level(
+            Bowls(3), np.arange(3), start, 1, damping, slice(0, 1), SequenceOptions(), pool
+        )
         level.problem.visit(level, np.arange(3))
     np.testing.assert_allclose(level.moved, np.abs(start[:, 0] - 1.0), rtol=1e-6)
     np.testing.assert_allclose(level.states[:, 0], start[:, 0] + step, rtol=1e-6)
@@ -88,7 +106,16 @@ def test_how_far_a_frame_has_to_go_is_told_whatever_the_damping():
 def test_frames_that_hardly_moved_go_beyond_their_step(moved, factor):
     start = np.array([[1.01], [0.99], [1.02]])
     with ThreadPoolExecutor(1) as pool:
-        level = Level(Bowls(3), np.arange(3), start.copy(), 1, np.zeros(3), slice(0, 1), SequenceOptions(), pool)
+        level = Level(
+            Bowls(3),
+            np.arange(3),
+            start.copy(),
+            1,
+            np.zeros(3),
+            slice(0, 1),
+            SequenceOptions(),
+            pool,
+        )
         level.moved[:] = moved
         level.sweep(np.ones(3, dtype=bool))
     np.testing.assert_allclose(level.states, start + factor * (1.0 - start), atol=1e-9)
@@ -96,21 +123,31 @@ def test_frames_that_hardly_moved_go_beyond_their_step(moved, factor):
 
 
 @pytest.mark.parametrize("gap", [16, 7])
-def test_the_last_link_of_the_coarsest_level_counts_where_it_is_as_long_as_the_others(monkeypatch, gap):
+def test_the_last_link_of_the_coarsest_level_counts_where_it_is_as_long_as_the_others(
+    monkeypatch, gap
+):
     links = []
-    monkeypatch.setattr(Level, "solve", lambda self, most: links.append(self.links[:, 0].copy()) or ("", [0.0]))
+    monkeypatch.setattr(
+        Level, "solve", lambda self, most: links.append(self.links[:, 0].copy()) or ("", [0.0])
+    )
     monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
-    solver.solve_coarsest(Wells(5, 16.0**4), np.zeros((5, 1)), gap, slice(0, 1), SequenceOptions(strides=(16, 1)))
+    solver.solve_coarsest(
+        Wells(5, 16.0**4), np.zeros((5, 1)), gap, slice(0, 1), SequenceOptions(strides=(16, 1))
+    )
     np.testing.assert_allclose(links[0][:5], [0.0, 0.0, 1.0, 1.0, 1.0 if gap == 16 else 0.0])
 
 
 def test_a_bad_start_gets_a_second_chance_from_its_neighbours():
-    """Most frames begin in the deep well; those of the shallow one follow, side by side, each from the last."""
+    """Most frames begin in the deep well; those of the shallow one follow, side by side, each from
+    the last.
+    """
     start = np.full(40, -1.0)
     start[12:24] = 1.0
     found = solve(Wells(40), start, strides=(4, 1), tolerance=1e-8)
     np.testing.assert_allclose(found.states, -1.0, atol=1e-6)
-    stuck = solve(Wells(40), start, strides=(1,), tolerance=1e-8)  # without a coarse level nobody is asked again
+    stuck = solve(
+        Wells(40), start, strides=(1,), tolerance=1e-8
+    )  # without a coarse level nobody is asked again
     assert (stuck.states[12:24] > 0.9).all()
 
 
@@ -124,8 +161,11 @@ def test_new_frames_start_between_their_neighbours_or_at_their_own_start_where_t
 
 def test_new_frames_start_where_they_lie_between_their_neighbours(monkeypatch):
     asked = []
-    problem, between = Wells(17), Wells.between
-    monkeypatch.setattr(problem, "between", lambda *way: asked.append(way) or between(problem, *way))
+    problem = Wells(17)
+    between = Wells.between
+    monkeypatch.setattr(
+        problem, "between", lambda *way: asked.append(way) or between(problem, *way)
+    )
     monkeypatch.setattr(Level, "solve", lambda self, most: ("", [0.0]))
     monkeypatch.setattr(solver, "second_chances", lambda level, most: None)
     start = np.linspace(-1.0, -0.6, 17)
@@ -147,9 +187,12 @@ def test_frames_at_rest_are_not_visited_again():
     assert counts[14] > 2 and (counts[:10] == 1).all() and (counts[20:] == 1).all()
 
 
-@pytest.mark.parametrize(("threads", "lanes", "count"), [(1, 1, 50), (3, 1, 50), (2, 8, 50), (3, 1, 1), (4, 8, 6)])
+@pytest.mark.parametrize(
+    ("threads", "lanes", "count"), [(1, 1, 50), (3, 1, 50), (2, 8, 50), (3, 1, 1), (4, 8, 6)]
+)
 def test_work_is_shared_out_whole_and_only_among_several_threads(threads, lanes, count):
-    blocks, workers = [], set()
+    blocks = []
+    workers = set()
 
     def work(block):
         blocks.append(block)

@@ -1,4 +1,6 @@
-"""Laws of `Term`: robust losses, fixed unknowns, dataclasses, NumPy in kind, arrow form, and no needless torch."""
+"""Laws of `Term`: robust losses, fixed unknowns, dataclasses, NumPy in kind, arrow form, and no
+needless torch.
+"""
 
 import subprocess
 import sys
@@ -20,7 +22,9 @@ from habitus.solve.unknowns import Unknowns
 
 
 def points(kind, count=30, outliers=5, seed=0):
-    """Points about a centre, some far off: the term of their distances, with its Jacobian for NumPy."""
+    """Points about a centre, some far off: the term of their distances, with its Jacobian for
+    NumPy.
+    """
     rng = np.random.default_rng(seed)
     seen = np.array([1.0, -2.0, 0.5]) + 0.01 * rng.normal(size=(count, 3))
     seen[:outliers] += (3.0, 0.0, 1.0)
@@ -39,12 +43,16 @@ def points(kind, count=30, outliers=5, seed=0):
 def test_geman_mcclure_leaves_outliers_out_and_costs_what_it_says(method, kind):
     residual, start, seen = points(kind)
     scale = np.where(np.arange(30) % 2, 0.2, 0.3)
-    start["centre"] = start["centre"] + 0.8 * (torch.tensor(seen[9]) if kind == "torch" else seen[9])
+    start["centre"] = start["centre"] + 0.8 * (
+        torch.tensor(seen[9]) if kind == "torch" else seen[9]
+    )
     result = minimize({"data": Term(residual, 2.0, GemanMcClure(scale))}, start, method)
     centre = np.asarray(result.values["centre"])
     np.testing.assert_allclose(centre, seen[5:].mean(0), atol=0.02)
     squared = np.sum((centre - seen) ** 2, axis=1)
-    assert result.cost == pytest.approx(np.sum(scale**2 * squared / (scale**2 + squared)), rel=1e-12)
+    assert result.cost == pytest.approx(
+        np.sum(scale**2 * squared / (scale**2 + squared)), rel=1e-12
+    )
 
     def cost(x):
         squared = np.sum((x - seen) ** 2, axis=1)
@@ -56,8 +64,11 @@ def test_geman_mcclure_leaves_outliers_out_and_costs_what_it_says(method, kind):
 
 def test_the_gradient_is_the_slope_of_the_robust_cost():
     residual, start, _ = points("numpy")
-    problem = Objective.of({"data": Term(residual, 3.0, GemanMcClure(0.7))}, None, Unknowns.of(start))
-    evaluate, x = least_squares_problem(problem, Differentiation()), np.array([0.3, -1.0, 0.2])
+    problem = Objective.of(
+        {"data": Term(residual, 3.0, GemanMcClure(0.7))}, None, Unknowns.of(start)
+    )
+    evaluate = least_squares_problem(problem, Differentiation())
+    x = np.array([0.3, -1.0, 0.2])
     gradient, matrix = evaluate(x)[1]()
     for k, unit in enumerate(np.eye(3)):
         change = (evaluate(x + 1e-6 * unit)[0] - evaluate(x - 1e-6 * unit)[0]) / 2e-6
@@ -85,7 +96,11 @@ def test_fixed_values_stay_and_terms_take_them(fixed_too):
     start = {"slope": np.zeros(1), "offset": np.array([1.0], dtype=np.float32)}
     result = minimize(line(fixed_too), start, fixed=["offset"])
     np.testing.assert_allclose(result.values["slope"], 2.0)
-    assert result.values["offset"] == 1.0 and result.values["offset"].dtype == np.float32 and result.x.shape == (1,)
+    assert (
+        result.values["offset"] == 1.0
+        and result.values["offset"].dtype == np.float32
+        and result.x.shape == (1,)
+    )
     with pytest.raises(HabitusError, match="'shift' cannot be fixed"):
         minimize(line(True), start, fixed=["shift"])
 
@@ -99,7 +114,11 @@ class State:
 
 def test_a_dataclass_goes_in_and_comes_out():
     result = minimize(line(True), State(np.zeros(1), np.zeros(1)))
-    assert isinstance(result.state, State) and result.state.unused is None and "unused" not in result.values
+    assert (
+        isinstance(result.state, State)
+        and result.state.unused is None
+        and "unused" not in result.values
+    )
     np.testing.assert_allclose([result.state.slope[0], result.state.offset[0]], [2.0, 1.0])
 
 
@@ -147,27 +166,39 @@ else:
     raise AssertionError
 """
     subprocess.run([sys.executable, "-c", code], check=True)
-    told = "import sys, habitus.solve.minimize, habitus.solve.terms; assert 'torch' not in sys.modules"
+    told = (
+        "import sys, habitus.solve.minimize, habitus.solve.terms; assert 'torch' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", told], check=True)
 
 
-COUNT, WIDTH, SHARED, ROWS = 4, 3, 5, 7
+COUNT = 4
+WIDTH = 3
+SHARED = 5
+ROWS = 7
 
 
 def arrow_terms(form, robust=None):
     """Random linear terms of 5 shared unknowns and 4 blocks of 2 + 1."""
     rng = np.random.default_rng(0)
-    own, other = rng.normal(size=(COUNT, ROWS, 2)), rng.normal(size=(COUNT, ROWS, 1))
+    own = rng.normal(size=(COUNT, ROWS, 2))
+    other = rng.normal(size=(COUNT, ROWS, 1))
     shared = rng.normal(size=(COUNT * ROWS, SHARED)) * (rng.random((COUNT * ROWS, SHARED)) < 0.5)
     goal = rng.normal(size=(COUNT, ROWS))
-    along, ends = np.arange(COUNT), np.arange(COUNT + 1)
-    blocks = {name: scipy.sparse.bsr_array((table, along, ends)) for name, table in (("pose", own), ("trans", other))}
+    along = np.arange(COUNT)
+    ends = np.arange(COUNT + 1)
+    blocks = {
+        name: scipy.sparse.bsr_array((table, along, ends))
+        for name, table in (("pose", own), ("trans", other))
+    }
     if form == "dense":
         blocks = {name: block.toarray() for name, block in blocks.items()}
     common = shared if form == "dense" else scipy.sparse.csr_array(shared)
 
     def data(pose, betas, trans):
-        found = (own @ pose[..., None] + other @ trans[..., None])[..., 0] + (shared @ betas).reshape(COUNT, ROWS)
+        found = (own @ pose[..., None] + other @ trans[..., None])[..., 0] + (
+            shared @ betas
+        ).reshape(COUNT, ROWS)
         return found - goal, {"betas": common, **blocks}
 
     return {
@@ -192,13 +223,17 @@ def test_arrow_and_dense_normal_equations_agree(form, robust):
     np.testing.assert_allclose(arrow.dense(), dense, atol=1e-12)
     np.testing.assert_allclose(arrow @ x, dense @ x, atol=1e-12)
     np.testing.assert_allclose(arrow.diagonal(), np.diagonal(dense), atol=1e-12)
-    np.testing.assert_allclose(arrow.solve(0.1 + x**2, x), np.linalg.solve(dense + np.diag(0.1 + x**2), x), atol=1e-10)
+    np.testing.assert_allclose(
+        arrow.solve(0.1 + x**2, x), np.linalg.solve(dense + np.diag(0.1 + x**2), x), atol=1e-10
+    )
 
 
 def test_an_arrow_solve_ends_where_a_dense_one_does():
     start = {"pose": np.zeros((COUNT, 2)), "betas": np.ones(SHARED), "trans": np.zeros((COUNT, 1))}
     terms = arrow_terms("sparse", GemanMcClure(1.5))
-    np.testing.assert_allclose(minimize(terms, start, blocks=["pose", "trans"]).x, minimize(terms, start).x, atol=1e-5)
+    np.testing.assert_allclose(
+        minimize(terms, start, blocks=["pose", "trans"]).x, minimize(terms, start).x, atol=1e-5
+    )
 
 
 def test_blocks_that_meet_or_do_not_match_are_refused():

@@ -1,4 +1,5 @@
-"""Check the ages of finished bodies against the medians, and what random children look like in numbers.
+"""Check the ages of finished bodies against the medians, and what random children look like in
+numbers.
 
 python tools/default_body/age_checks.py --json ages.json --markdown ages.md
 
@@ -27,7 +28,10 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 DRAWN = 50
 DRAWN_YEARS = (5, 8, 12)
 COMPARED = ("stature", "weight", "sitting_height", "leg_length", "head_girth")
-PUBLISHED_SD = {"female": {5: 4.76, 8: 5.86, 12: 7.37}, "male": {5: 4.63, 8: 5.77, 12: 7.44}}  # cm, CDC 2000: M x S
+PUBLISHED_SD = {
+    "female": {5: 4.76, 8: 5.86, 12: 7.37},
+    "male": {5: 4.63, 8: 5.77, 12: 7.44},
+}  # cm, CDC 2000: M x S
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,16 @@ class Space:
         right = int(np.clip(np.searchsorted(self.years, years), 1, len(self.years) - 1))
         share = (years - self.years[right - 1]) / (self.years[right] - self.years[right - 1])
         share = float(np.clip(share, 0, 1))
-        return self.template + (1 - share) * self.agedirs[..., right - 1] + share * self.agedirs[..., right]
+        return (
+            self.template
+            + (1 - share) * self.agedirs[..., right - 1]
+            + share * self.agedirs[..., right]
+        )
 
     def drawn(self, years: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(N, V, 3) bodies of an age with betas from N(0, I); shapes scaled by the age's stature over the adult's."""
+        """(N, V, 3) bodies of an age with betas from N(0, I); shapes scaled by the age's stature
+        over the adult's.
+        """
         body = self.at(years)
         scale = np.ptp(body[:BODY_VERTICES, 1]) / np.ptp(self.template[:BODY_VERTICES, 1])
         betas = rng.normal(size=(count, self.shapedirs.shape[-1]))
@@ -59,10 +69,12 @@ class Space:
 def read_space(path: Path) -> Space:
     """One of the shipped files."""
     with np.load(path) as file:
-        template, faces = file["v_template"].astype(float), file["faces"]
+        template = file["v_template"].astype(float)
+        faces = file["faces"]
         skin = faces[(faces < BODY_VERTICES).all(1)]
         ages = file["age_years"], file["agedirs"].astype(float)
-        shapedirs, mirror = file["shapedirs"].astype(float), file["mirror"]
+        shapedirs = file["shapedirs"].astype(float)
+        mirror = file["mirror"]
     return Space(template, shapedirs, *ages, skin, Ruler(template, mirror, skin))
 
 
@@ -81,7 +93,9 @@ def compare(space: Space, medians: dict[int, Median]) -> dict[int, dict]:
         table[years] = {
             "measured": {name: round(value, 4) for name, value in found.items()},
             "median": {name: round(value, 4) for name, value in wanted.items()},
-            "error_percent": {name: round(100 * (found[name] / wanted[name] - 1), 2) for name in COMPARED},
+            "error_percent": {
+                name: round(100 * (found[name] / wanted[name] - 1), 2) for name in COMPARED
+            },
             "heads_in_stature": round(found["stature"] / found["head_height"], 2),
             "crossing_pairs": len(intersecting_pairs(space.at(years), space.skin)),
         }
@@ -95,10 +109,18 @@ def mean_medians() -> dict[int, Median]:
         man = MEDIANS["male"][years]
         stature = (woman.stature + man.stature) / 2
         sitting = (woman.sitting_height + man.sitting_height) / 2 / stature
-        weight, girth = (woman.weight + man.weight) / 2, (woman.head_girth + man.head_girth) / 2
+        weight = (woman.weight + man.weight) / 2
+        girth = (woman.head_girth + man.head_girth) / 2
         height = (woman.head_height + man.head_height) / 2
         middle[years] = Median(
-            stature, weight, woman.size_source, sitting, woman.sitting_source, girth, woman.head_source, height
+            stature,
+            weight,
+            woman.size_source,
+            sitting,
+            woman.sitting_source,
+            girth,
+            woman.head_source,
+            height,
         )
     return middle
 
@@ -139,7 +161,8 @@ def check(folder: Path) -> dict:
         "ages": {name: compare(space, medians[name]) for name, space in spaces.items()},
         "between": {sex: between(spaces[sex], sex) for sex in SEXES},
         "random_children": {
-            sex: {years: random_children(spaces[sex], years, rng) for years in DRAWN_YEARS} for sex in SEXES
+            sex: {years: random_children(spaces[sex], years, rng) for years in DRAWN_YEARS}
+            for sex in SEXES
         },
         "published_stature_sd_cm": PUBLISHED_SD,
         "sources": SOURCES,
@@ -149,15 +172,23 @@ def check(folder: Path) -> dict:
 def markdown(numbers: dict) -> str:
     """Tables of the docs' section."""
     lines = [
-        "| | years | stature m | weight kg | sitting height m | head girth m | sources | largest error % |",
+        "| | years | stature m | weight kg | sitting height m | head girth m | sources | largest "
+        "error % |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for sex in SEXES:
         for years, row in numbers["ages"][sex].items():
-            have, median, of = row["measured"], row["median"], MEDIANS[sex][years]
+            have = row["measured"]
+            median = row["median"]
+            of = MEDIANS[sex][years]
             pairs = " | ".join(
                 f"{have[name]:.{digits}f} ({median[name]:.{digits}f})"
-                for name, digits in (("stature", 3), ("weight", 1), ("sitting_height", 3), ("head_girth", 3))
+                for name, digits in (
+                    ("stature", 3),
+                    ("weight", 1),
+                    ("sitting_height", 3),
+                    ("head_girth", 3),
+                )
             )
             sources = ", ".join(dict.fromkeys((of.size_source, of.sitting_source, of.head_source)))
             worst = max(abs(error) for error in row["error_percent"].values())
@@ -165,7 +196,11 @@ def markdown(numbers: dict) -> str:
             lines.append(f"| {sex} | {years} | {pairs} | {sources} | {error} |")
     lines += ["", "Measured, and in brackets the median. Sources:", ""]
     lines += [f"- `{key}`: {text}" for key, text in SOURCES.items()]
-    lines += ["", "| drawn children | years | sd of stature cm (published) | cut themselves | turned triangles |"]
+    lines += [
+        "",
+        "| drawn children | years | sd of stature cm (published) | cut themselves | turned "
+        "triangles |",
+    ]
     lines += ["|---|---|---|---|---|"]
     for sex, ages in numbers["random_children"].items():
         for years, row in ages.items():
@@ -177,7 +212,9 @@ def markdown(numbers: dict) -> str:
 
 def main() -> None:
     """Measure the shipped files and write JSON and markdown."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--bodies", type=Path, default=REPOSITORY / "src/habitus/assets/bodies")
     parser.add_argument("--json", type=Path, required=True)
     parser.add_argument("--markdown", type=Path, required=True)

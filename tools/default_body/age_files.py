@@ -1,4 +1,5 @@
-"""Fit the ages of finished bodies anew, in place: minutes, where the whole build takes half an hour.
+"""Fit the ages of finished bodies anew, in place: minutes, where the whole build takes half an
+hour.
 
 python tools/default_body/age_files.py --mpfb2 FOLDER
 """
@@ -29,7 +30,9 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 def main() -> None:
     """Read the three files, fit, write them back."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--mpfb2", type=Path)
     parser.add_argument("--bodies", type=Path, default=REPOSITORY / "src/habitus/assets/bodies")
     parser.add_argument("--out", type=Path, help="folder; the files themselves if left out")
@@ -39,8 +42,13 @@ def main() -> None:
     for name, offsets in age_offsets(source, files).items():
         arrays = files[name]
         index = arrays["joint_regressor_rows"], arrays["joint_regressor_cols"]
-        regressor = sparse.csr_matrix((arrays["joint_regressor_values"], index), (len(JOINTS), len(offsets)))
-        ages = {"age_years": np.array(AGES, np.float32), "agedirs": pelvis_kept(offsets, regressor).astype(np.float32)}
+        regressor = sparse.csr_matrix(
+            (arrays["joint_regressor_values"], index), (len(JOINTS), len(offsets))
+        )
+        ages = {
+            "age_years": np.array(AGES, np.float32),
+            "agedirs": pelvis_kept(offsets, regressor).astype(np.float32),
+        }
         write_asset(arrays | ages, (options.out or options.bodies) / f"{name}.npz")
 
 
@@ -51,7 +59,9 @@ def age_offsets(source: Source, files: dict[str, dict[str, np.ndarray]]) -> dict
     skin = one["faces"][(one["faces"] < BODY_VERTICES).all(1)]
     average = read_morphs(source).average()
     rest = RestPose(source, one["base_vertices"], one["faces"], one["mirror"], average)
-    return age_directions(age_spaces(source, rest, Ruler(templates["neutral"], one["mirror"], skin)), templates)
+    return age_directions(
+        age_spaces(source, rest, Ruler(templates["neutral"], one["mirror"], skin)), templates
+    )
 
 
 if __name__ == "__main__":

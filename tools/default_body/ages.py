@@ -1,9 +1,11 @@
-"""Bodies of every age: sliders fitted to the published medians of each sex and age, as offsets from the adult mean.
+"""Bodies of every age: sliders fitted to the published medians of each sex and age, as offsets from
+the adult mean.
 
-MakeHuman's age targets give the look of a child or an old person; how large, heavy, long-legged and large-headed they
-are comes from the medians. A whole-body size is free beside the sliders, because MakeHuman's children are small for
-their nominal years. What sets the people's mean apart from MakeHuman's own adult goes into the other adults, but not
-into children: its breasts, muscles and fat are an adult's.
+MakeHuman's age targets give the look of a child or an old person; how large, heavy, long-legged and
+large-headed they are comes from the medians. A whole-body size is free beside the sliders, because
+MakeHuman's children are small for their nominal years. What sets the people's mean apart from
+MakeHuman's own adult goes into the other adults, but not into children: its breasts, muscles and
+fat are an adult's.
 """
 
 from __future__ import annotations
@@ -24,7 +26,17 @@ from .tpose import RestPose
 # sliders that tell how an age looks, one value an age of AGES
 LOOK = {
     "female": {
-        "gender": (0.4, 0.35, 0.15, 0, 0, 0, 0, 0, 0),  # before puberty girls and boys differ little
+        "gender": (
+            0.4,
+            0.35,
+            0.15,
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
+        ),  # before puberty girls and boys differ little
         "age": (0.115, 0.165, 0.28, 0.43, 0.50, 0.50, 0.615, 0.77, 0.923),
         "muscle": (0.35, 0.35, 0.4, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38),
         "cup": (0.0, 0.0, 0.15, 0.45, 0.5, 0.5, 0.55, 0.6, 0.5),
@@ -69,17 +81,20 @@ GROWN = 16  # years: from here on a body's size is nearly the sliders' own
 # how much of the people's mean's own character each age of AGES has
 CHARACTER = np.array([0.0, 0.0, 0.35, 0.7, 0.85, 1.0, 0.95, 0.8, 0.6])
 TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.004])
-EXACT = np.array([1, 1, 1, 1, 0, 0, 0])  # the published numbers: what a fit leaves of them is asked for again
+EXACT = np.array(
+    [1, 1, 1, 1, 0, 0, 0]
+)  # the published numbers: what a fit leaves of them is asked for again
 STEPS = 8
 CORRECTIONS = 3
 STEP = 0.01
 
 
 def wanted(sex: str, age: int, adult: np.ndarray) -> np.ndarray:
-    """Targets in the order of NUMBERS at place `age` of AGES; `adult`: the numbers of the adult mean, whose head's
-    shape stays.
+    """Targets in the order of NUMBERS at place `age` of AGES; `adult`: the numbers of the adult
+    mean, whose head's shape stays.
     """
-    median, of = MEDIANS[sex][AGES[age]], dict(zip(NUMBERS, adult, strict=True))
+    median = MEDIANS[sex][AGES[age]]
+    of = dict(zip(NUMBERS, adult, strict=True))
     grow = median.head_girth / of["head_girth"]
     taller = of["head_height"] / MEDIANS[sex][ADULT].head_height - 1
     height = median.head_height * (1 + CHARACTER[age] * taller)
@@ -89,7 +104,9 @@ def wanted(sex: str, age: int, adult: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class AgeSpace:
-    """Sliders of one sex at every age, over body vertices (for fitting) and over what the T-pose needs."""
+    """Sliders of one sex at every age, over body vertices (for fitting) and over what the T-pose
+    needs.
+    """
 
     sex: str
     skin: MorphSpace
@@ -99,18 +116,26 @@ class AgeSpace:
     cleft: Cleft
 
     def points(self, morphs: MorphSpace, age: int, parameters: np.ndarray) -> np.ndarray:
-        """Points (N, P, 3) at place `age` of AGES from parameters (N, len(FREE)), in MakeHuman's A-pose."""
+        """Points (N, P, 3) at place `age` of AGES from parameters (N, len(FREE)), in MakeHuman's
+        A-pose.
+        """
         count = len(parameters)
         free = dict(zip(FREE, parameters.T, strict=True))
-        given = {name: np.full(count, 0.5) for name in ANCHORS} | {"gender": np.full(count, float(self.sex == "male"))}
-        given |= {name: np.full(count, float(values[age])) for name, values in LOOK[self.sex].items()} | free
+        given = {name: np.full(count, 0.5) for name in ANCHORS} | {
+            "gender": np.full(count, float(self.sex == "male"))
+        }
+        given |= {
+            name: np.full(count, float(values[age])) for name, values in LOOK[self.sex].items()
+        } | free
         local = np.stack([given.get(name, np.zeros(count)) for name in morphs.local_names], 1)
         macro = {name: given[name] for name in ANCHORS}
         points = morphs.bodies(macro, np.full((count, len(RACES)), 1 / len(RACES)), local)
         return points * np.exp(free["size"])[:, None, None]
 
     def fit(self, age: int, target: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
-        """Parameters (len(FREE),): Gauss-Newton on |(numbers - target)/trust|^2 + |(x - start)/spread|^2 in bounds."""
+        """Parameters (len(FREE),): Gauss-Newton on |(numbers - target)/trust|^2 + |(x -
+        start)/spread|^2 in bounds.
+        """
         start, spread, low, high = np.array(list(FREE.values())).T
         if AGES[age] >= GROWN:
             spread = np.where(np.array(list(FREE)) == "size", GROWN_SIZE_SPREAD, spread)
@@ -121,7 +146,12 @@ class AgeSpace:
             jacobian = (numbers[1:] - numbers[0]).T / STEP
             matrix = np.concatenate([jacobian / TRUST[:, None], np.diag(1 / spread)])
             gap = np.concatenate([(target - numbers[0]) / TRUST, (start - x) / spread])
-            x = x + lsq_linear(matrix, gap, (np.minimum(low - x, -1e-9), np.maximum(high - x, 1e-9))).x
+            x = (
+                x
+                + lsq_linear(
+                    matrix, gap, (np.minimum(low - x, -1e-9), np.maximum(high - x, 1e-9))
+                ).x
+            )
         return x
 
     def posed(self, age: int, parameters: np.ndarray) -> np.ndarray:
@@ -129,19 +159,24 @@ class AgeSpace:
         return self.rest(self.points(self.posing, age, parameters[None]))[0][0].astype(float)
 
     def bodies(self, template: np.ndarray) -> np.ndarray:
-        """(A, V, 3) mean bodies at AGES in the T-pose; `template` (V, 3) is the people's mean, the adult of 25."""
+        """(A, V, 3) mean bodies at AGES in the T-pose; `template` (V, 3) is the people's mean, the
+        adult of 25.
+        """
         adult = AGES.index(ADULT)
         now = self.ruler(template[None])[0]
         own = self.posed(adult, self.fit(adult, now))
         return np.stack([self._body(age, template, own, now) for age in range(len(AGES))])
 
-    def _body(self, age: int, template: np.ndarray, own: np.ndarray, adult: np.ndarray) -> np.ndarray:
+    def _body(
+        self, age: int, template: np.ndarray, own: np.ndarray, adult: np.ndarray
+    ) -> np.ndarray:
         if AGES[age] == ADULT:
             return template
         goal = wanted(self.sex, age, adult)
         scale = goal[0] / adult[0]
         character = CHARACTER[age] * scale * (template - own)
-        asked, found = goal, None
+        asked = goal
+        found = None
         for _ in range(CORRECTIONS):
             found = self.fit(age, asked, found)
             body = self.cleft(self.posed(age, found) + character, template, scale)
@@ -174,13 +209,22 @@ def _of_sex(morphs: MorphSpace, sex: str) -> MorphSpace:
     )
 
 
-def age_directions(spaces: dict[str, AgeSpace], templates: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """`agedirs` (V, 3, A) of every template: female, male, and neutral (the mean of both sexes' offsets)."""
-    offsets = {sex: (space.bodies(templates[sex]) - templates[sex]).transpose(1, 2, 0) for sex, space in spaces.items()}
+def age_directions(
+    spaces: dict[str, AgeSpace], templates: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """`agedirs` (V, 3, A) of every template: female, male, and neutral (the mean of both sexes'
+    offsets).
+    """
+    offsets = {
+        sex: (space.bodies(templates[sex]) - templates[sex]).transpose(1, 2, 0)
+        for sex, space in spaces.items()
+    }
     return offsets | {"neutral": sum(offsets.values()) / len(offsets)}
 
 
 def pelvis_kept(offsets: np.ndarray, regressor: sparse.csr_matrix) -> np.ndarray:
-    """Offsets (V, 3, A) moved so that the regressed pelvis, the first joint, stays where the template's is."""
+    """Offsets (V, 3, A) moved so that the regressed pelvis, the first joint, stays where the
+    template's is.
+    """
     weights = regressor[:1].toarray()[0]
     return offsets - np.einsum("v,vca->ca", weights, offsets)

@@ -19,8 +19,10 @@ LICENSE = "CC0-1.0"
 INFLUENCES = 4
 LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
 DESCRIPTION = (
-    "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from the public ANSUR II "
-    "survey; SMPL-X's 55 joints in SMPL's T-pose, metres, y up, facing +z, x to the body's left, pelvis joint at the "
+    "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from "
+    "the public ANSUR II "
+    "survey; SMPL-X's 55 joints in SMPL's T-pose, metres, y up, facing +z, x to the body's left, "
+    "pelvis joint at the "
     "origin; betas are unit normal; pose blend shapes {pose}"
 )
 TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, before flesh/ship.py
@@ -38,8 +40,8 @@ def asset_arrays(
     expressions: np.ndarray,
     ages: tuple[np.ndarray, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10), ages: years (A,) and
-    the offsets (V, 3, A) of the mean person of that age.
+    """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10),
+    ages: years (A,) and the offsets (V, 3, A) of the mean person of that age.
     """
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)

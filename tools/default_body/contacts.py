@@ -1,7 +1,10 @@
-"""Components that do not push the skin through itself: surfaces that meet in random bodies are made to move together.
+"""Components that do not push the skin through itself: surfaces that meet in random bodies are made
+to move together.
 
-Random bodies of a space are drawn, and where they cut themselves (lips, toes, thighs, folds) or turn triangles over,
-springs are laid between the vertices concerned. They pull the *difference* of the vertices' motions to zero; what this
+Random bodies of a space are drawn, and where they cut themselves (lips, toes, thighs, folds) or
+turn triangles over,
+springs are laid between the vertices concerned. They pull the *difference* of the vertices' motions
+to zero; what this
 changes is spread smoothly over the surface around:  min  sum k_ij |D_i - D_j|^2 + |L U|^2 + small |U|^2,  D + U the new
 components. Springs grow where bodies still meet, until few do.
 """
@@ -20,7 +23,8 @@ from .shape_space import ShapeSpace
 DRAWS = 50  # bodies uniform within 3 standard deviations a round, and a fifth as many normal ones
 ROUNDS = 14
 ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
-SPRING = 0.15  # added to a pair's spring for every body in which it meets, times the round; the surface's own is 1
+# added to a pair's spring for every body in which it meets, times the round; the surface's own is 1
+SPRING = 0.15
 MEAN_SPRING = 10.0
 HOLD = 0.1  # how firmly components stay where nothing meets
 REACH = 0.10  # metres: vertices further apart on the mean body are not tied
@@ -56,12 +60,13 @@ def apart(
     rng: np.random.Generator,
     known: Meetings | None = None,
 ) -> tuple[ShapeSpace, Meetings]:
-    """The space with its components changed where random bodies' skin meets itself, and the springs.
+    """The space with its components changed where random bodies' skin meets itself, and the
+    springs.
 
     `skins` (F,3) each are levels of detail over the same vertices, the finest first.
 
-    Where the mean itself does (thick lips), it takes on the gaps of `clean` (V,3), a body that does not, first. `known`
-    springs of a space much like this one spare the search for them.
+    Where the mean itself does (thick lips), it takes on the gaps of `clean` (V,3), a body that does
+    not, first. `known` springs of a space much like this one spare the search for them.
     """
     stiff = _stiffness(skins[0], len(space.mean))
     space = replace(space, mean=_open(space.mean, skins, mirror, clean, stiff))
@@ -83,7 +88,11 @@ def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> Sh
 
 
 def _open(
-    mean: np.ndarray, skins: tuple[np.ndarray, ...], mirror: np.ndarray, clean: np.ndarray, stiff: sparse.csc_matrix
+    mean: np.ndarray,
+    skins: tuple[np.ndarray, ...],
+    mirror: np.ndarray,
+    clean: np.ndarray,
+    stiff: sparse.csc_matrix,
 ) -> np.ndarray:
     meetings = Meetings(len(mean), {})
     found = mean
@@ -104,7 +113,9 @@ def _relax(stiff: sparse.csc_matrix, meetings: Meetings, motion: np.ndarray) -> 
 
 
 def _stiffness(faces: np.ndarray, count: int) -> sparse.csc_matrix:
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    edges = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0
+    )
     smooth = _laplacian(edges, np.ones(len(edges)), count)
     return (smooth @ smooth + HOLD * sparse.identity(count)).tocsc()
 
@@ -125,7 +136,9 @@ def _meet(
 ) -> float:
     """Tie what meets in random bodies; returns the share of bodies in which something does."""
     components = space.shapedirs.shape[-1]
-    betas = np.concatenate([draws(DRAWS, components, "uniform", rng), draws(DRAWS // 5, components, "normal", rng)])
+    betas = np.concatenate(
+        [draws(DRAWS, components, "uniform", rng), draws(DRAWS // 5, components, "normal", rng)]
+    )
     bad = 0
     for body in space.bodies(betas):
         met = [_tie(body, space.mean, faces, mirror, meetings, spring) for faces in skins]
@@ -134,7 +147,12 @@ def _meet(
 
 
 def _tie(
-    body: np.ndarray, mean: np.ndarray, faces: np.ndarray, mirror: np.ndarray, meetings: Meetings, spring: float
+    body: np.ndarray,
+    mean: np.ndarray,
+    faces: np.ndarray,
+    mirror: np.ndarray,
+    meetings: Meetings,
+    spring: float,
 ) -> bool:
     """Whether a body's skin cuts itself or is turned over somewhere; ties what does."""
     pairs = faces[intersecting_pairs(body, faces)]
@@ -142,12 +160,16 @@ def _tie(
     if len(pairs):
         meetings.tie(_nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
     if len(over):
-        meetings.tie(np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring)
+        meetings.tie(
+            np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring
+        )
     return bool(len(pairs) or len(over))
 
 
 def _nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """For every corner of triangles `first` (K,3) the nearest corner of its partner in `second`, and the reverse."""
+    """For every corner of triangles `first` (K,3) the nearest corner of its partner in `second`,
+    and the reverse.
+    """
     gap = np.linalg.norm(mean[first][:, :, None] - mean[second][:, None], axis=3)  # (K, 3, 3)
     rows = np.arange(len(first))[:, None]
     there = np.stack([first, second[rows, gap.argmin(2)]], 2).reshape(-1, 2)

@@ -47,7 +47,8 @@ def apose(morphs: MorphSpace, sliders: Sliders) -> Iterator[np.ndarray]:
 
 
 def tposed(morphs: MorphSpace, rest: RestPose, sliders: Sliders) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,V,3) float32 and joints (N,55,3) of all people in the T-pose, pelvis at the origin.
+    """Vertices (N,V,3) float32 and joints (N,55,3) of all people in the T-pose, pelvis at the
+    origin.
 
     `morphs` spans `rest.points`: morphs.at(rest.points) of those over the base mesh.
     """
@@ -56,9 +57,16 @@ def tposed(morphs: MorphSpace, rest: RestPose, sliders: Sliders) -> tuple[np.nda
 
 
 def gather(
-    morphs: MorphSpace, rest: RestPose, tapes: Tapes, sliders: Sliders, people: People, size: np.ndarray
+    morphs: MorphSpace,
+    rest: RestPose,
+    tapes: Tapes,
+    sliders: Sliders,
+    people: People,
+    size: np.ndarray,
 ) -> Crowd:
-    """Everybody, larger or smaller as a whole by `size` (N,): what the survey measured grows along."""
+    """Everybody, larger or smaller as a whole by `size` (N,): what the survey measured grows
+    along.
+    """
     vertices, joints = tposed(morphs.at(rest.points), rest, sliders)
     points = np.concatenate(list(apose(tapes.over(morphs), sliders))).astype(np.float32)
     scale = size[:, None, None]
@@ -66,5 +74,10 @@ def gather(
     points *= scale.astype(np.float32)
     power = np.where(np.array(MEASURES) == "weightkg", 3, 1)
     return Crowd(
-        vertices, joints * scale, points, people.values * size[:, None] ** power, people.female, people.soldier
+        vertices,
+        joints * scale,
+        points,
+        people.values * size[:, None] ** power,
+        people.female,
+        people.soldier,
     )

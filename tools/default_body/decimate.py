@@ -1,9 +1,10 @@
-"""Fewer vertices: half-edge collapses on the left half, ordered by quadrics summed over several bodies.
-
-A collapse moves a vertex onto a neighbour, so every kept vertex is an original one and all targets and weights carry
-over by index. Vertices on the midline collapse only along it; mirroring the result therefore gives a closed symmetric
-mesh. Garland, Heckbert 1997 ("Surface simplification using quadric error metrics"), with one set of quadrics over all
+"""Fewer vertices: half-edge collapses on the left half, ordered by quadrics summed over several
 bodies.
+
+A collapse moves a vertex onto a neighbour, so every kept vertex is an original one and all targets
+and weights carry over by index. Vertices on the midline collapse only along it; mirroring the
+result therefore gives a closed symmetric mesh. Garland, Heckbert 1997 ("Surface simplification
+using quadric error metrics"), with one set of quadrics over all bodies.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import heapq
 
 import numpy as np
 
-LENGTH_COST = 2e-3  # share of squared edge length (times area) in the cost: it keeps flat regions from emptying
+# share of squared edge length (times area) in the cost: it keeps flat regions from emptying
+LENGTH_COST = 2e-3
 SMALLEST_ANGLE = np.cos(
     np.radians(14.0)
 )  # no collapse may leave a sharper corner than this, unless it was there before
@@ -21,15 +23,20 @@ SMALLEST_ANGLE = np.cos(
 class HalfMesh:
     """A triangle mesh with an open border, under half-edge collapses."""
 
-    def __init__(self, bodies: np.ndarray, triangles: np.ndarray, weight: np.ndarray, fixed: np.ndarray):
-        """bodies (S,V,3) metres, triangles (F,3), weight (V,) importance, fixed (V,) vertices that must stay."""
+    def __init__(
+        self, bodies: np.ndarray, triangles: np.ndarray, weight: np.ndarray, fixed: np.ndarray
+    ):
+        """bodies (S,V,3) metres, triangles (F,3), weight (V,) importance, fixed (V,) vertices that
+        must stay.
+        """
         self.bodies = bodies
         self.faces = {k: tuple(map(int, t)) for k, t in enumerate(triangles)}
         self.around: dict[int, set[int]] = {}
         for k, t in self.faces.items():
             for v in t:
                 self.around.setdefault(v, set()).add(k)
-        self.weight, self.fixed = weight, fixed
+        self.weight = weight
+        self.fixed = fixed
         self.border = self._border_vertices()
         self.quadrics = self._vertex_quadrics(triangles)
 
@@ -46,7 +53,9 @@ class HalfMesh:
         return found
 
     def _vertex_quadrics(self, triangles: np.ndarray) -> np.ndarray:
-        """(S,V,4,4): area-weighted squared distance to the planes of the triangles around each vertex, in each body."""
+        """(S,V,4,4): area-weighted squared distance to the planes of the triangles around each
+        vertex, in each body.
+        """
         quadrics = np.zeros((*self.bodies.shape[:2], 4, 4), np.float32)
         for body, out in zip(self.bodies, quadrics, strict=True):
             a, b, c = body[triangles].transpose(1, 0, 2)
@@ -60,22 +69,31 @@ class HalfMesh:
         return quadrics
 
     def cost(self, u: int, v: int) -> float:
-        """Price of moving u onto v: mean over bodies of the quadric error, plus a little for long edges."""
+        """Price of moving u onto v: mean over bodies of the quadric error, plus a little for long
+        edges.
+        """
         place = np.concatenate([self.bodies[:, v], np.ones((len(self.bodies), 1))], 1)
         quadric = self.quadrics[:, u] + self.quadrics[:, v]
         error = np.einsum("si,sij,sj->", place, quadric, place)
         edge = ((self.bodies[:, u] - self.bodies[:, v]) ** 2).sum(1)
         area = np.trace(self.quadrics[:, u, :3, :3], axis1=1, axis2=2)
-        return float(self.weight[u] * (max(error, 0.0) + LENGTH_COST * (edge * area).sum()) / len(self.bodies))
+        return float(
+            self.weight[u]
+            * (max(error, 0.0) + LENGTH_COST * (edge * area).sum())
+            / len(self.bodies)
+        )
 
     def allowed(self, u: int, v: int) -> bool:
-        """True if moving u onto v keeps the half a manifold, the border straight and the triangles well shaped."""
+        """True if moving u onto v keeps the half a manifold, the border straight and the triangles
+        well shaped.
+        """
         if self.fixed[u]:
             return False
         shared = self.around[u] & self.around[v]
         if u in self.border and (v not in self.border or len(shared) != 1):
             return False
-        around_u, around_v = self.neighbours(u), self.neighbours(v)
+        around_u = self.neighbours(u)
+        around_v = self.neighbours(v)
         opposite = [w for k in shared for w in self.faces[k] if w not in (u, v)]
         if sorted(around_u & around_v) != sorted(opposite):
             return False
@@ -91,8 +109,10 @@ class HalfMesh:
             return False
         before = np.array(changed)
         after = np.where(before == u, v, before)
-        old, new = self.bodies[:, before], self.bodies[:, after]  # (S,K,3 corners,3)
-        old_normal, new_normal = _normals(old), _normals(new)
+        old = self.bodies[:, before]
+        new = self.bodies[:, after]  # (S,K,3 corners,3)
+        old_normal = _normals(old)
+        new_normal = _normals(new)
         turned = (old_normal * new_normal).sum(-1)
         size = np.linalg.norm(old_normal, axis=-1) * np.linalg.norm(new_normal, axis=-1)
         if (turned < 0.3 * size).any():
@@ -115,9 +135,16 @@ class HalfMesh:
 
 
 def decimate(
-    bodies: np.ndarray, half: np.ndarray, weight: np.ndarray, fixed: np.ndarray, midline: np.ndarray, vertices: int
+    bodies: np.ndarray,
+    half: np.ndarray,
+    weight: np.ndarray,
+    fixed: np.ndarray,
+    midline: np.ndarray,
+    vertices: int,
 ) -> np.ndarray:
-    """Triangles (F,3) of the left half such that both halves together have about `vertices` vertices."""
+    """Triangles (F,3) of the left half such that both halves together have about `vertices`
+    vertices.
+    """
     mesh = HalfMesh(bodies, half, weight, fixed)
     stamp = dict.fromkeys(mesh.around, 0)
     queue = [(mesh.cost(u, v), 0, 0, u, v) for u in mesh.around for v in mesh.neighbours(u)]
@@ -139,7 +166,9 @@ def decimate(
 
 
 def _normals(corners: np.ndarray) -> np.ndarray:
-    return np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    return np.cross(
+        corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
+    )
 
 
 def _sharpest(corners: np.ndarray) -> float:

@@ -1,9 +1,11 @@
-"""Elbows that keep their shape when the arm is straightened: as-rigid-as-possible refinement of the T-pose.
+"""Elbows that keep their shape when the arm is straightened: as-rigid-as-possible refinement of the
+T-pose.
 
-Linear blend skinning shrinks what lies between two bones. Vertices that follow one bone stay where skinning put them;
-those between find the places in which their neighbourhoods are turned, not stretched (Sorkine, Alexa 2007), measured
-against the A-pose. The left side is solved and the right one mirrored. Shoulders are left to skinning: without a bone
-inside, a surface that is only rigid folds on top of them.
+Linear blend skinning shrinks what lies between two bones. Vertices that follow one bone stay where
+skinning put them; those between find the places in which their neighbourhoods are turned, not
+stretched (Sorkine, Alexa 2007), measured against the A-pose. The left side is solved and the right
+one mirrored. Shoulders are left to skinning: without a bone inside, a surface that is only rigid
+folds on top of them.
 """
 
 from __future__ import annotations
@@ -22,17 +24,30 @@ PARENT = "left_upper_arm"
 class Elastic:
     """As-rigid-as-possible solver over the free region, factored once for one mesh."""
 
-    def __init__(self, rest: np.ndarray, faces: np.ndarray, weights: dict[str, np.ndarray], mirror: np.ndarray):
-        """rest (V,3): an average body in the A-pose, its edge weights serve everybody; weights: segment -> (V,)."""
+    def __init__(
+        self,
+        rest: np.ndarray,
+        faces: np.ndarray,
+        weights: dict[str, np.ndarray],
+        mirror: np.ndarray,
+    ):
+        """rest (V,3): an average body in the A-pose, its edge weights serve everybody; weights:
+        segment -> (V,).
+        """
         edges, stiffness = _half_edges(rest, faces)
         free = _free_region(rest, edges, weights, mirror)
         self.mirror = mirror
         near = np.isin(edges[:, 0], free) | np.isin(edges[:, 1], free)
-        self.local, index = np.unique(edges[near], return_inverse=True)  # the free vertices and their neighbours
-        self.edges, self.stiffness = index.reshape(-1, 2), stiffness[near]
+        self.local, index = np.unique(
+            edges[near], return_inverse=True
+        )  # the free vertices and their neighbours
+        self.edges = index.reshape(-1, 2)
+        self.stiffness = stiffness[near]
         self.free = np.flatnonzero(np.isin(self.local, free))
         count = len(self.local)
-        laplacian = sparse.coo_matrix((-self.stiffness, tuple(self.edges.T)), (count, count)).tocsr()
+        laplacian = sparse.coo_matrix(
+            (-self.stiffness, tuple(self.edges.T)), (count, count)
+        ).tocsr()
         laplacian = laplacian - sparse.diags(np.asarray(laplacian.sum(1)).ravel())
         self.outer = laplacian[self.free]
         self.solve = factorized(self.outer[:, self.free].tocsc())
@@ -41,8 +56,8 @@ class Elastic:
         ).tocsr()
 
     def refine(self, rest: np.ndarray, posed: np.ndarray) -> np.ndarray:
-        """Vertices (V,3): `posed` with its left free region, and the mirrored right one, as rigid as possible to
-        `rest`.
+        """Vertices (V,3): `posed` with its left free region, and the mirrored right one, as rigid
+        as possible to `rest`.
         """
         a, b = self.edges.T
         spokes = rest[self.local][a] - rest[self.local][b]
@@ -52,7 +67,9 @@ class Elastic:
         pull = self.outer @ held
         for _ in range(ITERATIONS):
             turn = self._rotations(spokes, now[a] - now[b])
-            wanted = 0.5 * self.stiffness[:, None] * np.einsum("eij,ej->ei", turn[a] + turn[b], spokes)
+            wanted = (
+                0.5 * self.stiffness[:, None] * np.einsum("eij,ej->ei", turn[a] + turn[b], spokes)
+            )
             goal = (self.gather @ wanted)[self.free] - pull
             now[self.free] = np.stack([self.solve(goal[:, k]) for k in range(3)], 1)
         refined = posed.copy()
@@ -70,20 +87,29 @@ class Elastic:
 
 
 def _half_edges(rest: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both directions of every edge (E,2) and its cotangent weight (E,), clipped to stay positive."""
-    pairs, values = [], []
+    """Both directions of every edge (E,2) and its cotangent weight (E,), clipped to stay
+    positive.
+    """
+    pairs = []
+    values = []
     for k in range(3):
-        i, j, top = faces[:, k], faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
-        u, v = rest[i] - rest[top], rest[j] - rest[top]
+        i = faces[:, k]
+        j = faces[:, (k + 1) % 3]
+        top = faces[:, (k + 2) % 3]
+        u = rest[i] - rest[top]
+        v = rest[j] - rest[top]
         cot = 0.5 * (u * v).sum(1) / np.maximum(np.linalg.norm(np.cross(u, v), axis=1), 1e-12)
         pairs += [np.stack([i, j], 1), np.stack([j, i], 1)]
         values += [cot, cot]
-    pairs, values = np.concatenate(pairs), np.concatenate(values)
+    pairs = np.concatenate(pairs)
+    values = np.concatenate(values)
     table = sparse.coo_matrix((values, tuple(pairs.T)), (len(rest), len(rest))).tocsr().tocoo()
     return np.stack([table.row, table.col], 1), np.maximum(table.data, 0.05)
 
 
-def _free_region(rest: np.ndarray, edges: np.ndarray, weights: dict[str, np.ndarray], mirror: np.ndarray) -> np.ndarray:
+def _free_region(
+    rest: np.ndarray, edges: np.ndarray, weights: dict[str, np.ndarray], mirror: np.ndarray
+) -> np.ndarray:
     """Vertices of the left side between upper arm and forearm, and some rings around them."""
     free = (weights[SEGMENT] > 1 - BLENDED) & (weights[PARENT] > 1 - BLENDED) & (rest[:, 0] > 1e-6)
     for _ in range(GROW):

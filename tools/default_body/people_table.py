@@ -12,12 +12,30 @@ from pathlib import Path
 SPACES = ("female", "male", "neutral")
 # what is shown, and the root mean square error in mm it may have with 20 betas
 LIMITS = {
-    "stature": 3, "crotchheight": 6, "chestcircumference": 8, "waistcircumference": 8, "buttockcircumference": 8,
-    "thighcircumference": 8, "neckcircumference": 5, "calfcircumference": 5, "bicepscircumferenceflexed": 5,
-    "forearmcircumferenceflexed": 5, "anklecircumference": 5, "wristcircumference": 5, "headcircumference": 5,
-    "footlength": 4, "handlength": 4, "chestdepth": 12, "waistdepth": 12, "buttockdepth": 12, "waistbreadth": 12,
-    "hipbreadth": 12, "bideltoidbreadth": 12, "footbreadthhorizontal": 12, "bimalleolarbreadth": 12,
-}  # fmt: skip
+    "stature": 3,
+    "crotchheight": 6,
+    "chestcircumference": 8,
+    "waistcircumference": 8,
+    "buttockcircumference": 8,
+    "thighcircumference": 8,
+    "neckcircumference": 5,
+    "calfcircumference": 5,
+    "bicepscircumferenceflexed": 5,
+    "forearmcircumferenceflexed": 5,
+    "anklecircumference": 5,
+    "wristcircumference": 5,
+    "headcircumference": 5,
+    "footlength": 4,
+    "handlength": 4,
+    "chestdepth": 12,
+    "waistdepth": 12,
+    "buttockdepth": 12,
+    "waistbreadth": 12,
+    "hipbreadth": 12,
+    "bideltoidbreadth": 12,
+    "footbreadthhorizontal": 12,
+    "bimalleolarbreadth": 12,
+}
 
 
 def table(numbers: dict) -> str:
@@ -27,7 +45,9 @@ def table(numbers: dict) -> str:
         ("vertex_error_mm", "vertex error, 5 / 10 / 16 / 20 / 24 betas, mm"),
         ("vertex_error_mm_by_vertices_alone", "the same, betas from vertices alone"),
     ):
-        lines.append(_row(name, [" / ".join(f"{v:.1f}" for v in numbers[s][key].values()) for s in SPACES]))
+        lines.append(
+            _row(name, [" / ".join(f"{v:.1f}" for v in numbers[s][key].values()) for s in SPACES])
+        )
     for kind, name in (("normal", "normal"), ("uniform", "uniform ±3 sd")):
         either = [f"{100 * numbers[s]['random_bodies'][kind]['either']:.1f} %" for s in SPACES]
         lines.append(_row(f"{name} draws that cut themselves or turn a triangle over", either))

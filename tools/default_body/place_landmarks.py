@@ -2,8 +2,8 @@
 
     python tools/default_body/place_landmarks.py [BODY.npz ...]
 
-Works while every landmark is a coarse vertex of the body; build.py keeps them all by itself. Those that are no vertices
-of the base mesh (pupils) stay as they are.
+Works while every landmark is a coarse vertex of the body; build.py keeps them all by itself. Those
+that are no vertices of the base mesh (pupils) stay as they are.
 """
 
 from __future__ import annotations
@@ -22,10 +22,15 @@ BODIES = Path(__file__).resolve().parents[2] / "src/habitus/assets/bodies"
 
 
 def placed(mirror: np.ndarray, coarse: np.ndarray, space: str) -> dict[str, int]:
-    """Name -> vertex. Raises ValueError naming the landmarks whose vertices the coarse body lacks."""
+    """Name -> vertex. Raises ValueError naming the landmarks whose vertices the coarse body
+    lacks.
+    """
     missing = [name for name, base in {**MIDLINE, **LEFT, **OF_WOMEN}.items() if base not in coarse]
     if missing:
-        raise ValueError(f"no coarse vertices: those of {', '.join(missing)}; build the bodies anew with build.py")
+        raise ValueError(
+            f"no coarse vertices: those of {', '.join(missing)}; build the bodies anew with "
+            "build.py"
+        )
     return landmark_vertices(mirror, space)
 
 
@@ -34,12 +39,19 @@ def main() -> None:
     for path in [Path(name) for name in sys.argv[1:]] or sorted(BODIES.glob("*.npz")):
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        before = dict(zip(arrays["landmark_names"].tolist(), arrays["landmark_vertices"].tolist(), strict=True))
+        before = dict(
+            zip(
+                arrays["landmark_names"].tolist(), arrays["landmark_vertices"].tolist(), strict=True
+            )
+        )
         found = before | placed(arrays["mirror"], arrays["coarse_vertices"], path.stem)
         arrays["landmark_names"] = np.array(list(found))
         arrays["landmark_vertices"] = np.array(list(found.values()), np.int32)
         np.savez_compressed(path, **arrays)
-        print(f"{sum(before.get(name) != k for name, k in found.items())} of {len(found)} moved in {path.name}")
+        print(
+            f"{sum(before.get(name) != k for name, k in found.items())} of {len(found)} moved in "
+            f"{path.name}"
+        )
 
 
 if __name__ == "__main__":

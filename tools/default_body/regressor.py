@@ -1,8 +1,10 @@
-"""Joints from the rest surface: sparse weights on rings of vertices around each joint, rows summing to one.
+"""Joints from the rest surface: sparse weights on rings of vertices around each joint, rows summing
+to one.
 
-A joint lies inside a limb; vertices all around it, a little above and below, hold it in place whatever the shape.
-Weights solve a ridge-regularised least-squares problem over many people (small, but of either sign) and are exactly
-left-right symmetric. Joints that are means of surface points (knees between their epicondyles) start from those.
+A joint lies inside a limb; vertices all around it, a little above and below, hold it in place
+whatever the shape. Weights solve a ridge-regularised least-squares problem over many people (small,
+but of either sign) and are exactly left-right symmetric. Joints that are means of surface points
+(knees between their epicondyles) start from those.
 """
 
 from __future__ import annotations
@@ -23,10 +25,17 @@ RIDGE = 1e-6  # square metres: error that a unit of squared weight may cost
 
 
 def fit_regressor(
-    vertices: np.ndarray, joints: np.ndarray, weights: np.ndarray, mirror: np.ndarray, coarse: np.ndarray
+    vertices: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
+    mirror: np.ndarray,
+    coarse: np.ndarray,
 ) -> sparse.csr_matrix:
-    """(55, V) from bodies (N,V,3), their joints (N,55,3), the skinning weights (V,55); weighs `coarse` (C,) alone."""
-    mean, centres = vertices.mean(0), joints.mean(0)
+    """(55, V) from bodies (N,V,3), their joints (N,55,3), the skinning weights (V,55); weighs
+    `coarse` (C,) alone.
+    """
+    mean = vertices.mean(0)
+    centres = joints.mean(0)
     weights = np.where(np.isin(np.arange(len(mean)), coarse)[:, None], weights, -1.0)
     rows = sparse.lil_matrix((len(JOINTS), len(mean)))
     for k, name in enumerate(JOINTS):
@@ -40,7 +49,11 @@ def fit_regressor(
             marks = np.intersect1d([ASIS, PSIS, *PELVIS], coarse)
             near = np.unique(np.concatenate([near, marks, mirror[near], mirror[marks]]))
         near = np.union1d(near, [*known]).astype(int)
-        start = np.array([known.get(v, 0.0) for v in near.tolist()]) if known else np.full(len(near), 1 / len(near))
+        start = (
+            np.array([known.get(v, 0.0) for v in near.tolist()])
+            if known
+            else np.full(len(near), 1 / len(near))
+        )
         value = _weigh(vertices[:, near], joints[:, k], start)
         row = np.zeros(len(mean))
         row[near] = value
@@ -52,7 +65,8 @@ def fit_regressor(
 
 
 def _weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge keeps them near `start`.
+    """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge
+    keeps them near `start`.
 
     With r = w - start, sum(r) = 0 is kept by a Lagrange multiplier.
     """
@@ -66,7 +80,9 @@ def _weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndar
 
 
 def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: int) -> np.ndarray:
-    """Vertices on rings around a joint: for each ring and sector, the one nearest to the sector's ray."""
+    """Vertices on rings around a joint: for each ring and sector, the one nearest to the sector's
+    ray.
+    """
     axis = _axis(centres, joint)
     mine = weights[:, _family(joint)].sum(1) > 0.5
     offset = mean - centres[joint]
@@ -77,11 +93,17 @@ def _rings(mean: np.ndarray, centres: np.ndarray, weights: np.ndarray, joint: in
     first /= np.linalg.norm(first)
     angle = np.arctan2(radial @ np.cross(axis, first), radial @ first)
     found = []
-    spread = FINGER_SPREAD if JOINTS[joint][-1] in "123" and "spine" not in JOINTS[joint] else RING_SPREAD
+    spread = (
+        FINGER_SPREAD
+        if JOINTS[joint][-1] in "123" and "spine" not in JOINTS[joint]
+        else RING_SPREAD
+    )
     for place in np.linspace(-spread, spread, RINGS):
         for sector in np.arange(SECTORS) * 2 * np.pi / SECTORS:
             turn = np.abs(np.angle(np.exp(1j * (angle - sector))))
-            miss = np.hypot(along - place, turn * np.linalg.norm(radial, axis=1)) + np.where(mine, 0.0, 10.0)
+            miss = np.hypot(along - place, turn * np.linalg.norm(radial, axis=1)) + np.where(
+                mine, 0.0, 10.0
+            )
             if miss.min() < 0.03:
                 found.append(int(miss.argmin()))
     return np.unique(found)

@@ -1,7 +1,9 @@
 """The shape space: principal components of the people, in units of their standard deviations.
 
-Plain components over vertices spend themselves on what moves many vertices far; hands, feet, head and girths, which the
-survey measured, would come late. So a body is described by its vertices *and* its measurements, each measurement
+Plain components over vertices spend themselves on what moves many vertices far; hands, feet, head
+and girths, which the
+survey measured, would come late. So a body is described by its vertices *and* its measurements,
+each measurement
 weighed by what it may be off, and the components are principal for both together (PCA in the metric
 |dx|^2 + sum_m (w dm / tolerance_m)^2). Betas are the scores; what a beta does to the vertices is its loading.
 """
@@ -12,12 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MEASURE_SHARE = 0.006  # root metres: all measurements off by their tolerance count as this error on every vertex
+# root metres: all measurements off by their tolerance count as this error on every vertex
+MEASURE_SHARE = 0.006
 
 
 @dataclass(frozen=True)
 class ShapeSpace:
-    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was made of.
+    """mean (V,3), shapedirs (V,3,B) with unit-normal betas, the betas (N,B) of the people it was
+    made of.
 
     Weighed measurements have a mean (M,) and directions (M,B) of their own.
     """
@@ -31,17 +35,23 @@ class ShapeSpace:
     measured_dirs: np.ndarray
 
     def fit(
-        self, vertices: np.ndarray, components: int | None = None, measures: np.ndarray | None = None
+        self,
+        vertices: np.ndarray,
+        components: int | None = None,
+        measures: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Least-squares betas (N,B) of bodies (N,V,3) with the first components; the others are zero.
+        """Least-squares betas (N,B) of bodies (N,V,3) with the first components; the others are
+        zero.
 
-        measures (N,M): the bodies' measurements divided by their tolerances; with them the space's own metric is used.
+        measures (N,M): the bodies' measurements divided by their tolerances; with them the space's
+        own metric is used.
         """
         count = self.shapedirs.shape[-1]
         used = count if components is None else components
         basis = self.shapedirs[..., :used].reshape(-1, used).astype(np.float32)
         offsets = (vertices - self.mean).astype(np.float32).reshape(len(vertices), -1)
-        square, goal = (basis.T @ basis).astype(float), (offsets @ basis).astype(float)
+        square = (basis.T @ basis).astype(float)
+        goal = (offsets @ basis).astype(float)
         if measures is not None:
             lines = self.weight * self.measured_dirs[:, :used]
             square += lines.T @ lines
@@ -64,10 +74,11 @@ def principal_shapes(
     measures: np.ndarray | None = None,
     share: float = MEASURE_SHARE,
 ) -> ShapeSpace:
-    """Components of symmetric bodies (N,V,3) through their Gram matrix, largest first; a component's sign makes
-    stature grow with its beta.
+    """Components of symmetric bodies (N,V,3) through their Gram matrix, largest first; a
+    component's sign makes stature grow with its beta.
 
-    measures (N,M): measurements divided by their tolerances; without them the components are the vertices' own.
+    measures (N,M): measurements divided by their tolerances; without them the components are the
+    vertices' own.
     """
     count = len(vertices)
     mean = vertices.mean(0, dtype=np.float64)
@@ -77,9 +88,14 @@ def principal_shapes(
     measured = measures - measures.mean(0)
     gram = (offsets @ offsets.T).astype(np.float64) + weight**2 * measured @ measured.T
     values, vectors = np.linalg.eigh(gram)
-    values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
+    values = np.maximum(values[::-1], 0)
+    vectors = vectors[:, ::-1]
     betas = vectors[:, :components] * np.sqrt(count - 1)
-    shapedirs = (betas.T.astype(np.float32) @ offsets / (count - 1)).reshape(components, -1, 3).astype(np.float64)
+    shapedirs = (
+        (betas.T.astype(np.float32) @ offsets / (count - 1))
+        .reshape(components, -1, 3)
+        .astype(np.float64)
+    )
     rise = shapedirs[:, mean[:, 1].argmax(), 1] - shapedirs[:, mean[:, 1].argmin(), 1]
     sign = np.where(rise < 0, -1.0, 1.0)
     betas = betas * sign
@@ -99,7 +115,9 @@ def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     return 0.5 * (columns + columns[mirror] * np.array([-1.0, 1.0, 1.0])[:, None])
 
 
-def female_direction(betas: np.ndarray, female: np.ndarray, ridge: float = 1.0) -> tuple[np.ndarray, float]:
+def female_direction(
+    betas: np.ndarray, female: np.ndarray, ridge: float = 1.0
+) -> tuple[np.ndarray, float]:
     """Logistic regression P(female) = sigmoid(weights . betas + bias), by Newton's method."""
     x = np.concatenate([betas, np.ones((len(betas), 1))], 1)
     w = np.zeros(x.shape[1])

@@ -1,4 +1,6 @@
-"""From sliders to a body: MakeHuman's macro sliders multiply, local sliders add; both weigh linear morph targets."""
+"""From sliders to a body: MakeHuman's macro sliders multiply, local sliders add; both weigh linear
+morph targets.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from scipy import sparse
 
 from .sources import Source, read_target
 
-# A macro slider of 0..1 becomes weights of neighbouring anchors; one without files (the middle height) adds nothing.
+# A macro slider of 0..1 becomes weights of neighbouring anchors; one without files (the middle
+# height) adds nothing.
 ANCHORS = {
     "gender": ("female", "male"),
     "age": ("baby", "child", "young", "old"),
@@ -23,8 +26,15 @@ ANCHORS = {
     "cup": ("mincup", "averagecup", "maxcup"),
     "firmness": ("minfirmness", "averagefirmness", "maxfirmness"),
 }
-PLACES = {"age": (0.0, 0.1875, 0.5, 1.0)}  # where a slider's anchors lie; the other sliders' are evenly spaced on 0..1
-NOMINAL_YEARS = (1.0, 10.0, 25.0, 90.0)  # of the age anchors, as MakeHuman labels them: its children are short for them
+PLACES = {
+    "age": (0.0, 0.1875, 0.5, 1.0)
+}  # where a slider's anchors lie; the other sliders' are evenly spaced on 0..1
+NOMINAL_YEARS = (
+    1.0,
+    10.0,
+    25.0,
+    90.0,
+)  # of the age anchors, as MakeHuman labels them: its children are short for them
 ADULTS = ("young", "old")
 RACES = ("african", "asian", "caucasian")
 MACRO_FOLDERS = ("macrodetails", "macrodetails/height", "macrodetails/proportions", "breast")
@@ -42,24 +52,42 @@ LOCAL_SECTIONS = (
     "stomach",
     "torso",
 )
-# Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body cannot carry.
+# Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body
+# cannot carry.
 LOCAL_SKIPPED = (
-    "trans-in-out", "bulge", "nipple", "foot-trans", "head-trans", "head-angle", "hand-trans", "neck-trans",
-    "hip-trans", "head-diamond", "head-triangular", "head-inverted", "head-square", "head-age", "torso-trans",
+    "trans-in-out",
+    "bulge",
+    "nipple",
+    "foot-trans",
+    "head-trans",
+    "head-angle",
+    "hand-trans",
+    "neck-trans",
+    "hip-trans",
+    "head-diamond",
+    "head-triangular",
+    "head-inverted",
+    "head-square",
+    "head-age",
+    "torso-trans",
     "leg-valgus",
-    "torso-scale-vert", "measure-waisttohip",  # these move the spine's joint cubes by centimetres, away from the flesh
-)  # fmt: skip
+    # these move the spine's joint cubes by centimetres, away from the flesh
+    "torso-scale-vert",
+    "measure-waisttohip",
+)
 
 
 @dataclass(frozen=True)
 class MorphSpace:
-    """All targets over some points: the base mesh's vertices, or linear combinations of them (joint centres, tape
-    rings).
+    """All targets over some points: the base mesh's vertices, or linear combinations of them (joint
+    centres, tape rings).
     """
 
     base: np.ndarray  # (P, 3) metres
     macro_offsets: np.ndarray  # (K, P, 3) float32
-    macro_factors: tuple[tuple[str, ...], ...]  # per macro target, the anchors whose product weighs it
+    macro_factors: tuple[
+        tuple[str, ...], ...
+    ]  # per macro target, the anchors whose product weighs it
     local_names: tuple[str, ...]
     local_offsets: np.ndarray  # (L, 2, P, 3) float32: at slider -1 and at slider +1
 
@@ -68,9 +96,14 @@ class MorphSpace:
 
         def combine(offsets: np.ndarray) -> np.ndarray:
             flat = offsets.reshape(-1, *offsets.shape[-2:])
-            return np.stack([matrix @ o for o in flat]).astype(np.float32).reshape(*offsets.shape[:-2], -1, 3)
+            return (
+                np.stack([matrix @ o for o in flat])
+                .astype(np.float32)
+                .reshape(*offsets.shape[:-2], -1, 3)
+            )
 
-        macro, local = combine(self.macro_offsets), combine(self.local_offsets)
+        macro = combine(self.macro_offsets)
+        local = combine(self.local_offsets)
         return MorphSpace(matrix @ self.base, macro, self.macro_factors, self.local_names, local)
 
     def has(self, anchor: str) -> bool:
@@ -78,21 +111,40 @@ class MorphSpace:
         return any(anchor in factors for factors in self.macro_factors)
 
     def average(self) -> np.ndarray:
-        """Points (P, 3) midway between a young woman and a young man with all sliders in the middle."""
+        """Points (P, 3) midway between a young woman and a young man with all sliders in the
+        middle.
+        """
         macro = {name: np.full(2, 0.5) for name in ANCHORS} | {"gender": np.array([0.0, 1.0])}
-        return self.bodies(macro, np.full((2, 3), 1 / 3), np.zeros((2, len(self.local_names)))).mean(0).astype(float)
+        return (
+            self.bodies(macro, np.full((2, 3), 1 / 3), np.zeros((2, len(self.local_names))))
+            .mean(0)
+            .astype(float)
+        )
 
-    def bodies(self, macro: dict[str, np.ndarray], races: np.ndarray, local: np.ndarray) -> np.ndarray:
-        """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1, local (N, L) in
+    def bodies(
+        self, macro: dict[str, np.ndarray], races: np.ndarray, local: np.ndarray
+    ) -> np.ndarray:
+        """Points (N, P, 3) of N people; macro sliders (N,) each in 0..1, races (N, 3) summing to 1,
+        local (N, L) in
         -1..1.
         """
         youngest = min(p for p, a in zip(PLACES["age"], ANCHORS["age"], strict=True) if self.has(a))
         if np.min(macro["age"]) < youngest:
-            raise ValueError(f"age slider {np.min(macro['age']):.3f}, but the targets read begin at {youngest}")
-        as_torch = {name: torch.as_tensor(np.asarray(value, float)) for name, value in macro.items()}
-        weights = macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors).numpy().astype(np.float32)
+            raise ValueError(
+                f"age slider {np.min(macro['age']):.3f}, but the targets read begin at {youngest}"
+            )
+        as_torch = {
+            name: torch.as_tensor(np.asarray(value, float)) for name, value in macro.items()
+        }
+        weights = (
+            macro_anchor_weights(as_torch, torch.as_tensor(races), self.macro_factors)
+            .numpy()
+            .astype(np.float32)
+        )
         points = np.tensordot(weights, self.macro_offsets, 1)
-        points += np.tensordot(np.maximum(-local, 0).astype(np.float32), self.local_offsets[:, 0], 1)
+        points += np.tensordot(
+            np.maximum(-local, 0).astype(np.float32), self.local_offsets[:, 0], 1
+        )
         points += np.tensordot(np.maximum(local, 0).astype(np.float32), self.local_offsets[:, 1], 1)
         return points + self.base.astype(np.float32)
 
@@ -100,18 +152,31 @@ class MorphSpace:
 def macro_anchor_weights(
     macro: dict[str, torch.Tensor], races: torch.Tensor, factors: tuple[tuple[str, ...], ...]
 ) -> torch.Tensor:
-    """(N, K) weight of each macro target: the product of its anchors' weights; differentiable in the sliders."""
-    anchor = {race: races[:, k] for k, race in enumerate(RACES)} | {"universal": torch.ones_like(races[:, 0])}
+    """(N, K) weight of each macro target: the product of its anchors' weights; differentiable in
+    the sliders.
+    """
+    anchor = {race: races[:, k] for k, race in enumerate(RACES)} | {
+        "universal": torch.ones_like(races[:, 0])
+    }
     for slider, names in ANCHORS.items():
-        anchor |= _hat_weights(macro[slider], names, PLACES.get(slider, tuple(np.linspace(0, 1, len(names)))))
+        anchor |= _hat_weights(
+            macro[slider], names, PLACES.get(slider, tuple(np.linspace(0, 1, len(names))))
+        )
     names = list(anchor)
     table = torch.stack([anchor[name] for name in names], 1)
-    index = [[names.index(f) for f in each] + [names.index("universal")] * (6 - len(each)) for each in factors]
+    index = [
+        [names.index(f) for f in each] + [names.index("universal")] * (6 - len(each))
+        for each in factors
+    ]
     return table[:, torch.tensor(index)].prod(2)
 
 
-def _hat_weights(slider: torch.Tensor, names: tuple[str, ...], places: tuple[float, ...]) -> dict[str, torch.Tensor]:
-    """Piecewise-linear weights of anchors at `places`; beyond the ends the last piece goes on straight."""
+def _hat_weights(
+    slider: torch.Tensor, names: tuple[str, ...], places: tuple[float, ...]
+) -> dict[str, torch.Tensor]:
+    """Piecewise-linear weights of anchors at `places`; beyond the ends the last piece goes on
+    straight.
+    """
     at = torch.tensor(places, dtype=slider.dtype)
     piece = torch.bucketize(slider.detach().contiguous(), at[1:-1], right=True)
     share = (slider - at[piece]) / (at[piece + 1] - at[piece])
@@ -124,12 +189,15 @@ def _hat_weights(slider: torch.Tensor, names: tuple[str, ...], places: tuple[flo
 
 
 def age_slider(years: np.ndarray) -> np.ndarray:
-    """MakeHuman's age slider for nominal years: 25 is 0.5, 90 is 1; children's bodies need a table instead."""
+    """MakeHuman's age slider for nominal years: 25 is 0.5, 90 is 1; children's bodies need a table
+    instead.
+    """
     return np.interp(years, NOMINAL_YEARS, PLACES["age"])
 
 
 def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
-    """Read the macro targets of some age anchors and the chosen local ones, over all vertices of the base mesh.
+    """Read the macro targets of some age anchors and the chosen local ones, over all vertices of
+    the base mesh.
 
     Targets are made symmetric: a few of MakeHuman's are off by millimetres.
     """
@@ -144,7 +212,10 @@ def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
         return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
 
     none = np.zeros(source.vertices.shape, np.float32)
-    local = [[symmetric(sum((offsets(p) for p in side), none)) for side in sides] for sides in local_files]
+    local = [
+        [symmetric(sum((offsets(p) for p in side), none)) for side in sides]
+        for sides in local_files
+    ]
     return MorphSpace(
         base=source.vertices,
         macro_offsets=np.stack([symmetric(offsets(p)) for p in macro_files]),
@@ -154,10 +225,13 @@ def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
     )
 
 
-def _macro_files(targets: Path, ages: tuple[str, ...]) -> tuple[tuple[tuple[str, ...], ...], list[Path]]:
+def _macro_files(
+    targets: Path, ages: tuple[str, ...]
+) -> tuple[tuple[tuple[str, ...], ...], list[Path]]:
     known = {name for names in ANCHORS.values() for name in names} | set(RACES) | {"universal"}
     known -= set(ANCHORS["age"]) - set(ages)
-    factors, files = [], []
+    factors = []
+    files = []
     for folder in MACRO_FOLDERS:
         for path in sorted((targets / folder).glob("*.target.gz")):
             parts = tuple(path.name.removesuffix(".target.gz").split("-"))
@@ -169,14 +243,19 @@ def _macro_files(targets: Path, ages: tuple[str, ...]) -> tuple[tuple[tuple[str,
 
 def _local_files(targets: Path) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
     sections = json.loads((targets / "target.json").read_text())
-    names, files = [], []
+    names = []
+    files = []
     for section in LOCAL_SECTIONS:
         for category in sections[section]["categories"]:
             if any(word in category["name"] for word in LOCAL_SKIPPED):
                 continue
             sides = category.get("opposites") or {"positive-unsided": category["targets"][0]}
             down, up = (
-                [targets / section / f"{v}.target.gz" for k, v in sides.items() if k.startswith(sign) and v]
+                [
+                    targets / section / f"{v}.target.gz"
+                    for k, v in sides.items()
+                    if k.startswith(sign) and v
+                ]
                 for sign in ("negative", "positive")
             )
             names.append(category["name"])

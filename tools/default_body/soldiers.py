@@ -1,4 +1,6 @@
-"""The soldiers of ANSUR II as bodies: for each the likeliest betas of a shape space with all their measurements."""
+"""The soldiers of ANSUR II as bodies: for each the likeliest betas of a shape space with all their
+measurements.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,18 @@ from habitus.body.model import BodyModel
 from habitus.io.files import atomic_write
 from habitus.io.models.bodies import load_body
 
-NOISE = 0.15  # of a measurement's spread within a sex: how far survey and body may measure differently
-STEPS, BATCH = 2, 50
+NOISE = (
+    0.15  # of a measurement's spread within a sex: how far survey and body may measure differently
+)
+STEPS = 2
+BATCH = 50
 ASSETS = Path(__file__).resolve().parents[2] / "src" / "habitus" / "assets" / "bodies"
 
 
 @dataclass(frozen=True)
 class Soldiers:
-    """Measured people: values (N, M) in metres and kilograms in the order of `names` (as bodies call them), female
-    (N,), age (N,) in years.
+    """Measured people: values (N, M) in metres and kilograms in the order of `names` (as bodies
+    call them), female (N,), age (N,) in years.
     """
 
     names: tuple[str, ...]
@@ -39,14 +44,27 @@ def asset(space: str) -> BodyModel:
     return load_body(space)
 
 
-def read_soldiers(folder: Path, names: tuple[str, ...] = (), count: int | None = None, seed: int = 0) -> Soldiers:
-    """What the survey knows of the measurements that bodies have; ``count`` soldiers drawn at random, or all."""
+def read_soldiers(
+    folder: Path, names: tuple[str, ...] = (), count: int | None = None, seed: int = 0
+) -> Soldiers:
+    """What the survey knows of the measurements that bodies have; ``count`` soldiers drawn at
+    random, or all.
+    """
     names = names or tuple(name for name, told in DEFINITIONS.items() if told.column)
-    values, female, age = [], [], []
+    values = []
+    female = []
+    age = []
     for sex in ("FEMALE", "MALE"):
-        with (Path(folder) / f"ANSUR_II_{sex}_Public.csv").open(encoding="latin-1", newline="") as lines:
+        with (Path(folder) / f"ANSUR_II_{sex}_Public.csv").open(
+            encoding="latin-1", newline=""
+        ) as lines:
             for row in csv.DictReader(lines):
-                values.append([float(row[DEFINITIONS[n].column]) * (0.1 if n == "mass_kg" else 0.001) for n in names])
+                values.append(
+                    [
+                        float(row[DEFINITIONS[n].column]) * (0.1 if n == "mass_kg" else 0.001)
+                        for n in names
+                    ]
+                )
                 female.append(sex == "FEMALE")
                 age.append(float(row["Age"]))
     found = Soldiers(names, np.array(values), np.array(female), np.array(age))
@@ -69,10 +87,12 @@ def slopes(body: BodyModel, names: tuple[str, ...], step: float = 0.2) -> np.nda
 
 
 def soldiers_betas(body: BodyModel, soldiers: Soldiers) -> np.ndarray:
-    """The likeliest betas (N, B): standard normal, measured to `NOISE`; what survey and body measure differently on
-    average over both sexes (other rules, other postures) is taken out.
+    """The likeliest betas (N, B): standard normal, measured to `NOISE`; what survey and body
+    measure differently on average over both sexes (other rules, other postures) is taken out.
     """
-    names, values, female = soldiers.names, soldiers.values, soldiers.female
+    names = soldiers.names
+    values = soldiers.values
+    female = soldiers.female
     spread = np.sqrt(np.mean([values[group].var(0) for group in _sexes(female)], axis=0))
     scale = 1 / (NOISE * spread)
     slope = slopes(body, names)
@@ -80,7 +100,9 @@ def soldiers_betas(body: BodyModel, soldiers: Soldiers) -> np.ndarray:
     gain = np.linalg.solve(a.T @ a + np.eye(body.num_betas), a.T) * scale
     betas = np.zeros((len(values), body.num_betas))
     for step in range(1 + STEPS):
-        off = values - measured(body, betas if step else betas[:1], names)  # all begin as the mean person
+        off = values - measured(
+            body, betas if step else betas[:1], names
+        )  # all begin as the mean person
         rule = np.mean([off[group].mean(0) for group in _sexes(female)], axis=0)
         betas = (off - rule + betas @ slope.T) @ gain.T
     return betas

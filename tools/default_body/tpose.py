@@ -1,8 +1,9 @@
-"""From MakeHuman's A-pose to SMPL's T-pose, person by person, so that every shape rests in the same pose.
+"""From MakeHuman's A-pose to SMPL's T-pose, person by person, so that every shape rests in the same
+pose.
 
-Every bone is turned to a fixed direction and every limb to a fixed twist; the body is symmetric, so the left side is
-computed and the right one mirrored. The forearm's pronation is spread along it as in a real arm (its two bones share
-it).
+Every bone is turned to a fixed direction and every limb to a fixed twist; the body is symmetric, so
+the left side is computed and the right one mirrored. The forearm's pronation is spread along it as
+in a real arm (its two bones share it).
 """
 
 from __future__ import annotations
@@ -15,11 +16,16 @@ from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, pla
 from .sources import EYEBALLS, Source
 
 COLLAR_RAISE = np.radians(8.0)  # the clavicle's share of raising the arm from 41 to 90 degrees
-ELBOW_BOW = np.tan(np.radians(2.6))  # straightening carries the epicondyles back: then they lie between both ends
+ELBOW_BOW = np.tan(
+    np.radians(2.6)
+)  # straightening carries the epicondyles back: then they lie between both ends
 THIGH = np.array([np.tan(np.radians(5.0)), -1.0, np.tan(np.radians(1.5))])  # from hip to knee
-SHANK = np.array([0.0, -1.0, -np.tan(np.radians(3.0))])  # from knee to ankle: feet come to stand under the hips
+SHANK = np.array(
+    [0.0, -1.0, -np.tan(np.radians(3.0))]
+)  # from knee to ankle: feet come to stand under the hips
 JAW_OPEN = np.radians(1.5)  # the lips of many bodies cross each other by up to 2 mm
-# base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which way they part
+# base vertices of the webs between the left foot's toes 1-2 and 2-3 that touch at rest, and which
+# way they part
 WEBS = dict.fromkeys((12391, 12397, 12452, 12457, 12463), -1)
 WEBS |= dict.fromkeys((12451, 12458, 12462, 12583, 12593, 12597), 1)
 EPICONDYLES = [10039, 10062]  # base vertices of the left arm
@@ -40,9 +46,14 @@ SEGMENTS = {
     "foot": ("foot",),
     **{f"toe{k}": (f"toe{k}-",) for k in range(1, 6)},
 }
-EXTRA_CUBES = ("l-finger-2-1", "l-finger-5-1")  # index and little knuckle: they tell where the palm looks
+EXTRA_CUBES = (
+    "l-finger-2-1",
+    "l-finger-5-1",
+)  # index and little knuckle: they tell where the palm looks
 EXTRA_CUBES += tuple(f"l-toe-{k}-1" for k in range(1, 6))  # roots of the toes
-TOE_FAN = np.radians([-3.0, -2.5, 2.5, 6.0, 9.0])  # outward, big toe first: toes that touch at rest come apart
+TOE_FAN = np.radians(
+    [-3.0, -2.5, 2.5, 6.0, 9.0]
+)  # outward, big toe first: toes that touch at rest come apart
 
 
 class RestPose:
@@ -57,14 +68,22 @@ class RestPose:
         average: np.ndarray,
         toes_apart: bool = True,
     ):
-        """base (V,) base index of each vertex, faces (F,3), mirror (V,); average (W,3): an average body's points."""
+        """base (V,) base index of each vertex, faces (F,3), mirror (V,); average (W,3): an average
+        body's points.
+        """
         self.toes_apart = toes_apart
         count = len(source.vertices)
-        pick = sparse.csr_matrix((np.ones(len(base)), (np.arange(len(base)), base)), (len(base), count))
+        pick = sparse.csr_matrix(
+            (np.ones(len(base)), (np.arange(len(base)), base)), (len(base), count)
+        )
         corners = np.array([source.groups["joint-" + name] for name in EXTRA_CUBES])
         rows = np.repeat(np.arange(len(corners)), 8)
-        extra = sparse.csr_matrix((np.full(corners.size, 1 / 8), (rows, corners.ravel())), (len(corners), count))
-        self.points = sparse.vstack([pick, joint_points(source), extra]).tocsr()  # what __call__ needs of a body
+        extra = sparse.csr_matrix(
+            (np.full(corners.size, 1 / 8), (rows, corners.ravel())), (len(corners), count)
+        )
+        self.points = sparse.vstack(
+            [pick, joint_points(source), extra]
+        ).tocsr()  # what __call__ needs of a body
         self.vertices = len(base)
         self.weights = {name: value[base] for name, value in segment_weights(source).items()}
         self.elastic = Elastic(average[base], faces, self.weights, mirror)
@@ -73,25 +92,39 @@ class RestPose:
         self.jaw = joint_weights(source, base, mirror)[:, JOINTS.index("jaw")]
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (N,V,3) float32 and joints (N,55,3) in the T-pose, pelvis at the origin, from points (N,P,3)."""
+        """Vertices (N,V,3) float32 and joints (N,55,3) in the T-pose, pelvis at the origin, from
+        points (N,P,3).
+        """
         points = points.astype(float)
-        body, centres, extra = np.split(points, [self.vertices, self.vertices + len(JOINTS)], axis=1)
+        body, centres, extra = np.split(
+            points, [self.vertices, self.vertices + len(JOINTS)], axis=1
+        )
         centres = place_hips(centres, body)
         fan = TOE_FAN * self.toes_apart
         posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights, fan)
-        refined = [self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)]
+        refined = [
+            self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)
+        ]
         vertices = self._apart(np.array(refined, np.float32))
         for side, flip in (("left", 1), ("right", -1)):
-            moved[:, JOINTS.index(f"{side}_elbow")] = vertices[:, EPICONDYLES].mean(1) * [flip, 1, 1]
+            moved[:, JOINTS.index(f"{side}_elbow")] = vertices[:, EPICONDYLES].mean(1) * [
+                flip,
+                1,
+                1,
+            ]
         return vertices, moved
 
     def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
         arm = vertices - joints[:, None, JOINTS.index("jaw")]
-        opened = np.einsum("ij,nvj->nvi", _about(np.array([1.0, 0, 0]), np.array([JAW_OPEN]))[0], arm)
+        opened = np.einsum(
+            "ij,nvj->nvi", _about(np.array([1.0, 0, 0]), np.array([JAW_OPEN]))[0], arm
+        )
         return vertices + self.jaw[None, :, None] * (opened - arm)
 
     def _apart(self, vertices: np.ndarray) -> np.ndarray:
-        """The webs between toes a little wider; and no vertex past the midline, where the groin would cross itself."""
+        """The webs between toes a little wider; and no vertex past the midline, where the groin
+        would cross itself.
+        """
         left = np.flatnonzero(self.left)
         vertices[:, list(WEBS), 0] += self.toes_apart * WEB_GAP * np.array(list(WEBS.values()))
         vertices[:, left, 0] = np.maximum(vertices[:, left, 0], MIDLINE_GAP)
@@ -100,7 +133,9 @@ class RestPose:
 
 
 def segment_weights(source: Source) -> dict[str, np.ndarray]:
-    """Segment -> (19158,) weight; left segments carry the prefix `left_`, right ones `right_`, the rest is `trunk`."""
+    """Segment -> (19158,) weight; left segments carry the prefix `left_`, right ones `right_`, the
+    rest is `trunk`.
+    """
     table: dict[str, np.ndarray] = {}
     for bone, value in bone_weights(source).items():
         stem, _, side = bone.partition(".")
@@ -116,14 +151,20 @@ def segment_weights(source: Source) -> dict[str, np.ndarray]:
 def tpose_transforms(
     joints: np.ndarray, extra: np.ndarray, fan: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,55,3) and the extra cubes (N,7,3).
+    """Left segment -> (rotation (N,3,3), translation (N,3)) from joints (N,55,3) and the extra
+    cubes (N,7,3).
 
     fan (5,): how far each toe turns outward, rad.
     """
     at = {name: joints[:, k] for k, name in enumerate(JOINTS)}
-    collar, shoulder, elbow = at["left_collar"], at["left_shoulder"], at["left_elbow"]
-    wrist, hand, hip = at["left_wrist"], at["left_middle1"], at["left_hip"]
-    knee, ankle = at["left_knee"], at["left_ankle"]
+    collar = at["left_collar"]
+    shoulder = at["left_shoulder"]
+    elbow = at["left_elbow"]
+    wrist = at["left_wrist"]
+    hand = at["left_middle1"]
+    hip = at["left_hip"]
+    knee = at["left_knee"]
+    ankle = at["left_ankle"]
     count = len(joints)
     flexion = np.cross(elbow - shoulder, wrist - elbow)
     x_axis, y_axis, z_axis = np.eye(3)
@@ -154,7 +195,12 @@ def tpose_transforms(
     attach("shank", turn_shank, knee, "thigh")
     attach("foot", turn_foot, ankle, "shank")
     for k, angle in enumerate(fan):
-        attach(f"toe{k + 1}", _about(y_axis, np.full(count, angle)) @ turn_foot, extra[:, 2 + k], "foot")
+        attach(
+            f"toe{k + 1}",
+            _about(y_axis, np.full(count, angle)) @ turn_foot,
+            extra[:, 2 + k],
+            "foot",
+        )
     return moved
 
 
@@ -165,7 +211,9 @@ def to_tpose(
     weights: dict[str, np.ndarray],
     fan: np.ndarray = TOE_FAN,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,V,3) and joints (N,55,3) in the T-pose, pelvis joint at the origin; weights are (V,) a segment."""
+    """Vertices (N,V,3) and joints (N,55,3) in the T-pose, pelvis joint at the origin; weights are
+    (V,) a segment.
+    """
     left = tpose_transforms(joints, extra, fan)
     posed = weights["trunk"][None, :, None] * vertices
     for name in SEGMENTS:
@@ -200,13 +248,17 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Right-handed frames (...,3,3), columns: along `first`, `second` made perpendicular to it, their cross product."""
+    """Right-handed frames (...,3,3), columns: along `first`, `second` made perpendicular to it,
+    their cross product.
+    """
     a = _unit(first)
     b = _unit(second - (second * a).sum(-1, keepdims=True) * a)
     return np.stack([a, b, np.cross(a, b)], -1)
 
 
-def _frame_to_frame(first: np.ndarray, second: np.ndarray, to_first: np.ndarray, to_second: np.ndarray) -> np.ndarray:
+def _frame_to_frame(
+    first: np.ndarray, second: np.ndarray, to_first: np.ndarray, to_second: np.ndarray
+) -> np.ndarray:
     return _frame(to_first, to_second) @ _frame(first, second).swapaxes(-1, -2)
 
 
@@ -221,13 +273,17 @@ def _shortest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Rotations (N,3,3) by angle (N,) about a unit axis."""
     k = _cross_matrix(axis)
-    return np.eye(3) + np.sin(angle)[:, None, None] * k + (1 - np.cos(angle))[:, None, None] * (k @ k)
+    return (
+        np.eye(3) + np.sin(angle)[:, None, None] * k + (1 - np.cos(angle))[:, None, None] * (k @ k)
+    )
 
 
 def _cross_matrix(v: np.ndarray) -> np.ndarray:
     x, y, z = np.moveaxis(v, -1, 0)
     o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+    return np.stack(
+        [np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2
+    )
 
 
 def _twist_about_x(turn: np.ndarray) -> np.ndarray:

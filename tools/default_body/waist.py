@@ -1,7 +1,8 @@
 """Morphs that MakeHuman lacks: boxy chest, waist and hips, and the furrow of the back.
 
-A waist with ANSUR's mean girth and breadth would be 33 mm too deep as an ellipse, hips 30 mm: real trunks are flat in
-front, at the sides and behind, and round between; the caliper's arm lies in the furrow between the back's two ridges.
+A waist with ANSUR's mean girth and breadth would be 33 mm too deep as an ellipse, hips 30 mm: real
+trunks are flat in front, at the sides and behind, and round between; the caliper's arm lies in the
+furrow between the back's two ridges.
 """
 
 from __future__ import annotations
@@ -16,8 +17,16 @@ from .rig import JOINTS, bone_weights, joint_points
 from .sliders import MorphSpace
 from .sources import BODY_VERTICES, Source
 
-BOXY = {"chest": 0.05, "waist": 0.05, "hip": 0.12}  # share of the radius: less before, behind and aside, more between
-BOXY_REACH = {"chest": 0.13, "waist": 0.17, "hip": 0.15}  # metres above and below at which it has faded out
+BOXY = {
+    "chest": 0.05,
+    "waist": 0.05,
+    "hip": 0.12,
+}  # share of the radius: less before, behind and aside, more between
+BOXY_REACH = {
+    "chest": 0.13,
+    "waist": 0.17,
+    "hip": 0.15,
+}  # metres above and below at which it has faded out
 FURROW = 0.012  # metres
 FURROW_REACH = (0.20, 0.26)  # metres below and above the navel
 FURROW_HALF = 0.035  # metres to either side
@@ -50,7 +59,8 @@ def _boxy(body: np.ndarray, level: float, reach: float) -> np.ndarray:
 
 
 def _furrow(body: np.ndarray) -> np.ndarray:
-    navel, back = body[MIDLINE["navel"]], body[MIDLINE["waist_back"]]
+    navel = body[MIDLINE["navel"]]
+    back = body[MIDLINE["waist_back"]]
     middle = 0.5 * (navel[2] + back[2])
     rise = body[:, 1] - navel[1]
     fade = _fade(rise / np.where(rise < 0, *FURROW_REACH)) * _fade(body[:, 0] / FURROW_HALF)
@@ -66,5 +76,7 @@ def _fade(share: np.ndarray) -> np.ndarray:
 def _trunk(source: Source) -> np.ndarray:
     """(W,) 1 on the body's trunk, 0 on its arms and off the body."""
     arms = [stem for limb in ("upper_arm", "forearm", "hand") for stem in LIMBS[limb][0]]
-    share = 1 - sum(value for bone, value in bone_weights(source).items() if bone.startswith(tuple(arms)))
+    share = 1 - sum(
+        value for bone, value in bone_weights(source).items() if bone.startswith(tuple(arms))
+    )
     return np.where(np.arange(len(share)) < BODY_VERTICES, share, 0.0)

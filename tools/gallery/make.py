@@ -1,4 +1,5 @@
-"""Draws the renderer's gallery (docs/gallery.md): images of a body and of a globe, kinds of borders, a fit's progress.
+"""Draws the renderer's gallery (docs/gallery.md): images of a body and of a globe, kinds of
+borders, a fit's progress.
 
 python tools/gallery/make.py [--out docs/images]
 """
@@ -26,7 +27,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 import globe as example
 
 DAYLIGHT = torch.tensor([0.75, 0.25, 0.3, -0.25, 0, 0, 0.05, 0, 0], dtype=torch.float64)
-SEA, SHORE, LAND, PEAK = torch.tensor([[0.1, 0.25, 0.55], [0.85, 0.8, 0.6], [0.25, 0.5, 0.2], [0.7, 0.6, 0.5]]).double()
+SEA, SHORE, LAND, PEAK = torch.tensor(
+    [[0.1, 0.25, 0.55], [0.85, 0.8, 0.6], [0.25, 0.5, 0.2], [0.7, 0.6, 0.5]]
+).double()
 POSE = {
     "left_shoulder": (0.1, -0.5, -0.75),
     "right_shoulder": (0.3, 0.4, 0.8),
@@ -42,17 +45,26 @@ POSE = {
 def body_images(width: int, height: int) -> list[Tensor]:
     """The default body in mid-stride."""
     body = habitus.load_body("default")
-    surface = body(pose={name: torch.tensor(turn, dtype=torch.float64) for name, turn in POSE.items()})
-    vertices, faces = surface.vertices, surface.faces
-    camera = view(width, height, eye=(-1.6, 0.5, 3.4), target=(0.02, -0.12, 0.05), focal=1.95 * height)
+    surface = body(
+        pose={name: torch.tensor(turn, dtype=torch.float64) for name, turn in POSE.items()}
+    )
+    vertices = surface.vertices
+    faces = surface.faces
+    camera = view(
+        width, height, eye=(-1.6, 0.5, 3.4), target=(0.02, -0.12, 0.05), focal=1.95 * height
+    )
     normals = vertex_normals(vertices, faces)
     frame = draw(camera, vertices, Triangles.of(faces, vertices))
-    colour = frame.image(spherical_harmonics(normals, DAYLIGHT) * torch.tensor([0.95, 0.75, 0.65]).double(), 1.0)
+    colour = frame.image(
+        spherical_harmonics(normals, DAYLIGHT) * torch.tensor([0.95, 0.75, 0.65]).double(), 1.0
+    )
     return [colour, *others(frame, normals)]
 
 
 def globe_images(width: int, height: int) -> list[Tensor]:
-    """A globe with a mipmapped texture; the seam of its doubled vertices runs down the side away from the camera."""
+    """A globe with a mipmapped texture; the seam of its doubled vertices runs down the side away
+    from the camera.
+    """
     ball = sphere(24, 48)
     assert ball.uv is not None
     camera = view(width, height, eye=(-1.2, 1.4, 3.6), target=(0, 0, 0), focal=1.7 * height)
@@ -65,7 +77,9 @@ def globe_images(width: int, height: int) -> list[Tensor]:
 
 
 def others(frame: Frame, normals: Tensor) -> list[Tensor]:
-    """Depth (near is dark), normals, silhouette, boundary and triangles, each as a picture (H, W, 3)."""
+    """Depth (near is dark), normals, silhouette, boundary and triangles, each as a picture (H, W,
+    3).
+    """
     coverage = frame.silhouette()[..., None]
     depth = frame.depth(background=torch.full((frame.height, frame.width), 1e3).double())[..., None]
     inside = depth[(frame.face_ids >= 0) & ~frame.boundary]
@@ -73,29 +87,41 @@ def others(frame: Frame, normals: Tensor) -> list[Tensor]:
     grey = torch.where(depth > inside.max(), 1.0, grey)
     ids = frame.face_ids.long()
     palette = (
-        torch.rand(len(frame.triangles.faces), 3, generator=torch.Generator().manual_seed(0)).double() * 0.8 + 0.15
+        torch.rand(
+            len(frame.triangles.faces), 3, generator=torch.Generator().manual_seed(0)
+        ).double()
+        * 0.8
+        + 0.15
     )
     triangles = torch.where((ids >= 0)[..., None], palette[ids.clamp(min=0)], 1.0)
     bump = (frame.normals(normals) + coverage) / 2 + 1 - coverage
     flat = [coverage, frame.boundary[..., None].double()]
-    return [grey.expand(-1, -1, 3), bump, *(1 - 0.9 * image.expand(-1, -1, 3) for image in flat), triangles]
+    return [
+        grey.expand(-1, -1, 3),
+        bump,
+        *(1 - 0.9 * image.expand(-1, -1, 3) for image in flat),
+        triangles,
+    ]
 
 
 def border_images(size: int, enlarge: int) -> list[list[Tensor]]:
-    """A part of a ring in few pixels: above, the picture in each boundary mode; below, its change as the ring moves.
+    """A part of a ring in few pixels: above, the picture in each boundary mode; below, its change
+    as the ring moves.
 
     Red grows, blue shrinks, as the ring moves to the right.
     """
-    ring, turn = torus(60, 30), torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    ring = torus(60, 30)
+    turn = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     triangles = Triangles.of(ring.faces, ring.vertices)
     camera = view(size, size, eye=(0.7, 2.2, 3.0), target=(0.6, 0, 0.5), focal=1.9 * size)
     values = 0.8 * spherical_harmonics(vertex_normals(ring.vertices, ring.faces), DAYLIGHT)
-    above, below = [], []
+    above = []
+    below = []
     for mode in BOUNDARIES:
         picture, change = torch.func.jvp(
-            lambda place, mode=mode: draw(camera.replace(translation=place), ring.vertices, triangles, mode).image(
-                values
-            ),
+            lambda place, mode=mode: draw(
+                camera.replace(translation=place), ring.vertices, triangles, mode
+            ).image(values),
             (camera.translation,),
             (turn,),
         )
@@ -105,12 +131,14 @@ def border_images(size: int, enlarge: int) -> list[list[Tensor]]:
 
 
 def convergence_images(size: int, shown: tuple[int, ...]) -> list[list[Tensor]]:
-    """How `examples/globe.py` finds its globe: what it draws at the start, after some iterations and at the end.
+    """How `examples/globe.py` finds its globe: what it draws at the start, after some iterations
+    and at the end.
 
     Last what it is to find; below, how far each is from it, dark where it is far.
     """
     truth, start = example.truth_and_start()
-    camera, steps = example.U.scaled(size / example.U.height), [start]
+    camera = example.U.scaled(size / example.U.height)
+    steps = [start]
 
     def keep(iteration: int, values: dict[str, Tensor], cost: float) -> None:
         steps.append({**steps[-1], **values})
@@ -122,34 +150,44 @@ def convergence_images(size: int, shown: tuple[int, ...]) -> list[list[Tensor]]:
         for values in [*(steps[k] for k in shown), steps[-1], truth]
     )
     off = [
-        1 - 1.5 * (picture - observed).abs().mean(-1, keepdim=True).expand(-1, -1, 3) for picture in [*drawn, observed]
+        1 - 1.5 * (picture - observed).abs().mean(-1, keepdim=True).expand(-1, -1, 3)
+        for picture in [*drawn, observed]
     ]
     return [[gutter(image) for image in row] for row in ([*drawn, observed], off)]
 
 
 def planet(height: int = 512, seed: int = 8) -> Tensor:
-    """A map (height, 2 height, 3) of a planet that is not ours: random waves in space make its land."""
+    """A map (height, 2 height, 3) of a planet that is not ours: random waves in space make its
+    land.
+    """
     latitude = torch.pi * (0.5 - (torch.arange(height).double() + 0.5) / height)[:, None]
     longitude = torch.pi * ((torch.arange(2 * height).double() + 0.5) / height - 1)
-    x, y, z = latitude.cos() * longitude.sin(), latitude.sin().expand(-1, 2 * height), latitude.cos() * longitude.cos()
+    x = latitude.cos() * longitude.sin()
+    y = latitude.sin().expand(-1, 2 * height)
+    z = latitude.cos() * longitude.cos()
     random = np.random.default_rng(seed)
     waves = torch.tensor(random.normal(size=(3, 60)) * random.uniform(1.5, 9, 60))
     phases = torch.tensor(random.uniform(0, 2 * np.pi, 60))
     ground = (torch.stack([x, y, z], -1) @ waves + phases).cos() @ (1 / waves.norm(dim=0))
     ground = (ground / ground.std())[..., None]
-    colours = torch.where(ground < 0, SEA * (1 + 0.15 * ground), LAND + (PEAK - LAND) * (ground / 2.5).clamp(max=1))
+    colours = torch.where(
+        ground < 0, SEA * (1 + 0.15 * ground), LAND + (PEAK - LAND) * (ground / 2.5).clamp(max=1)
+    )
     return torch.where((ground - 0.05).abs() < 0.05, SHORE, colours).clamp(0, 1)
 
 
 def view(width: int, height: int, eye: tuple, target: tuple, focal: float) -> Camera:
     """A camera at `eye` that looks at `target`."""
-    rotation, translation = look_at(*(torch.tensor(point, dtype=torch.float64) for point in (eye, target)))
+    rotation, translation = look_at(
+        *(torch.tensor(point, dtype=torch.float64) for point in (eye, target))
+    )
     return Camera.of(width, height, focal, rotation=rotation, translation=translation)
 
 
 def red_and_blue(values: Tensor) -> Tensor:
     """Red for 1, white for 0, blue for -1, as (H, W, 3)."""
-    up, down = values.clamp(0, 1), (-values).clamp(0, 1)
+    up = values.clamp(0, 1)
+    down = (-values).clamp(0, 1)
     return torch.stack([1 - down, 1 - up - down, 1 - up], -1)
 
 
@@ -172,7 +210,9 @@ def write(path: Path, rows: list[list[Tensor]]) -> None:
 
 def main() -> None:
     """Write all pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     out = parser.parse_args().out
     write(out / "render-body.png", [body_images(190, 380)])

@@ -1,4 +1,6 @@
-"""Whose captures the prior over placements is learned from: a person's name and their files (no two are one person)."""
+"""Whose captures the prior over placements is learned from: a person's name and their files (no two
+are one person).
+"""
 
 PEOPLE: dict[str, tuple[str, ...]] = {
     "CMU 85": ("85_02.c3d", "85_12.c3d"),

@@ -1,11 +1,13 @@
-"""Builds the pose prior that ships with the body: published ranges of motion, re-estimated from fitted captures.
+"""Builds the pose prior that ships with the body: published ranges of motion, re-estimated from
+fitted captures.
 
-    python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds 1] [--body default]
+    python tools/pose_prior/build.py CAPTURE... [--out src/habitus/assets/pose_prior.npz] [--rounds
+    1] [--body default]
 
-Each round fits the captures with the prior so far at twice its spread, or it would only confirm itself (shape stage,
-then single frames, each by itself, so that no motion counts twice), and blends the poses' mean and covariance with
-those of the ranges. Every capture counts the same; captures whose names begin alike (five characters) count as one
-person.
+Each round fits the captures with the prior so far at twice its spread, or it would only confirm
+itself (shape stage, then single frames, each by itself, so that no motion counts twice), and blends
+the poses' mean and covariance with those of the ranges. Every capture counts the same; captures
+whose names begin alike (five characters) count as one person.
 """
 
 import argparse
@@ -28,32 +30,47 @@ from habitus.io.models.priors import load_pose_prior, save_pose_prior
 from habitus.jobs.subjects import person
 
 FRAMES = 120
-TRUST_MEAN, TRUST_COVARIANCE = 0.8, 0.5
+TRUST_MEAN = 0.8
+TRUST_COVARIANCE = 0.5
 LOOSER = 2.0  # times the prior's standard deviations, in the fits that it is learned from
-UNSEEN = ("left_hand", "right_hand", "left_foot", "right_foot")  # no marker tells these: they keep their ranges
+UNSEEN = (
+    "left_hand",
+    "right_hand",
+    "left_foot",
+    "right_foot",
+)  # no marker tells these: they keep their ranges
 
 
 def poses_of(path: Path, prior: PosePrior, body: BodyModel) -> np.ndarray:
     """(F, 3 (J - 1)) joint rotations of some frames of a capture."""
     someone = person([read_capture(path)], "auto")
     seen = np.isfinite(someone.recordings[0].observed[..., 0]).any(axis=0)
-    layout = someone.layout.restricted_to(tuple(x for x, s in zip(someone.layout.labels, seen, strict=True) if s))
+    layout = someone.layout.restricted_to(
+        tuple(x for x, s in zip(someone.layout.labels, seen, strict=True) if s)
+    )
     observed = someone.recordings[0].observed[:, seen]
     recording = type(someone.recordings[0])(path.stem, observed, someone.recordings[0].rate_hz)
     subject = fit_subject(body, prior, layout, [recording], MoshSettings())
     observed = observed[random_frames(observed, FRAMES, 0)]
     pose, trans = start_sequence(subject.rig, subject.shape.pose, body.joint_names, observed)
     scales = np.full(observed.shape[1], 0.1)
-    result = fit_sequence(subject.rig, observed, None, scales, prior, pose, trans, SequenceSettings(acceleration=0.0))
+    result = fit_sequence(
+        subject.rig, observed, None, scales, prior, pose, trans, SequenceSettings(acceleration=0.0)
+    )
     return result.pose[:, 1:].reshape(len(observed), -1)
 
 
 def re_estimate(prior: PosePrior, people: list[list[np.ndarray]]) -> PosePrior:
-    """The ranges blended with the poses of some people in the joints of ``prior``, left and right made alike."""
+    """The ranges blended with the poses of some people in the joints of ``prior``, left and right
+    made alike.
+    """
     begin = range_prior().for_joints(("pelvis", *prior.joint_names))
-    means, covariances = [], []
+    means = []
+    covariances = []
     for captures in people:
-        poses = np.concatenate([p[np.linspace(0, len(p) - 1, FRAMES // len(captures)).astype(int)] for p in captures])
+        poses = np.concatenate(
+            [p[np.linspace(0, len(p) - 1, FRAMES // len(captures)).astype(int)] for p in captures]
+        )
         poses = np.concatenate([poses, mirrored(poses, prior.joint_names)])
         means.append(poses.mean(axis=0))
         covariances.append(poses)
@@ -71,7 +88,8 @@ def re_estimate(prior: PosePrior, people: list[list[np.ndarray]]) -> PosePrior:
 def completed(prior: PosePrior) -> PosePrior:
     """The prior with the joints that it lacks as their ranges are."""
     begin = range_prior()
-    whole, known = begin.covariance.copy(), [begin.joint_names.index(name) for name in prior.joint_names]
+    whole = begin.covariance.copy()
+    known = [begin.joint_names.index(name) for name in prior.joint_names]
     rows = np.add.outer(3 * np.array(known), np.arange(3)).ravel()
     mean = begin.mean.copy()
     mean[rows], whole[np.ix_(rows, rows)] = prior.mean, prior.covariance
@@ -81,13 +99,19 @@ def completed(prior: PosePrior) -> PosePrior:
 def mirrored(poses: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     """Poses (F, 3 N) of the mirror image of the body."""
     swap = {"left": "right", "right": "left"}
-    order = [names.index("_".join(swap.get(word, word) for word in name.split("_"))) for name in names]
-    return (poses.reshape(len(poses), -1, 3)[:, order] * np.array([1.0, -1.0, -1.0])).reshape(len(poses), -1)
+    order = [
+        names.index("_".join(swap.get(word, word) for word in name.split("_"))) for name in names
+    ]
+    return (poses.reshape(len(poses), -1, 3)[:, order] * np.array([1.0, -1.0, -1.0])).reshape(
+        len(poses), -1
+    )
 
 
 def main() -> None:
     """Read the captures, iterate, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("captures", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("src/habitus/assets/pose_prior.npz"))
     parser.add_argument("--rounds", type=int, default=1)
@@ -100,7 +124,10 @@ def main() -> None:
         loose = PosePrior(prior.joint_names, prior.mean, LOOSER**2 * prior.covariance)
         people = [[poses_of(path, loose, body) for path in paths] for _, paths in by_person]
         prior = re_estimate(prior, people)
-        print(f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures", flush=True)
+        print(
+            f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures",
+            flush=True,
+        )
     save_pose_prior(completed(prior), options.out)
 
 

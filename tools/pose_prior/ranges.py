@@ -1,17 +1,20 @@
 """Ranges of motion of SMPL's and SMPL-X's joints, from which the pose prior begins.
 
-Sources: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording" (1965); D. C. Boone
-and S. P. Azen, "Normal range of motion of joints in male subjects", J Bone Joint Surg 61-A:756-759 (1979); I. A.
-Kapandji's segment shares for the spine (lumbar, thoracic and cervical parts). Fingers: AAOS's values as C. C. Norkin
-and D. J. White print them ("Measurement of Joint Motion": MCP 90 of flexion and 45 of extension, 20 to either side, PIP
-100, DIP 90; thumb CMC 15, 20 and 70, MCP 50, IP 80 and 20), the DIP joint following the PIP joint (H. Rijpkema and M.
-Girard, "Computer animation of knowledge-based human grasping", 1991). Jaw: an opening of 32.2 (sd 6.0) degrees (B.
-Kordass et al., Int J Comput Dent 17:9-20, 2014). Eyes: 44.9 inward, 44.2 outward, 27.9 up, 47.1 down (W. J. Lee et al.,
-"Differences in eye movement range based on age and gaze direction", Eye 33:1145-1151, 2019).
+Sources: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and Recording"
+(1965); D. C. Boone and S. P. Azen, "Normal range of motion of joints in male subjects", J Bone
+Joint Surg 61-A:756-759 (1979); I. A. Kapandji's segment shares for the spine (lumbar, thoracic and
+cervical parts). Fingers: AAOS's values as C. C. Norkin and D. J. White print them ("Measurement of
+Joint Motion": MCP 90 of flexion and 45 of extension, 20 to either side, PIP 100, DIP 90; thumb CMC
+15, 20 and 70, MCP 50, IP 80 and 20), the DIP joint following the PIP joint (H. Rijpkema and M.
+Girard, "Computer animation of knowledge-based human grasping", 1991). Jaw: an opening of 32.2 (sd
+6.0) degrees (B. Kordass et al., Int J Comput Dent 17:9-20, 2014). Eyes: 44.9 inward, 44.2 outward,
+27.9 up, 47.1 down (W. J. Lee et al., "Differences in eye movement range based on age and gaze
+direction", Eye 33:1145-1151, 2019).
 
-Angles in degrees about the axes of the T-pose, palms down: x to the left, y up, z forward, for the left side; the
-right side mirrors y and z. A standard deviation is a quarter of a range, the mean is its middle, shrunk halfway to a
-relaxed stance; the face is relaxed. Ranges are from the template's rest pose, whose fingers are bent a little already.
+Angles in degrees about the axes of the T-pose, palms down: x to the left, y up, z forward, for the
+left side; the right side mirrors y and z. A standard deviation is a quarter of a range, the mean is
+its middle, shrunk halfway to a relaxed stance; the face is relaxed. Ranges are from the template's
+rest pose, whose fingers are bent a little already.
 """
 
 import numpy as np
@@ -41,7 +44,8 @@ LEFT = {
     "wrist": (((-20, 20), (-20, 30), (-75, 70)), (0, 0, 0)),
     "hand": (((-8, 8), (-8, 8), (-20, 15)), (0, 0, 0)),
     **{
-        f"{finger}1": (((-10, 10), (-20, 20), (-70, 45)), (0, 0, -5)) for finger in ("index", "middle", "ring", "pinky")
+        f"{finger}1": (((-10, 10), (-20, 20), (-70, 45)), (0, 0, -5))
+        for finger in ("index", "middle", "ring", "pinky")
     },
     **{f"{finger}2": (((-5, 5), (-5, 5), (-90, 0)), (0, 0, -10)) for finger in FINGERS},
     **{f"{finger}3": (((-5, 5), (-5, 5), (-80, 0)), (0, 0, -5)) for finger in FINGERS},
@@ -54,8 +58,10 @@ RELAXED = ("jaw", "eye_smplhf")
 FOLLOWS = 0.9
 """Correlation of the flexion of a finger's last joint with that of the one before."""
 BODY = (
-    "left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot neck "
-    "left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist "
+    "left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 "
+    "left_foot right_foot neck "
+    "left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist "
+    "right_wrist "
     "left_hand right_hand"
 ).split()
 MORE = tuple(name for name in SMPLX.joint_names[1:] if name not in BODY)
@@ -64,13 +70,16 @@ SMALLEST_SD = np.radians(4.0)
 
 
 def range_prior() -> PosePrior:
-    """The prior of the published ranges: joints are independent but for the last ones of fingers."""
+    """The prior of the published ranges: joints are independent but for the last ones of
+    fingers.
+    """
     order = (*BODY, *MORE)
     means, covariances = zip(*(_joint(name) for name in order), strict=True)
     covariance = block_diag(*covariances)
     for k, name in enumerate(order):
         if name.endswith("3") and "thumb" not in name and "spine" not in name:
-            last, before = 3 * k + 2, 3 * order.index(f"{name[:-1]}2") + 2
+            last = 3 * k + 2
+            before = 3 * order.index(f"{name[:-1]}2") + 2
             shared = FOLLOWS * np.sqrt(covariance[last, last] * covariance[before, before])
             covariance[last, before] = covariance[before, last] = shared
     return PosePrior(order, np.concatenate(means), covariance)
@@ -83,7 +92,8 @@ def _joint(name: str) -> tuple[np.ndarray, np.ndarray]:
     if part in HINGES:
         axis, (low, high) = np.array(HINGES[part][0]), np.radians(HINGES[part][1])
         axis /= np.linalg.norm(axis)
-        mean, spread = (low + high) / 4 * axis, np.outer(axis, axis) * (((high - low) / 4) ** 2 - SMALLEST_SD**2)
+        mean = (low + high) / 4 * axis
+        spread = np.outer(axis, axis) * (((high - low) / 4) ** 2 - SMALLEST_SD**2)
         return mirror * mean, np.outer(mirror, mirror) * spread + SMALLEST_SD**2 * np.eye(3)
     limits, relaxed = MIDLINE[name] if not side else LEFT[part]
     low, high = np.radians(np.array(limits, dtype=float)).T

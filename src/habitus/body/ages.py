@@ -12,9 +12,11 @@ ADULT = 18.0
 
 @dataclass(frozen=True, eq=False)
 class Ages:
-    """How the mean person of each of ``years`` (A, rising) differs from the template (m), and how tall they stand (m).
+    """How the mean person of each of ``years`` (A, rising) differs from the template (m), and how
+    tall they stand (m).
 
-    ``statures`` are those of the whole body, so that two levels of detail grow alike; ``adult`` is the template's.
+    ``statures`` are those of the whole body, so that two levels of detail grow alike; ``adult`` is
+    the template's.
     """
 
     years: Float[np.ndarray, " A"]
@@ -28,7 +30,9 @@ class Ages:
         Raises HabitusError for an age before the first or after the last.
         """
         if not self.years[0] <= years <= self.years[-1]:
-            raise HabitusError(f"age {years:g}: this body knows {self.years[0]:g} to {self.years[-1]:g} years")
+            raise HabitusError(
+                f"age {years:g}: this body knows {self.years[0]:g} to {self.years[-1]:g} years"
+            )
         shares = np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
         near = np.flatnonzero(shares)
         offset = self.directions[..., near].astype(np.float64) @ shares[near]

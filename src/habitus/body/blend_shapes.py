@@ -1,7 +1,7 @@
 """Blend shapes: what shape and pose add to the template (S 3, eqs. 8 and 9).
 
-Bases are kept as rows of flattened surfaces, (directions, 3N) with coordinates before vertices, so that one matrix
-product gives a batch of surfaces.
+Bases are kept as rows of flattened surfaces, (directions, 3N) with coordinates before vertices, so
+that one matrix product gives a batch of surfaces.
 """
 
 import numpy as np
@@ -13,7 +13,9 @@ from habitus.types import Array
 
 def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:
     """Directions (N, 3, K) as K rows of 3N numbers: x of all vertices, then y, then z."""
-    return np.ascontiguousarray(directions.transpose(2, 1, 0)).reshape(directions.shape[-1], 3 * len(directions))
+    return np.ascontiguousarray(directions.transpose(2, 1, 0)).reshape(
+        directions.shape[-1], 3 * len(directions)
+    )
 
 
 def add_blend_shapes(

@@ -1,4 +1,6 @@
-"""What a body is made of, checked, and copies of it in the kinds (library, dtype, device) that were asked for."""
+"""What a body is made of, checked, and copies of it in the kinds (library, dtype, device) that were
+asked for.
+"""
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -22,13 +24,23 @@ from habitus.body.views import RestSkeleton, VertexRows, vertex_rows
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
 
-_NUMBERS = ("v_template", "shapedirs", "posedirs", "joint_regressor", "skinning_value", "expressiondirs", "people_mean")
+_NUMBERS = (
+    "v_template",
+    "shapedirs",
+    "posedirs",
+    "joint_regressor",
+    "skinning_value",
+    "expressiondirs",
+    "people_mean",
+)
 _WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror", "full_vertices")
 
 
 @dataclass(frozen=True, eq=False)
 class BodyArrays:
-    """The arrays of a `habitus.body.model.BodyModel`, which says what they are, and what follows from them alone."""
+    """The arrays of a `habitus.body.model.BodyModel`, which says what they are, and what follows
+    from them alone.
+    """
 
     name: str
     v_template: Float[np.ndarray, "V 3"]
@@ -62,19 +74,25 @@ class BodyArrays:
 
     def __post_init__(self):
         for name in _NUMBERS + _WHOLE_NUMBERS:
-            value, dtype = getattr(self, name), np.float64 if name in _NUMBERS else np.int64
+            value = getattr(self, name)
+            dtype = np.float64 if name in _NUMBERS else np.int64
             object.__setattr__(self, name, value if value is None else to_numpy(value, dtype))
         if self.female_direction is not None:
             direction, bias = self.female_direction
-            object.__setattr__(self, "female_direction", (to_numpy(direction, np.float64), float(bias)))
+            object.__setattr__(
+                self, "female_direction", (to_numpy(direction, np.float64), float(bias))
+            )
         check_parents(self.parents)
         if self.skinning not in SKINNING:
-            raise HabitusError(f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}")
+            raise HabitusError(
+                f"skinning is {self.skinning!r}; expected one of {', '.join(SKINNING)}"
+            )
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
         if self.dynamics is not None and len(self.dynamics.directions) != self.num_vertices:
             raise HabitusError(
-                f"dynamic blend shapes of {len(self.dynamics.directions)} vertices; expected {self.num_vertices}"
+                f"dynamic blend shapes of {len(self.dynamics.directions)} vertices; expected "
+                f"{self.num_vertices}"
             )
 
     @property
@@ -123,8 +141,8 @@ class BodyArrays:
         return list(range(1, self.num_joints) if self.pose_joints is None else self.pose_joints)
 
     def smpl_posedirs(self, rows: Any = slice(None)) -> Float[np.ndarray, "N 3 F"] | None:
-        """``posedirs`` of some vertices as SMPL has them, driven by all joints but the root: zeros for those that do
-        not.
+        """``posedirs`` of some vertices as SMPL has them, driven by all joints but the root: zeros
+        for those that do not.
         """
         if self.posedirs is None or self.pose_joints is None:
             return None if self.posedirs is None else self.posedirs[rows]
@@ -136,7 +154,9 @@ class BodyArrays:
     def skinning_weights(self) -> Float[np.ndarray, "V J"]:
         """The skinning weights as a dense table."""
         dense = np.zeros((self.num_vertices, self.num_joints))
-        np.add.at(dense, (np.arange(self.num_vertices)[:, None], self.skinning_index), self.skinning_value)
+        np.add.at(
+            dense, (np.arange(self.num_vertices)[:, None], self.skinning_index), self.skinning_value
+        )
         return dense
 
     @cached_property
@@ -146,14 +166,18 @@ class BodyArrays:
 
     @cached_property
     def joint_shapedirs(self) -> Float[np.ndarray, "J 3 B"]:
-        """How the rest joints move with the shape coefficients: the regressor applied to the shape directions."""
+        """How the rest joints move with the shape coefficients: the regressor applied to the shape
+        directions.
+        """
         return np.tensordot(self.joint_regressor, self.shapedirs, 1)
 
     @cached_property
     def joint_expressiondirs(self) -> Float[np.ndarray, "J 3 E"]:
         """How the rest joints move with the expression; E may be 0."""
         none = np.zeros((self.num_vertices, 3, 0))
-        return np.tensordot(self.joint_regressor, none if self.expressiondirs is None else self.expressiondirs, 1)
+        return np.tensordot(
+            self.joint_regressor, none if self.expressiondirs is None else self.expressiondirs, 1
+        )
 
     @cached_property
     def _cache(self) -> dict:
@@ -166,22 +190,29 @@ class BodyArrays:
     def _in(self, kind: Kind) -> RestSkeleton:
         if kind not in self._cache:
             still = np.zeros((self.num_joints, 3, self.num_dynamics))
-            directions = np.concatenate([self.joint_shapedirs, self.joint_expressiondirs, still], -1)
+            directions = np.concatenate(
+                [self.joint_shapedirs, self.joint_expressiondirs, still], -1
+            )
             with kind.lasting():
-                arrays = kind.array(self.joint_template), kind.array(directions), kind.index(self.faces)
+                arrays = (
+                    kind.array(self.joint_template),
+                    kind.array(directions),
+                    kind.index(self.faces),
+                )
                 self._cache[kind] = RestSkeleton(*arrays)
         return self._cache[kind]
 
     def _rows(
         self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None, coefficients: int | None = None
     ) -> VertexRows:
-        """The arrays of some vertices, or of all, for so many ``coefficients``: those of the shape, of shape and
-        expression, or of shape, expression and dynamics.
+        """The arrays of some vertices, or of all, for so many ``coefficients``: those of the shape,
+        of shape and expression, or of shape, expression and dynamics.
         """
         count = coefficients or self.num_betas
         if ids is None and (kind, count) in self._cache:
             return self._cache[kind, count]
-        some, directions = slice(None) if ids is None else ids, [self.shapedirs]
+        some = slice(None) if ids is None else ids
+        directions = [self.shapedirs]
         if count > self.num_betas and self.expressiondirs is not None:
             directions.append(self.expressiondirs)
         if count > self.num_betas + self.num_expressions and self.dynamics is not None:
@@ -189,7 +220,9 @@ class BodyArrays:
         with kind.lasting() if ids is None else nullcontext():
             weights = self.skinning_weights, self.skinning_index, self.skinning_value
             driven = self.features.per_joint, 1 + self.shape_features
-            rows = vertex_rows(kind, some, self.v_template, directions, self.posedirs, *weights, driven)
+            rows = vertex_rows(
+                kind, some, self.v_template, directions, self.posedirs, *weights, driven
+            )
         if ids is None:
             self._cache[kind, count] = rows
         return rows

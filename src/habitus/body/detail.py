@@ -1,4 +1,6 @@
-"""Two levels of detail of one body: a coarse mesh for fits, some of whose vertices are those of the full one."""
+"""Two levels of detail of one body: a coarse mesh for fits, some of whose vertices are those of the
+full one.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -8,16 +10,29 @@ import numpy as np
 from jaxtyping import Int
 
 _SAMPLES = 64
-_ALIKE = ("parents", "joint_names", "skinning", "pose_features", "shape_features", "pose_joints", "num_betas")
+_ALIKE = (
+    "parents",
+    "joint_names",
+    "skinning",
+    "pose_features",
+    "shape_features",
+    "pose_joints",
+    "num_betas",
+)
 _ARRAYS = ("shapedirs", "posedirs", "expressiondirs", "skinning_value")
 
 
 def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
-    """Whether a body and its full level are one: vertex k of the coarse is vertex ``rows[k]`` of the full.
+    """Whether a body and its full level are one: vertex k of the coarse is vertex ``rows[k]`` of
+    the full.
 
     The template is compared whole, what moves it at a sample of the vertices.
     """
-    if rows is None or len(rows) != len(coarse.v_template) or rows.max(initial=-1) >= len(full.v_template):
+    if (
+        rows is None
+        or len(rows) != len(coarse.v_template)
+        or rows.max(initial=-1) >= len(full.v_template)
+    ):
         return False
     if any(getattr(coarse, name) != getattr(full, name) for name in _ALIKE):
         return False
@@ -25,7 +40,8 @@ def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
         return False
     some = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.int64)
     for name in _ARRAYS:
-        ours, theirs = getattr(coarse, name), getattr(full, name)
+        ours = getattr(coarse, name)
+        theirs = getattr(full, name)
         if (ours is None) != (theirs is None):
             return False
         if ours is not None and not np.array_equal(ours[some], theirs[rows[some]]):

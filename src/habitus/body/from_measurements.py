@@ -1,8 +1,10 @@
-"""A body from some of its measurements: the likeliest person who has them, and what they leave open.
+"""A body from some of its measurements: the likeliest person who has them, and what they leave
+open.
 
-Shape coefficients are normal of unit variance about those of the mean person that a survey measured (zero, where the
-body knows of none); a measurement m(betas) is known to a standard deviation: the likeliest betas are a Gaussian's
-conditional mean where m is linear, and are found by Gauss-Newton steps of it where it bends.
+Shape coefficients are normal of unit variance about those of the mean person that a survey measured
+(zero, where the body knows of none); a measurement m(betas) is known to a standard deviation: the
+likeliest betas are a Gaussian's conditional mean where m is linear, and are found by Gauss-Newton
+steps of it where it bends.
 """
 
 from collections.abc import Mapping
@@ -18,20 +20,26 @@ from habitus.errors import HabitusError
 
 Given = float | tuple[float, float]
 PRECISION = 0.002
-"""Standard deviation of a given measurement, as a share of it, where none is told: 3.5 mm of 1.75 m."""
+"""Standard deviation of a given measurement, as a share of it, where none is told: 3.5 mm of 1.75
+m.
+"""
 MOST_SD = 6.0
 """Nobody is further from the mean person than this."""
-_STEPS, _SMALL, _STEP, _LONGEST = 30, 1e-3, 0.05, 2.0
+_STEPS = 30
+_SMALL = 1e-3
+_STEP = 0.05
+_LONGEST = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class BodyEstimate:
     """The likeliest person with some measurements.
 
-    ``betas`` (B,) and their ``covariance`` (B, B) belong to ``body``. ``measurements`` are that person's, all of them
-    (m, kg), and ``spread`` how far each is left open by what was given: a standard deviation. ``given`` is what was
-    asked for. ``sd_from_mean`` says how rare such a person is: as a normal variable so many sd from its mean.
-    ``space`` and ``age`` (years) say which body it is, where it was made for an age.
+    ``betas`` (B,) and their ``covariance`` (B, B) belong to ``body``. ``measurements`` are that
+    person's, all of them (m, kg), and ``spread`` how far each is left open by what was given: a
+    standard deviation. ``given`` is what was asked for. ``sd_from_mean`` says how rare such a
+    person is: as a normal variable so many sd from its mean. ``space`` and ``age`` (years) say
+    which body it is, where it was made for an age.
     """
 
     body: BodyModel
@@ -51,23 +59,32 @@ class BodyEstimate:
 
 
 def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEstimate:
-    """The likeliest person of a shape space who has these measurements (m, kg; each a value, or a value and its sd).
+    """The likeliest person of a shape space who has these measurements (m, kg; each a value, or a
+    value and its sd).
 
-    Names may be short ("height", "waist", see `habitus.body.measurement_names`). Raises HabitusError for a measurement
-    that the body does not have, for a value that is none, and for people such as nobody is.
+    Names may be short ("height", "waist", see `habitus.body.measurement_names`). Raises
+    HabitusError for a measurement that the body does not have, for a value that is none, and for
+    people such as nobody is.
     """
-    mean = {name: float(values[0]) for name, values in body.measure_people(np.zeros((1, body.num_betas))).items()}
+    mean = {
+        name: float(values[0])
+        for name, values in body.measure_people(np.zeros((1, body.num_betas))).items()
+    }
     wanted = _read(measurements, mean)
-    every, names = list(mean), list(wanted)
+    every = list(mean)
+    names = list(wanted)
     rows = [every.index(name) for name in names]
     values, noise = np.array([*wanted.values()]).reshape(-1, 2).T
     betas = _likeliest(body, rows, values, noise)
     found, slopes = _linear(body, betas)
-    energy = float(np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2))
+    energy = float(
+        np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2)
+    )
     if (rare := _as_sd(energy, len(names))) > MOST_SD:
         said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in wanted.items())
         raise HabitusError(
-            f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, where nobody is; "
+            f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, "
+            "where nobody is; "
             "check the numbers (metres and kilograms)"
         )
     covariance = np.eye(len(betas)) - _gain(slopes[rows], noise) @ slopes[rows]
@@ -84,27 +101,39 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
     )
 
 
-def _read(measurements: Mapping[str, Given], mean: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def _read(
+    measurements: Mapping[str, Given], mean: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
     """Each measurement's full name, value and standard deviation."""
     found: dict[str, tuple[float, float]] = {}
     for said, given in measurements.items():
         name = find_measurement(said, mean)
         if name in found:
             raise HabitusError(f"{name} is given twice; give it once")
-        pair = np.array(given if isinstance(given, tuple) else (given, np.nan), dtype=np.float64).ravel()
+        pair = np.array(
+            given if isinstance(given, tuple) else (given, np.nan), dtype=np.float64
+        ).ravel()
         value, sd = pair if len(pair) == 2 else (np.nan, np.nan)
         sd = PRECISION * value if np.isnan(sd) else sd
         if not (np.isfinite(value) and value > 0 and sd > 0):
-            raise HabitusError(f"{said} is {given!r}; expected a number above 0, or such a number and its sd")
+            raise HabitusError(
+                f"{said} is {given!r}; expected a number above 0, or such a number and its sd"
+            )
         if not 0.1 < value / mean[name] < 10:
             unit = "kilograms" if name.endswith("_kg") else "metres"
-            raise HabitusError(f"{said} is {value:g}; people have about {mean[name]:.3g}: give {unit}")
+            raise HabitusError(
+                f"{said} is {value:g}; people have about {mean[name]:.3g}: give {unit}"
+            )
         found[name] = float(value), float(sd)
     return found
 
 
-def _likeliest(body: BodyModel, rows: list[int], values: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Betas (B,) at which the conditional mean of the measurements, linear there, stays where it is."""
+def _likeliest(
+    body: BodyModel, rows: list[int], values: np.ndarray, noise: np.ndarray
+) -> np.ndarray:
+    """Betas (B,) at which the conditional mean of the measurements, linear there, stays where it
+    is.
+    """
     mean = betas = _typical(body)
     for _ in range(_STEPS if rows else 0):
         found, slopes = (each[rows] for each in _linear(body, betas))
@@ -123,7 +152,11 @@ def _typical(body: BodyModel) -> np.ndarray:
 
 def _linear(body: BodyModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All measurements (M,) at these betas, and their slopes (M, B)."""
-    table = np.array(list(body.measure_people(betas + np.vstack([0 * betas, _STEP * np.eye(len(betas))])).values()))
+    table = np.array(
+        list(
+            body.measure_people(betas + np.vstack([0 * betas, _STEP * np.eye(len(betas))])).values()
+        )
+    )
     return table[:, 0], (table[:, 1:] - table[:, :1]) / _STEP
 
 
@@ -133,7 +166,9 @@ def _gain(slopes: np.ndarray, noise: np.ndarray) -> np.ndarray:
 
 
 def _as_sd(energy: float, count: int) -> float:
-    """A sum of ``count`` squares as a normal variable's distance from its mean that is as rarely exceeded."""
+    """A sum of ``count`` squares as a normal variable's distance from its mean that is as rarely
+    exceeded.
+    """
     if count == 0:
         return 0.0
     rarely = float(chdtrc(count, energy))

@@ -1,10 +1,12 @@
-"""Exact derivatives of vertices and joints with respect to shape, pose and place, for LBS and DQBS alike.
+"""Exact derivatives of vertices and joints with respect to shape, pose and place, for LBS and DQBS
+alike.
 
-Turning joint j by a small vector m (in the world) turns everything that hangs on it about p_j, and the columns of ``M_j
-= R_parent(j) J_l(theta_j)`` are those m for the three entries of theta_j (J_l: left Jacobian). Hence, with u_ik the
-part of vertex i that joint k carries, LBS gives ``dv_i / dtheta_j = -[Y_ij]x M_j``, ``Y_ij = sum_{k below j} (u_ik -
-w_ik p_j)``. In DQBS the turn multiplies the dual quaternions of all joints below j from the left: what is blended
-changes linearly, and only the normalisation does not. Pose blend shapes add their own derivative, turned by the vertex'
+Turning joint j by a small vector m (in the world) turns everything that hangs on it about p_j, and
+the columns of ``M_j = R_parent(j) J_l(theta_j)`` are those m for the three entries of theta_j (J_l:
+left Jacobian). Hence, with u_ik the part of vertex i that joint k carries, LBS gives ``dv_i /
+dtheta_j = -[Y_ij]x M_j``, ``Y_ij = sum_{k below j} (u_ik - w_ik p_j)``. In DQBS the turn multiplies
+the dual quaternions of all joints below j from the left: what is blended changes linearly, and only
+the normalisation does not. Pose blend shapes add their own derivative, turned by the vertex'
 blended rotation. Nothing is left out.
 """
 
@@ -14,7 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.arrays import broadcast_shapes, constant, cross, eye, flatten, kind_of, namespace, unbind, unflatten
+from habitus.arrays import (
+    broadcast_shapes,
+    constant,
+    cross,
+    eye,
+    flatten,
+    kind_of,
+    namespace,
+    unbind,
+    unflatten,
+)
 from habitus.body.blend_shapes import add_blend_shapes
 from habitus.body.kinematics import descends, skinning_motions, world_motions
 from habitus.body.model import BodyModel
@@ -37,9 +49,11 @@ from habitus.types import Array, ArrayLike
 
 @dataclass(frozen=True)
 class SurfaceJacobian:
-    """A surface (m) and how it moves: m per unit of betas, m per rad of pose; with ``trans`` it moves one to one.
+    """A surface (m) and how it moves: m per unit of betas, m per rad of pose; with ``trans`` it
+    moves one to one.
 
-    ``vertices_dynamics`` is there where dynamics were given: m per unit of their coefficients, which move no joint.
+    ``vertices_dynamics`` is there where dynamics were given: m per unit of their coefficients,
+    which move no joint.
     """
 
     surface: BodySurface
@@ -73,22 +87,31 @@ def surface_jacobian(
     vertices: ArrayLike | None = None,
     dynamics: ArrayLike | None = None,
 ) -> SurfaceJacobian:
-    """The surface of S 3, eq. 11, and its exact derivatives with respect to betas and pose (rotation vectors, rad).
+    """The surface of S 3, eq. 11, and its exact derivatives with respect to betas and pose
+    (rotation vectors, rad).
 
-    Takes what the body takes, and answers in the same kind. Meant for a subset of vertices: memory is ``3 N (3 J + B)``
-    numbers for each of the batch.
+    Takes what the body takes, and answers in the same kind. Meant for a subset of vertices: memory
+    is ``3 N (3 J + B)`` numbers for each of the batch.
     """
-    kind = kind_of(betas, *(pose.values() if isinstance(pose, Mapping) else (pose,)), trans, dynamics)
+    kind = kind_of(
+        betas, *(pose.values() if isinstance(pose, Mapping) else (pose,)), trans, dynamics
+    )
     moving = None if dynamics is None else kind.array(dynamics)
-    prepared, pose = body.prepare(kind.array(betas), vertices, dynamics=moving), body.full_pose(pose, kind)
+    prepared = body.prepare(kind.array(betas), vertices, dynamics=moving)
+    pose = body.full_pose(pose, kind)
     batch = broadcast_shapes(prepared.betas.shape[:-1], pose.shape[:-2])
-    rest_joints, pose = (kind.xp.broadcast_to(x, (*batch, body.num_joints, 3)) for x in (prepared.rest_joints, pose))
+    rest_joints, pose = (
+        kind.xp.broadcast_to(x, (*batch, body.num_joints, 3)) for x in (prepared.rest_joints, pose)
+    )
     skeleton = posed_skeleton(body, rest_joints, pose)
-    rest, directions = prepared.shaped, unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
+    rest = prepared.shaped
+    directions = unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     by_betas = directions[..., : body.num_betas]
     if prepared.rows.posedirs is not None:
         feature = body.features.of_pose(pose, skeleton.rotations, body.drivers)
-        rest = add_blend_shapes(rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs)
+        rest = add_blend_shapes(
+            rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs
+        )
         if body.shape_features:
             by_betas = by_betas + _offsets_by_betas(prepared, feature)
     rest = unflatten(rest, -1, (3, -1)).mT
@@ -103,37 +126,61 @@ def surface_jacobian(
     by_joints = kind.xp.moveaxis(-cross_matrix(arms) @ skeleton.turns[..., None, :, :, :], -3, -2)
     place = 0 if trans is None else kind.array(trans)[..., None, :]
     surface = BodySurface(moved + place, joints + place, kind.index(body.faces), prepared.betas)
-    by_dynamics = None if moving is None else turn @ directions[..., body.num_betas + body.num_expressions :]
-    return SurfaceJacobian(surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints, by_dynamics)
+    by_dynamics = (
+        None if moving is None else turn @ directions[..., body.num_betas + body.num_expressions :]
+    )
+    return SurfaceJacobian(
+        surface, turn @ by_betas + by_shifts, by_pose, skeleton.joints_betas, by_joints, by_dynamics
+    )
 
 
 def posed_skeleton(
     body: BodyModel, rest_joints: Float[Array, "*batch J 3"], pose: Float[Array, "*batch J 3"]
 ) -> PosedSkeleton:
     """The skeleton of a body with these joints at rest (m) in this pose (rad), at the origin."""
-    xp, parents = namespace(pose), list(body.parents[1:])
+    xp = namespace(pose)
+    parents = list(body.parents[1:])
     rotations = matrix_from_rotvec(pose)
     world = world_motions(rotations, rest_joints, body.parents)
     root = xp.broadcast_to(eye(3, world), (*world.shape[:-3], 1, 3, 3))
     above = xp.concatenate([root, world[..., parents, :, :3]], -3)
     local_turns = left_jacobian(pose)
-    below, by_betas = constant(descends(body.parents), pose), constant(body.joint_shapedirs, pose)
+    below = constant(descends(body.parents), pose)
+    by_betas = constant(body.joint_shapedirs, pose)
     steps = xp.concatenate([by_betas[:1], by_betas[1:] - by_betas[parents]])
     joints_betas = unflatten(below.T @ flatten(above @ steps, -2), -1, (3, -1))
     shifts_betas = joints_betas - world[..., :3] @ by_betas
     motions = skinning_motions(world, rest_joints)
-    return PosedSkeleton(rotations, world, motions, below, above @ local_turns, local_turns, joints_betas, shifts_betas)
+    return PosedSkeleton(
+        rotations,
+        world,
+        motions,
+        below,
+        above @ local_turns,
+        local_turns,
+        joints_betas,
+        shifts_betas,
+    )
 
 
 def _blocks(prepared: PreparedBody) -> Float[Array, "S P 3 N"]:
-    """Pose blend shapes in 1 + s blocks of (J - 1) k: for all shapes alike, then times each shape coefficient."""
+    """Pose blend shapes in 1 + s blocks of (J - 1) k: for all shapes alike, then times each shape
+    coefficient.
+    """
     assert prepared.rows.posedirs is not None
-    return unflatten(unflatten(prepared.rows.posedirs, 0, (1 + prepared.model.shape_features, -1)), -1, (3, -1))
+    return unflatten(
+        unflatten(prepared.rows.posedirs, 0, (1 + prepared.model.shape_features, -1)), -1, (3, -1)
+    )
 
 
-def _offsets_by_betas(prepared: PreparedBody, feature: Float[Array, "*batch P"]) -> Float[Array, "*batch N 3 B"]:
-    """Derivative of the pose blend shapes' offsets by all shape coefficients: zero after the first s."""
-    xp, blocks = namespace(feature), _blocks(prepared)[1:]
+def _offsets_by_betas(
+    prepared: PreparedBody, feature: Float[Array, "*batch P"]
+) -> Float[Array, "*batch N 3 B"]:
+    """Derivative of the pose blend shapes' offsets by all shape coefficients: zero after the first
+    s.
+    """
+    xp = namespace(feature)
+    blocks = _blocks(prepared)[1:]
     rows = flatten(xp.moveaxis(blocks, 1, 0), 1)  # (P, s 3 N)
     offsets = unflatten(feature @ rows, -1, (blocks.shape[0], 3, blocks.shape[-1])).swapaxes(-1, -3)
     others = prepared.model.num_betas - prepared.model.shape_features
@@ -143,8 +190,12 @@ def _offsets_by_betas(prepared: PreparedBody, feature: Float[Array, "*batch P"])
 def _offsets_by_pose(
     prepared: PreparedBody, skeleton: PosedSkeleton, pose: Float[Array, "*batch J 3"]
 ) -> Float[Array, "*batch N 3 J 3"]:
-    """Derivative of the pose blend shapes' offsets: slope times J_l, zero but for the joints that drive."""
-    xp, features, drivers = namespace(pose), prepared.model.features, prepared.model.drivers
+    """Derivative of the pose blend shapes' offsets: slope times J_l, zero but for the joints that
+    drive.
+    """
+    xp = namespace(pose)
+    features = prepared.model.features
+    drivers = prepared.model.drivers
     change = features.slope(pose[..., drivers, :]) @ skeleton.local_turns[..., drivers, :, :]
     first, *others = unbind(unflatten(_blocks(prepared), 1, (-1, features.per_joint)), 0)
     for beta, block in zip(unbind(prepared.betas)[: len(others)], others, strict=True):
@@ -156,11 +207,16 @@ def _offsets_by_pose(
     return xp.stack([columns.get(joint, none) for joint in range(pose.shape[-2])], -2)
 
 
-_Moved = tuple[Array, Array, Array, Array]  # vertices, blended rotations, derivative by pose (rigid part), by shifts
+_Moved = tuple[
+    Array, Array, Array, Array
+]  # vertices, blended rotations, derivative by pose (rigid part), by shifts
 
 
-def _linear(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
-    index, value = prepared.rows.influences.index, prepared.rows.influences.value
+def _linear(
+    prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]
+) -> _Moved:
+    index = prepared.rows.influences.index
+    value = prepared.rows.influences.value
     motions = skeleton.motions[..., index, :, :] * value[..., None, None]
     parts = (motions[..., :3] @ rest[..., None, :, None])[..., 0] + motions[..., 3]
     below = skeleton.below[:, index].swapaxes(0, 1)  # (N, J, K)
@@ -176,12 +232,15 @@ def _linear(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, 
     )
 
 
-def _dual(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]) -> _Moved:
+def _dual(
+    prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*batch N 3"]
+) -> _Moved:
     single = dual_quaternion_from_rigid(skeleton.motions[..., :3], skeleton.motions[..., 3])
     weights = signed_weights(single[..., :4], prepared.rows.influences)
     blended = weights @ single
     moved = move_points(blended.mT, rest.mT).mT
-    real, dual = blended[..., :4], blended[..., 4:]
+    real = blended[..., :4]
+    dual = blended[..., 4:]
     by_real, by_dual = _point_by_dual_quaternion(real, dual, rest, moved)
     parts = weights[..., None] * single[..., None, :, :]
     carried = (skeleton.below @ parts)[..., None, :]
@@ -189,10 +248,16 @@ def _dual(prepared: PreparedBody, skeleton: PosedSkeleton, rest: Float[Array, "*
     slides = cross(skeleton.world[..., None, :, None, :, 3], turns)
     real_by_turns = quaternion_multiply(pure_quaternion(turns), carried[..., :4]) / 2
     dual_by_turns = quaternion_multiply(pure_quaternion(turns), carried[..., 4:]) / 2
-    dual_by_turns = dual_by_turns + quaternion_multiply(pure_quaternion(slides), carried[..., :4]) / 2
-    by_turns = by_real @ flatten(real_by_turns, -3, -2).mT + by_dual @ flatten(dual_by_turns, -3, -2).mT
+    dual_by_turns = (
+        dual_by_turns + quaternion_multiply(pure_quaternion(slides), carried[..., :4]) / 2
+    )
+    by_turns = (
+        by_real @ flatten(real_by_turns, -3, -2).mT + by_dual @ flatten(dual_by_turns, -3, -2).mT
+    )
     by_turns = unflatten(by_turns, -1, (-1, 3))
-    shifts = quaternion_multiply(pure_quaternion(skeleton.shifts_betas.mT), single[..., None, :4]) / 2
+    shifts = (
+        quaternion_multiply(pure_quaternion(skeleton.shifts_betas.mT), single[..., None, :4]) / 2
+    )
     dual_by_shifts = unflatten(weights @ flatten(shifts, -2), -1, (-1, 4)).mT
     return moved, matrix_from_quaternion(real), by_turns, by_dual @ dual_by_shifts
 
@@ -203,17 +268,25 @@ def _point_by_dual_quaternion(
     points: Float[Array, "*batch N 3"],
     moved: Float[Array, "*batch N 3"],
 ) -> tuple[Float[Array, "*batch N 3 4"], Float[Array, "*batch N 3 4"]]:
-    """Derivatives of ``v = vec(q x q* + 2 e q*) / |q|^2`` with respect to the real part q and the dual part e."""
+    """Derivatives of ``v = vec(q x q* + 2 e q*) / |q|^2`` with respect to the real part q and the
+    dual part e.
+    """
     conjugate = quaternion_conjugate(real)
     units = eye(4, real)
     by_left = _columns(lambda unit, factor: quaternion_multiply(unit, factor), units)
-    by_conjugate = _columns(lambda unit, factor: quaternion_multiply(factor, quaternion_conjugate(unit)), units)
+    by_conjugate = _columns(
+        lambda unit, factor: quaternion_multiply(factor, quaternion_conjugate(unit)), units
+    )
     factor = 2 / (real * real).sum(-1)[..., None, None]
     by_real = by_left(quaternion_multiply(pure_quaternion(points), conjugate)) + by_conjugate(dual)
     by_real = by_real - moved[..., None] * real[..., None, :]
     return factor * by_real, factor * by_left(conjugate)
 
 
-def _columns(product: Callable[[Array, Array], Array], units: Float[Array, "4 4"]) -> Callable[[Array], Array]:
-    """The vector part of a product with each unit quaternion, as the columns of a matrix (*batch, 3, 4)."""
+def _columns(
+    product: Callable[[Array, Array], Array], units: Float[Array, "4 4"]
+) -> Callable[[Array], Array]:
+    """The vector part of a product with each unit quaternion, as the columns of a matrix (*batch,
+    3, 4).
+    """
     return lambda factor: product(units, factor[..., None, :])[..., 1:].mT

@@ -1,6 +1,8 @@
-"""The body function compiled: for NumPy arrays, and torch tensors on the CPU that want no gradient (S 3, eqs. 1 to 11).
+"""The body function compiled: for NumPy arrays, and torch tensors on the CPU that want no gradient
+(S 3, eqs. 1 to 11).
 
-The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinning.py`; tests hold the two together.
+The readable form of the same is `kinematics.py`, `blend_shapes.py` and `skinning.py`; tests hold
+the two together.
 """
 
 import math
@@ -24,16 +26,20 @@ STREAMS = 16
 
 
 def joint_motions(
-    pose: Float[np.ndarray, "b J 3"], rest_joints: Float[np.ndarray, "s J 3"], parents: Int[np.ndarray, " J"]
+    pose: Float[np.ndarray, "b J 3"],
+    rest_joints: Float[np.ndarray, "s J 3"],
+    parents: Int[np.ndarray, " J"],
 ) -> tuple[Float[np.ndarray, "b J 12"], Float[np.ndarray, "b J 3"], Float[np.ndarray, "b J9"]]:
-    """Skinning motions [R | p - R J] row by row, posed joints (m), and vec(R - I) of the joints' own rotations.
+    """Skinning motions [R | p - R J] row by row, posed joints (m), and vec(R - I) of the joints'
+    own rotations.
 
     ``rest_joints`` are of one body (s = 1) or of each.
     """
     pose, rest_joints, parents = _read_only(pose, rest_joints, parents)
     bodies, joints = pose.shape[:2]
     motions = np.empty((bodies, joints, 12), pose.dtype)
-    posed, features = np.empty((bodies, joints, 3), pose.dtype), np.empty((bodies, joints, 9), pose.dtype)
+    posed = np.empty((bodies, joints, 3), pose.dtype)
+    features = np.empty((bodies, joints, 9), pose.dtype)
     _joint_motions(pose, rest_joints, parents, motions, posed, features)
     return motions, posed, features.reshape(bodies, 9 * joints)
 
@@ -49,17 +55,25 @@ def posed_vertices(
     skinning: str,
     local: tuple[LocalShapes, Float[np.ndarray, "b F"]] | None = None,
 ) -> Float[np.ndarray, "b N 3"]:
-    """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned, moved.
+    """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned,
+    moved.
 
-    Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous. ``local``: further
-    blend shapes and the features that drive them.
+    Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous.
+    ``local``: further blend shapes and the features that drive them.
     """
-    base, coefficients, rows, trans, index, value = _read_only(base, coefficients, rows, trans, index, value)
-    bodies, count = len(motions), len(index)
+    base, coefficients, rows, trans, index, value = _read_only(
+        base, coefficients, rows, trans, index, value
+    )
+    bodies = len(motions)
+    count = len(index)
     out = np.empty((bodies, count, 3), motions.dtype)
-    carriers, (add, skin) = motions, (_add_rows, _skin_linear) if bodies <= FEW else (_add_products, _skin_linear_many)
+    carriers, (add, skin) = (
+        motions,
+        (_add_rows, _skin_linear) if bodies <= FEW else (_add_products, _skin_linear_many),
+    )
     if skinning == "dqbs":
-        carriers, skin = np.empty((*motions.shape[:2], 8), motions.dtype), _skin_dual
+        carriers = np.empty((*motions.shape[:2], 8), motions.dtype)
+        skin = _skin_dual
         _dual_quaternions(motions, carriers)
 
     def some_vertices(_: int, begin: int, end: int) -> None:
@@ -85,9 +99,15 @@ def _add_rows(base, coefficients, rows, room, begin: int, end: int) -> Float[np.
     return rest
 
 
-def _add_products(base, coefficients, rows, room, begin: int, end: int) -> Float[np.ndarray, "b 3n"]:
-    """As `_add_rows`, by matrix products, which make more of each row that is read; bodies lie side by side."""
-    bodies, count, tile = len(coefficients), len(base) // 3, end - begin
+def _add_products(
+    base, coefficients, rows, room, begin: int, end: int
+) -> Float[np.ndarray, "b 3n"]:
+    """As `_add_rows`, by matrix products, which make more of each row that is read; bodies lie side
+    by side.
+    """
+    bodies = len(coefficients)
+    count = len(base) // 3
+    tile = end - begin
     rest = room[: bodies * 3 * tile].reshape(3, tile, bodies)
     for axis in range(3):
         columns = slice(axis * count + begin, axis * count + end)
@@ -97,7 +117,9 @@ def _add_products(base, coefficients, rows, room, begin: int, end: int) -> Float
 
 
 def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
-    """Contiguous views that are not written: one kernel is compiled for a model's and a caller's arrays."""
+    """Contiguous views that are not written: one kernel is compiled for a model's and a caller's
+    arrays.
+    """
     for array in arrays:
         view = np.ascontiguousarray(array).view()
         view.flags.writeable = False
@@ -119,12 +141,16 @@ def _rodrigues(vector, entries):
     x, y, z = vector
     squared = x * x + y * y + z * z
     if squared < 1e-8:
-        sine, versine = 1.0 - squared / 6.0, 0.5 - squared / 24.0
+        sine = 1.0 - squared / 6.0
+        versine = 0.5 - squared / 24.0
     else:
         angle = math.sqrt(squared)
         half = math.sin(0.5 * angle)
-        sine, versine = math.sin(angle) / angle, 2.0 * half * half / squared
-    bx, by, bz = versine * x, versine * y, versine * z
+        sine = math.sin(angle) / angle
+        versine = 2.0 * half * half / squared
+    bx = versine * x
+    by = versine * y
+    bz = versine * z
     entries[0], entries[1], entries[2] = -by * y - bz * z, bx * y - sine * z, bx * z + sine * y
     entries[3], entries[4], entries[5] = bx * y + sine * z, -bx * x - bz * z, by * z - sine * x
     entries[6], entries[7], entries[8] = bx * z - sine * y, by * z + sine * x, -bx * x - by * y
@@ -142,7 +168,9 @@ def _chain(parent, j, entries, rest, motions, posed):
     else:
         above = motions[parent]
         for c in range(3):
-            a, b, d = above[4 * c], above[4 * c + 1], above[4 * c + 2]
+            a = above[4 * c]
+            b = above[4 * c + 1]
+            d = above[4 * c + 2]
             m[4 * c] = a * entries[0] + b * entries[3] + d * entries[6] + a
             m[4 * c + 1] = a * entries[1] + b * entries[4] + d * entries[7] + b
             m[4 * c + 2] = a * entries[2] + b * entries[5] + d * entries[8] + d
@@ -155,9 +183,11 @@ def _chain(parent, j, entries, rest, motions, posed):
 @jit_noalloc
 def _add_row_runs(base, coefficients, rows, out, begin, end):
     """Four rows at a time, for all bodies while they are in the fastest cache."""
-    count, tile = len(base) // 3, end - begin
+    count = len(base) // 3
+    tile = end - begin
     for axis in range(3):
-        first, last = axis * count + begin, axis * count + end
+        first = axis * count + begin
+        last = axis * count + end
         for s in range(len(out)):
             for i in range(tile):
                 out[s, axis * tile + i] = base[first + i]
@@ -170,7 +200,10 @@ def _add_row_runs(base, coefficients, rows, out, begin, end):
 @jit_inline
 def _add_four_rows(weights, rows, out):
     if len(weights) == 4:
-        a, b, c, d = weights[0], weights[1], weights[2], weights[3]
+        a = weights[0]
+        b = weights[1]
+        c = weights[2]
+        d = weights[3]
         if a != 0.0 or b != 0.0 or c != 0.0 or d != 0.0:
             for i in range(len(out)):
                 out[i] += a * rows[0, i] + b * rows[1, i] + c * rows[2, i] + d * rows[3, i]
@@ -185,12 +218,18 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
     """Linear blend skinning (eq. 2) of the vertices begin..end, body by body."""
     tile = end - begin
     for s in range(len(out)):
-        moves, t = motions[s], trans[s]
+        moves = motions[s]
+        t = trans[s]
         for i in range(begin, end):
-            x, y, z = rest[s, i - begin], rest[s, i - begin + tile], rest[s, i - begin + 2 * tile]
-            u, v, w = t[0], t[1], t[2]
+            x = rest[s, i - begin]
+            y = rest[s, i - begin + tile]
+            z = rest[s, i - begin + 2 * tile]
+            u = t[0]
+            v = t[1]
+            w = t[2]
             for k in range(index.shape[1]):
-                share, m = value[i, k], moves[index[i, k]]
+                share = value[i, k]
+                m = moves[index[i, k]]
                 u += share * (m[0] * x + m[1] * y + m[2] * z + m[3])
                 v += share * (m[4] * x + m[5] * y + m[6] * z + m[7])
                 w += share * (m[8] * x + m[9] * y + m[10] * z + m[11])
@@ -199,7 +238,8 @@ def _skin_linear(rest, motions, trans, index, value, out, begin, end):
 
 def _skin_linear_many(rest, motions, trans, index, value, out, begin: int, end: int) -> None:
     """As `_skin_linear`, vertex by vertex with the bodies side by side; ``rest`` is overwritten."""
-    moves, places = np.ascontiguousarray(motions.transpose(1, 2, 0)), np.ascontiguousarray(trans.T)
+    moves = np.ascontiguousarray(motions.transpose(1, 2, 0))
+    places = np.ascontiguousarray(trans.T)
     rest = rest.T
     _skin_side_by_side(rest, moves, places, np.empty_like(moves[0]), index, value, begin, end)
     _write_bodies(rest, out, begin, end)
@@ -207,19 +247,25 @@ def _skin_linear_many(rest, motions, trans, index, value, out, begin: int, end: 
 
 @jit_noalloc
 def _skin_side_by_side(rest, moves, places, blended, index, value, begin, end):
-    tile, bodies = end - begin, rest.shape[1]
+    tile = end - begin
+    bodies = rest.shape[1]
     for i in range(begin, end):
         blended[:] = 0.0
         for s in range(bodies):
             blended[3, s], blended[7, s], blended[11, s] = places[0, s], places[1, s], places[2, s]
         for k in range(index.shape[1]):
-            share, m = value[i, k], moves[index[i, k]]
+            share = value[i, k]
+            m = moves[index[i, k]]
             for e in range(12):
                 for s in range(bodies):
                     blended[e, s] += share * m[e, s]
-        x, y, z = rest[i - begin], rest[i - begin + tile], rest[i - begin + 2 * tile]
+        x = rest[i - begin]
+        y = rest[i - begin + tile]
+        z = rest[i - begin + 2 * tile]
         for s in range(bodies):
-            a, b, c = x[s], y[s], z[s]
+            a = x[s]
+            b = y[s]
+            c = z[s]
             x[s] = blended[0, s] * a + blended[1, s] * b + blended[2, s] * c + blended[3, s]
             y[s] = blended[4, s] * a + blended[5, s] * b + blended[6, s] * c + blended[7, s]
             z[s] = blended[8, s] * a + blended[9, s] * b + blended[10, s] * c + blended[11, s]
@@ -239,10 +285,13 @@ def _write_bodies(posed, out, begin, end):
 
 @jit_noalloc
 def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
-    """Dual quaternion blend skinning; each quaternion on the side of the vertex' strongest joint's."""
+    """Dual quaternion blend skinning; each quaternion on the side of the vertex' strongest
+    joint's.
+    """
     tile = end - begin
     for s in range(len(out)):
-        carriers, t = quaternions[s], trans[s]
+        carriers = quaternions[s]
+        t = trans[s]
         for i in range(begin, end):
             main = 0
             for k in range(1, index.shape[1]):
@@ -251,13 +300,24 @@ def _skin_dual(rest, quaternions, trans, index, value, out, begin, end):
             lead = carriers[index[i, main]]
             a = b = c = d = e = f = g = h = lead[0] * 0.0
             for k in range(index.shape[1]):
-                q, share = carriers[index[i, k]], value[i, k]
+                q = carriers[index[i, k]]
+                share = value[i, k]
                 if q[0] * lead[0] + q[1] * lead[1] + q[2] * lead[2] + q[3] * lead[3] < 0.0:
                     share = -share
-                a, b, c, d = a + share * q[0], b + share * q[1], c + share * q[2], d + share * q[3]
-                e, f, g, h = e + share * q[4], f + share * q[5], g + share * q[6], h + share * q[7]
-            x, y, z = rest[s, i - begin], rest[s, i - begin + tile], rest[s, i - begin + 2 * tile]
-            u, v, w = c * z - d * y + a * x + f, d * x - b * z + a * y + g, b * y - c * x + a * z + h
+                a = a + share * q[0]
+                b = b + share * q[1]
+                c = c + share * q[2]
+                d = d + share * q[3]
+                e = e + share * q[4]
+                f = f + share * q[5]
+                g = g + share * q[6]
+                h = h + share * q[7]
+            x = rest[s, i - begin]
+            y = rest[s, i - begin + tile]
+            z = rest[s, i - begin + 2 * tile]
+            u = c * z - d * y + a * x + f
+            v = d * x - b * z + a * y + g
+            w = b * y - c * x + a * z + h
             scale = 2.0 / (a * a + b * b + c * c + d * d)
             out[s, i, 0] = t[0] + x + scale * (c * w - d * v + a * f - e * b)
             out[s, i, 1] = t[1] + y + scale * (d * u - b * w + a * g - e * c)
@@ -269,9 +329,16 @@ def _dual_quaternions(motions, out):
     """Unit dual quaternions (real, dual) of rigid motions [R | t] row by row."""
     for s in range(len(motions)):
         for j in range(motions.shape[1]):
-            m, q = motions[s, j], out[s, j]
+            m = motions[s, j]
+            q = out[s, j]
             _quaternion(m, q)
-            w, x, y, z, t, u, v = q[0], q[1], q[2], q[3], m[3], m[7], m[11]
+            w = q[0]
+            x = q[1]
+            y = q[2]
+            z = q[3]
+            t = m[3]
+            u = m[7]
+            v = m[11]
             q[4] = -0.5 * (t * x + u * y + v * z)
             q[5] = 0.5 * (t * w + u * z - v * y)
             q[6] = 0.5 * (u * w + v * x - t * z)
@@ -280,9 +347,22 @@ def _dual_quaternions(motions, out):
 
 @jit_inline
 def _quaternion(m, q):
-    """The unit quaternion of the rotation in [R | t]: of four equal formulas, the one that divides by the largest."""
-    a, b, c, d, e, f, g, h, i = m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]
-    w, x, y, z = 1.0 + a + e + i, 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i
+    """The unit quaternion of the rotation in [R | t]: of four equal formulas, the one that divides
+    by the largest.
+    """
+    a = m[0]
+    b = m[1]
+    c = m[2]
+    d = m[4]
+    e = m[5]
+    f = m[6]
+    g = m[8]
+    h = m[9]
+    i = m[10]
+    w = 1.0 + a + e + i
+    x = 1.0 + a - e - i
+    y = 1.0 - a + e - i
+    z = 1.0 - a - e + i
     best = max(w, x, y, z)
     if w == best:
         q[0], q[1], q[2], q[3] = w, h - f, c - g, d - b

@@ -1,7 +1,7 @@
 """Keypoints as detectors of people in pictures name them, from a body's joints and landmarks.
 
-COCO's 17 (Lin et al. 2014, "Microsoft COCO") and OpenPose's BODY_25 (Cao et al. 2019). Annotators put hips, shoulders
-and elbows where the joints are, eyes, ears, heels and toes on the skin.
+COCO's 17 (Lin et al. 2014, "Microsoft COCO") and OpenPose's BODY_25 (Cao et al. 2019). Annotators
+put hips, shoulders and elbows where the joints are, eyes, ears, heels and toes on the skin.
 """
 
 from collections.abc import Mapping
@@ -44,13 +44,30 @@ CONVENTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "coco17": ("nose", *_sides("eye", "ear", "shoulder", "elbow", "wrist", *_LEG)),
         "openpose25": (
-            "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow",
-            "left_wrist", "mid_hip", *(f"right_{name}" for name in _LEG), *(f"left_{name}" for name in _LEG),
-            "right_eye", "left_eye", "right_ear", "left_ear", "left_big_toe", "left_small_toe", "left_heel",
-            "right_big_toe", "right_small_toe", "right_heel",
+            "nose",
+            "neck",
+            "right_shoulder",
+            "right_elbow",
+            "right_wrist",
+            "left_shoulder",
+            "left_elbow",
+            "left_wrist",
+            "mid_hip",
+            *(f"right_{name}" for name in _LEG),
+            *(f"left_{name}" for name in _LEG),
+            "right_eye",
+            "left_eye",
+            "right_ear",
+            "left_ear",
+            "left_big_toe",
+            "left_small_toe",
+            "left_heel",
+            "right_big_toe",
+            "right_small_toe",
+            "right_heel",
         ),
     }
-)  # fmt: skip
+)
 """The names of a convention's keypoints, in its order."""
 
 
@@ -67,7 +84,8 @@ def keypoints(
         raise HabitusError(f"keypoints {convention!r}; expected one of {', '.join(CONVENTIONS)}")
     if surface.vertices.shape[-2] != num_vertices or surface.joints.shape[-2] != len(joint_names):
         raise HabitusError(
-            f"a surface of {surface.vertices.shape[-2]} vertices and {surface.joints.shape[-2]} joints; expected the "
+            f"a surface of {surface.vertices.shape[-2]} vertices and {surface.joints.shape[-2]} "
+            "joints; expected the "
             f"{num_vertices} and {len(joint_names)} of {body}: evaluate it at all its vertices"
         )
     joints = {name: surface.joints[..., k, :] for k, name in enumerate(joint_names)}
@@ -77,8 +95,11 @@ def keypoints(
         for place in _PLACES.get(name, (name,)):
             if place not in joints and place not in landmarks:
                 raise HabitusError(
-                    f"{body} has neither a joint nor a landmark {place!r}, where {convention} has {name}"
+                    f"{body} has neither a joint nor a landmark {place!r}, where {convention} has "
+                    f"{name}"
                 )
-            found.append(joints[place] if place in joints else surface.vertices[..., landmarks[place], :])
+            found.append(
+                joints[place] if place in joints else surface.vertices[..., landmarks[place], :]
+            )
         points.append(sum(found[1:], found[0]) / len(found))
     return namespace(surface.vertices).stack(points, -2)

@@ -1,4 +1,6 @@
-"""The skeleton: from rotations relative to the parent to rigid motions in the world (S 3, eqs. 3 and 4)."""
+"""The skeleton: from rotations relative to the parent to rigid motions in the world (S 3, eqs. 3
+and 4).
+"""
 
 from functools import lru_cache
 from typing import Any
@@ -29,10 +31,13 @@ def descends(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
 
 
 @lru_cache(maxsize=64)
-def _levels(parents: tuple[int, ...], xp: Any, device: Any) -> tuple[Array, tuple[tuple[Array, Array], ...], Array]:
+def _levels(
+    parents: tuple[int, ...], xp: Any, device: Any
+) -> tuple[Array, tuple[tuple[Array, Array], ...], Array]:
     """The joints' parents (root left out), and the tree level by level.
 
-    Per level below the root: its joints, and the places of their parents one level up; at last each joint's row.
+    Per level below the root: its joints, and the places of their parents one level up; at last each
+    joint's row.
     """
     depth = [len(chain) - 1 for chain in ancestors(parents)]
     rows = [[j for j, d in enumerate(depth) if d == level] for level in range(max(depth) + 1)]
@@ -44,12 +49,15 @@ def _levels(parents: tuple[int, ...], xp: Any, device: Any) -> tuple[Array, tupl
 
 
 def world_motions(
-    rotations: Float[Array, "*batch J 3 3"], rest_joints: Float[Array, "*batch J 3"], parents: tuple[int, ...]
+    rotations: Float[Array, "*batch J 3 3"],
+    rest_joints: Float[Array, "*batch J 3"],
+    parents: tuple[int, ...],
 ) -> Float[Array, "*batch J 3 4"]:
-    """[R_k | p_k] of each joint: its rotation in the world and where it stands (m), in the body's space.
+    """[R_k | p_k] of each joint: its rotation in the world and where it stands (m), in the body's
+    space.
 
-    ``rotations`` are relative to the parent; ``rest_joints`` (m) are those of the shaped rest surface. The chain is
-    walked level by level of the tree, all joints of a level at once.
+    ``rotations`` are relative to the parent; ``rest_joints`` (m) are those of the shaped rest
+    surface. The chain is walked level by level of the tree, all joints of a level at once.
     """
     xp = namespace(rotations)
     above, steps, rows = _levels(parents, xp, rotations.device)
@@ -69,6 +77,8 @@ def world_motions(
 def skinning_motions(
     world: Float[Array, "*batch J 3 4"], rest_joints: Float[Array, "*batch J 3"]
 ) -> Float[Array, "*batch J 3 4"]:
-    """[R_k | p_k - R_k J_k]: the motions that take rest vertices along with joint k (G' of eq. 3)."""
+    """[R_k | p_k - R_k J_k]: the motions that take rest vertices along with joint k (G' of eq.
+    3).
+    """
     shift = world[..., :3] @ rest_joints[..., None]
     return namespace(world).concatenate([world[..., :3], world[..., 3:] - shift], -1)

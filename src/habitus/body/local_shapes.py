@@ -1,4 +1,6 @@
-"""Pose blend shapes of which most are zero: for each vertex those of the few joints that drive it (S 5.2)."""
+"""Pose blend shapes of which most are zero: for each vertex those of the few joints that drive it
+(S 5.2).
+"""
 
 from dataclasses import dataclass
 
@@ -10,15 +12,19 @@ from habitus.kernels.jit import jit_noalloc
 PER_JOINT = 9
 """Features of a joint: the entries of R - I."""
 SPARSE = 0.5
-"""Up to this share of joints and vertices that have to do with each other it pays to leave the others out."""
+"""Up to this share of joints and vertices that have to do with each other it pays to leave the
+others out.
+"""
 LEAST = 256
 """Fewer vertices are not worth it."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalShapes:
-    """The joints that drive vertex i are ``driver[start[i] : start[i + 1]]``; each moves it by ``value`` (m), nine
-    features after each other, times their x, y and z. ``driver`` counts those of the body's `drivers`."""
+    """The joints that drive vertex i are ``driver[start[i] : start[i + 1]]``; each moves it by
+    ``value`` (m), nine features after each other, times their x, y and z. ``driver`` counts those
+    of the body's `drivers`.
+    """
 
     start: Int[np.ndarray, " N1"]
     driver: Int[np.ndarray, " G"]
@@ -33,7 +39,9 @@ class LocalShapes:
         *,
         side_by_side: bool,
     ) -> None:
-        """Add what the features of b bodies move the vertices begin..end by; ``side_by_side``: of rest.T's memory."""
+        """Add what the features of b bodies move the vertices begin..end by; ``side_by_side``: of
+        rest.T's memory.
+        """
         if side_by_side:
             lines = np.ascontiguousarray(features.T)
             _add_side_by_side(rest.T, lines, self.start, self.driver, self.value, begin, end)
@@ -41,10 +49,14 @@ class LocalShapes:
             _add(rest, features, self.start, self.driver, self.value, begin, end)
 
 
-def local_shapes(posedirs: Float[np.ndarray, "N 3 F"] | None, per_joint: int, blocks: int) -> LocalShapes | None:
-    """The same blend shapes without the zeros; None where it does not pay: few vertices, few zeros, other features.
+def local_shapes(
+    posedirs: Float[np.ndarray, "N 3 F"] | None, per_joint: int, blocks: int
+) -> LocalShapes | None:
+    """The same blend shapes without the zeros; None where it does not pay: few vertices, few zeros,
+    other features.
 
-    ``blocks`` is how many times the features are there: once, and once for each shape coefficient they depend on.
+    ``blocks`` is how many times the features are there: once, and once for each shape coefficient
+    they depend on.
     """
     if posedirs is None or per_joint != PER_JOINT or blocks != 1 or len(posedirs) < LEAST:
         return None
@@ -70,7 +82,8 @@ def _add(rest, features, start, driver, value, begin, end):
         for i in range(begin, end):
             x = y = z = rest[s, i - begin] * 0.0
             for g in range(start[i], start[i + 1]):
-                first, row = 9 * driver[g], value[g]
+                first = 9 * driver[g]
+                row = value[g]
                 for e in range(9):
                     f = features[s, first + e]
                     x += row[3 * e] * f
@@ -84,18 +97,32 @@ def _add(rest, features, start, driver, value, begin, end):
 @jit_noalloc
 def _add_side_by_side(rest, features, start, driver, value, begin, end):
     """Vertex by vertex for all bodies, three features at a time, which registers have room for."""
-    tile, bodies = end - begin, rest.shape[1]
+    tile = end - begin
+    bodies = rest.shape[1]
     for i in range(begin, end):
-        x, y, z = rest[i - begin], rest[i - begin + tile], rest[i - begin + 2 * tile]
+        x = rest[i - begin]
+        y = rest[i - begin + tile]
+        z = rest[i - begin + 2 * tile]
         for g in range(start[i], start[i + 1]):
-            first, row = 9 * driver[g], value[g]
+            first = 9 * driver[g]
+            row = value[g]
             for e in range(0, 9, 3):
-                a, b, c = features[first + e], features[first + e + 1], features[first + e + 2]
-                ax, ay, az = row[3 * e], row[3 * e + 1], row[3 * e + 2]
-                bx, by, bz = row[3 * e + 3], row[3 * e + 4], row[3 * e + 5]
-                cx, cy, cz = row[3 * e + 6], row[3 * e + 7], row[3 * e + 8]
+                a = features[first + e]
+                b = features[first + e + 1]
+                c = features[first + e + 2]
+                ax = row[3 * e]
+                ay = row[3 * e + 1]
+                az = row[3 * e + 2]
+                bx = row[3 * e + 3]
+                by = row[3 * e + 4]
+                bz = row[3 * e + 5]
+                cx = row[3 * e + 6]
+                cy = row[3 * e + 7]
+                cz = row[3 * e + 8]
                 for s in range(bodies):
-                    f, h, k = a[s], b[s], c[s]
+                    f = a[s]
+                    h = b[s]
+                    k = c[s]
                     x[s] += ax * f + bx * h + cx * k
                     y[s] += ay * f + by * h + cy * k
                     z[s] += az * f + bz * h + cz * k

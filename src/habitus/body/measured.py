@@ -22,8 +22,8 @@ class Measured:
     def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
         """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
 
-        Of the template, of shape coefficients (B,), or of the person whose surface is given, whatever its pose: a
-        surface knows its betas. Raises HabitusError for several people.
+        Of the template, of shape coefficients (B,), or of the person whose surface is given,
+        whatever its pose: a surface knows its betas. Raises HabitusError for several people.
         """
         betas = () if surface is None else getattr(surface, "betas", surface)
         rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]

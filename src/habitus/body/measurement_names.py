@@ -1,6 +1,7 @@
 """What each measurement is called, here and elsewhere, and what it is.
 
-Names of tapes end in ``_circumference_m`` (ISO 7250-1; ISO 8559-1 says girth), all lengths in ``_m``, mass in ``_kg``.
+Names of tapes end in ``_circumference_m`` (ISO 7250-1; ISO 8559-1 says girth), all lengths in
+``_m``, mass in ``_kg``.
 """
 
 from collections.abc import Iterable
@@ -13,7 +14,8 @@ from habitus.errors import HabitusError
 
 @dataclass(frozen=True)
 class Definition:
-    """A measurement: what is measured, its names in ISO 8559-1 or ISO 7250-1, and ANSUR II's column.
+    """A measurement: what is measured, its names in ISO 8559-1 or ISO 7250-1, and ANSUR II's
+    column.
 
     ``column`` is "" where the survey measured something else or nothing.
     """
@@ -27,81 +29,155 @@ DEFINITIONS = MappingProxyType(
     {
         "height_m": Definition("sole to crown", "stature", "stature"),
         "mass_kg": Definition("volume at 1,000 kg/m³", "body mass", "weightkg"),
-        "inseam_m": Definition("sole to crotch", "inside leg height, crotch height", "crotchheight"),
-        "sitting_height_m": Definition("1.0105 times height less inseam, as in people on average", "sitting height",
-                                       "sittingheight"),
-        "cervical_height_m": Definition("sole to the seventh neck vertebra", "back neck height", "cervicaleheight"),
-        "shoulder_height_m": Definition("sole to the acromion, arms hanging", "shoulder height", "acromialheight"),
+        "inseam_m": Definition(
+            "sole to crotch", "inside leg height, crotch height", "crotchheight"
+        ),
+        "sitting_height_m": Definition(
+            "1.0105 times height less inseam, as in people on average",
+            "sitting height",
+            "sittingheight",
+        ),
+        "cervical_height_m": Definition(
+            "sole to the seventh neck vertebra", "back neck height", "cervicaleheight"
+        ),
+        "shoulder_height_m": Definition(
+            "sole to the acromion, arms hanging", "shoulder height", "acromialheight"
+        ),
         "chest_height_m": Definition("sole to the nipples", "bust height", "chestheight"),
         "waist_height_m": Definition("sole to the navel", "", "waistheightomphalion"),
         "hip_height_m": Definition("sole to the fullest buttocks", "hip height", "buttockheight"),
-        "trochanter_height_m": Definition("sole to the greater trochanter", "", "trochanterionheight"),
-        "knee_height_m": Definition("sole to the middle of the kneecap", "", "kneeheightmidpatella"),
-        "ankle_height_m": Definition("sole to the outer ankle bone", "ankle height", "lateralmalleolusheight"),
-        "shoulder_breadth_m": Definition("across the deltoids, arms hanging", "shoulder breadth (bideltoid)",
-                                         "bideltoidbreadth"),
-        "biacromial_breadth_m": Definition("between the acromia, arms hanging", "shoulder breadth (biacromial)",
-                                           "biacromialbreadth"),
+        "trochanter_height_m": Definition(
+            "sole to the greater trochanter", "", "trochanterionheight"
+        ),
+        "knee_height_m": Definition(
+            "sole to the middle of the kneecap", "", "kneeheightmidpatella"
+        ),
+        "ankle_height_m": Definition(
+            "sole to the outer ankle bone", "ankle height", "lateralmalleolusheight"
+        ),
+        "shoulder_breadth_m": Definition(
+            "across the deltoids, arms hanging", "shoulder breadth (bideltoid)", "bideltoidbreadth"
+        ),
+        "biacromial_breadth_m": Definition(
+            "between the acromia, arms hanging",
+            "shoulder breadth (biacromial)",
+            "biacromialbreadth",
+        ),
         "chest_breadth_m": Definition("of the chest's tape, without the arms, which hang"),
-        "chest_depth_m": Definition("of the chest's tape, arms hanging", "chest depth", "chestdepth"),
+        "chest_depth_m": Definition(
+            "of the chest's tape, arms hanging", "chest depth", "chestdepth"
+        ),
         "waist_breadth_m": Definition("of the waist's tape", "", "waistbreadth"),
         "waist_depth_m": Definition("navel to the furrow of the back", "", "waistdepth"),
-        "hip_breadth_m": Definition("at the broadest, heels together", "hip breadth, standing", "hipbreadth"),
-        "hip_depth_m": Definition("of the hip's tape, heels together", "buttock depth", "buttockdepth"),
+        "hip_breadth_m": Definition(
+            "at the broadest, heels together", "hip breadth, standing", "hipbreadth"
+        ),
+        "hip_depth_m": Definition(
+            "of the hip's tape, heels together", "buttock depth", "buttockdepth"
+        ),
         "arm_span_m": Definition("between fingertips, arms level", "arm span", "span"),
-        "upper_arm_length_m": Definition("acromion to elbow: 1.22 times the way between the joints' centres",
-                                         "upper arm length", "acromionradialelength"),
-        "forearm_length_m": Definition("outer elbow to the thumb's side of the wrist", "lower arm length",
-                                       "radialestylionlength"),
-        "hand_length_m": Definition("wrist to the middle finger's tip", "hand length", "handlength"),
-        "hand_breadth_m": Definition("across the knuckles, without the thumb", "hand breadth at metacarpals",
-                                     "handbreadth"),
-        "foot_length_m": Definition("heel to the longest toe, along the foot", "foot length", "footlength"),
-        "foot_breadth_m": Definition("across the ball of the foot", "foot breadth", "footbreadthhorizontal"),
-        "head_length_m": Definition("between the brows to the back of the head", "head length", "headlength"),
+        "upper_arm_length_m": Definition(
+            "acromion to elbow: 1.22 times the way between the joints' centres",
+            "upper arm length",
+            "acromionradialelength",
+        ),
+        "forearm_length_m": Definition(
+            "outer elbow to the thumb's side of the wrist",
+            "lower arm length",
+            "radialestylionlength",
+        ),
+        "hand_length_m": Definition(
+            "wrist to the middle finger's tip", "hand length", "handlength"
+        ),
+        "hand_breadth_m": Definition(
+            "across the knuckles, without the thumb", "hand breadth at metacarpals", "handbreadth"
+        ),
+        "foot_length_m": Definition(
+            "heel to the longest toe, along the foot", "foot length", "footlength"
+        ),
+        "foot_breadth_m": Definition(
+            "across the ball of the foot", "foot breadth", "footbreadthhorizontal"
+        ),
+        "head_length_m": Definition(
+            "between the brows to the back of the head", "head length", "headlength"
+        ),
         "head_breadth_m": Definition("above the ears", "head breadth", "headbreadth"),
-        "chest_circumference_m": Definition("at the nipples, arms hanging", "bust girth, chest circumference",
-                                            "chestcircumference"),
-        "natural_waist_circumference_m": Definition("level, half way from ribs to hip bone", "waist girth"),
+        "chest_circumference_m": Definition(
+            "at the nipples, arms hanging", "bust girth, chest circumference", "chestcircumference"
+        ),
+        "natural_waist_circumference_m": Definition(
+            "level, half way from ribs to hip bone", "waist girth"
+        ),
         "waist_circumference_m": Definition("level, at the navel", "", "waistcircumference"),
-        "hip_circumference_m": Definition("at the fullest buttocks, heels together", "hip girth",
-                                          "buttockcircumference"),
-        "neck_circumference_m": Definition("across the neck, under the larynx", "neck girth", "neckcircumference"),
-        "head_circumference_m": Definition("over the brows and the back of the head", "head girth",
-                                           "headcircumference"),
-        "thigh_circumference_m": Definition("25 % of the way from hip to knee", "thigh girth",
-                                            "thighcircumference"),
+        "hip_circumference_m": Definition(
+            "at the fullest buttocks, heels together", "hip girth", "buttockcircumference"
+        ),
+        "neck_circumference_m": Definition(
+            "across the neck, under the larynx", "neck girth", "neckcircumference"
+        ),
+        "head_circumference_m": Definition(
+            "over the brows and the back of the head", "head girth", "headcircumference"
+        ),
+        "thigh_circumference_m": Definition(
+            "25 % of the way from hip to knee", "thigh girth", "thighcircumference"
+        ),
         "knee_circumference_m": Definition("level, at the kneecap", "knee girth"),
-        "calf_circumference_m": Definition("level, 30 % of the way from knee to ankle", "calf girth",
-                                           "calfcircumference"),
-        "ankle_circumference_m": Definition("level, 78 % of the way from knee to ankle", "minimum leg girth",
-                                            "anklecircumference"),
-        "upper_arm_circumference_m": Definition("60 % of the way from shoulder to elbow, relaxed", "upper-arm girth",
-                                                "bicepscircumferenceflexed"),
-        "forearm_circumference_m": Definition("22 % of the way from elbow to wrist, relaxed", "forearm girth",
-                                              "forearmcircumferenceflexed"),
-        "wrist_circumference_m": Definition("97 % of the way from elbow to wrist", "wrist girth",
-                                            "wristcircumference"),
-        "hand_circumference_m": Definition("across the knuckles, without the thumb", "hand girth",
-                                           "handcircumference"),
+        "calf_circumference_m": Definition(
+            "level, 30 % of the way from knee to ankle", "calf girth", "calfcircumference"
+        ),
+        "ankle_circumference_m": Definition(
+            "level, 78 % of the way from knee to ankle", "minimum leg girth", "anklecircumference"
+        ),
+        "upper_arm_circumference_m": Definition(
+            "60 % of the way from shoulder to elbow, relaxed",
+            "upper-arm girth",
+            "bicepscircumferenceflexed",
+        ),
+        "forearm_circumference_m": Definition(
+            "22 % of the way from elbow to wrist, relaxed",
+            "forearm girth",
+            "forearmcircumferenceflexed",
+        ),
+        "wrist_circumference_m": Definition(
+            "97 % of the way from elbow to wrist", "wrist girth", "wristcircumference"
+        ),
+        "hand_circumference_m": Definition(
+            "across the knuckles, without the thumb", "hand girth", "handcircumference"
+        ),
     }
-)  # fmt: skip
+)
 ALIASES = MappingProxyType(
     {
-        "stature": "height_m", "weight": "mass_kg", "crotch_height": "inseam_m", "inside_leg_height": "inseam_m",
-        "chest": "chest_circumference_m", "bust": "chest_circumference_m", "waist": "waist_circumference_m",
-        "hip": "hip_circumference_m", "hips": "hip_circumference_m", "neck": "neck_circumference_m",
-        "thigh": "thigh_circumference_m", "calf": "calf_circumference_m", "wrist": "wrist_circumference_m",
-        "waist_girth": "natural_waist_circumference_m", "upper_arm": "upper_arm_circumference_m",
-        "forearm": "forearm_circumference_m", "ankle": "ankle_circumference_m", "knee": "knee_circumference_m",
-        "bideltoid_breadth": "shoulder_breadth_m", "span": "arm_span_m", "hand": "hand_circumference_m",
-        "head": "head_circumference_m", "buttock_depth": "hip_depth_m",
+        "stature": "height_m",
+        "weight": "mass_kg",
+        "crotch_height": "inseam_m",
+        "inside_leg_height": "inseam_m",
+        "chest": "chest_circumference_m",
+        "bust": "chest_circumference_m",
+        "waist": "waist_circumference_m",
+        "hip": "hip_circumference_m",
+        "hips": "hip_circumference_m",
+        "neck": "neck_circumference_m",
+        "thigh": "thigh_circumference_m",
+        "calf": "calf_circumference_m",
+        "wrist": "wrist_circumference_m",
+        "waist_girth": "natural_waist_circumference_m",
+        "upper_arm": "upper_arm_circumference_m",
+        "forearm": "forearm_circumference_m",
+        "ankle": "ankle_circumference_m",
+        "knee": "knee_circumference_m",
+        "bideltoid_breadth": "shoulder_breadth_m",
+        "span": "arm_span_m",
+        "hand": "hand_circumference_m",
+        "head": "head_circumference_m",
+        "buttock_depth": "hip_depth_m",
     }
-)  # fmt: skip
+)
 
 
 def find_measurement(name: str, known: Iterable[str] = DEFINITIONS) -> str:
-    """The full name of a measurement given with or without its unit, as a girth, or by a common short word.
+    """The full name of a measurement given with or without its unit, as a girth, or by a common
+    short word.
 
     Raises HabitusError with what is near where there is none.
     """

@@ -1,10 +1,11 @@
 """Tape, scales and yardstick: what a tailor or a doctor would read off a person.
 
-The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders, chest and hips are
-measured with hanging arms and heels together (`habitus.body.standing`). A circumference is a tape's length around a
-material ring (`habitus.body.rings`), heights are along y from the lowest point of the sole, limbs are measured on both
-sides and averaged. Everything is laid out once on the body's template and then goes along with its vertices, so that
-measurements change continuously with the shape.
+The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders,
+chest and hips are measured with hanging arms and heels together (`habitus.body.standing`). A
+circumference is a tape's length around a material ring (`habitus.body.rings`), heights are along y
+from the lowest point of the sole, limbs are measured on both sides and averaged. Everything is laid
+out once on the body's template and then goes along with its vertices, so that measurements change
+continuously with the shape.
 """
 
 from collections.abc import Mapping
@@ -20,21 +21,28 @@ from habitus.body.standing import STANDING_TAPES, Standing, stand
 from habitus.body.tapes import ARMS, SIDES, LaidTape, lay_tapes
 from habitus.types import Array
 
-DENSITY = (
-    1000.0  # kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey with
-)
+# kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey
+# with
+DENSITY = 1000.0
 SEAT = 1.0105  # sitting height as a share of stature less crotch height: the mean of ANSUR II
-ACROMION = 1.22  # acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
+# acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
+ACROMION = 1.22
 _Z = np.eye(3)[2]
 _HEIGHTS = {
-    "cervical_height_m": "c7", "chest_height_m": "left_breast", "waist_height_m": "navel",
-    "hip_height_m": "left_buttock", "trochanter_height_m": "left_trochanter", "knee_height_m": "left_patella",
+    "cervical_height_m": "c7",
+    "chest_height_m": "left_breast",
+    "waist_height_m": "navel",
+    "hip_height_m": "left_buttock",
+    "trochanter_height_m": "left_trochanter",
+    "knee_height_m": "left_patella",
     "ankle_height_m": "left_ankle_lateral",
-}  # fmt: skip
+}
 _DISTANCES = {
-    "forearm_length_m": ("left_elbow_lateral", "left_wrist_radial"), "hand_length_m": ("left_wrist", "left_middle_tip"),
-    "head_length_m": ("glabella", "head_back"), "head_breadth_m": ("left_head_side", "right_head_side"),
-}  # fmt: skip
+    "forearm_length_m": ("left_elbow_lateral", "left_wrist_radial"),
+    "hand_length_m": ("left_wrist", "left_middle_tip"),
+    "head_length_m": ("glabella", "head_back"),
+    "head_breadth_m": ("left_head_side", "right_head_side"),
+}
 
 
 @runtime_checkable
@@ -84,10 +92,11 @@ class MeasurableBody(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MeasuringKit:
-    """Tapes, yardsticks and calipers laid on a body's template: which vertices each of them looks at.
+    """Tapes, yardsticks and calipers laid on a body's template: which vertices each of them looks
+    at.
 
-    ``feet`` are a foot's vertices, which of them are the ball, and its long axis, one a side; ``standing`` is what is
-    measured in another posture.
+    ``feet`` are a foot's vertices, which of them are the ball, and its long axis, one a side;
+    ``standing`` is what is measured in another posture.
     """
 
     tapes: tuple[LaidTape, ...]
@@ -103,7 +112,11 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
         return None
     template = body.v_template
     places = _places(body, template)
-    names = [n for n in body.joint_names if n.removeprefix("left_").removeprefix("right_").startswith(ARMS)]
+    names = [
+        n
+        for n in body.joint_names
+        if n.removeprefix("left_").removeprefix("right_").startswith(ARMS)
+    ]
     arms = _carried(body, names)
     tapes = lay_tapes(template, body.faces, places, arms)
     used = np.unique(body.faces)
@@ -118,11 +131,12 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
 def measure(
     body: MeasurableBody, rest_vertices: Float[Array, "V 3"], kit: MeasuringKit | None = None
 ) -> dict[str, float]:
-    """Measurements of a person at rest (T-pose), in metres and kilograms; none for hands and animals.
+    """Measurements of a person at rest (T-pose), in metres and kilograms; none for hands and
+    animals.
 
-    `habitus.body.measurement_names` says what each is. ``mass_kg`` is there where the skin is closed, ``inseam_m``
-    where the body knows its mirror image, heights and lengths between landmarks where it has these. ``kit`` is
-    `lay_out(body)`, where the caller keeps it.
+    `habitus.body.measurement_names` says what each is. ``mass_kg`` is there where the skin is
+    closed, ``inseam_m`` where the body knows its mirror image, heights and lengths between
+    landmarks where it has these. ``kit`` is `lay_out(body)`, where the caller keeps it.
     """
     found = measure_many(body, to_numpy(rest_vertices, np.float64)[None], kit)
     return {name: float(values[0]) for name, values in found.items()}
@@ -135,7 +149,8 @@ def measure_many(
     kit = kit or lay_out(body)
     if kit is None:
         return {}
-    vertices, places = rest_vertices, _places(body, rest_vertices)
+    vertices = rest_vertices
+    places = _places(body, rest_vertices)
     height = vertices[..., 1]
     sole = height.min(axis=-1)
     found = {"height_m": np.ptp(height, axis=-1)}
@@ -144,9 +159,14 @@ def measure_many(
     if len(kit.midline):
         found["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
         found["sitting_height_m"] = SEAT * (found["height_m"] - found["inseam_m"])
-    found |= {n: _sides(lambda p: places[p][:, 1] - sole, places, mark) for n, mark in _HEIGHTS.items()}
+    found |= {
+        n: _sides(lambda p: places[p][:, 1] - sole, places, mark) for n, mark in _HEIGHTS.items()
+    }
     found["arm_span_m"] = np.ptp(vertices[..., 0], axis=-1)
-    found |= {n: _sides(lambda a, b: _apart(places, a, b), places, *ends) for n, ends in _DISTANCES.items()}
+    found |= {
+        n: _sides(lambda a, b: _apart(places, a, b), places, *ends)
+        for n, ends in _DISTANCES.items()
+    }
     arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
     found["upper_arm_length_m"] = None if arms is None else ACROMION * arms
     found |= _of_feet(kit, vertices) | _around(kit, vertices)
@@ -159,11 +179,16 @@ def measure_many(
 def volume(
     vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
 ) -> float | Float[np.ndarray, "*batch"]:
-    """The volume (m^3) inside a closed surface whose triangles run counter-clockwise seen from outside."""
+    """The volume (m^3) inside a closed surface whose triangles run counter-clockwise seen from
+    outside.
+    """
     x, y, z = np.moveaxis(vertices - vertices.mean(-2, keepdims=True), -1, 0)
     a, b, c = faces.T
-    ya, za = y[..., a], z[..., a]
-    area = (y[..., b] - ya) * (z[..., c] - za) - (z[..., b] - za) * (y[..., c] - ya)  # twice the shadow along x
+    ya = y[..., a]
+    za = z[..., a]
+    area = (y[..., b] - ya) * (z[..., c] - za) - (z[..., b] - za) * (
+        y[..., c] - ya
+    )  # twice the shadow along x
     return np.einsum("...t,...t->...", x[..., a] + x[..., b] + x[..., c], area) / 6
 
 
@@ -173,7 +198,9 @@ def circumference(
     place: Float[np.ndarray, " 3"],
     normal: Float[np.ndarray, " 3"],
 ) -> float:
-    """Length (m) of a tape around the loop that a plane cuts from a surface nearest to a place in it; 0 without any."""
+    """Length (m) of a tape around the loop that a plane cuts from a surface nearest to a place in
+    it; 0 without any.
+    """
     ring = cut(vertices, faces, place, normal)
     return 0.0 if ring is None else float(ring.length(vertices))
 
@@ -186,7 +213,8 @@ def _places(body: MeasurableBody, vertices: np.ndarray) -> dict[str, np.ndarray]
 
 
 def _sides(length: Any, places: Mapping[str, np.ndarray], *names: str) -> np.ndarray | None:
-    """A length at places of the left side, averaged with that on the right; from left to right there is but one.
+    """A length at places of the left side, averaged with that on the right; from left to right
+    there is but one.
 
     None where the body lacks the places.
     """
@@ -202,11 +230,16 @@ def _apart(places: Mapping[str, np.ndarray], a: str, b: str) -> np.ndarray:
 
 def _around(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
     """Circumferences, and the breadths and depths of the same rings."""
-    found, spans = {}, {}
+    found = {}
+    spans = {}
     for tape in kit.tapes:
-        found[f"{tape.name}_circumference_m"] = np.mean([ring.length(vertices) for ring in tape.rings], axis=0)
+        found[f"{tape.name}_circumference_m"] = np.mean(
+            [ring.length(vertices) for ring in tape.rings], axis=0
+        )
         for span, rings in tape.spans:
-            spans[span.name] = np.mean([ring.extent(vertices, np.array(span.direction)) for ring in rings], axis=0)
+            spans[span.name] = np.mean(
+                [ring.extent(vertices, np.array(span.direction)) for ring in rings], axis=0
+            )
     return spans | found
 
 
@@ -224,7 +257,8 @@ def _of_feet(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
 def _foot(
     body: MeasurableBody, side: str, places: Mapping[str, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A foot's vertices, which are not of its toes, and its long axis, from heel to the second toe's head, level.
+    """A foot's vertices, which are not of its toes, and its long axis, from heel to the second
+    toe's head, level.
 
     Straight ahead and all of it where the body has no such landmarks.
     """

@@ -1,4 +1,6 @@
-"""What a body's mesh has besides triangles: the quads they were cut from, a texture's coordinates, hidden pockets."""
+"""What a body's mesh has besides triangles: the quads they were cut from, a texture's coordinates,
+hidden pockets.
+"""
 
 from dataclasses import dataclass
 
@@ -8,9 +10,11 @@ from jaxtyping import Bool, Float, Int
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """Quads (Q, 4) of vertex numbers, counter-clockwise from outside; ``quad_uv`` of rows of ``uv``, from below left.
+    """Quads (Q, 4) of vertex numbers, counter-clockwise from outside; ``quad_uv`` of rows of
+    ``uv``, from below left.
 
-    ``hidden`` quads line pockets that nobody sees: the inside of the mouth, the sockets of the eyes.
+    ``hidden`` quads line pockets that nobody sees: the inside of the mouth, the sockets of the
+    eyes.
     """
 
     quads: Int[np.ndarray, "Q 4"]
@@ -19,11 +23,15 @@ class BodyMesh:
     hidden: Bool[np.ndarray, " Q"]
 
     def triangle_uv(self, faces: Int[np.ndarray, "T 3"]) -> Int[np.ndarray, "T 3"] | None:
-        """Rows of ``uv`` for each corner of triangles that are the quads cut in two, in any order; None for others."""
+        """Rows of ``uv`` for each corner of triangles that are the quads cut in two, in any order;
+        None for others.
+        """
         if len(faces) != 2 * len(self.quads):
             return None
         size = int(max(self.quads.max(initial=0), faces.max(initial=0))) + 1
-        thirds = numbered(np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size)
+        thirds = numbered(
+            np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size
+        )
         order = np.argsort(thirds, kind="stable")
         wanted = numbered(faces, size)
         place = np.minimum(np.searchsorted(thirds[order], wanted), len(thirds) - 1)

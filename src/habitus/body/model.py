@@ -1,4 +1,6 @@
-"""The body: the function from shape, pose and place to a surface, over its arrays (SMPL: S 3, eqs. 5 to 12)."""
+"""The body: the function from shape, pose and place to a surface, over its arrays (SMPL: S 3, eqs.
+5 to 12).
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,47 +28,59 @@ from habitus.types import Array, ArrayLike
 
 @dataclass(frozen=True, eq=False)
 class BodyModel(BodyArrays, Measured):
-    """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero pose.
+    """An immutable body model in metres, y up, facing +z, x to the body's left, resting in the zero
+    pose.
 
-    Its arrays are NumPy's, float64 and int64. What it computes comes in the kind of what it is given: torch tensors, in
-    their dtype, on their device and with gradients, for torch tensors; float32 for NumPy arrays of float32; float64 for
-    everything else (`habitus.arrays.kind_of`). Copies of its arrays in other kinds are made when first needed.
+    Its arrays are NumPy's, float64 and int64. What it computes comes in the kind of what it is
+    given: torch tensors, in their dtype, on their device and with gradients, for torch tensors;
+    float32 for NumPy arrays of float32; float64 for everything else (`habitus.arrays.kind_of`).
+    Copies of its arrays in other kinds are made when first needed.
 
-    ``posedirs`` may be absent. They are linear in the features, of the kind ``pose_features`` (k numbers each, see
-    `habitus.body.pose_features`; SMPL's "rotations" have k = 9), of ``pose_joints`` (P joints in that order; None: all
-    but the root, as in SMPL) and in their products with each of the first s = ``shape_features`` shape coefficients: F
-    is P k (1 + s), block after block. ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index`` and
-    ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for SMPL); a weight of 0
-    fills up. ``expressiondirs`` move the face and nothing else, apart from shape; ``dynamics`` are blend shapes of soft
-    tissue in motion, and what predicts them (`habitus.body.dynamics`). ``landmarks`` name vertices; ``part``
-    gives each vertex its strongest joint; ``mirror`` its partner across the body; ``mesh`` what there is besides
-    triangles; ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to (`at_age`).
-    ``female_direction``, weights and bias, gives the log
-    odds of a woman from the betas (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
-    ``people_mean`` are the betas of the mean person that a survey measured, where that is not the template.
+    ``posedirs`` may be absent. They are linear in the features, of the kind ``pose_features`` (k
+    numbers each, see `habitus.body.pose_features`; SMPL's "rotations" have k = 9), of
+    ``pose_joints`` (P joints in that order; None: all but the root, as in SMPL) and in their
+    products with each of the first s = ``shape_features`` shape coefficients: F is P k (1 + s),
+    block after block. ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index``
+    and ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for
+    SMPL); a weight of 0 fills up. ``expressiondirs`` move the face and nothing else, apart from
+    shape; ``dynamics`` are blend shapes of soft tissue in motion, and what predicts them
+    (`habitus.body.dynamics`). ``landmarks`` name vertices; ``part`` gives each vertex its strongest
+    joint; ``mirror`` its partner across the body; ``mesh`` what there is besides triangles;
+    ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to
+    (`at_age`). ``female_direction``, weights and bias, gives the log odds of a woman from the betas
+    (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
+    ``people_mean`` are the betas of the mean person that a survey measured, where that is not the
+    template.
 
-    A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k: the same person with
-    more vertices, which ``finer()`` makes when it is first asked for. `with_betas`, `with_joints` and `at_age` change
-    both; a body that is changed by itself has no full one any more, as that would be another. ``extras`` are arrays of
-    a model file that the body function does not use, kept for whoever saves the body again.
+    A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
+    the same person with more vertices, which ``finer()`` makes when it is first asked for.
+    `with_betas`, `with_joints` and `at_age` change both; a body that is changed by itself has no
+    full one any more, as that would be another. ``extras`` are arrays of a model file that the body
+    function does not use, kept for whoever saves the body again.
     """
 
     @cached_property
     def full(self) -> "BodyModel | None":
-        """The body of the full level of detail; None where there is none, or where this is no longer the same body."""
+        """The body of the full level of detail; None where there is none, or where this is no
+        longer the same body.
+        """
         found = None if self.finer is None else self.finer()
         return found if found is not None and in_step(self, found, self.full_vertices) else None
 
     def with_betas(self, count: int) -> "BodyModel":
-        """The same body with its first ``count`` shape directions only (they are sorted by variance).
+        """The same body with its first ``count`` shape directions only (they are sorted by
+        variance).
 
         Raises HabitusError where there are not as many, or fewer than pose blend shapes depend on.
         """
         if not 0 < count <= self.num_betas:
-            raise HabitusError(f"{count} shape directions asked of {self.name}; expected 1 to {self.num_betas}")
+            raise HabitusError(
+                f"{count} shape directions asked of {self.name}; expected 1 to {self.num_betas}"
+            )
         if self.posedirs is not None and count < self.shape_features:
             raise HabitusError(
-                f"{count} shape directions asked of {self.name}, whose pose blend shapes depend on the first "
+                f"{count} shape directions asked of {self.name}, whose pose blend shapes depend "
+                "on the first "
                 f"{self.shape_features}; ask for {self.shape_features} to {self.num_betas}"
             )
         female, rows = of_fewer(self.female_direction, self.female_rows, count)
@@ -81,10 +95,12 @@ class BodyModel(BodyArrays, Measured):
         )
 
     def with_joints(self, joints: str) -> "BodyModel":
-        """The same body with the joints of "smpl" (24), "smplh" (52: fingers) or "smplx" (55: jaw and eyes, too).
+        """The same body with the joints of "smpl" (24), "smplh" (52: fingers) or "smplx" (55: jaw
+        and eyes, too).
 
-        A joint that is left out rides on the one it hangs on, fingers on the hand, which stands where the middle finger
-        begins; what it drove of the pose blend shapes goes. Raises HabitusError where the body has not those joints.
+        A joint that is left out rides on the one it hangs on, fingers on the hand, which stands
+        where the middle finger begins; what it drove of the pose blend shapes goes. Raises
+        HabitusError where the body has not those joints.
         """
         way = fold(self.joint_names, self.parents, joints, self.name)
         if way.layout.joint_names == self.joint_names:
@@ -109,16 +125,22 @@ class BodyModel(BodyArrays, Measured):
         )
 
     def at_age(self, years: float | int) -> "BodyModel":
-        """The body whose template is the mean person of that age; other shapes vary about it, as it is tall.
+        """The body whose template is the mean person of that age; other shapes vary about it, as it
+        is tall.
 
-        Straight lines lead from one known age to the next. Who tells sexes apart by adults' shapes cannot tell
-        children's: below `ADULT` years there is no ``female_direction``. Raises HabitusError for a body that knows of
-        no ages or has one already, and for an age beyond those it knows.
+        Straight lines lead from one known age to the next. Who tells sexes apart by adults' shapes
+        cannot tell children's: below `ADULT` years there is no ``female_direction``. Raises
+        HabitusError for a body that knows of no ages or has one already, and for an age beyond
+        those it knows.
         """
         if self.age is not None:
-            raise HabitusError(f"{self.called} cannot be brought to {years:g}; begin with one without an age")
+            raise HabitusError(
+                f"{self.called} cannot be brought to {years:g}; begin with one without an age"
+            )
         if self.ages is None:
-            raise HabitusError(f"{self.name} knows of no ages; the bodies neutral, female and male do")
+            raise HabitusError(
+                f"{self.name} knows of no ages; the bodies neutral, female and male do"
+            )
         offset, scale = self.ages.at(years)
         grown = years >= ADULT
         return replace(
@@ -137,10 +159,14 @@ class BodyModel(BodyArrays, Measured):
 
     def state(self, *batch: int) -> BodyState:
         """The template at rest at the origin: zeros, float64."""
-        return BodyState(*(np.zeros((*batch, *last)) for last in ((self.num_betas,), (self.num_joints, 3), (3,))))
+        return BodyState(
+            *(np.zeros((*batch, *last)) for last in ((self.num_betas,), (self.num_joints, 3), (3,)))
+        )
 
     def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
-        """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in a call."""
+        """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in
+        a call.
+        """
         betas = self._betas(betas, kind := kind_of(betas))
         rows = self._rows(kind)
         vertices = unflatten(add_blend_shapes(rows.template, betas, rows.shapedirs), -1, (3, -1)).mT
@@ -164,11 +190,12 @@ class BodyModel(BodyArrays, Measured):
     ) -> BodySurface:
         """The surface M(betas, pose) of eq. 11, moved by ``trans`` (m); batch axes broadcast.
 
-        ``betas`` (*batch, B) may be shorter: the others are zero, as is everything not given. ``pose`` holds rotation
-        vectors (rad) relative to the parent joint, (*batch, J, 3) with the root first, or (*batch, 3) by the names of
-        some joints. ``vertices`` (N ids) evaluates only those rows, in that order. ``soft_tissue`` (*batch, B) adds to
-        ``betas``, joints included (M 6). ``expression`` (*batch, E), which may be shorter, too, moves the face,
-        ``dynamics`` (*batch, D) soft tissue and no joint (S eq. 16; `habitus.simulate_soft_tissue`). Raises
+        ``betas`` (*batch, B) may be shorter: the others are zero, as is everything not given.
+        ``pose`` holds rotation vectors (rad) relative to the parent joint, (*batch, J, 3) with the
+        root first, or (*batch, 3) by the names of some joints. ``vertices`` (N ids) evaluates only
+        those rows, in that order. ``soft_tissue`` (*batch, B) adds to ``betas``, joints included (M
+        6). ``expression`` (*batch, E), which may be shorter, too, moves the face, ``dynamics``
+        (*batch, D) soft tissue and no joint (S eq. 16; `habitus.simulate_soft_tissue`). Raises
         HabitusError where a shape or a name is not the model's.
         """
         angles = pose.values() if isinstance(pose, Mapping) else (pose,)
@@ -186,7 +213,9 @@ class BodyModel(BodyArrays, Measured):
         expression: ArrayLike | None = None,
         dynamics: ArrayLike | None = None,
     ) -> PreparedBody:
-        """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some of its vertices."""
+        """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some
+        of its vertices.
+        """
         shape = self._betas(betas, kind := kind_of(betas, expression, dynamics))
         ids = None if vertices is None else read_vertices(vertices, self.num_vertices, self.name)
         parts = [shape]
@@ -197,21 +226,32 @@ class BodyModel(BodyArrays, Measured):
             parts.append(read_dynamics(dynamics, kind, self.num_dynamics, self.name))
         if len(parts) > 1:
             batch = broadcast_shapes(*(part.shape[:-1] for part in parts))
-            shape = kind.xp.concatenate([kind.xp.broadcast_to(part, (*batch, part.shape[-1])) for part in parts], -1)
+            shape = kind.xp.concatenate(
+                [kind.xp.broadcast_to(part, (*batch, part.shape[-1])) for part in parts], -1
+            )
         rows = self._rows(kind, ids, shape.shape[-1])
         return PreparedBody(self, rows, self._in(kind).rest_joints(shape), shape, kind, ids)
 
     def keypoints(self, convention: str, surface: BodySurface) -> Float[Array, "*batch K 3"]:
-        """The points (m) that a detector of people names: "coco17" or "openpose25" (`habitus.body.keypoints`).
+        """The points (m) that a detector of people names: "coco17" or "openpose25"
+        (`habitus.body.keypoints`).
 
-        ``surface`` is this body's, with all its vertices. Raises HabitusError for other names, and for a body without
-        the landmarks that they need.
+        ``surface`` is this body's, with all its vertices. Raises HabitusError for other names, and
+        for a body without the landmarks that they need.
         """
-        return keypoints(convention, surface, self.joint_names, self.landmarks, self.num_vertices, self.name)
+        return keypoints(
+            convention, surface, self.joint_names, self.landmarks, self.num_vertices, self.name
+        )
 
-    def full_pose(self, values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind) -> Float[Array, "*batch J 3"]:
-        """A pose as it may be given in a call, as rotation vectors (rad) of all joints in one kind."""
+    def full_pose(
+        self, values: ArrayLike | Mapping[str, ArrayLike] | None, kind: Kind
+    ) -> Float[Array, "*batch J 3"]:
+        """A pose as it may be given in a call, as rotation vectors (rad) of all joints in one
+        kind.
+        """
         return read_pose(values, kind, self.joint_names, self.name)
 
-    def _betas(self, values: ArrayLike, kind: Kind, name: str = "betas") -> Float[Array, "*batch B"]:
+    def _betas(
+        self, values: ArrayLike, kind: Kind, name: str = "betas"
+    ) -> Float[Array, "*batch B"]:
         return read_betas(values, kind, self.num_betas, name, self.name)

@@ -1,4 +1,6 @@
-"""A body in motion: one person, a pose and a place in every frame, soft tissue where there is such."""
+"""A body in motion: one person, a pose and a place in every frame, soft tissue where there is
+such.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -50,19 +52,31 @@ class Moving:
         return self._posed(frames, "vertices")
 
     def joints(self, frames: Frames = None) -> Float[np.ndarray, "*frames J 3"]:
-        """The joints (T, J, 3) in metres, world frame, soft tissue included; of one frame (J, 3)."""
+        """The joints (T, J, 3) in metres, world frame, soft tissue included; of one frame (J,
+        3).
+        """
         return self._posed(frames, "joints", vertices=[0])
 
-    def _posed(self, frames: Frames, what: str, vertices: Sequence[int] | None = None) -> np.ndarray:
+    def _posed(
+        self, frames: Frames, what: str, vertices: Sequence[int] | None = None
+    ) -> np.ndarray:
         rows = np.arange(self.num_frames)[
-            slice(None) if frames is None else list(frames) if isinstance(frames, Sequence) else frames
+            slice(None)
+            if frames is None
+            else list(frames)
+            if isinstance(frames, Sequence)
+            else frames
         ]
-        found = np.concatenate([getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)])
+        found = np.concatenate(
+            [getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)]
+        )
         return found[0] if np.ndim(rows) == 0 else found
 
     @property
     def finest_body(self) -> BodyModel:
-        """The body at its full level of detail, which files show; the fitted one where it has no other."""
+        """The body at its full level of detail, which files show; the fitted one where it has no
+        other.
+        """
         return self.body.full or self.body
 
     def surfaces(
@@ -75,7 +89,8 @@ class Moving:
 
         ``body`` stands in for the fitted one (`finest_body`).
         """
-        rows, body = np.asarray(rows, dtype=np.int64), body or self.body
+        rows = np.asarray(rows, dtype=np.int64)
+        body = body or self.body
         for start in range(0, max(len(rows), 1), _BATCH):
             some = rows[start : start + _BATCH]
             soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
@@ -85,16 +100,20 @@ class Moving:
 
     def points(self, vertices: Sequence[int] | np.ndarray) -> Float[np.ndarray, "T N 3"]:
         """Some vertices (N ids) in every frame, metres, world frame, soft tissue included."""
-        return np.concatenate([part.vertices for part in self.surfaces(np.arange(self.num_frames), vertices)])
+        return np.concatenate(
+            [part.vertices for part in self.surfaces(np.arange(self.num_frames), vertices)]
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion(Moving):
-    """A body in motion that is no fit: exaggerated, retargeted, or read from a file that holds no markers.
+    """A body in motion that is no fit: exaggerated, retargeted, or read from a file that holds no
+    markers.
 
-    T frames, J joints, B betas, metres and radians in a world whose ``up_axis`` is told. ``soft_tissue`` (T, B) adds to
-    ``betas`` frame by frame, ``dynamics`` (T, D) are coefficients of the body's dynamic blend shapes. ``made`` says
-    in sentences where it comes from and what was done to it; files keep that.
+    T frames, J joints, B betas, metres and radians in a world whose ``up_axis`` is told.
+    ``soft_tissue`` (T, B) adds to ``betas`` frame by frame, ``dynamics`` (T, D) are coefficients of
+    the body's dynamic blend shapes. ``made`` says in sentences where it comes from and what was
+    done to it; files keep that.
     """
 
     body: BodyModel
@@ -117,7 +136,9 @@ class BodyMotion(Moving):
 
     @classmethod
     def of(cls, moving: Any) -> "BodyMotion":
-        """The motion of a fit (`habitus.fit.mosh.result.MarkerFit`) without its markers; a motion as it is."""
+        """The motion of a fit (`habitus.fit.mosh.result.MarkerFit`) without its markers; a motion
+        as it is.
+        """
         if isinstance(moving, BodyMotion):
             return moving
         made = (f"fitted to the markers of {moving.capture_name} (layout {moving.layout_name})",)
@@ -125,11 +146,12 @@ class BodyMotion(Moving):
         return cls(**shared, made=made)
 
     def export(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz, .obj, .ply.
+        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz,
+        .obj, .ply.
 
-        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives, detail, frame
-        (`habitus.export.motion.export_motion`). Raises HabitusError for other endings, and where the path cannot be
-        written to.
+        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives,
+        detail, frame (`habitus.export.motion.export_motion`). Raises HabitusError for other
+        endings, and where the path cannot be written to.
         """
         import habitus
 
@@ -137,6 +159,15 @@ class BodyMotion(Moving):
 
 
 _SHARED = (
-    "body", "betas", "pose", "trans", "rate_hz", "up_axis", "soft_tissue", "dynamics", "capture_name", "body_name",
+    "body",
+    "betas",
+    "pose",
+    "trans",
+    "rate_hz",
+    "up_axis",
+    "soft_tissue",
+    "dynamics",
+    "capture_name",
+    "body_name",
     "gender",
-)  # fmt: skip
+)

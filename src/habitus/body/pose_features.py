@@ -1,8 +1,9 @@
 """What drives pose blend shapes: functions of each joint's rotation that are zero at rest.
 
-SMPL takes the entries of R - I (S 3, eq. 9). The others are those that thesis 5.6 reports as tried (raw rotation
-vectors, low polynomials of them, sines and cosines) or leaves open (unit quaternions). The same section asks for pose
-blend shapes that depend on shape too: `extended` repeats the features, times each of the first shape coefficients.
+SMPL takes the entries of R - I (S 3, eq. 9). The others are those that thesis 5.6 reports as tried
+(raw rotation vectors, low polynomials of them, sines and cosines) or leaves open (unit
+quaternions). The same section asks for pose blend shapes that depend on shape too: `extended`
+repeats the features, times each of the first shape coefficients.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +15,12 @@ from jaxtyping import Float
 
 from habitus.arrays import cross, eye, flatten, namespace, unbind
 from habitus.errors import HabitusError
-from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec, quaternion_from_rotvec
+from habitus.rotations import (
+    cross_matrix,
+    left_jacobian,
+    matrix_from_rotvec,
+    quaternion_from_rotvec,
+)
 from habitus.types import Array
 
 
@@ -22,9 +28,10 @@ from habitus.types import Array
 class PoseFeatures:
     """A kind of features: k numbers a joint, and how they change.
 
-    ``value`` takes rotation vectors (*batch, J, 3; rad) to features (*batch, J, k), zero at rest. ``slope`` takes them
-    to derivatives (*batch, J, k, 3) with respect to a small turn from the left, R -> exp([d]x) R, d in rad. Both are
-    differentiable. ``from_matrix`` is ``value`` from rotation matrices (*batch, J, 3, 3), where that is cheaper.
+    ``value`` takes rotation vectors (*batch, J, 3; rad) to features (*batch, J, k), zero at rest.
+    ``slope`` takes them to derivatives (*batch, J, k, 3) with respect to a small turn from the
+    left, R -> exp([d]x) R, d in rad. Both are differentiable. ``from_matrix`` is ``value`` from
+    rotation matrices (*batch, J, 3, 3), where that is cheaper.
     """
 
     name: str
@@ -43,7 +50,9 @@ class PoseFeatures:
         rotations: Float[Array, "*batch J 3 3"],
         joints: list[int] | None = None,
     ) -> Float[Array, "*batch F"]:
-        """Features of some joints (None: all but the root), one by one; ``rotations`` are those of ``pose`` (rad)."""
+        """Features of some joints (None: all but the root), one by one; ``rotations`` are those of
+        ``pose`` (rad).
+        """
         some = slice(1, None) if joints in (None, list(range(1, pose.shape[-2]))) else joints
         if self.from_matrix is not None:
             return flatten(self.from_matrix(rotations[..., some, :, :]), -2)
@@ -53,17 +62,23 @@ class PoseFeatures:
 def find_pose_features(name: str) -> PoseFeatures:
     """The features of that name; HabitusError where there are none."""
     if name not in POSE_FEATURES:
-        raise HabitusError(f"pose features are {name!r}; expected one of {', '.join(POSE_FEATURES)}")
+        raise HabitusError(
+            f"pose features are {name!r}; expected one of {', '.join(POSE_FEATURES)}"
+        )
     return POSE_FEATURES[name]
 
 
 def check_driven_by_rotations(body: Any, user: str) -> None:
-    """HabitusError unless a body's pose blend shapes, if any, are linear in vec(R - I) alone, which ``user`` needs."""
-    name, shapes = getattr(body, "pose_features", "rotations"), getattr(body, "shape_features", 0)
+    """HabitusError unless a body's pose blend shapes, if any, are linear in vec(R - I) alone, which
+    ``user`` needs.
+    """
+    name = getattr(body, "pose_features", "rotations")
+    shapes = getattr(body, "shape_features", 0)
     if body.posedirs is not None and (name != "rotations" or shapes):
         products = f" times {shapes} shape coefficients" if shapes else ""
         raise HabitusError(
-            f"pose blend shapes driven by {name!r}{products}; {user} need 'rotations' alone: take another body, "
+            f"pose blend shapes driven by {name!r}{products}; {user} need 'rotations' alone: take "
+            "another body, "
             "or replace(body, posedirs=None)"
         )
 
@@ -71,7 +86,8 @@ def check_driven_by_rotations(body: Any, user: str) -> None:
 def extended(
     feature: Float[Array, "*#batch F"], betas: Float[Array, "*#batch B"], shape_features: int
 ) -> Float[Array, "*#batch G"]:
-    """[f, beta_1 f, ..., beta_s f] with s = ``shape_features``: pose blend shapes linear in shape (thesis 5.6).
+    """[f, beta_1 f, ..., beta_s f] with s = ``shape_features``: pose blend shapes linear in shape
+    (thesis 5.6).
 
     The features themselves where s is 0; ``betas`` may be longer than s. G is F (1 + s).
     """
@@ -89,7 +105,9 @@ def _entries(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 9"]:
 
 
 def _entries_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9 3"]:
-    return flatten(cross_matrix(eye(3, rotvec)) @ matrix_from_rotvec(rotvec)[..., None, :, :], -2).mT
+    return flatten(
+        cross_matrix(eye(3, rotvec)) @ matrix_from_rotvec(rotvec)[..., None, :, :], -2
+    ).mT
 
 
 def _angles_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
@@ -105,8 +123,11 @@ def _sin_cos(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 6"]:
 
 
 def _sin_cos_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 6 3"]:
-    xp, turned = namespace(rotvec), _angles_slope(rotvec)
-    return xp.concatenate([xp.cos(rotvec)[..., None] * turned, -xp.sin(rotvec)[..., None] * turned], -2)
+    xp = namespace(rotvec)
+    turned = _angles_slope(rotvec)
+    return xp.concatenate(
+        [xp.cos(rotvec)[..., None] * turned, -xp.sin(rotvec)[..., None] * turned], -2
+    )
 
 
 def _near_quaternion(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
@@ -123,12 +144,14 @@ def _quaternions(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4"]:
 def _quaternions_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 4 3"]:
     """Half the product of (0, d) and the quaternion: d w = -d . v / 2, d v = (w d + d x v) / 2."""
     quaternion = _near_quaternion(rotvec)
-    w, v = quaternion[..., :1], quaternion[..., 1:]
+    w = quaternion[..., :1]
+    v = quaternion[..., 1:]
     by_vector = w[..., None] * eye(3, rotvec) - cross_matrix(v)
     return namespace(rotvec).concatenate([-v[..., None, :], by_vector], -2) / 2
 
 
-_FIRST, _SECOND = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+_FIRST = [0, 1, 2, 0, 0, 1]
+_SECOND = [0, 1, 2, 1, 2, 2]
 
 
 def _polynomials(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9"]:
@@ -138,7 +161,8 @@ def _polynomials(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9"]:
 
 def _polynomials_slope(rotvec: Float[Array, "*batch 3"]) -> Float[Array, "*batch 9 3"]:
     turned = _angles_slope(rotvec)
-    first, second = rotvec[..., _FIRST, None], rotvec[..., _SECOND, None]
+    first = rotvec[..., _FIRST, None]
+    second = rotvec[..., _SECOND, None]
     return namespace(rotvec).concatenate(
         [turned, first * turned[..., _SECOND, :] + second * turned[..., _FIRST, :]], -2
     )
@@ -149,7 +173,13 @@ def _table(*kinds: PoseFeatures) -> Mapping[str, PoseFeatures]:
 
 
 POSE_FEATURES: Mapping[str, PoseFeatures] = _table(
-    PoseFeatures("rotations", 9, lambda rotvec: _entries(matrix_from_rotvec(rotvec)), _entries_slope, _entries),
+    PoseFeatures(
+        "rotations",
+        9,
+        lambda rotvec: _entries(matrix_from_rotvec(rotvec)),
+        _entries_slope,
+        _entries,
+    ),
     PoseFeatures("angles", 3, lambda rotvec: rotvec, _angles_slope),
     PoseFeatures("sin_cos", 6, _sin_cos, _sin_cos_slope),
     PoseFeatures("quaternions", 4, _quaternions, _quaternions_slope),
@@ -157,8 +187,9 @@ POSE_FEATURES: Mapping[str, PoseFeatures] = _table(
 )
 """Features by name; "rotations" is SMPL's vec(R - I) and alone smooth over all rotations.
 
-"angles", "sin_cos" and "polynomials" read the rotation vector as given. As a function of the rotation it jumps to its
-far side at an angle of pi, and the features with it; their slopes hold on either side and grow without bound towards an
-angle of 2 pi, so keep vectors wrapped (`habitus.rotations.rotvec_from_matrix`). "quaternions", with a real part that is
-not negative, are the same for both vectors of a rotation, and change sign at an angle of pi.
+"angles", "sin_cos" and "polynomials" read the rotation vector as given. As a function of the
+rotation it jumps to its far side at an angle of pi, and the features with it; their slopes hold on
+either side and grow without bound towards an angle of 2 pi, so keep vectors wrapped
+(`habitus.rotations.rotvec_from_matrix`). "quaternions", with a real part that is not negative, are
+the same for both vectors of a rotation, and change sign at an angle of pi.
 """

@@ -24,7 +24,9 @@ from habitus.types import Array, ArrayLike
 
 @runtime_checkable
 class Preparable(Protocol):
-    """What of a body (`habitus.body.model.BodyModel`, which says what it is) the body function needs."""
+    """What of a body (`habitus.body.model.BodyModel`, which says what it is) the body function
+    needs.
+    """
 
     name: str
     parents: tuple[int, ...]
@@ -49,8 +51,8 @@ class Preparable(Protocol):
 class PreparedBody:
     """A `habitus.body.model.BodyModel` with fixed shape, for many poses: ``prepared(pose, trans)``.
 
-    ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them, where such were
-    given, those of the face's expression and of the dynamics.
+    ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them,
+    where such were given, those of the face's expression and of the dynamics.
     """
 
     model: Preparable
@@ -68,8 +70,13 @@ class PreparedBody:
     @property
     def expression(self) -> Float[Array, "*shapes E"] | None:
         """The expression, where there is one."""
-        count, end = self.model.num_betas, self.model.num_betas + self.model.num_expressions
-        return self.coefficients[..., count:end] if end > count and self.coefficients.shape[-1] > count else None
+        count = self.model.num_betas
+        end = self.model.num_betas + self.model.num_expressions
+        return (
+            self.coefficients[..., count:end]
+            if end > count and self.coefficients.shape[-1] > count
+            else None
+        )
 
     @property
     def dynamics(self) -> Float[Array, "*shapes D"] | None:
@@ -83,20 +90,32 @@ class PreparedBody:
         return add_blend_shapes(self.rows.template, self.coefficients, self.rows.shapedirs)
 
     def __call__(
-        self, pose: ArrayLike | Mapping[str, ArrayLike] | None = None, trans: ArrayLike | None = None
+        self,
+        pose: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        trans: ArrayLike | None = None,
     ) -> BodySurface:
-        """The surface in this pose (rotation vectors, rad; all joints or some by name), moved by ``trans`` (m)."""
-        model, angles = self.model, pose.values() if isinstance(pose, Mapping) else (pose,)
+        """The surface in this pose (rotation vectors, rad; all joints or some by name), moved by
+        ``trans`` (m).
+        """
+        model = self.model
+        angles = pose.values() if isinstance(pose, Mapping) else (pose,)
         kind = kind_of(self.coefficients, *angles, trans)
         if kind != self.kind:
-            given = (None if part is None else kind.array(part) for part in (self.expression, self.dynamics))
+            given = (
+                None if part is None else kind.array(part)
+                for part in (self.expression, self.dynamics)
+            )
             return model.prepare(kind.array(self.betas), self.vertices, *given)(pose, trans)
         pose = model.full_pose(pose, kind)
-        place = kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
+        place = (
+            kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
+        )
         batch = broadcast_shapes(pose.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
         if are_plain(kind, pose, place, self.rest_joints, self.coefficients):
             return self._surface(*self._compiled(pose, place, batch))
-        return self._surface(*self._readable(self.shaped, self.rest_joints, self.betas, pose, place, batch))
+        return self._surface(
+            *self._readable(self.shaped, self.rest_joints, self.betas, pose, place, batch)
+        )
 
     def carried(
         self,
@@ -104,10 +123,11 @@ class PreparedBody:
         rest_joints: Float[Array, "*people J 3"],
         pose: Mapping[str, ArrayLike],
     ) -> Float[Array, "*people N 3"]:
-        """These vertices of other people in one pose (rad; joints by name): ``rest`` (m) are theirs at rest, whatever
-        their shape; the pose moves them as it moves the template.
+        """These vertices of other people in one pose (rad; joints by name): ``rest`` (m) are theirs
+        at rest, whatever their shape; the pose moves them as it moves the template.
         """
-        kind, batch = self.kind, rest.shape[:-2]
+        kind = self.kind
+        batch = rest.shape[:-2]
         angles = self.model.full_pose(pose, kind)
         rows = rest.swapaxes(-1, -2).reshape(*batch, -1)
         betas = kind.zeros(*batch, self.model.num_betas)
@@ -119,17 +139,26 @@ class PreparedBody:
         pose: Float[Array, "*#batch J 3"],
         trans: Float[Array, "*#batch 3"] | None = None,
     ) -> BodySurface:
-        """The surface in this pose (rad), with the rest surface ``shaped`` (m; in rows) in place of its own."""
+        """The surface in this pose (rad), with the rest surface ``shaped`` (m; in rows) in place of
+        its own.
+        """
         place = self.kind.zeros(3) if trans is None else trans
         batch = broadcast_shapes(pose.shape[:-2], shaped.shape[:-1], place.shape[:-1])
-        return self._surface(*self._readable(shaped, self.rest_joints, self.betas, pose, place, batch))
+        return self._surface(
+            *self._readable(shaped, self.rest_joints, self.betas, pose, place, batch)
+        )
 
-    def _surface(self, vertices: Float[Array, "*batch N 3"], joints: Float[Array, "*batch J 3"]) -> BodySurface:
+    def _surface(
+        self, vertices: Float[Array, "*batch N 3"], joints: Float[Array, "*batch J 3"]
+    ) -> BodySurface:
         mesh = self.model.mesh if self.vertices is None else None
         return BodySurface(vertices, joints, self.model._in(self.kind).faces, self.betas, mesh)
 
     def _compiled(
-        self, pose: Float[Array, "*#batch J 3"], place: Float[Array, "*#batch 3"], batch: tuple[int, ...]
+        self,
+        pose: Float[Array, "*#batch J 3"],
+        place: Float[Array, "*#batch 3"],
+        batch: tuple[int, ...],
     ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
         model = self.model
         one = self.shaped if self.coefficients.shape[:-1] == () else None
@@ -147,7 +176,8 @@ class PreparedBody:
         batch: tuple[int, ...],
     ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
         """Pose blend shapes onto the shaped rest rows, kinematics, skinning, place."""
-        model, xp = self.model, self.kind.xp
+        model = self.model
+        xp = self.kind.xp
         rotations = xp.broadcast_to(matrix_from_rotvec(pose), (*batch, model.num_joints, 3, 3))
         rest_joints = xp.broadcast_to(rest_joints, (*batch, model.num_joints, 3))
         posedirs = self.rows.posedirs
@@ -157,5 +187,7 @@ class PreparedBody:
             rest = add_blend_shapes(rest, extended(feature, betas, model.shape_features), posedirs)
         world = world_motions(rotations, rest_joints, model.parents)
         motions = skinning_motions(world, rest_joints)
-        vertices = skin(model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences)
+        vertices = skin(
+            model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences
+        )
         return vertices, world[..., 3] + place[..., None, :]

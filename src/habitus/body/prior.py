@@ -1,4 +1,6 @@
-"""The pose prior: a Gaussian over joint rotations (MoSh eq. 7), carried over to any body that shares joint names."""
+"""The pose prior: a Gaussian over joint rotations (MoSh eq. 7), carried over to any body that
+shares joint names.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-UNKNOWN_JOINT_SD = 0.15  # rad: joints that the prior does not know (fingers, jaw, eyes) stay near rest
+UNKNOWN_JOINT_SD = (
+    0.15  # rad: joints that the prior does not know (fingers, jaw, eyes) stay near rest
+)
 
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N), without the root.
+    """Mean (3 N,) and covariance (3 N, 3 N) of the rotation vectors (rad) of ``joint_names`` (N),
+    without the root.
 
     A body model carries one where its file brings one (`habitus.body.model.BodyModel.pose_prior`).
     """
@@ -21,12 +26,22 @@ class PosePrior:
     covariance: Float[np.ndarray, "n n"]
 
     def for_joints(self, joint_names: Sequence[str]) -> "PosePrior":
-        """The prior of a body with ``joint_names`` (root first, left out of it); unknown joints independent at rest."""
+        """The prior of a body with ``joint_names`` (root first, left out of it); unknown joints
+        independent at rest.
+        """
         wanted = tuple(joint_names[1:])
-        mean, covariance = np.zeros(3 * len(wanted)), np.eye(3 * len(wanted)) * UNKNOWN_JOINT_SD**2
-        known = [(k, self.joint_names.index(name)) for k, name in enumerate(wanted) if name in self.joint_names]
+        mean = np.zeros(3 * len(wanted))
+        covariance = np.eye(3 * len(wanted)) * UNKNOWN_JOINT_SD**2
+        known = [
+            (k, self.joint_names.index(name))
+            for k, name in enumerate(wanted)
+            if name in self.joint_names
+        ]
         if known:
-            here, there = (np.add.outer(3 * np.array(side), np.arange(3)).ravel() for side in zip(*known, strict=True))
+            here, there = (
+                np.add.outer(3 * np.array(side), np.arange(3)).ravel()
+                for side in zip(*known, strict=True)
+            )
             mean[here] = self.mean[there]
             covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
         return PosePrior(wanted, mean, covariance)

@@ -1,4 +1,6 @@
-"""A body whose mean person is a character: another rest surface in the template's topology (M 9.2)."""
+"""A body whose mean person is a character: another rest surface in the template's topology (M
+9.2).
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,12 +23,14 @@ FROM = "recentred_from"
 
 
 def recentred(body: BodyModel, vertices: Float[np.ndarray, "V 3"], name: str) -> BodyModel:
-    """The body whose template is a character: ``vertices`` (m, y up, facing +z, at rest in the T-pose) of its topology.
+    """The body whose template is a character: ``vertices`` (m, y up, facing +z, at rest in the
+    T-pose) of its topology.
 
-    Of the coarse level of detail or the full one. The shape space is about the character; joints come from the
-    regressor; skinning and pose blend shapes are the body's. All that displaces vertices is as much larger as the
-    character is taller. What was learned of people (ages, sexes, their mean) does not hold for it and goes. Raises
-    HabitusError for another number of vertices, and for what is not at rest, not upright or not in metres.
+    Of the coarse level of detail or the full one. The shape space is about the character; joints
+    come from the regressor; skinning and pose blend shapes are the body's. All that displaces
+    vertices is as much larger as the character is taller. What was learned of people (ages, sexes,
+    their mean) does not hold for it and goes. Raises HabitusError for another number of vertices,
+    and for what is not at rest, not upright or not in metres.
     """
     rows, level = _level(body, len(vertices), name)
     points = np.ascontiguousarray(vertices, dtype=np.float64)
@@ -35,11 +39,14 @@ def recentred(body: BodyModel, vertices: Float[np.ndarray, "V 3"], name: str) ->
     if rows is None:
         return _with_template(body, points, scale, name)
     coarse = _with_template(body, points[rows], scale, name)
-    return replace(coarse, full_vertices=rows, finer=partial(_with_template, level, points, scale, name))
+    return replace(
+        coarse, full_vertices=rows, finer=partial(_with_template, level, points, scale, name)
+    )
 
 
 def recentred_arrays(body: BodyModel) -> Mapping[str, np.ndarray]:
-    """What a file must keep of a body that `recentred` made, beside the name of the one it was made of; else nothing.
+    """What a file must keep of a body that `recentred` made, beside the name of the one it was made
+    of; else nothing.
 
     ``character_vertices`` (V, 3; of the full level where there is one) and ``character_base``.
     """
@@ -52,7 +59,9 @@ def recentred_arrays(body: BodyModel) -> Mapping[str, np.ndarray]:
 
 
 def _level(body: BodyModel, count: int, name: str) -> tuple[np.ndarray | None, BodyModel]:
-    """The rows of the coarse level in what has ``count`` vertices (None: it is the body itself), and that level."""
+    """The rows of the coarse level in what has ``count`` vertices (None: it is the body itself),
+    and that level.
+    """
     if count == body.num_vertices:
         return None, body
     full = body.full
@@ -60,8 +69,10 @@ def _level(body: BodyModel, count: int, name: str) -> tuple[np.ndarray | None, B
         return body.full_vertices, full
     known = " or ".join(str(level.num_vertices) for level in (body, full) if level is not None)
     raise HabitusError(
-        f"{name}: {count} vertices; a character for the body {body.name} has its topology, {known} vertices: "
-        "wrap the body's mesh around it first (register), in any tool that keeps the order of vertices"
+        f"{name}: {count} vertices; a character for the body {body.name} has its topology, "
+        f"{known} vertices: "
+        "wrap the body's mesh around it first (register), in any tool that keeps the order of "
+        "vertices"
     )
 
 
@@ -69,12 +80,14 @@ def _check(body: BodyModel, points: np.ndarray, name: str) -> None:
     height = float(np.ptp(points[:, 1])) if np.isfinite(points).all() else np.nan
     if not HEIGHTS[0] <= height <= HEIGHTS[1]:
         raise HabitusError(
-            f"{name}: {height:.3g} high along y; expected {HEIGHTS[0]:g} to {HEIGHTS[1]:g} metres, y up; scale it"
+            f"{name}: {height:.3g} high along y; expected {HEIGHTS[0]:g} to {HEIGHTS[1]:g} "
+            "metres, y up; scale it"
         )
     turned = turned_by(body, points)
     if turned > TURNED:
         raise HabitusError(
-            f"{name}: a limb is {np.rad2deg(turned):.0f} degrees from the rest of {body.name}; expected a character in "
+            f"{name}: a limb is {np.rad2deg(turned):.0f} degrees from the rest of {body.name}; "
+            "expected a character in "
             "the T-pose, y up, facing +z; pose it so"
         )
 

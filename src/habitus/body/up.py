@@ -14,6 +14,8 @@ UP_AXES = {
 
 
 def up_rotation(up_axis: str) -> Float[np.ndarray, "3 3"]:
-    """The rotation that takes a capture's own world to one whose +y is up; ``up_axis`` is "+z", "y", "-x", …"""
+    """The rotation that takes a capture's own world to one whose +y is up; ``up_axis`` is "+z",
+    "y", "-x", …
+    """
     signed = up_axis if up_axis[:1] in "+-" else f"+{up_axis}"
     return np.array(UP_AXES[signed.lower()], dtype=np.float64)

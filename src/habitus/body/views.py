@@ -19,22 +19,29 @@ class RestSkeleton:
 
     template: Float[Array, "J 3"]
     directions: Float[Array, "J 3 C"]
-    """By shape coefficients, then by those of the expression; by those of the dynamics not at all."""
+    """By shape coefficients, then by those of the expression; by those of the dynamics not at all.
+    """
     faces: Int[Array, "T 3"]
 
     def rest_joints(self, coefficients: Float[Array, "*batch C"]) -> Float[Array, "*batch J 3"]:
-        """Joints (m) of shaped rest surfaces (S 3, eq. 10); the last coefficients may be left out."""
+        """Joints (m) of shaped rest surfaces (S 3, eq. 10); the last coefficients may be left
+        out.
+        """
         directions = self.directions[..., : coefficients.shape[-1]]
         return self.template + (directions @ coefficients[..., None, :, None])[..., 0]
 
 
 @dataclass(frozen=True)
 class VertexRows:
-    """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before vertices."""
+    """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before
+    vertices.
+    """
 
     template: Float[Array, " M"]
     blend_shapes: Float[Array, "K M"]
-    """The directions of shape, then, if asked for, those of expression and dynamics, then those of the pose."""
+    """The directions of shape, then, if asked for, those of expression and dynamics, then those of
+    the pose.
+    """
     num_shapes: int
     """How many there are before those of the pose."""
     influences: Influences
@@ -49,7 +56,11 @@ class VertexRows:
     @property
     def posedirs(self) -> Float[Array, "F M"] | None:
         """What pose features add, where the body has pose blend shapes."""
-        return self.blend_shapes[self.num_shapes :] if len(self.blend_shapes) > self.num_shapes else None
+        return (
+            self.blend_shapes[self.num_shapes :]
+            if len(self.blend_shapes) > self.num_shapes
+            else None
+        )
 
 
 def vertex_rows(
@@ -63,12 +74,15 @@ def vertex_rows(
     skinning_value: Float[np.ndarray, "V K"],
     driven: tuple[int, int] = (0, 1),
 ) -> VertexRows:
-    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if they count, others.
+    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if they
+    count, others.
 
     ``driven``: how many features a joint has, and in how many blocks.
     """
     dense = np.ascontiguousarray(skinning_weights[ids].T)
-    bases = np.concatenate([base[ids] for base in (*directions, posedirs) if base is not None], axis=2)
+    bases = np.concatenate(
+        [base[ids] for base in (*directions, posedirs) if base is not None], axis=2
+    )
     local = local_shapes(None if posedirs is None else posedirs[ids], *driven)
     if local is not None:
         local = replace(local, value=local.value.astype(kind.compiled))
@@ -76,6 +90,8 @@ def vertex_rows(
         template=kind.array(v_template[ids].T.flatten()),
         blend_shapes=kind.array(flat_rows(bases)),
         num_shapes=sum(base.shape[2] for base in directions),
-        influences=Influences(kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])),
+        influences=Influences(
+            kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])
+        ),
         local=local,
     )

@@ -28,9 +28,10 @@ class Archive:
 
     habitus archive captures --out results --subjects subjects.csv --jobs 8
 
-    OUT receives a folder a capture, as deep as it lay, with what habitus mosh writes, and index.html, archive.parquet
-    and archive.sqlite. The same command goes on where a run stopped, and fits again only what changed. A bad capture
-    is told and left behind; the exit code is then 1. `docs/archives.md` tells the rest.
+    OUT receives a folder a capture, as deep as it lay, with what habitus mosh writes, and
+    index.html, archive.parquet and archive.sqlite. The same command goes on where a run stopped,
+    and fits again only what changed. A bad capture is told and left behind; the exit code is then
+    1. `docs/archives.md` tells the rest.
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
@@ -38,18 +39,23 @@ class Archive:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     subjects: Annotated[Path | None, unset("TABLE.csv")] = None
-    """Whose captures are whose: columns capture (a file or folder below FOLDER) and subject; by itself, the files'
-    subjects and folders."""
+    """Whose captures are whose: columns capture (a file or folder below FOLDER) and subject; by
+    itself, the files' subjects and folders.
+    """
     jobs: Annotated[int | None, unset("N")] = None
     """Processes on this machine, one thread each; as many as it has cores by itself."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """A Dask scheduler (tcp://host:8786) whose machines share the work, and see both folders under the same paths."""
+    """A Dask scheduler (tcp://host:8786) whose machines share the work, and see both folders under
+    the same paths.
+    """
     layout: Annotated[str, tyro.conf.arg(metavar="auto|discover|NAME|FILE")] = "auto"
     """Which marker sits where; see habitus mosh."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
-    """Which model of the body; "auto": for each subject the sex that the files say or a neutral fit is sure of."""
+    """Which model of the body; "auto": for each subject the sex that the files say or a neutral fit
+    is sure of.
+    """
     age: Annotated[str | None, unset("YEARS|auto")] = None
     """How old the people are; "auto" takes what the files say."""
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
@@ -61,7 +67,9 @@ class Archive:
     rate: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where files do not say or say it wrong."""
     lean: Flag = False
-    """Of each capture only body.npz and metrics.json: no page, no animated mesh; a third of the room."""
+    """Of each capture only body.npz and metrics.json: no page, no animated mesh; a third of the
+    room.
+    """
     npz_style: Literal["habitus", "amass"] = "habitus"
     """What body.npz looks like."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
@@ -72,19 +80,22 @@ class Archive:
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Archive, Archive.__doc__
+OPTIONS = Archive
+ABOUT = Archive.__doc__
 NEEDS = ("habitus.jobs.archive.run", "rich.progress")
 FAILED_FIT = 3
 
 
 def run(options: Archive, console: "Console | None" = None) -> int:
-    """Do what the options say; 1 where a capture could not be fitted, 3 under ``strict`` where a fit failed by its
-    verdict. Raises HabitusError for bad input.
+    """Do what the options say; 1 where a capture could not be fitted, 3 under ``strict`` where a
+    fit failed by its verdict. Raises HabitusError for bad input.
     """
     from habitus.jobs.archive.run import archive
 
     if options.jobs is not None and options.cluster is not None:
-        raise HabitusError("--jobs is about this machine and --cluster about others; give one of them")
+        raise HabitusError(
+            "--jobs is about this machine and --cluster about others; give one of them"
+        )
     console = console or screen(options.quiet)
     with progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
@@ -119,7 +130,8 @@ class _Lines:
     """Progress in a pipe: a line now and then."""
 
     def __init__(self, console: "Console"):
-        self._console, self._last = console, time.monotonic()
+        self._console = console
+        self._last = time.monotonic()
 
     def __call__(self, tally: "Tally") -> None:
         if self._console.is_terminal or time.monotonic() - self._last < _EVERY:
@@ -161,14 +173,21 @@ def _duration(seconds: float) -> str:
 def _closing(made: "Made") -> list[str]:
     """What became of all."""
     done = made.fitted + made.kept
-    words = f"{done} capture{'' if done == 1 else 's'} of {made.subjects} subject{'' if made.subjects == 1 else 's'}"
+    words = (
+        f"{done} capture{'' if done == 1 else 's'} of {made.subjects} "
+        f"subject{'' if made.subjects == 1 else 's'}"
+    )
     words += (
-        f", {made.fitted} fitted now in {_duration(made.seconds)}" if made.kept else f" in {_duration(made.seconds)}"
+        f", {made.fitted} fitted now in {_duration(made.seconds)}"
+        if made.kept
+        else f" in {_duration(made.seconds)}"
     )
     words += f", {len(made.failed)} failed" if made.failed else ""
     words += f", {made.left_out} files that are no captures left out" if made.left_out else ""
     levels = ", ".join(
-        f"{made.levels[level]} {level}" for level in ("good", "doubtful", "failed") if level in made.levels
+        f"{made.levels[level]} {level}"
+        for level in ("good", "doubtful", "failed")
+        if level in made.levels
     )
     return [words, *([f"verdicts: {levels}"] if levels else []), f"all of them: {plain(made.page)}"]
 

@@ -38,7 +38,9 @@ class Body:
     """Circumference at the fullest buttocks."""
     inseam: Annotated[float | None, unset("METRES")] = None
     """From sole to crotch."""
-    also: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE …", help_behavior_hint="")] = ()
+    also: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE …", help_behavior_hint="")
+    ] = ()
     """Other measurements in metres: hand_length=0.19 neck=0.38."""
     body: Annotated[str | None, unset("FILE")] = None
     """Another body model than the ones that habitus brings along."""
@@ -46,7 +48,8 @@ class Body:
     """Where the body is written: at rest as a mesh, or its betas (npz)."""
 
 
-OPTIONS, ABOUT = Body, Body.__doc__
+OPTIONS = Body
+ABOUT = Body.__doc__
 NEEDS = ("habitus.jobs.estimates",)
 _SHORT = ("height", "weight", "chest", "waist", "hip", "inseam")
 
@@ -58,7 +61,9 @@ def run(options: Body, console: "Console | None" = None) -> None:
     from habitus.jobs.estimates import body_from_measurements, save_estimate
 
     console = console or screen()
-    told = {name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None} | _also(options.also)
+    told = {
+        name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None
+    } | _also(options.also)
     found = body_from_measurements(sex=options.sex, age=options.age, body=options.body, **told)
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "± sd", ""):
@@ -66,10 +71,16 @@ def run(options: Body, console: "Console | None" = None) -> None:
     for name, value in found.measurements.items():
         scale, unit = (1.0, "kg") if name.endswith("_kg") else (100.0, "cm")
         given = "given" if name in found.given else ""
-        table.add_row(name, f"{scale * value:.1f} {unit}", f"{scale * found.spread[name]:.1f}", given)
+        table.add_row(
+            name, f"{scale * value:.1f} {unit}", f"{scale * found.spread[name]:.1f}", given
+        )
     console.print(table)
     if found.sd_from_mean > _RARE:
-        say(console, f"such a person is rare: {found.sd_from_mean:.1f} standard deviations from the mean", "note")
+        say(
+            console,
+            f"such a person is rare: {found.sd_from_mean:.1f} standard deviations from the mean",
+            "note",
+        )
     if options.out is not None:
         save_estimate(found, options.out)
         say(console, f"wrote {plain(options.out)}")

@@ -20,9 +20,10 @@ class Compare:
 
     habitus compare results/walk soma/walk.npz --body-b smplh.npz
 
-    Says how far skins, joints, their rotations, markers, shapes and measurements are apart, and when most. With --out
-    it writes compare.html, both bodies on one clock, side by side or one over the other (opens offline in a browser),
-    and compare.json. `docs/comparing.md` says what the numbers mean.
+    Says how far skins, joints, their rotations, markers, shapes and measurements are apart, and
+    when most. With --out it writes compare.html, both bodies on one clock, side by side or one over
+    the other (opens offline in a browser), and compare.json. `docs/comparing.md` says what the
+    numbers mean.
     """
 
     a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="A")]
@@ -34,14 +35,17 @@ class Compare:
     offset: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
     """From A's first frame to B's."""
     align: Literal["auto", "rigid", "none"] = "auto"
-    """Turn and move B as a whole: where the two plainly stand in different worlds, always, or never."""
+    """Turn and move B as a whole: where the two plainly stand in different worlds, always, or
+    never.
+    """
     body_a: Annotated[str | None, unset("FILE")] = None
     """The body model of A, where it names none that comes along."""
     body_b: Annotated[str | None, unset("FILE")] = None
     """The body model of B."""
 
 
-OPTIONS, ABOUT = Compare, Compare.__doc__
+OPTIONS = Compare
+ABOUT = Compare.__doc__
 NEEDS = ("habitus.jobs.comparing",)
 
 
@@ -75,7 +79,8 @@ def run(options: Compare, console: "Console | None" = None) -> None:
         joint = plain(moment["worst_joint"]).replace("_", " ")
         say(
             console,
-            f"{moment['time_s']:.2f} s: {moment['mean_mm']:.1f} mm apart, {joint} {moment['worst_joint_mm']:.0f} mm",
+            f"{moment['time_s']:.2f} s: {moment['mean_mm']:.1f} mm apart, {joint} "
+            f"{moment['worst_joint_mm']:.0f} mm",
         )
     if options.out is not None:
         say(console, f"wrote {plain(options.out / 'compare.html')}")

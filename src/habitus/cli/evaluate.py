@@ -20,19 +20,26 @@ if TYPE_CHECKING:
     from habitus.jobs.evaluate_known import KnownEvaluation
 
 _WIDE = 200  # columns of a table that goes to a file or a pipe
-_SPEED_OVER = 600.0  # seconds: models differ in speed, so that only a long look back tells the time left
+_SPEED_OVER = (
+    600.0  # seconds: models differ in speed, so that only a long look back tells the time left
+)
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure body models on registrations of people that they have not seen: errors, run time, variance, neck.
+    """Measure body models on registrations of people that they have not seen: errors, run time,
+    variance, neck.
 
-    OUT receives report.html (opens offline in a browser), evaluation.json (every number), per_vertex.npz (mean errors
-    of vertices), and the folder figures (SVG and PNG).
+    OUT receives report.html (opens offline in a browser), evaluation.json (every number),
+    per_vertex.npz (mean errors of vertices), and the folder figures (SVG and PNG).
     """
 
-    paths: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MODEL [MODEL …] DATASET")]
-    """Body models (npz, pkl, BlendSCAPE's npz, or "default"); last the registrations, as for `habitus train`."""
+    paths: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MODEL [MODEL …] DATASET")
+    ]
+    """Body models (npz, pkl, BlendSCAPE's npz, or "default"); last the registrations, as for
+    `habitus train`.
+    """
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     counts: Annotated[tuple[int, ...], tyro.conf.arg(metavar="K1 K2 …")] = COUNTS
@@ -42,24 +49,31 @@ class Evaluate:
     sex: Annotated[Literal["female", "male"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Only those of this sex."""
     clean: Annotated[Path | None, unset("DATASET")] = None
-    """The same registrations without noise, by the same names: errors are also reported against these."""
+    """The same registrations without noise, by the same names: errors are also reported against
+    these.
+    """
     plain: Flag = False
     """Measure each model without its pose blend shapes as well."""
     known: Flag = False
-    """Fit nothing: errors in the poses and shapes that the dataset tells, beside plain LBS and DQBS (known.json)."""
+    """Fit nothing: errors in the poses and shapes that the dataset tells, beside plain LBS and DQBS
+    (known.json).
+    """
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """How often run times are taken."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
+    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you
+    trust.
+    """
     threads: Annotated[int | None, unset("N")] = None
     """Threads to fit with; as many as there are cores, if not told."""
     quiet: Flag = False
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Evaluate, Evaluate.__doc__
+OPTIONS = Evaluate
+ABOUT = Evaluate.__doc__
 NEEDS = ("habitus.jobs.evaluate", "rich.progress", "numba.core.event")
 
 
@@ -71,7 +85,9 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
     console = console or screen(options.quiet)
     *models, dataset = options.paths or ("",)
     if not models:
-        raise HabitusError("expected one or more models, then a dataset; see habitus evaluate --help")
+        raise HabitusError(
+            "expected one or more models, then a dataset; see habitus evaluate --help"
+        )
     if options.known:
         _run_known(options, console, models, dataset)
         return
@@ -118,7 +134,9 @@ def known_table(found: "KnownEvaluation") -> "Table":
     """A row a model and group of people: errors, and how much of plain LBS's is gone."""
     from rich.table import Table
 
-    table = Table(title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations")
+    table = Table(
+        title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations"
+    )
     for heading in ("model", "people", "mean", "rms", "p95", "of plain LBS gone"):
         table.add_column(heading, justify="left" if heading in ("model", "people") else "right")
     for name, groups in found.models.items():
@@ -140,7 +158,10 @@ def summary(found: "Evaluation") -> "Table":
     lead = "" if found.shown is None else f", {found.shown} shape coefficients"
     table = Table(title=f"mean absolute vertex error, mm{lead}")
     kinds = ["noisy", "noise-free"] if found.clean is not None else [""]
-    for heading in ("model", *(f"{what} {kind}".strip() for what in ("model gen.", "pose gen.") for kind in kinds)):
+    for heading in (
+        "model",
+        *(f"{what} {kind}".strip() for what in ("model gen.", "pose gen.") for kind in kinds),
+    ):
         table.add_column(heading, justify="left" if heading == "model" else "right")
     for entry in found.models:
         cells = [text for curve in (entry.shape, entry.pose) for text in _errors(found, curve)]

@@ -26,12 +26,15 @@ class Exaggerate:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz|glb|FOLDER")]
     """Where the motion is written; a folder receives an OBJ a frame."""
     factor: Annotated[float, tyro.conf.arg(metavar="TIMES")] = 2.0
-    """How many times as far from its mean: 1.5 or 2 look natural, 4 seldom; 0 takes all of its motion away."""
+    """How many times as far from its mean: 1.5 or 2 look natural, 4 seldom; 0 takes all of its
+    motion away.
+    """
     body: Annotated[str | None, unset("FILE")] = None
     """The body model, where the file names none that comes along."""
 
 
-OPTIONS, ABOUT = Exaggerate, Exaggerate.__doc__
+OPTIONS = Exaggerate
+ABOUT = Exaggerate.__doc__
 NEEDS = ("habitus.jobs.motions",)
 
 
@@ -45,7 +48,11 @@ def run(options: Exaggerate, console: "Console | None" = None) -> None:
     if options.factor > USUAL:
         say(console, f"above {USUAL:g} bodies often look unnatural", "note")
     moved = 1e3 * skin_motion(found)
-    say(console, f"{found.num_frames} frames; soft tissue moves the skin by {moved:.1f} mm (RMS), {plain(options.out)}")
+    say(
+        console,
+        f"{found.num_frames} frames; soft tissue moves the skin by {moved:.1f} mm (RMS), "
+        f"{plain(options.out)}",
+    )
 
 
 def left(options: Exaggerate) -> str:

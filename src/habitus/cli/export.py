@@ -22,21 +22,23 @@ class Export:
 
     habitus export him.npz --to him.fbx --bake-correctives all      (him.npz: of habitus body)
 
-    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc: joints and markers;
-    .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names. `docs/exporting.md` says how programs take
-    them.
+    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
+    joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names.
+    `docs/exporting.md` says how programs take them.
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them; for a rig at rest a person's npz, or
-    neutral, female, male."""
+    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them; for a rig at rest
+    a person's npz, or neutral, female, male.
+    """
     to: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where it is written; the ending says in which format."""
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where they shall be others than the capture's."""
     bake_correctives: Annotated[str, tyro.conf.arg(metavar="auto|all|live:96|pca:16|none")] = "auto"
-    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many (live: that bones can
-    drive), or none."""
+    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many (live:
+    that bones can drive), or none.
+    """
     detail: Literal["full", "coarse"] = "full"
     """The mesh: the body's full level, or the one that was fitted."""
     frame: Annotated[int | None, unset("K")] = None
@@ -45,7 +47,8 @@ class Export:
     """The body model of the source, where it names none that comes along."""
 
 
-OPTIONS, ABOUT = Export, Export.__doc__
+OPTIONS = Export
+ABOUT = Export.__doc__
 NEEDS = ("habitus.jobs.exporting",)
 
 
@@ -66,9 +69,17 @@ def run(options: Export, console: "Console | None" = None) -> None:
     if found.morphs or found.worst:
         worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
         other = f", up to {1e3 * found.elsewhere:.2g} mm in other poses" if found.elsewhere else ""
-        say(console, f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex{other}", "note")
+        say(
+            console,
+            f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex{other}",
+            "note",
+        )
     if found.drivers is not None:
-        say(console, f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}", "note")
+        say(
+            console,
+            f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}",
+            "note",
+        )
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
     say(console, f"{found.frames} frames at {found.rate_hz:g} Hz{size}: {plain(found.path)}")
 

@@ -10,7 +10,9 @@ NOTICE = "habitus: compiling kernels for this machine, once: about 15 s"
 
 @contextmanager
 def told_of_compilation(quiet: bool = False) -> Iterator[None]:
-    """One line on stderr when a first kernel is compiled inside the block; later runs load kernels and say nothing."""
+    """One line on stderr when a first kernel is compiled inside the block; later runs load kernels
+    and say nothing.
+    """
     if quiet:
         yield
         return
@@ -21,7 +23,9 @@ def told_of_compilation(quiet: bool = False) -> Iterator[None]:
 
 
 def _once(stream: TextIO) -> object:
-    """Tells `stream`; on a terminal what stands in its place by then, so that a progress bar stays whole."""
+    """Tells `stream`; on a terminal what stands in its place by then, so that a progress bar stays
+    whole.
+    """
     from numba.core.event import Listener
 
     class Once(Listener):

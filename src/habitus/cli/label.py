@@ -15,11 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Label:
-    """Name the points of a capture that nobody labelled: *1, *2, …, broken trajectories, or wrong names.
+    """Name the points of a capture that nobody labelled: *1, *2, …, broken trajectories, or wrong
+    names.
 
-    What the file calls its points is not read. OUT is the file with the found labels, everything else as it was, points
-    without a likely label as *1, *2, …; beside it OUT's name with .labels.json says how sure each label is. For
-    instance: habitus label raw.c3d --like static_labelled.c3d --out labelled.c3d
+    What the file calls its points is not read. OUT is the file with the found labels, everything
+    else as it was, points without a likely label as *1, *2, …; beside it OUT's name with
+    .labels.json says how sure each label is. For instance: habitus label raw.c3d --like
+    static_labelled.c3d --out labelled.c3d
     """
 
     capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
@@ -27,13 +29,19 @@ class Label:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
     """Where the labelled capture is written."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
-    """Which markers there are; "auto" takes the shipped layout that fits best. With --like: of its labels."""
+    """Which markers there are; "auto" takes the shipped layout that fits best. With --like: of its
+    labels.
+    """
     like: Annotated[Path | None, unset("LABELLED.c3d")] = None
-    """A labelled capture of the same person with the same markers: tells shape and places, and is the surest way."""
+    """A labelled capture of the same person with the same markers: tells shape and places, and is
+    the surest way.
+    """
     sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
     """Labels less likely than this are left out."""
     people: Annotated[int, tyro.conf.arg(metavar="N")] = 1
-    """How many people are in the capture, all in the same markers; their labels begin with person1:, person2:, …"""
+    """How many people are in the capture, all in the same markers; their labels begin with
+    person1:, person2:, …
+    """
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model that labels are judged by."""
     rate: Annotated[float | None, unset("HZ")] = None
@@ -42,7 +50,8 @@ class Label:
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Label, Label.__doc__
+OPTIONS = Label
+ABOUT = Label.__doc__
 NEEDS = ("habitus.jobs.label", "numba.core.event")
 
 
@@ -64,7 +73,11 @@ def run(options: Label, console: "Console | None" = None) -> None:
         )
     for warning in found.source.warnings:
         say(console, warning, "warning:")
-    by = f"like {found.report['like']}" if "like" in found.report else f"layout {found.report['layout']}"
+    by = (
+        f"like {found.report['like']}"
+        if "like" in found.report
+        else f"layout {found.report['layout']}"
+    )
     say(console, f"{found.source.name}, {by}: {found.summary}")
     say(console, f"wrote {options.out}")
 

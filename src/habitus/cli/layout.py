@@ -21,7 +21,9 @@ from habitus.markers.matching import LayoutMatch
 
 @dataclass(frozen=True)
 class Show:
-    """List the marker layouts, show one marker by marker, or list the landmarks that markers can sit on."""
+    """List the marker layouts, show one marker by marker, or list the landmarks that markers can
+    sit on.
+    """
 
     layout: Annotated[str | None, tyro.conf.Positional, unset("NAME|FILE")] = None
     """A layout's name or file; without it, all layouts that come with habitus."""
@@ -33,7 +35,9 @@ class Show:
 
 @dataclass(frozen=True)
 class Check:
-    """Say how a layout (or "auto") fits a capture: labels, places, what the geometry says of them."""
+    """Say how a layout (or "auto") fits a capture: labels, places, what the geometry says of
+    them.
+    """
 
     layout: Annotated[str, tyro.conf.Positional]
     """A layout's name or file, or "auto" to choose by the capture's labels."""
@@ -47,7 +51,9 @@ class Check:
 
 @dataclass(frozen=True)
 class New:
-    """Start a layout file from a capture's labels: known ones filled in, unknown ones as TODO lines."""
+    """Start a layout file from a capture's labels: known ones filled in, unknown ones as TODO
+    lines.
+    """
 
     capture: Annotated[Path, tyro.conf.Positional]
     """The capture file."""
@@ -90,7 +96,7 @@ def left(options: Show | Check | New) -> str:
     return "nothing was written"
 
 
-# -- show -------------------------------------------------------------------------------------------------------------
+# -- show ------------------------------------------------------------------------------------------
 
 
 def _show_all(console: Console) -> None:
@@ -108,9 +114,15 @@ def _show_one(layout: MarkerLayout, console: Console) -> None:
         say(console, f"also known as {', '.join(layout.also_known_as)}")
     if layout.description:
         say(console, " ".join(layout.description.split()))
-    table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", "extra", "also spelled")
+    table = _table(
+        "label", "place", ">off skin mm", ">± mm", ">place ± mm", "extra", "also spelled"
+    )
     for marker in layout.markers:
-        table.add_row(*map(plain, _row(marker)), "yes" if marker.optional else "", plain(", ".join(marker.aliases)))
+        table.add_row(
+            *map(plain, _row(marker)),
+            "yes" if marker.optional else "",
+            plain(", ".join(marker.aliases)),
+        )
     console.print(table)
     for label, why in layout.left_out.items():
         console.print(f"{plain(label)} is left out: {plain(why)}", highlight=False)
@@ -126,12 +138,14 @@ def _row(marker: Marker) -> tuple[str, ...]:
 def _show_landmarks(body_name: str, console: Console) -> None:
     body = _body(body_name)
     midline = sorted(name for name in body.landmarks if not name.startswith(("left_", "right_")))
-    pairs = sorted(name.removeprefix("left_") for name in body.landmarks if name.startswith("left_"))
+    pairs = sorted(
+        name.removeprefix("left_") for name in body.landmarks if name.startswith("left_")
+    )
     console.print(f"[bold]midline[/]: {', '.join(midline)}", highlight=False)
     console.print(f"[bold]left_… and right_…[/]: {', '.join(pairs)}", highlight=False)
 
 
-# -- check ------------------------------------------------------------------------------------------------------------
+# -- check -----------------------------------------------------------------------------------------
 
 
 def _check(options: Check, console: Console) -> None:
@@ -140,7 +154,8 @@ def _check(options: Check, console: Console) -> None:
     match = match_layout(capture.labels, capture.markers, given)
     vertices = match.layout.vertices(_body(options.body))
     console.print(
-        f"[bold]{plain(capture.name)}[/] with [bold]{plain(match.layout.name)}[/]: {len(match.matched)} of "
+        f"[bold]{plain(capture.name)}[/] with [bold]{plain(match.layout.name)}[/]: "
+        f"{len(match.matched)} of "
         f"{len(capture.labels)} labels matched, confidence {match.confidence:.2f}",
         highlight=False,
     )
@@ -149,12 +164,19 @@ def _check(options: Check, console: Console) -> None:
         reason = match.left_out.get(label, "not in the layout")
         console.print(f"not used: {plain(label)} ({plain(reason)})", highlight=False)
     if match.missing_labels:
-        console.print(f"not in the capture: {plain(', '.join(match.missing_labels))}", highlight=False)
+        console.print(
+            f"not in the capture: {plain(', '.join(match.missing_labels))}", highlight=False
+        )
     for correction in match.corrections:
-        console.print(f"{'' if correction.quiet else '[yellow]warning[/]: '}{plain(correction.text)}", highlight=False)
+        console.print(
+            f"{'' if correction.quiet else '[yellow]warning[/]: '}{plain(correction.text)}",
+            highlight=False,
+        )
 
 
-def _print_matched(capture: Capture, match: LayoutMatch, vertices: np.ndarray, console: Console) -> None:
+def _print_matched(
+    capture: Capture, match: LayoutMatch, vertices: np.ndarray, console: Console
+) -> None:
     table = _table("label", "place", ">off skin mm", ">± mm", ">place ± mm", ">vertex", ">seen")
     seen = np.isfinite(match.select(capture.markers)[..., 0]).mean(axis=0)
     for marker, vertex, share in zip(match.layout.markers, vertices, seen, strict=True):
@@ -162,12 +184,14 @@ def _print_matched(capture: Capture, match: LayoutMatch, vertices: np.ndarray, c
     console.print(table)
 
 
-# -- new --------------------------------------------------------------------------------------------------------------
+# -- new -------------------------------------------------------------------------------------------
 
 
 def _new(options: New, console: Console) -> None:
     if options.out.suffix.lower() != ".toml":
-        raise HabitusError(f"cannot write a layout to {options.out}: expected a file name that ends in .toml")
+        raise HabitusError(
+            f"cannot write a layout to {options.out}: expected a file name that ends in .toml"
+        )
     if options.out.exists() and not options.overwrite:
         raise HabitusError(f"{options.out} exists; choose another name or add --overwrite")
     capture = read_capture(options.capture, options.subject)
@@ -175,10 +199,13 @@ def _new(options: New, console: Console) -> None:
     text = draft_layout(name, capture.name, capture.labels, capture.markers, shipped_layouts())
     write_text(options.out, text)
     todo = sum(line.startswith("# TODO ") for line in text.splitlines())
-    console.print(f"wrote {plain(str(options.out))}: {len(capture.labels)} labels, {todo} to do", highlight=False)
+    console.print(
+        f"wrote {plain(str(options.out))}: {len(capture.labels)} labels, {todo} to do",
+        highlight=False,
+    )
 
 
-# -- helpers ----------------------------------------------------------------------------------------------------------
+# -- helpers ---------------------------------------------------------------------------------------
 
 
 def _body(name: str):
@@ -191,5 +218,9 @@ def _table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in columns:
         right = column.startswith(">")
-        table.add_column(column.lstrip(">"), justify="right" if right else "left", no_wrap=right or column == "name")
+        table.add_column(
+            column.lstrip(">"),
+            justify="right" if right else "left",
+            no_wrap=right or column == "name",
+        )
     return table

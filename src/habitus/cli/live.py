@@ -15,15 +15,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Live:
-    """Follow one person through a live stream of markers: shape from the first seconds, then pose frame by frame.
+    """Follow one person through a live stream of markers: shape from the first seconds, then pose
+    frame by frame.
 
-    A line a second says how it goes; what is lost, leaves, returns or is relabelled is said. Ctrl-C ends it, and OUT
-    then holds all that was followed. For instance: habitus live --source natnet 192.168.1.5 --view --send vmc
+    A line a second says how it goes; what is lost, leaves, returns or is relabelled is said. Ctrl-C
+    ends it, and OUT
+    then holds all that was followed. For instance: habitus live --source natnet 192.168.1.5 --view
+    --send vmc
     --out take.npz
     """
 
     source: Literal["replay", "natnet", "qtm"]
-    """Where frames come from: a capture file played as a stream, OptiTrack's Motive, Qualisys Track Manager."""
+    """Where frames come from: a capture file played as a stream, OptiTrack's Motive, Qualisys Track
+    Manager.
+    """
     address: Annotated[str | None, tyro.conf.Positional, unset("FILE|HOST[:PORT]")] = None
     """The file to play, or the computer that streams; this one without."""
     out: Annotated[Path | None, unset("FILE.npz|FILE.glb|DIR")] = None
@@ -39,7 +44,9 @@ class Live:
     gender: Literal["neutral", "female", "male"] = "neutral"
     """Which model of the body."""
     rate: Annotated[float | None, unset("HZ")] = None
-    """How fast a file is played, 0 for as fast as it can be followed; or the rate of a stream that tells it wrong."""
+    """How fast a file is played, 0 for as fast as it can be followed; or the rate of a stream that
+    tells it wrong.
+    """
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
     """How long frames are gathered to find the shape; move meanwhile."""
     stop_after: Annotated[float | None, unset("S")] = None
@@ -49,12 +56,15 @@ class Live:
     port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
     """Of the page that --view serves."""
     send: Annotated[tuple[str, ...], unset("osc|vmc[=HOST[:PORT]] …")] = ()
-    """Send joint rotations on: osc (this project's messages, to port 9000), vmc (avatars, to port 39539)."""
+    """Send joint rotations on: osc (this project's messages, to port 9000), vmc (avatars, to port
+    39539).
+    """
     quiet: Flag = False
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Live, Live.__doc__
+OPTIONS = Live
+ABOUT = Live.__doc__
 NEEDS = ("habitus.jobs.live", "numba.core.event")
 
 
@@ -64,7 +74,9 @@ def run(options: Live, console: "Console | None" = None) -> None:
     from habitus.jobs.live_sinks import sinks
 
     console = console or screen(options.quiet)
-    made = sinks(options.send, options.port if options.view else None, lambda text: say(console, text))
+    made = sinks(
+        options.send, options.port if options.view else None, lambda text: say(console, text)
+    )
     with told_of_compilation(options.quiet):
         fit = live(
             options.source,

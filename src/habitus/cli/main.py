@@ -12,19 +12,28 @@ from habitus.errors import HabitusError, TorchIsAnExtra, shown
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
-    "archive": "Fit every capture below a folder, in parallel, and go on where a run stopped: page and table of all.",
-    "label": "Name the points of a capture that nobody labelled, by a layout or by a labelled capture.",
-    "live": "Follow one person through a live stream of markers: a viewer, OSC and VMC, a result at the end.",
-    "register": "Register scans of people to a body: surfaces in its topology, to train with and to measure.",
-    "rgbd": "Find a person's body in the images of a depth camera: shape, pose, light, albedo, measurements.",
-    "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture of the tapes.",
+    "archive": "Fit every capture below a folder, in parallel, and go on where a run stopped: "
+    "page and table of all.",
+    "label": "Name the points of a capture that nobody labelled, by a layout or by a labelled "
+    "capture.",
+    "live": "Follow one person through a live stream of markers: a viewer, OSC and VMC, a result "
+    "at the end.",
+    "register": "Register scans of people to a body: surfaces in its topology, to train with and "
+    "to measure.",
+    "rgbd": "Find a person's body in the images of a depth camera: shape, pose, light, albedo, "
+    "measurements.",
+    "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture "
+    "of the tapes.",
     "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
     "compare": "Compare two results of one capture: two fits, or those of two tools, on one page.",
     "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
-    "retarget": "Put another body or a character into the motion of a fit, its feet where they stood.",
-    "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, MOT.",
+    "retarget": "Put another body or a character into the motion of a fit, its feet where they "
+    "stood.",
+    "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, "
+    "MOT.",
     "view": "Show bodies, results, motions and scans in the browser.",
-    "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from its fit.",
+    "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from "
+    "its fit.",
     "select-markers": "Choose the markers that tell a body best, for a goal of yours.",
     "select-poses": "Choose the poses that tell a person's shape best.",
     "layout": "Show marker layouts, hold one against a capture, start a new one.",
@@ -39,7 +48,8 @@ PIPE_CLOSED = 141
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; bad input gives one clear line and exit code 2, Ctrl-C leaves what is finished.
+    """Run the command line; bad input gives one clear line and exit code 2, Ctrl-C leaves what is
+    finished.
 
     ``-v`` anywhere shows where an error was raised.
     """
@@ -67,7 +77,9 @@ def main(arguments: list[str] | None = None) -> None:
 
 @contextmanager
 def _writes_anything() -> Iterator[None]:
-    """What the terminal's encoding does not hold is written as an escape; what was written is out at the end."""
+    """What the terminal's encoding does not hold is written as an escape; what was written is out
+    at the end.
+    """
     for stream in (sys.stdout, sys.stderr):
         with suppress(AttributeError, ValueError):
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -98,7 +110,8 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
     try:
         with TorchIsAnExtra(f"habitus {name}"):
             command, options = _parsed(name, arguments)
-            stop.left, stop.begun = lambda: command.left(options), True
+            stop.left = lambda: command.left(options)
+            stop.begun = True
             return command.run(options) or 0
     except HabitusError as error:
         if verbose:
@@ -123,7 +136,9 @@ def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
     command = import_module(f"habitus.cli.{name.replace('-', '_')}")
     config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     prog = f"habitus {name}"
-    options = tyro.cli(command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config)
+    options = tyro.cli(
+        command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config
+    )
     for module in command.NEEDS:
         import_module(module)
     return command, options

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Markers:
-    """Write the markers that a body in motion would have shown, or a capture with its gaps filled from its fit.
+    """Write the markers that a body in motion would have shown, or a capture with its gaps filled
+    from its fit.
 
     habitus markers results/walk/body.npz --layout mosh-67 --out walk67.c3d
 
@@ -35,7 +36,9 @@ class Markers:
     layout: Annotated[str | None, unset("NAME|FILE")] = None
     """Which markers; by itself the fit's own, at the places that were found for them."""
     fill: Annotated[Path | None, unset("CAPTURE")] = None
-    """The capture that was fitted: it is written with its gaps filled, and a table of them beside it."""
+    """The capture that was fitted: it is written with its gaps filled, and a table of them beside
+    it.
+    """
     noise: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
     """Of every sample, each coordinate, standard deviation."""
     placement: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
@@ -48,7 +51,8 @@ class Markers:
     """The body model, where the file names none that comes along."""
 
 
-OPTIONS, ABOUT = Markers, Markers.__doc__
+OPTIONS = Markers
+ABOUT = Markers.__doc__
 NEEDS = ("habitus.jobs.virtual_markers",)
 
 
@@ -62,11 +66,20 @@ def run(options: Markers, console: "Console | None" = None) -> None:
 
     faults = _faults(options)
     found = virtual_markers(
-        options.source, options.layout, faults=faults, seed=options.seed, body=options.body, out=options.out
+        options.source,
+        options.layout,
+        faults=faults,
+        seed=options.seed,
+        body=options.body,
+        out=options.out,
     )
     frames, markers = found.markers.shape[:2]
     say(console, found.warnings[0], "note")
-    say(console, f"{frames} frames of {markers} virtual markers at {found.rate_hz:g} Hz, {plain(options.out)}")
+    say(
+        console,
+        f"{frames} frames of {markers} virtual markers at {found.rate_hz:g} Hz, "
+        f"{plain(options.out)}",
+    )
 
 
 def _faults(options: Markers) -> "Faults":
@@ -75,8 +88,12 @@ def _faults(options: Markers) -> "Faults":
     for name in ("noise", "placement", "missing"):
         most = 1.0 if name == "missing" else 1e3
         if not 0 <= getattr(options, name) < most:
-            raise HabitusError(f"--{name} {getattr(options, name):g}; expected 0 or more, below {most:g}")
-    return Faults(placement=1e-3 * options.placement, noise=1e-3 * options.noise, missing=options.missing)
+            raise HabitusError(
+                f"--{name} {getattr(options, name):g}; expected 0 or more, below {most:g}"
+            )
+    return Faults(
+        placement=1e-3 * options.placement, noise=1e-3 * options.noise, missing=options.missing
+    )
 
 
 def _fill(options: Markers, console: "Console") -> None:
@@ -84,21 +101,30 @@ def _fill(options: Markers, console: "Console") -> None:
 
     if options.layout or options.noise or options.placement or options.missing:
         raise HabitusError(
-            "--fill writes the capture's own markers; leave --layout, --noise, --placement, --missing out"
+            "--fill writes the capture's own markers; leave --layout, --noise, --placement, "
+            "--missing out"
         )
     assert options.fill is not None
     found = fill_capture(options.source, options.fill, options.out, body=options.body)
     for line in _told(found):
         say(console, line, "note")
     filled = int(found.filling.filled.sum())
-    say(console, f"{filled} samples filled, {plain(options.out)}; every gap is in {plain(options.out)}.filled.csv")
+    say(
+        console,
+        f"{filled} samples filled, {plain(options.out)}; every gap is in "
+        f"{plain(options.out)}.filled.csv",
+    )
 
 
 def _told(found: "FilledCapture") -> list[str]:
     """What was not filled, a line a marker and reason."""
     gaps = found.filling.gaps
-    counts, whole = Counter((gap.label, gap.why) for gap in gaps if gap.why), Counter(gap.label for gap in gaps)
-    return [f"{label}: {n} of {whole[label]} gaps stay empty: {why}" for (label, why), n in counts.items()]
+    counts = Counter((gap.label, gap.why) for gap in gaps if gap.why)
+    whole = Counter(gap.label for gap in gaps)
+    return [
+        f"{label}: {n} of {whole[label]} gaps stay empty: {why}"
+        for (label, why), n in counts.items()
+    ]
 
 
 def left(options: Markers) -> str:

@@ -14,14 +14,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure a person: height, mass, circumferences, breadths, depths and lengths, under the field's names.
+    """Measure a person: height, mass, circumferences, breadths, depths and lengths, under the
+    field's names.
 
-    The person stands upright at rest, whatever pose the file has; a mesh must be at rest. `docs/measurements.md` says
-    what each is.
+    The person stands upright at rest, whatever pose the file has; a mesh must be at rest.
+    `docs/measurements.md` says what each is.
     """
 
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|default")]
-    """A fit's body.npz, a body model (npz, pkl, "default"), or a mesh (ply, obj) in metres, y up."""
+    """A fit's body.npz, a body model (npz, pkl, "default"), or a mesh (ply, obj) in metres, y up.
+    """
     body: Annotated[str | None, unset("NAME|FILE")] = None
     """The body that betas or mesh belong to, where the file does not say it."""
     out: Annotated[Path | None, unset("FILE.json|csv")] = None
@@ -30,7 +32,8 @@ class Measure:
     """Where the person is drawn with every tape."""
 
 
-OPTIONS, ABOUT = Measure, Measure.__doc__
+OPTIONS = Measure
+ABOUT = Measure.__doc__
 NEEDS = ("habitus.jobs.measuring",)
 
 
@@ -45,7 +48,9 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     found = measure_file(options.source, options.body)
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "what", "ISO"):
-        table.add_column(heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what")
+        table.add_column(
+            heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what"
+        )
     for name, value in found.values.items():
         said = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
         table.add_row(name, said, DEFINITIONS[name].says, DEFINITIONS[name].iso)

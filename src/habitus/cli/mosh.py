@@ -20,34 +20,48 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Mosh:
-    """Fit a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat.
+    """Fit a body to motion captures: shape, pose in every frame, soft tissue, and where each marker
+    sat.
 
-    Several files are one subject. Of a folder every capture below it is fitted; those in one folder that name the same
-    subject and have their markers at the same places are one subject. For each, OUT/<capture's name>/ receives body.npz
-    (AMASS keys), body.glb (animated mesh), metrics.json and report.html (opens offline in a browser). Of several
-    captures a bad one is told and left behind; the exit code is then 1.
+    Several files are one subject. Of a folder every capture below it is fitted; those in one folder
+    that name the same subject and have their markers at the same places are one subject. For each,
+    OUT/<capture's name>/ receives body.npz (AMASS keys), body.glb (animated mesh), metrics.json and
+    report.html (opens offline in a browser). Of several captures a bad one is told and left behind;
+    the exit code is then 1.
     """
 
-    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, unset("CAPTURE|FOLDER [CAPTURE|FOLDER …]")]
+    captures: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, unset("CAPTURE|FOLDER [CAPTURE|FOLDER …]")
+    ]
     """C3D, TRC, Motive CSV, QTM TSV or npz files of one subject; or folders."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|discover|NAME|FILE")] = "auto"
-    """Which marker sits where; "auto" picks a layout by the capture's labels, "discover" finds the places of labels
-    that nobody wrote down by fitting, and writes layout.toml."""
+    """Which marker sits where; "auto" picks a layout by the capture's labels, "discover" finds the
+    places of labels that nobody wrote down by fitting, and writes layout.toml.
+    """
     label: Literal["given", "auto"] = "given"
-    """Whose labels: the file's, or "auto": found, whatever the file calls its points (see habitus label)."""
+    """Whose labels: the file's, or "auto": found, whatever the file calls its points (see habitus
+    label).
+    """
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
     gender: Literal["neutral", "female", "male", "auto"] = "neutral"
-    """Which model of the body; "auto" fits the neutral one first and takes the sex that it is sure of."""
+    """Which model of the body; "auto" fits the neutral one first and takes the sex that it is sure
+    of.
+    """
     age: Annotated[str | None, unset("YEARS|auto")] = None
-    """How old the person is, 5 to 80; "auto" takes what the capture's file says. A grown person without it."""
+    """How old the person is, 5 to 80; "auto" takes what the capture's file says. A grown person
+    without it.
+    """
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
-    """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers where markers sit on
-    them."""
+    """Which joints it has: 24, 52 with fingers, 55 with jaw and eyes, too; "auto" takes fingers
+    where markers sit on them.
+    """
     soft_tissue: Literal["shape", "dynamics", "both"] = "shape"
-    """What soft tissue moves along in the last stage: directions of shape, the body's dynamic blend shapes, or both."""
+    """What soft tissue moves along in the last stage: directions of shape, the body's dynamic blend
+    shapes, or both.
+    """
     no_soft_tissue: Flag = False
     """Stop after the pose stage."""
     causal: Flag = False
@@ -57,8 +71,9 @@ class Mosh:
     hold_out_every: Annotated[int | None, unset("K")] = None
     """Do so for every marker, one in K at a time (K further fits)."""
     places_from: Annotated[tuple[Path, ...], unset("CAPTURE …")] = ()
-    """Other captures of the same person and markers: report the held-out markers' error also at the places that these
-    tell."""
+    """Other captures of the same person and markers: report the held-out markers' error also at the
+    places that these tell.
+    """
     subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where a capture holds several; otherwise each is fitted by itself."""
     rate: Annotated[float | None, unset("HZ")] = None
@@ -75,13 +90,14 @@ class Mosh:
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Mosh, Mosh.__doc__
+OPTIONS = Mosh
+ABOUT = Mosh.__doc__
 NEEDS = ("habitus.jobs.batch", "habitus.cli.mosh_results", "rich.progress", "numba.core.event")
 
 
 def run(options: Mosh, console: "Console | None" = None) -> int:
-    """Do what the options say; 1 where one of several captures failed, 3 under ``strict`` where a fit failed by its
-    verdict. Raises HabitusError for bad input.
+    """Do what the options say; 1 where one of several captures failed, 3 under ``strict`` where a
+    fit failed by its verdict. Raises HabitusError for bad input.
     """
     from habitus.cli.mosh_results import closing, exit_code, show, tell
 
@@ -106,7 +122,9 @@ def run(options: Mosh, console: "Console | None" = None) -> int:
     return exit_code(outcomes, options.strict)
 
 
-def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None]") -> "list[Outcome]":
+def _fit(
+    options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None]"
+) -> "list[Outcome]":
     from habitus.jobs.batch import FitOptions, fit_all
     from habitus.jobs.mosh import Mosh as Recipe
 
@@ -122,8 +140,22 @@ def _fit(options: Mosh, progress: "Progress", on_done: "Callable[[Outcome], None
         age=options.age,
         label=options.label,
     )
-    asked = FitOptions(options.hold_out, options.hold_out_every, options.obj, options.npz_style, options.places_from)
-    return fit_all(recipe, options.captures, options.out, options.body, asked, progress=progress, on_done=on_done)
+    asked = FitOptions(
+        options.hold_out,
+        options.hold_out_every,
+        options.obj,
+        options.npz_style,
+        options.places_from,
+    )
+    return fit_all(
+        recipe,
+        options.captures,
+        options.out,
+        options.body,
+        asked,
+        progress=progress,
+        on_done=on_done,
+    )
 
 
 def left(options: Mosh) -> str:

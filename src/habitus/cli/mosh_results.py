@@ -1,4 +1,6 @@
-"""How `habitus mosh` tells what became of captures: a line each in a pipe, a table on a terminal."""
+"""How `habitus mosh` tells what became of captures: a line each in a pipe, a table on a
+terminal.
+"""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -20,7 +22,9 @@ _COLOURS = {"good": "green", "doubtful": "yellow", "failed": "red"}
 
 
 def tell(outcome: "Outcome", console: "Console") -> None:
-    """Notes, why a fit is not good and, in a pipe, the result in one line; on stderr why there is none."""
+    """Notes, why a fit is not good and, in a pipe, the result in one line; on stderr why there is
+    none.
+    """
     for warning in outcome.numbers.get("warnings", ()):
         say(console, f"{outcome.name}: {warning}", mark="note")
     if verdict(outcome.numbers) not in ("", "good"):
@@ -49,29 +53,42 @@ def result_line(outcome: "Outcome") -> str:
 
 
 def show(outcomes: Sequence["Outcome"], console: "Console") -> None:
-    """The results as a table where the terminal is wide enough for it, else in a few lines each; nothing is cut."""
+    """The results as a table where the terminal is wide enough for it, else in a few lines each;
+    nothing is cut.
+    """
     done = [list(_facts(outcome)) for outcome in outcomes if outcome.folder is not None]
     if not done:
         return
-    kept = [k for k, column in enumerate(zip(*done, strict=True)) if any(fact.text for fact in column)]
+    kept = [
+        k for k, column in enumerate(zip(*done, strict=True)) if any(fact.text for fact in column)
+    ]
     table = Table(box=None, pad_edge=False)
     for fact in (done[0][k] for k in kept):
         heading = f"{fact.heading} {fact.unit}".strip()
-        table.add_column(heading, justify="left" if fact.heading in _WORDS else "right", no_wrap=True)
+        table.add_column(
+            heading, justify="left" if fact.heading in _WORDS else "right", no_wrap=True
+        )
     for facts in done:
         table.add_row(*(_coloured(facts[k]) for k in kept))
-    if console.measure(table, options=console.options.update(width=1 << 16)).maximum <= console.width:
+    if (
+        console.measure(table, options=console.options.update(width=1 << 16)).maximum
+        <= console.width
+    ):
         console.print(table)
         return
     for name, *facts, page in done:
         console.print(f"[bold]{plain(name.text)}[/]", soft_wrap=True, highlight=False)
-        told = (f"{fact.heading} {_coloured(fact)} {fact.unit}".strip() for fact in facts if fact.text)
+        told = (
+            f"{fact.heading} {_coloured(fact)} {fact.unit}".strip() for fact in facts if fact.text
+        )
         console.print(f"  {', '.join(told)}", overflow="fold", highlight=False)
         say(console, f"  {page.text}")
 
 
 class _Fact(NamedTuple):
-    """What is said of a capture in the table's column of that heading; the text is empty where there is nothing."""
+    """What is said of a capture in the table's column of that heading; the text is empty where
+    there is nothing.
+    """
 
     heading: str
     text: str
@@ -79,8 +96,10 @@ class _Fact(NamedTuple):
 
 
 def _facts(outcome: "Outcome") -> Iterator[_Fact]:
-    numbers, body = outcome.numbers, outcome.numbers["body_measurements"]
-    errors, held = _errors(numbers), _last(numbers.get("held_out_error_mm") or {})
+    numbers = outcome.numbers
+    body = outcome.numbers["body_measurements"]
+    errors = _errors(numbers)
+    held = _last(numbers.get("held_out_error_mm") or {})
     yield _Fact("capture", outcome.name)
     yield _Fact("verdict", verdict(numbers))
     yield _Fact("frames", str(numbers["frames"]))
@@ -115,7 +134,9 @@ def closing(outcomes: Sequence["Outcome"], out: Path) -> str:
 
 
 def exit_code(outcomes: Sequence["Outcome"], strict: bool = False) -> int:
-    """1 where a capture could not be fitted, else 0; if ``strict``, 3 where a fit has failed by its verdict."""
+    """1 where a capture could not be fitted, else 0; if ``strict``, 3 where a fit has failed by its
+    verdict.
+    """
     if strict and any(verdict(outcome.numbers) == "failed" for outcome in outcomes):
         return FAILED_FIT
     return int(any(outcome.failed for outcome in outcomes))

@@ -22,9 +22,10 @@ class Register:
 
     habitus register front.ply back.ply --out results/anna
 
-    Meshes or clouds of points, of any unit and orientation, with holes, noise, a floor. Of each scan OUT/<name>/
-    receives body.npz, surface.ply, surface.glb, model.ply, rest.ply (which `habitus measure` reads), metrics.json and
-    report.html; OUT/registrations.npz is what `habitus train` reads. `docs/registering-scans.md` tells how to scan.
+    Meshes or clouds of points, of any unit and orientation, with holes, noise, a floor. Of each
+    scan OUT/<name>/ receives body.npz, surface.ply, surface.glb, model.ply, rest.ply (which
+    `habitus measure` reads), metrics.json and report.html; OUT/registrations.npz is what `habitus
+    train` reads. `docs/registering-scans.md` tells how to scan.
     """
 
     scans: Annotated[tuple[Path, ...], tyro.conf.Positional, unset("SCAN|FOLDER [SCAN|FOLDER …]")]
@@ -32,7 +33,9 @@ class Register:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     body: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "default"
-    """Whose topology surfaces get: female, male, neutral, a file, or default: of these the one that fits best."""
+    """Whose topology surfaces get: female, male, neutral, a file, or default: of these the one that
+    fits best.
+    """
     age: Annotated[float | None, unset("YEARS")] = None
     """How old the person is, 5 to 80; a grown person without it."""
     sex: Annotated[Literal["female", "male"] | None, unset("female|male")] = None
@@ -53,17 +56,22 @@ class Register:
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = Register, Register.__doc__
+OPTIONS = Register
+ABOUT = Register.__doc__
 NEEDS = ("habitus.jobs.register", "rich.progress", "numba.core.event")
 
 
 def run(options: Register, console: "Console | None" = None) -> int:
-    """Do what the options say; 3 under ``strict`` where a fit failed by its verdict. Raises HabitusError."""
+    """Do what the options say; 3 under ``strict`` where a fit failed by its verdict. Raises
+    HabitusError.
+    """
     from habitus.errors import HabitusError
     from habitus.jobs.register import register_scans
 
     if options.separate and options.sequence:
-        raise HabitusError("--separate and --sequence were given; expected one: a sequence is of one person")
+        raise HabitusError(
+            "--separate and --sequence were given; expected one: a sequence is of one person"
+        )
     console = console or screen(options.quiet)
     with told_of_compilation(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
@@ -78,7 +86,9 @@ def run(options: Register, console: "Console | None" = None) -> int:
             age=options.age,
             sex=options.sex or "",
             texture=options.texture,
-            progress=lambda stage, share: bar.update(task, description=shown(stage), completed=share),
+            progress=lambda stage, share: bar.update(
+                task, description=shown(stage), completed=share
+            ),
         )
     for fit in fits:
         _tell(fit, console)
@@ -94,7 +104,8 @@ def _tell(fit: "ScanFit", console: "Console") -> None:
     tall = "" if height is None else f", {height:.2f} m tall"
     say(
         console,
-        f"{fit.scan_name}: {fit.verdict.level}; scan to surface {median:.2f} mm (median), {p95:.1f} mm (95 %), "
+        f"{fit.scan_name}: {fit.verdict.level}; scan to surface {median:.2f} mm (median), "
+        f"{p95:.1f} mm (95 %), "
         f"{100 * fit.seen:.0f} % of the body seen{tall}",
     )
     for reason in fit.verdict.reasons:
@@ -102,7 +113,8 @@ def _tell(fit: "ScanFit", console: "Console") -> None:
     if fit.colours is not None:
         say(
             console,
-            f"colours differ from other scans' by {fit.colours.before:.3f} before and {fit.colours.after:.3f} after "
+            f"colours differ from other scans' by {fit.colours.before:.3f} before and "
+            f"{fit.colours.after:.3f} after "
             f"the surface slid by {1e3 * fit.colours.slid:.2f} mm (log of linear light)",
         )
     for note in fit.notes:

@@ -26,14 +26,17 @@ class Retarget:
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
     """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
     to: Annotated[str, tyro.conf.arg(metavar="FILE|BETAS|NAME")]
-    """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral, female, male."""
+    """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
+    female, male.
+    """
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz|glb|FOLDER")]
     """Where the motion is written; a folder receives an OBJ a frame."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names none that comes along."""
 
 
-OPTIONS, ABOUT = Retarget, Retarget.__doc__
+OPTIONS = Retarget
+ABOUT = Retarget.__doc__
 NEEDS = ("habitus.jobs.motions",)
 
 
@@ -53,7 +56,11 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
             "note",
         )
     say(console, f"lowest point {below[2]:.0f} mm from the ground (source {below[0]:.0f})", "note")
-    say(console, f"{found.motion.num_frames} frames of {plain(found.motion.body_name)}, {plain(options.out)}")
+    say(
+        console,
+        f"{found.motion.num_frames} frames of {plain(found.motion.body_name)}, "
+        f"{plain(options.out)}",
+    )
 
 
 def left(options: Retarget) -> str:

@@ -14,14 +14,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Rgbd:
-    """Find a person's body in the images of a depth camera: one view or several, with colour or without.
+    """Find a person's body in the images of a depth camera: one view or several, with colour or
+    without.
 
     habitus rgbd views --out results
 
     habitus rgbd views --out results --turns 0 45 --body female
 
-    The folder holds depth images of 16 bits, the cameras' intrinsics and, as far as there are, colour images and a shot
-    of the empty room. `docs/rgbd.md` says how to capture, and which folders and names are understood.
+    The folder holds depth images of 16 bits, the cameras' intrinsics and, as far as there are,
+    colour images and a shot of the empty room. `docs/rgbd.md` says how to capture, and which
+    folders and names are understood.
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
@@ -29,9 +31,12 @@ class Rgbd:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where body.npz, body.glb, measurements.csv, metrics.json and report.html go."""
     body: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "default"
-    """The body to fit: female, male, neutral, a model's file, or default: women's or men's, as the views say."""
+    """The body to fit: female, male, neutral, a model's file, or default: women's or men's, as the
+    views say.
+    """
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES …")] = ()
-    """How far the person was turned in each view, to their left; found by trying where not given."""
+    """How far the person was turned in each view, to their left; found by trying where not given.
+    """
     views: Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBERS")] = ()
     """Which views to use, counted from 0; all, up to 12, where not given."""
     depth_unit: Annotated[float | None, unset("METRES")] = None
@@ -41,12 +46,15 @@ class Rgbd:
     age: Annotated[float | None, unset("YEARS")] = None
     """The person's age, for a child's body."""
     clothes: Annotated[float | None, unset("MM")] = None
-    """How thick tight clothes are on trunk and thighs, which is taken off the skin: 1 where not given, 0 without."""
+    """How thick tight clothes are on trunk and thighs, which is taken off the skin: 1 where not
+    given, 0 without.
+    """
     hair: Annotated[float | None, unset("MM")] = None
     """How thick hair and cap are, which is taken off the head: 3 where not given."""
 
 
-OPTIONS, ABOUT = Rgbd, Rgbd.__doc__
+OPTIONS = Rgbd
+ABOUT = Rgbd.__doc__
 NEEDS = ("habitus.jobs.rgbd",)
 
 
@@ -73,7 +81,9 @@ def run(options: Rgbd, console: "Console | None" = None) -> None:
     say(console, str(fit.verdict))
     girths = ("height_m", "chest_circumference_m", "waist_circumference_m", "hip_circumference_m")
     told = [
-        f"{name.split('_')[0]} {100 * fit.measurements[name]:.1f} cm" for name in girths if name in fit.measurements
+        f"{name.split('_')[0]} {100 * fit.measurements[name]:.1f} cm"
+        for name in girths
+        if name in fit.measurements
     ]
     if told:
         say(console, ", ".join(told))

@@ -1,4 +1,6 @@
-"""What commands say: text from files as it may be shown, lines that no pipe wraps, help without noise."""
+"""What commands say: text from files as it may be shown, lines that no pipe wraps, help without
+noise.
+"""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +23,9 @@ def unset(metavar: str) -> object:
 
 
 def screen(quiet: bool = False) -> "Console":
-    """Where a command prints: a terminal, or a pipe or file, where lines are as long as they are."""
+    """Where a command prints: a terminal, or a pipe or file, where lines are as long as they
+    are.
+    """
     import sys
 
     from rich.console import Console
@@ -34,10 +38,16 @@ def screen(quiet: bool = False) -> "Console":
 
 
 def progress_bar(console: "Console", patience: float | None = None) -> "Progress":
-    """A bar on a terminal, nothing in a pipe; with the time left where steps take turns within ``patience`` seconds."""
+    """A bar on a terminal, nothing in a pipe; with the time left where steps take turns within
+    ``patience`` seconds.
+    """
     from rich import progress as rich
 
-    columns = [rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.TimeElapsedColumn()]
+    columns = [
+        rich.TextColumn("{task.description}", markup=False),
+        rich.BarColumn(),
+        rich.TimeElapsedColumn(),
+    ]
     if patience is not None:
         columns += [rich.TaskProgressColumn(), rich.TextColumn("left"), rich.TimeRemainingColumn()]
     return rich.Progress(
@@ -50,7 +60,9 @@ def progress_bar(console: "Console", patience: float | None = None) -> "Progress
 
 
 def say(console: "Console", text: str, mark: str = "") -> None:
-    """One line, whatever the text holds: control characters as escapes, no markup; ``mark`` is a word before it."""
+    """One line, whatever the text holds: control characters as escapes, no markup; ``mark`` is a
+    word before it.
+    """
     from rich.text import Text
 
     line = Text.assemble((f"{mark} ", "yellow") if mark else "", shown(text, _ENDLESS))

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SelectMarkers:
-    """Choose markers: from a set they go, or come, one by one, each the one that matters least, or most.
+    """Choose markers: from a set they go, or come, one by one, each the one that matters least, or
+    most.
 
     habitus select-markers --from 114 --start 47 --out selection
 
-    Sets are judged on posed people that the body has not seen. `docs/selecting-markers.md` tells how.
+    Sets are judged on posed people that the body has not seen. `docs/selecting-markers.md` tells
+    how.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -45,7 +47,8 @@ class SelectMarkers:
     """Of the people."""
 
 
-OPTIONS, ABOUT = SelectMarkers, SelectMarkers.__doc__
+OPTIONS = SelectMarkers
+ABOUT = SelectMarkers.__doc__
 NEEDS = ("habitus.jobs.selection",)
 
 
@@ -78,8 +81,16 @@ def run(options: SelectMarkers, console: "Console | None" = None) -> None:
         )
     for count, error in sorted(found.errors.items()):
         if count in (found.start, *options.keep) or count % 10 == 0 or count == min(found.errors):
-            say(console, f"{count:4d} markers: {1e3 * error:6.1f} mm{' (start)' if count == found.start else ''}")
-    say(console, f"{len(found.pool.candidates.labels)} candidates, error of the {found.goal}, {plain(options.out)}")
+            say(
+                console,
+                f"{count:4d} markers: {1e3 * error:6.1f} "
+                f"mm{' (start)' if count == found.start else ''}",
+            )
+    say(
+        console,
+        f"{len(found.pool.candidates.labels)} candidates, error of the {found.goal}, "
+        f"{plain(options.out)}",
+    )
 
 
 def left(options: SelectMarkers) -> str:

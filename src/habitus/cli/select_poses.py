@@ -14,11 +14,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SelectPoses:
-    """Choose the poses of a marker "body scan": together they tell the shape best with a layout's markers.
+    """Choose the poses of a marker "body scan": together they tell the shape best with a layout's
+    markers.
 
     habitus select-poses --layout mosh-47 --count 12 --out poses.npz
 
-    `docs/selecting-markers.md` tells how; `habitus retarget poses.npz --to default --out poses` gives them as meshes.
+    `docs/selecting-markers.md` tells how; `habitus retarget poses.npz --to default --out poses`
+    gives them as meshes.
     """
 
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz")]
@@ -35,7 +37,8 @@ class SelectPoses:
     """Of the candidates."""
 
 
-OPTIONS, ABOUT = SelectPoses, SelectPoses.__doc__
+OPTIONS = SelectPoses
+ABOUT = SelectPoses.__doc__
 NEEDS = ("habitus.jobs.selection",)
 
 
@@ -53,7 +56,11 @@ def run(options: SelectPoses, console: "Console | None" = None) -> None:
         out=options.out,
     )
     for k, (error, random) in enumerate(zip(choice.errors, choice.random, strict=True), 1):
-        say(console, f"{k:3d} poses: shape known to {1e3 * error:.1f} mm; so many at random: {1e3 * random:.1f} mm")
+        say(
+            console,
+            f"{k:3d} poses: shape known to {1e3 * error:.1f} mm; so many at random: "
+            f"{1e3 * random:.1f} mm",
+        )
     say(console, f"{len(choice.poses)} of {options.candidates} poses, {plain(options.out)}")
 
 

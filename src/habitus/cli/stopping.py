@@ -13,10 +13,11 @@ STOPPED = 130
 
 @dataclass
 class Stop:
-    """What Ctrl-C does: the end of the process before work has begun, then a KeyboardInterrupt, then the end again.
+    """What Ctrl-C does: the end of the process before work has begun, then a KeyboardInterrupt,
+    then the end again.
 
-    An exception would not do before: whoever imports modules may take it for a module that is missing. ``left`` says
-    what a stopped run has left.
+    An exception would not do before: whoever imports modules may take it for a module that is
+    missing. ``left`` says what a stopped run has left.
     """
 
     left: Callable[[], str] = lambda: "nothing was written"
@@ -42,7 +43,9 @@ class Stop:
 
 @contextmanager
 def on_ctrl_c(stop: Stop, stays: bool) -> Iterator[None]:
-    """Let ``stop`` handle Ctrl-C, where it is not ignored or handled by somebody else; ``stays``: also afterwards."""
+    """Let ``stop`` handle Ctrl-C, where it is not ignored or handled by somebody else; ``stays``:
+    also afterwards.
+    """
     try:
         mine = signal.getsignal(signal.SIGINT) is signal.default_int_handler
         before = signal.signal(signal.SIGINT, stop) if mine else None

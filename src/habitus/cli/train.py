@@ -17,37 +17,52 @@ if TYPE_CHECKING:
     from habitus.jobs.train import Training
     from habitus.learn.callback import Record
 
-_OPTIONS, _WEIGHTS = TrainOptions(), EnergyWeights()
+_OPTIONS = TrainOptions()
+_WEIGHTS = EnergyWeights()
 _WIDE = 200  # columns of a table that goes to a file or a pipe
-_SPEED_OVER = 3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
+_SPEED_OVER = (
+    3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
+)
 
 
 @dataclass(frozen=True)
 class Train:
-    """Learn a body model from registrations: meshes of people in poses, all in a template's topology.
+    """Learn a body model from registrations: meshes of people in poses, all in a template's
+    topology.
 
-    OUT receives model.npz and model.pkl (SMPL's names), poses.npz (poses, rest surfaces and joints of the people), and
-    training.json (energies of every step, seconds, options). A run that was stopped goes on with the same command.
+    OUT receives model.npz and model.pkl (SMPL's names), poses.npz (poses, rest surfaces and joints
+    of the people), and training.json (energies of every step, seconds, options). A run that was
+    stopped goes on with the same command.
     """
 
-    datasets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")]
+    datasets: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")
+    ]
     """An npz, a zarr or mesh folder, a folder with registrations.csv, FAUST's meshes, Dyna's h5."""
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results, and for the checkpoint."""
     template: Annotated[str, tyro.conf.arg(metavar="default|female|male|FILE")] = "default"
-    """The mesh, its parts and joints: npz, toml with a mesh, or a body model; "default" is the body of habitus."""
+    """The mesh, its parts and joints: npz, toml with a mesh, or a body model; "default" is the body
+    of habitus.
+    """
     detail: Literal["coarse", "full"] = "coarse"
     """Of a body of two levels of detail; "full" gives a body of two levels again."""
-    joints: Annotated[Literal["smpl", "smplh", "smplx"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Of a body that has more; as a file has them, if not told, and "smpl" of the body of habitus."""
+    joints: Annotated[
+        Literal["smpl", "smplh", "smplx"] | None, tyro.conf.arg(help_behavior_hint="")
+    ] = None
+    """Of a body that has more; as a file has them, if not told, and "smpl" of the body of habitus.
+    """
     sex: Literal["all", "each", "female", "male"] = "all"
     """One model of all people, one of each sex (in OUT/female and OUT/male), or one of them."""
     skinning: Literal["lbs", "dqbs"] = _OPTIONS.skinning  # type: ignore[assignment]
     """Linear or dual quaternion blend skinning."""
     pose_shapes: Literal["full", "sparse", "local", "low_rank", "l1", "none"] = _OPTIONS.pose_shapes  # type: ignore[assignment]
-    """Pose blend shapes: all, of the joints that move a vertex, of those near it that matter, of few directions, with
-    an L1 penalty, or none."""
-    pose_features: Literal["rotations", "angles", "sin_cos", "quaternions", "polynomials"] = _OPTIONS.pose_features  # type: ignore[assignment]
+    """Pose blend shapes: all, of the joints that move a vertex, of those near it that matter, of
+    few directions, with an L1 penalty, or none.
+    """
+    pose_features: Literal["rotations", "angles", "sin_cos", "quaternions", "polynomials"] = (
+        _OPTIONS.pose_features
+    )  # type: ignore[assignment]
     """What drives them; only the rotations' entries are SMPL's."""
     shape_features: Annotated[int, tyro.conf.arg(metavar="S")] = _OPTIONS.shape_features
     """How many shape coefficients they depend on."""
@@ -66,12 +81,17 @@ class Train:
     tolerance: Annotated[float, tyro.conf.arg(metavar="SHARE")] = _OPTIONS.tolerance
     """End when a round lowers the energy by less than this share of it."""
     start: Literal["parts", "body"] = _OPTIONS.start  # type: ignore[assignment]
-    """From the template's parts, or from the weights, joint regressor and blend shapes of the body that it is of."""
+    """From the template's parts, or from the weights, joint regressor and blend shapes of the body
+    that it is of.
+    """
     fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ARRAY …")] = _OPTIONS.fixed
-    """What stays: arrays of that body (skinning_weights, joint_regressor, posedirs, shapedirs), and of registrations
-    that tell them, people (rest surfaces) and poses."""
+    """What stays: arrays of that body (skinning_weights, joint_regressor, posedirs, shapedirs), and
+    of registrations that tell them, people (rest surfaces) and poses.
+    """
     regressor: Literal["auto", "convex", "signed"] = _OPTIONS.regressor  # type: ignore[assignment]
-    """Joints from vertices: convex combinations, or with weights below zero (auto: where these serve new people)."""
+    """Joints from vertices: convex combinations, or with weights below zero (auto: where these
+    serve new people).
+    """
     weight_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.symmetry
     """Weight of left and right being alike (eq. 14, λ_Y)."""
     weight_joint_symmetry: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.joint_symmetry
@@ -89,7 +109,9 @@ class Train:
     every: Annotated[int, tyro.conf.arg(metavar="K")] = 1
     """Take one frame in K of sequences (h5)."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you trust."""
+    """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you
+    trust.
+    """
     threads: Annotated[int | None, unset("N")] = None
     """Threads to work with; as many as there are cores, if not told."""
     restart: Flag = False
@@ -99,13 +121,16 @@ class Train:
 
     @property
     def options(self) -> TrainOptions:
-        """The options of the training itself. Raises HabitusError for numbers that make no sense."""
+        """The options of the training itself. Raises HabitusError for numbers that make no
+        sense.
+        """
         shared = {key: getattr(self, key) for key in vars(_OPTIONS) if key != "weights"}
         weights = {key: getattr(self, f"weight_{key}") for key in vars(_WEIGHTS)}
         return TrainOptions(**shared, weights=EnergyWeights(**weights))
 
 
-OPTIONS, ABOUT = Train, Train.__doc__
+OPTIONS = Train
+ABOUT = Train.__doc__
 NEEDS = ("habitus.jobs.train", "rich.progress", "numba.core.event")
 
 
@@ -154,13 +179,20 @@ def left(options: Train) -> str:
     """What a run that was stopped has left."""
     if next(options.out.glob("**/progress.npz"), None) is None:
         return f"there is no checkpoint in {options.out} yet"
-    return f"the checkpoint in {options.out} is whole: the same command without --restart goes on from there"
+    return (
+        f"the checkpoint in {options.out} is whole: the same command without --restart goes on "
+        "from there"
+    )
 
 
 def told(model: str, record: "Record") -> str:
     """A step's energy in one line."""
-    terms = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in record.energy.terms.items())
-    return f"{model}, round {record.round}, {record.step}: energy {record.energy.total:.6g} ({terms})"
+    terms = ", ".join(
+        f"{name.replace('_', ' ')} {value:.4g}" for name, value in record.energy.terms.items()
+    )
+    return (
+        f"{model}, round {record.round}, {record.step}: energy {record.energy.total:.6g} ({terms})"
+    )
 
 
 def summary(found: "list[Training]") -> "Table":
@@ -168,11 +200,23 @@ def summary(found: "list[Training]") -> "Table":
     from rich.table import Table
 
     table = Table(title="trained models")
-    for heading in ("model", "rounds", "energy before", "after", "data error, mm", "shapes", "minutes"):
-        table.add_column(heading, justify="left" if heading == "model" else "right", no_wrap=heading == "model")
+    for heading in (
+        "model",
+        "rounds",
+        "energy before",
+        "after",
+        "data error, mm",
+        "shapes",
+        "minutes",
+    ):
+        table.add_column(
+            heading, justify="left" if heading == "model" else "right", no_wrap=heading == "model"
+        )
     for one in found:
         for name, trained in {"model": one.trained, **one.baselines}.items():
-            first, last, estimate = trained.history[0].energy, trained.history[-1].energy, trained.estimate
+            first = trained.history[0].energy
+            last = trained.history[-1].energy
+            estimate = trained.estimate
             error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
             table.add_row(
                 plain(f"{one.gender} {name}".strip()),

@@ -21,25 +21,33 @@ _OPTIONS = DynamicsOptions()
 
 @dataclass(frozen=True)
 class TrainDynamics:
-    """Learn how soft tissue moves: dynamic blend shapes of a body, and what predicts them from its motion (DMPL).
+    """Learn how soft tissue moves: dynamic blend shapes of a body, and what predicts them from its
+    motion (DMPL).
 
-    Datasets are sequences of registrations of people in motion, all in the body's topology. OUT receives model.npz (the
-    body with dynamics) and dynamics.json (what was learned, and the errors on --test).
+    Datasets are sequences of registrations of people in motion, all in the body's topology. OUT
+    receives model.npz (the body with dynamics) and dynamics.json (what was learned, and the errors
+    on --test).
     """
 
-    datasets: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")]
-    """Sequences in any format of "habitus train": npz, zarr, Dyna's h5, …, with betas, pose, trans and rate_hz, if
-    told."""
+    datasets: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")
+    ]
+    """Sequences in any format of "habitus train": npz, zarr, Dyna's h5, …, with betas, pose, trans
+    and rate_hz, if told.
+    """
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Folder for the results."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body whose soft tissue this is."""
     test: Annotated[tuple[Path, ...], unset("DATASET …")] = ()
-    """Sequences that are kept out, to measure errors of the surface's velocity and acceleration on."""
+    """Sequences that are kept out, to measure errors of the surface's velocity and acceleration on.
+    """
     components: Annotated[int, tyro.conf.arg(metavar="D")] = _OPTIONS.components
     """How many dynamic blend shapes."""
     controls: Literal["joints", "smpl"] = _OPTIONS.controls  # type: ignore[assignment]
-    """What drives them: each joint's own acceleration, spin and angular acceleration, or what SMPL's paper takes."""
+    """What drives them: each joint's own acceleration, spin and angular acceleration, or what
+    SMPL's paper takes.
+    """
     no_personal: Flag = False
     """Take a person's mean residual for dynamics, not for the person's own form."""
     rate: Annotated[float | None, unset("HZ")] = None
@@ -53,11 +61,14 @@ class TrainDynamics:
 
     @property
     def options(self) -> DynamicsOptions:
-        """The options of the training itself. Raises HabitusError for numbers that make no sense."""
+        """The options of the training itself. Raises HabitusError for numbers that make no
+        sense.
+        """
         return DynamicsOptions(self.components, self.controls, personal=not self.no_personal)
 
 
-OPTIONS, ABOUT = TrainDynamics, TrainDynamics.__doc__
+OPTIONS = TrainDynamics
+ABOUT = TrainDynamics.__doc__
 NEEDS = ("habitus.jobs.train_dynamics", "rich.progress", "numba.core.event")
 
 
@@ -97,13 +108,23 @@ def learned(found: "DynamicsTraining") -> "Table":
     numbers = found.numbers()
     chosen = numbers["chosen"]
     table = Table(
-        title=f"dynamics from {numbers['frames']:,} frames at {numbers['rate_hz']:g} Hz; running free on motions held "
-        f"out leaves {100 * chosen['error']:.0f} % of the variance ({chosen['shape_features']} shape coefficients)"
+        title=f"dynamics from {numbers['frames']:,} frames at {numbers['rate_hz']:g} Hz; running "
+        "free on motions held "
+        f"out leaves {100 * chosen['error']:.0f} % of the variance ({chosen['shape_features']} "
+        "shape coefficients)"
     )
-    for heading in ("component", "variance, %", "moves up to, mm", "swings at, Hz", "damping ratio"):
+    for heading in (
+        "component",
+        "variance, %",
+        "moves up to, mm",
+        "swings at, Hz",
+        "damping ratio",
+    ):
         table.add_column(heading, justify="right")
     modes = numbers["modes"]
-    for k, (share, size) in enumerate(zip(numbers["variance_shares"], numbers["size_mm"], strict=True)):
+    for k, (share, size) in enumerate(
+        zip(numbers["variance_shares"], numbers["size_mm"], strict=True)
+    ):
         hz, ratio = ("", "") if k >= len(modes) else (f"{one:.2f}" for one in modes[k].values())
         table.add_row(str(k + 1), f"{100 * share:.1f}", f"{size:.1f}", hz, ratio)
     return table
@@ -113,7 +134,10 @@ def errors(found: "DynamicsTraining") -> "Table":
     """One row a sequence that was kept out."""
     from rich.table import Table
 
-    table = Table(title="errors on sequences kept out (root mean squares): without dynamics, simulated, at best")
+    table = Table(
+        title="errors on sequences kept out (root mean squares): without dynamics, simulated, at "
+        "best"
+    )
     for heading in ("sequence", "place, mm", "velocity, mm/s", "acceleration, m/s²"):
         table.add_column(heading, justify="left" if heading == "sequence" else "right")
     for one in found.errors:

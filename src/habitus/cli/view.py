@@ -15,12 +15,15 @@ if TYPE_CHECKING:
 class View:
     """Show bodies, results, motions and scans in the browser, side by side, until Ctrl-C.
 
-    A body comes with sliders for its shape and any joint, its landmarks and measurements; a result and a motion play.
-    For instance: habitus view default; habitus view results/walk/body.npz scan.ply
+    A body comes with sliders for its shape and any joint, its landmarks and measurements; a result
+    and a motion play. For instance: habitus view default; habitus view results/walk/body.npz
+    scan.ply
     """
 
     sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="default|FILE")]
-    """A model that comes along or its file, a fit's body.npz, a motion (npz), a mesh or a cloud of points."""
+    """A model that comes along or its file, a fit's body.npz, a motion (npz), a mesh or a cloud of
+    points.
+    """
     body: Annotated[str | None, unset("default|FILE")] = None
     """The body of motions that do not name theirs."""
     up: Annotated[str, tyro.conf.arg(metavar="+y|+z|…")] = "+y"
@@ -31,7 +34,8 @@ class View:
     """Print nothing but errors."""
 
 
-OPTIONS, ABOUT = View, View.__doc__
+OPTIONS = View
+ABOUT = View.__doc__
 NEEDS = ("habitus.jobs.viewing",)
 
 

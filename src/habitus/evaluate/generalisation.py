@@ -1,8 +1,10 @@
-"""The two measures of S 5.1 against the number of shape coefficients: model and pose generalisation.
+"""The two measures of S 5.1 against the number of shape coefficients: model and pose
+generalisation.
 
-Model generalisation fits shape and pose to each registration: can the model take the form of new people in new poses?
-Pose generalisation takes the shape that was estimated from one registration of a person and fits only the pose to all
-others of that person: are shape and pose told apart? Both report the mean absolute vertex-to-vertex distance.
+Model generalisation fits shape and pose to each registration: can the model take the form of new
+people in new poses? Pose generalisation takes the shape that was estimated from one registration of
+a person and fits only the pose to all others of that person: are shape and pose told apart? Both
+report the mean absolute vertex-to-vertex distance.
 """
 
 import time
@@ -26,10 +28,10 @@ _ALONE = Threads(1)
 class Generalisation:
     """Errors of a model fitted to N registrations with each of K numbers of shape coefficients.
 
-    ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the registration's
-    vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and ``clean_per_vertex`` are distances to
-    true vertices, where these are known. ``rows`` say which of the registrations given they are. ``betas`` are filled
-    up with zeros.
+    ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the
+    registration's vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and
+    ``clean_per_vertex`` are distances to true vertices, where these are known. ``rows`` say which
+    of the registrations given they are. ``betas`` are filled up with zeros.
     """
 
     measure: str
@@ -63,7 +65,8 @@ class Generalisation:
 
     def start(self, k: int, registration: int) -> Fit:
         """The result of that fit, as a start for others."""
-        pose, trans = self.pose[k, registration], self.trans[k, registration]
+        pose = self.pose[k, registration]
+        trans = self.trans[k, registration]
         return Fit(self.shape(k, registration), pose, trans, np.zeros((0, 3)))
 
 
@@ -75,11 +78,13 @@ def model_generalisation(
     clean: Vertices | None = None,
     workers: Workers = _ALONE,
 ) -> Generalisation:
-    """Fit shape and pose to each registration with the first k coefficients, for each k of ``counts`` (S 5.1).
+    """Fit shape and pose to each registration with the first k coefficients, for each k of
+    ``counts`` (S 5.1).
 
-    Each fit starts where the one with fewer coefficients ended, so that errors tell of the model rather than of local
-    minima. ``counts`` beyond what the model has become all that it has; 0 is the mean shape. ``clean`` (N, V, 3), in
-    metres, are the registrations' vertices without noise. Raises HabitusError if there is nothing to fit.
+    Each fit starts where the one with fewer coefficients ended, so that errors tell of the model
+    rather than of local minima. ``counts`` beyond what the model has become all that it has; 0 is
+    the mean shape. ``clean`` (N, V, 3), in metres, are the registrations' vertices without noise.
+    Raises HabitusError if there is nothing to fit.
     """
     used = _counts(model, counts)
     _check(registrations, clean)
@@ -96,21 +101,32 @@ def pose_generalisation(
     clean: Vertices | None = None,
     workers: Workers = _ALONE,
 ) -> Generalisation:
-    """Fit only the pose to all registrations of a person but the first, with the shape of that first one (S 5.1).
+    """Fit only the pose to all registrations of a person but the first, with the shape of that
+    first one (S 5.1).
 
-    ``fitted`` is the same model's `model_generalisation` on the same registrations: it gives the shapes, and the poses
-    to start from. Raises HabitusError if it is not, or if nobody has two registrations.
+    ``fitted`` is the same model's `model_generalisation` on the same registrations: it gives the
+    shapes, and the poses to start from. Raises HabitusError if it is not, or if nobody has two
+    registrations.
     """
     _check(registrations, clean)
-    if (fitted.measure, fitted.model, fitted.registrations) != ("model", model.name, registrations.name):
+    if (fitted.measure, fitted.model, fitted.registrations) != (
+        "model",
+        model.name,
+        registrations.name,
+    ):
         raise HabitusError(
-            f"shapes come from {fitted.model}, {fitted.measure} generalisation on {len(fitted.registrations)} meshes; "
-            f"expected model generalisation of {model.name} on these {len(registrations)} registrations"
+            f"shapes come from {fitted.model}, {fitted.measure} generalisation on "
+            f"{len(fitted.registrations)} meshes; "
+            f"expected model generalisation of {model.name} on these {len(registrations)} "
+            "registrations"
         )
     first = {subject: k for k, subject in reversed(list(enumerate(registrations.subject)))}
     others = [k for k, subject in enumerate(registrations.subject) if first[subject] != k]
     if not others:
-        raise HabitusError("nobody has more than one registration; pose generalisation needs people in several poses")
+        raise HabitusError(
+            "nobody has more than one registration; pose generalisation needs people in several "
+            "poses"
+        )
     sources = tuple(first[subject] for subject in registrations.subject)
     shared = _Shared(model, registrations, clean, fitted.counts, fitted, sources)
     found = list(workers.map(_fixed_shape, shared, others))
@@ -119,7 +135,9 @@ def pose_generalisation(
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """Constants of all fits: the model, the meshes, and for fixed shapes the registrations that these come from."""
+    """Constants of all fits: the model, the meshes, and for fixed shapes the registrations that
+    these come from.
+    """
 
     model: Posable
     registrations: Registrations
@@ -131,7 +149,9 @@ class _Shared:
 
 @dataclass(frozen=True, eq=False)
 class _Fits:
-    """One registration's fits: distances of vertices to it and to the truth for each number of coefficients."""
+    """One registration's fits: distances of vertices to it and to the truth for each number of
+    coefficients.
+    """
 
     fits: list[Fit]
     seconds: list[float]
@@ -156,7 +176,9 @@ def _fixed_shape(shared: _Shared, which: int) -> _Fits:
 
     def fit(target: np.ndarray, k: int) -> Fit:
         shape = fitted.shape(k, shared.sources[which])
-        return shared.model.fit(target, num_betas=len(shape), betas=shape, start=fitted.start(k, which))
+        return shared.model.fit(
+            target, num_betas=len(shape), betas=shape, start=fitted.start(k, which)
+        )
 
     return _fits(fit, shared, which)
 
@@ -164,7 +186,10 @@ def _fixed_shape(shared: _Shared, which: int) -> _Fits:
 def _fits(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Fits:
     target = shared.registrations.read(which)
     truth = None if shared.clean is None else np.asarray(shared.clean[which], float)
-    fits, seconds, distances, true_distances = [], [], [], []
+    fits = []
+    seconds = []
+    distances = []
+    true_distances = []
     for k in range(len(shared.counts)):
         begin = time.perf_counter()
         fits.append(fit(target, k))
@@ -172,7 +197,9 @@ def _fits(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) ->
         distances.append(np.linalg.norm(fits[-1].vertices - target, axis=-1))
         if truth is not None:
             true_distances.append(np.linalg.norm(fits[-1].vertices - truth, axis=-1))
-    return _Fits(fits, seconds, np.array(distances), None if truth is None else np.array(true_distances))
+    return _Fits(
+        fits, seconds, np.array(distances), None if truth is None else np.array(true_distances)
+    )
 
 
 def _gathered(
@@ -184,7 +211,8 @@ def _gathered(
     found: Sequence[_Fits],
 ) -> Generalisation:
     registrations = given.take(rows)
-    most, cleans = counts[-1], [each.clean for each in found if each.clean is not None]
+    most = counts[-1]
+    cleans = [each.clean for each in found if each.clean is not None]
     betas = [[np.pad(fit.betas, (0, most - len(fit.betas))) for fit in each.fits] for each in found]
     return Generalisation(
         measure=measure,
@@ -207,13 +235,17 @@ def _gathered(
 def _counts(model: Posable, counts: Sequence[int]) -> tuple[int, ...]:
     used = tuple(sorted({min(k, model.num_betas) for k in counts}))
     if not used or used[0] < 0:
-        raise HabitusError(f"numbers of shape coefficients are {list(counts)}; expected one or more, none below 0")
+        raise HabitusError(
+            f"numbers of shape coefficients are {list(counts)}; expected one or more, none below 0"
+        )
     return used
 
 
 def _check(registrations: Registrations, clean: Vertices | None) -> None:
     if len(registrations) == 0:
-        raise HabitusError("there are no registrations to measure generalisation on; give some of the set 'test'")
+        raise HabitusError(
+            "there are no registrations to measure generalisation on; give some of the set 'test'"
+        )
     if clean is not None and tuple(clean.shape) != tuple(registrations.vertices.shape):
         raise HabitusError(
             f"clean vertices have shape {tuple(clean.shape)}; expected that of the registrations, "

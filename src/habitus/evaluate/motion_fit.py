@@ -1,4 +1,6 @@
-"""Shape and motion of moving people of whom only surfaces are known (S 6: the pose of a personalised template)."""
+"""Shape and motion of moving people of whom only surfaces are known (S 6: the pose of a
+personalised template).
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -26,16 +28,23 @@ class _Shared:
     betas: dict[str, Float[np.ndarray, " B"]]
 
 
-def with_motions(body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers) -> Iterator[MovingSurface]:
-    """The sequences, those without a motion with one: a shape a person from a few frames, then pose and place in each.
+def with_motions(
+    body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers
+) -> Iterator[MovingSurface]:
+    """The sequences, those without a motion with one: a shape a person from a few frames, then pose
+    and place in each.
 
-    Raises HabitusError where such registrations have holes or are of some vertices only: these want a motion told.
+    Raises HabitusError where such registrations have holes or are of some vertices only: these want
+    a motion told.
     """
-    unknown = [one for one in sequences if one.pose is None or one.trans is None or one.betas is None]
+    unknown = [
+        one for one in sequences if one.pose is None or one.trans is None or one.betas is None
+    ]
     for one in unknown:
         if one.vertex_ids is not None or one.registrations.num_vertices != body.num_vertices:
             raise HabitusError(
-                f"{one.name}: no betas, pose and trans are told, and its {one.registrations.num_vertices} vertices are "
+                f"{one.name}: no betas, pose and trans are told, and its "
+                f"{one.registrations.num_vertices} vertices are "
                 f"not all {body.num_vertices} of {body.name}; tell the motion"
             )
     rig = Rig(
@@ -46,7 +55,9 @@ def with_motions(body: BodyModel, sequences: Sequence[MovingSurface], workers: W
     yield from workers.map(_with_motion, shared, list(sequences))
 
 
-def _shapes(body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers) -> dict[str, np.ndarray]:
+def _shapes(
+    body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers
+) -> dict[str, np.ndarray]:
     """The shape of each person: the mean of those fitted to a few frames."""
     frames: dict[str, list[tuple[MovingSurface, int]]] = {}
     for one in sequences:
@@ -67,25 +78,35 @@ def _shape(body: BodyModel, item: tuple[str, MovingSurface, int]) -> Float[np.nd
 
 
 def _with_motion(shared: _Shared, one: MovingSurface) -> MovingSurface:
-    if one.subject not in shared.betas or (one.pose is not None and one.trans is not None and one.betas is not None):
+    if one.subject not in shared.betas or (
+        one.pose is not None and one.trans is not None and one.betas is not None
+    ):
         return one
-    body, betas = shared.body, shared.betas[one.subject]
-    person = RestPerson(body.rest_vertices(betas), body.rest_joints(betas), betas[: body.shape_features])
+    body = shared.body
+    betas = shared.betas[one.subject]
+    person = RestPerson(
+        body.rest_vertices(betas), body.rest_joints(betas), betas[: body.shape_features]
+    )
     first = fit_surface(PosableBody(body), _whole(one, 0), num_betas=body.num_betas, betas=betas)
-    pose, poses, places = first.pose, [], []
+    pose = first.pose
+    poses = []
+    places = []
     for frame in range(len(one)):
         found = fit_pose(shared.rig, person, _whole(one, frame), pose, max_iterations=_STEPS)
         pose = found.pose
         poses.append(found.pose)
         places.append(found.trans)
     names = body.joint_names
-    return replace(one, betas=betas, pose=np.array(poses), trans=np.array(places), joint_names=names)
+    return replace(
+        one, betas=betas, pose=np.array(poses), trans=np.array(places), joint_names=names
+    )
 
 
 def _whole(one: MovingSurface, frame: int) -> Float[np.ndarray, "V 3"]:
     vertices = one.registrations.read(frame)
     if not np.isfinite(vertices).all():
         raise HabitusError(
-            f"{one.name}: frame {frame} has holes and no betas, pose and trans are told; tell the motion"
+            f"{one.name}: frame {frame} has holes and no betas, pose and trans are told; tell the "
+            "motion"
         )
     return vertices

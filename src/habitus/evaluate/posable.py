@@ -37,11 +37,15 @@ class Posable(Protocol):
         betas: Float[np.ndarray, " B"] | None = None,
         start: Fit | None = None,
     ) -> Fit:
-        """The least squares of vertex distance (m) over pose, trans and shape, or with the shape ``betas`` fixed."""
+        """The least squares of vertex distance (m) over pose, trans and shape, or with the shape
+        ``betas`` fixed.
+        """
         ...
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape is made once."""
+        """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape
+        is made once.
+        """
         ...
 
 
@@ -72,8 +76,12 @@ class PosableBody(FittedToSurfaces):
         """Skinning weights."""
         return self.body.skinning_weights
 
-    def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
-        """Vertices (m) of the first so many shape coefficients and of a pose (rotation vectors, rad)."""
+    def surface(
+        self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]
+    ) -> Float[np.ndarray, "V 3"]:
+        """Vertices (m) of the first so many shape coefficients and of a pose (rotation vectors,
+        rad).
+        """
         return self.body(betas, pose).vertices
 
     def columns(
@@ -88,7 +96,9 @@ class PosableBody(FittedToSurfaces):
             yield slice(first, first + len(ids)), found.surface.vertices, np.concatenate(parts, -1)
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape is made once."""
+        """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape
+        is made once.
+        """
         if num_betas == 0:
             prepared = self.body.prepare()
             return lambda _, pose: prepared(pose).vertices
@@ -97,5 +107,7 @@ class PosableBody(FittedToSurfaces):
 
 
 def without_pose_shapes(body: BodyModel) -> BodyModel:
-    """The same body as plain blend skinning: what S 5.1 calls LBS, "the SMPL-LBS model with no pose blend shapes"."""
+    """The same body as plain blend skinning: what S 5.1 calls LBS, "the SMPL-LBS model with no pose
+    blend shapes".
+    """
     return replace(body, posedirs=None)

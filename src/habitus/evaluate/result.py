@@ -1,4 +1,6 @@
-"""Results of an evaluation: each model's measures, and the registrations that they were taken on (S 5)."""
+"""Results of an evaluation: each model's measures, and the registrations that they were taken on (S
+5).
+"""
 
 from dataclasses import dataclass
 
@@ -21,8 +23,8 @@ class ModelEvaluation:
 
     ``without_pose_shapes_of`` names the model whose copy without pose blend shapes this is.
 
-    ``variances`` (m^2, or of triangle deformations) are those of the shapes that it was trained on where the file
-    keeps them (``all_variances``), else those that its own directions explain.
+    ``variances`` (m^2, or of triangle deformations) are those of the shapes that it was trained on
+    where the file keeps them (``all_variances``), else those that its own directions explain.
     """
 
     model: Model
@@ -43,7 +45,9 @@ class ModelEvaluation:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Models measured on the same registrations; ``clean`` are these without noise, where they are known."""
+    """Models measured on the same registrations; ``clean`` are these without noise, where they are
+    known.
+    """
 
     dataset: str
     registrations: Registrations
@@ -52,6 +56,8 @@ class Evaluation:
 
     @property
     def shown(self) -> int | None:
-        """The largest number of shape coefficients that all models were measured with; None where there is none."""
+        """The largest number of shape coefficients that all models were measured with; None where
+        there is none.
+        """
         common = set.intersection(*({*entry.shape.counts} for entry in self.models))
         return max(common, default=None)

@@ -1,7 +1,7 @@
 """Fit of a posable model to a registration by least squares of vertex distance (S 5.1).
 
-One Levenberg-Marquardt loop serves every model that gives vertices and their exact derivatives; derivatives come in
-blocks of vertices, so that only normal matrices are stored.
+One Levenberg-Marquardt loop serves every model that gives vertices and their exact derivatives;
+derivatives come in blocks of vertices, so that only normal matrices are stored.
 """
 
 from collections.abc import Iterator
@@ -18,15 +18,21 @@ from habitus.solve.levenberg import Damped
 
 TOLERANCES = Tolerances(cost=1e-6)
 """Of fits: a step changed the mean squared distance by no more than this share of itself."""
-_WRAP = 1.5 * np.pi  # a rotation vector longer than this is replaced by the short one of the same rotation
+_WRAP = (
+    1.5 * np.pi
+)  # a rotation vector longer than this is replaced by the short one of the same rotation
 
 Columns = tuple[slice, Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3 P"]]
-"""Some rows of a surface, their vertices (m), and derivatives by the shape coefficients, if asked, then by the pose."""
+"""Some rows of a surface, their vertices (m), and derivatives by the shape coefficients, if asked,
+then by the pose.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of a fit: shape (the coefficients that were asked for), pose (rad), trans (m), vertices (m)."""
+    """Result of a fit: shape (the coefficients that were asked for), pose (rad), trans (m),
+    vertices (m).
+    """
 
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "J 3"]
@@ -37,7 +43,9 @@ class Fit:
 
 
 class Surface(Protocol):
-    """A model that can be fitted: vertices and derivatives without translation; ``betas`` may be fewer than it has."""
+    """A model that can be fitted: vertices and derivatives without translation; ``betas`` may be
+    fewer than it has.
+    """
 
     @property
     def name(self) -> str:
@@ -59,7 +67,9 @@ class Surface(Protocol):
         """Skinning weights."""
         ...
 
-    def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+    def surface(
+        self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]
+    ) -> Float[np.ndarray, "V 3"]:
         """Vertices (m)."""
         ...
 
@@ -95,25 +105,36 @@ def fit_surface(
     max_iterations: int = 100,
     tolerances: Tolerances = TOLERANCES,
 ) -> Fit:
-    """Least squares of vertex distance over pose (rad), trans (m) and the first ``num_betas`` coefficients (S 5.1).
+    """Least squares of vertex distance over pose (rad), trans (m) and the first ``num_betas``
+    coefficients (S 5.1).
 
-    ``betas`` fixes the shape. ``start`` may have fewer coefficients; without it, the fit starts from `start_pose`.
-    Raises HabitusError where target or numbers do not fit the model.
+    ``betas`` fixes the shape. ``start`` may have fewer coefficients; without it, the fit starts
+    from `start_pose`. Raises HabitusError where target or numbers do not fit the model.
     """
     target = _checked(model, target, num_betas)
-    shape = _first(start.betas if start else np.zeros(0), num_betas) if betas is None else np.asarray(betas, float)
+    shape = (
+        _first(start.betas if start else np.zeros(0), num_betas)
+        if betas is None
+        else np.asarray(betas, float)
+    )
     if start is None:
         pose = start_pose(
-            model.surface(shape, np.zeros((len(model.parents), 3))), target, model.influence, model.parents
+            model.surface(shape, np.zeros((len(model.parents), 3))),
+            target,
+            model.influence,
+            model.parents,
         )
         trans = (target - model.surface(shape, pose)).mean(0)
     else:
-        pose, trans = start.pose, start.trans
+        pose = start.pose
+        trans = start.trans
     unknowns = _Unknowns(model, target, None if betas is None else shape)
     x = np.concatenate([np.zeros(0) if betas is not None else shape, _short(pose).ravel(), trans])
     result = _solve(unknowns, x, max_iterations, tolerances)
     shape, pose, trans = unknowns.split(result.x)
-    return Fit(shape, pose, trans, model.surface(shape, pose) + trans, result.iterations, result.converged)
+    return Fit(
+        shape, pose, trans, model.surface(shape, pose) + trans, result.iterations, result.converged
+    )
 
 
 def start_pose(
@@ -122,7 +143,8 @@ def start_pose(
     influence: Float[np.ndarray, "V J"],
     parents: tuple[int, ...],
 ) -> Float[np.ndarray, "J 3"]:
-    """A pose to start from (rotation vectors, rad): each joint's vertices turned rigidly from ``rest`` to ``target``.
+    """A pose to start from (rotation vectors, rad): each joint's vertices turned rigidly from
+    ``rest`` to ``target``.
 
     Joints whose vertices tell no rotation (none, or all on one line) go along with their parent.
     """
@@ -134,7 +156,8 @@ def start_pose(
     side = np.where(np.linalg.det(u @ vh) < 0.0, -1.0, 1.0)
     told = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
     u[:, :, 2] *= side[:, None]
-    world, local = u @ vh, np.empty((len(w.T), 3, 3))
+    world = u @ vh
+    local = np.empty((len(w.T), 3, 3))
     for j, parent in enumerate(parents):
         above = world[parent] if parent >= 0 else np.eye(3)
         world[j] = world[j] if told[j] else above
@@ -160,22 +183,30 @@ class _Unknowns:
         """Half the sum of squared distances (m^2), and its derivatives when asked."""
         betas, pose, trans = self.split(x)
         residual = self.model.surface(betas, pose) + trans - self.target
-        return 0.5 * float(np.vdot(residual, residual)), lambda: self._normal_equations(betas, pose, trans)
+        return 0.5 * float(np.vdot(residual, residual)), lambda: self._normal_equations(
+            betas, pose, trans
+        )
 
     def _normal_equations(
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        gradient, matrix = 0.0, 0.0
+        gradient = 0.0
+        matrix = 0.0
         for rows, vertices, by in self.model.columns(betas, pose, self.fixed is None):
             by_trans = np.broadcast_to(np.eye(3), (len(vertices), 3, 3))
             jacobian = np.concatenate([by, by_trans], -1).reshape(3 * len(vertices), -1)
             residual = (vertices + trans - self.target[rows]).ravel()
-            gradient, matrix = gradient + residual @ jacobian, matrix + jacobian.T @ jacobian
+            gradient = gradient + residual @ jacobian
+            matrix = matrix + jacobian.T @ jacobian
         return np.asarray(gradient), np.asarray(matrix)
 
 
-def _solve(unknowns: _Unknowns, x: np.ndarray, max_iterations: int, tolerances: Tolerances) -> SolveResult:
-    """Levenberg-Marquardt, interrupted wherever a rotation vector grows long enough to come near 2 pi."""
+def _solve(
+    unknowns: _Unknowns, x: np.ndarray, max_iterations: int, tolerances: Tolerances
+) -> SolveResult:
+    """Levenberg-Marquardt, interrupted wherever a rotation vector grows long enough to come near 2
+    pi.
+    """
     problem: Problem = unknowns.problem
 
     def long(_: int, x: np.ndarray, __: float) -> bool:
@@ -184,10 +215,19 @@ def _solve(unknowns: _Unknowns, x: np.ndarray, max_iterations: int, tolerances: 
     done = 0
     while True:
         steps = Damped()
-        result = descend(problem, x, steps, max_iterations=max_iterations - done, tolerances=tolerances, callback=long)
+        result = descend(
+            problem,
+            x,
+            steps,
+            max_iterations=max_iterations - done,
+            tolerances=tolerances,
+            callback=long,
+        )
         done += result.iterations
         turns = unknowns.split(result.x)[1].size
-        x = np.concatenate([result.x[: -3 - turns], _short(result.x[-3 - turns : -3]).ravel(), result.x[-3:]])
+        x = np.concatenate(
+            [result.x[: -3 - turns], _short(result.x[-3 - turns : -3]).ravel(), result.x[-3:]]
+        )
         if result.status != "stopped" or done >= max_iterations:
             return replace(result, x=x, iterations=done)
 
@@ -207,10 +247,18 @@ def _first(betas: np.ndarray, count: int) -> np.ndarray:
 
 def _checked(model: Surface, target: np.ndarray, num_betas: int) -> Float[np.ndarray, "V 3"]:
     if not 0 <= num_betas <= model.num_betas:
-        raise HabitusError(f"{num_betas} shape coefficients asked of {model.name}; expected 0 to {model.num_betas}")
-    target, expected = np.asarray(target, float), (len(model.influence), 3)
+        raise HabitusError(
+            f"{num_betas} shape coefficients asked of {model.name}; expected 0 to {model.num_betas}"
+        )
+    target = np.asarray(target, float)
+    expected = (len(model.influence), 3)
     if target.shape != expected:
-        raise HabitusError(f"the registration has shape {target.shape}; expected {expected}, as {model.name} has")
+        raise HabitusError(
+            f"the registration has shape {target.shape}; expected {expected}, as {model.name} has"
+        )
     if not np.isfinite(target).all():
-        raise HabitusError("the registration has vertices that are not finite; expected metres: leave such meshes out")
+        raise HabitusError(
+            "the registration has vertices that are not finite; expected metres: leave such "
+            "meshes out"
+        )
     return target

@@ -1,13 +1,15 @@
 """A fit as a skinned animation: fixed bind pose, joint rotations and translations, a few morphs.
 
-File formats and GPU viewers know linear skinning with a fixed bind pose and morph targets. A fit has more: soft
-tissue moves the shape, and with it the joints, in every frame, and pose blend shapes move it too. Both are linear
-in known coefficients, so they are folded, exactly, into (a) morph targets and (b) small joint translations.
+File formats and GPU viewers know linear skinning with a fixed bind pose and morph targets. A fit
+has more: soft tissue moves the shape, and with it the joints, in every frame, and pose blend shapes
+move it too. Both are linear in known coefficients, so they are folded, exactly, into (a) morph
+targets and (b) small joint translations.
 
-Skinning with joints J(t) = J + d(t), x' = A_j (x - J_j(t)) + P_j(t), equals skinning with the fixed J when each
+Skinning with joints J(t) = J + d(t), x' = A_j (x - J_j(t)) + P_j(t), equals skinning with the fixed
+J when each
 joint's node moves to P_j(t) - A_j d_j(t); relative to its parent that is  offset_j + (I - L_j) d_j(t)  with the
 local rotation L_j.
-"""
+"""  # noqa: E501
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -22,7 +24,14 @@ from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
-from habitus.export.correctives import Block, Morphs, check_correctives, furthest, morphs_of, principal
+from habitus.export.correctives import (
+    Block,
+    Morphs,
+    check_correctives,
+    furthest,
+    morphs_of,
+    principal,
+)
 from habitus.export.usual_poses import sampled_rotations
 from habitus.parallel.blocks import thinned
 
@@ -37,7 +46,9 @@ ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 @dataclass(frozen=True)
 class Track:
-    """A motion: local quaternions (x, y, z, w) without sign jumps, joint translations (m), weights of the morphs."""
+    """A motion: local quaternions (x, y, z, w) without sign jumps, joint translations (m), weights
+    of the morphs.
+    """
 
     quaternions: Float[np.ndarray, "T J 4"]
     joint_translations: Float[np.ndarray, "T J 3"]
@@ -46,12 +57,14 @@ class Track:
 
 @dataclass(frozen=True)
 class Animation:
-    """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose and morphs.
+    """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose
+    and morphs.
 
-    ``morph_names`` say what they hold. A row of ``morph_rows`` times vec(R - I), R the rotation of the joint that the
-    name begins with, is the morph's weight in any pose; it is zero where no joint drives it. ``morph_residual`` is the
-    RMS (metres, over vertices and frames) of what the kept morphs cannot express, ``morph_worst`` the largest distance,
-    in the frames that it can be largest in, ``morph_elsewhere`` that of other poses, where joints drive morphs.
+    ``morph_names`` say what they hold. A row of ``morph_rows`` times vec(R - I), R the rotation of
+    the joint that the name begins with, is the morph's weight in any pose; it is zero where no
+    joint drives it. ``morph_residual`` is the RMS (metres, over vertices and frames) of what the
+    kept morphs cannot express, ``morph_worst`` the largest distance, in the frames that it can be
+    largest in, ``morph_elsewhere`` that of other poses, where joints drive morphs.
     """
 
     body: BodyModel
@@ -79,7 +92,9 @@ class _Motion:
 
 
 def body_at(fit: "Moving", detail: str) -> BodyModel:
-    """The body that files show: "full", its full level of detail where it has one, or "coarse", the fitted one."""
+    """The body that files show: "full", its full level of detail where it has one, or "coarse", the
+    fitted one.
+    """
     if detail not in ("full", "coarse"):
         raise HabitusError(f"detail is {detail!r}; expected full or coarse")
     return fit.finest_body if detail == "full" else fit.body
@@ -95,15 +110,17 @@ def animate(
     body: BodyModel | None = None,
     correctives: str | None = None,
 ) -> Animation:
-    """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES (default: its last one).
+    """The skinned animation of a ``MarkerFit``, every ``stride``-th frame, for some of STAGES
+    (default: its last one).
 
-    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most ``max_morphs``; with
-    ``correctives`` those that `habitus.export.correctives.morphs_of` gives. ``body`` is shown in the place of the
-    fitted one: its full level of detail. Raises HabitusError where pose blend shapes are not linear in vec(R - I)
-    alone.
+    Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most
+    ``max_morphs``; with ``correctives`` those that `habitus.export.correctives.morphs_of` gives.
+    ``body`` is shown in the place of the fitted one: its full level of detail. Raises HabitusError
+    where pose blend shapes are not linear in vec(R - I) alone.
     """
     check_driven_by_rotations(fit.body, "animations")
-    body, betas = body or fit.body, np.asarray(fit.betas, np.float64)
+    body = body or fit.body
+    betas = np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]
     joints = body.joint_template + body.joint_shapedirs @ betas
@@ -113,16 +130,26 @@ def animate(
         Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
         for m, w in zip(motions, morphs.weights, strict=True)
     )
-    rest, rate = body.v_template + body.shapedirs @ betas, float(fit.rate_hz) / stride
+    rest = body.v_template + body.shapedirs @ betas
+    rate = float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
     return Animation(*shown, morphs.names, morphs.rows, morphs.worst, morphs.elsewhere)
 
 
 def _morphs(
-    body: BodyModel, motions: list[_Motion], correctives: str | None, max_morphs: int, tolerance: float
+    body: BodyModel,
+    motions: list[_Motion],
+    correctives: str | None,
+    max_morphs: int,
+    tolerance: float,
 ) -> Morphs:
-    sample = sampled_rotations(body) if correctives and check_correctives(correctives)[0] == "live" else None
-    blocks, vertices = _blocks(body, motions, sample), len(body.v_template)
+    sample = (
+        sampled_rotations(body)
+        if correctives and check_correctives(correctives)[0] == "live"
+        else None
+    )
+    blocks = _blocks(body, motions, sample)
+    vertices = len(body.v_template)
     if correctives is None and blocks and max_morphs:
         return principal(blocks, vertices, max_morphs, tolerance)
     return morphs_of(blocks, vertices, [len(m.trans) for m in motions], correctives or "none")
@@ -132,11 +159,14 @@ def _motion(fit: "Moving", stage: str, stride: int) -> _Motion:
     last = stage == STAGES[1] or fit.soft_tissue is None
     pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
     soft, moving = (
-        None if array is None or not last else thinned(array, stride) for array in (fit.soft_tissue, fit.dynamics)
+        None if array is None or not last else thinned(array, stride)
+        for array in (fit.soft_tissue, fit.dynamics)
     )
     pose, trans = (thinned(np.asarray(array, np.float64), stride) for array in (pose, trans))
     quaternions = local_quaternions(pose)
-    rotations = Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)
+    rotations = (
+        Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)
+    )
     return _Motion(rotations, quaternions, trans, soft, moving)
 
 
@@ -146,7 +176,9 @@ def local_quaternions(pose: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T 
 
 
 def _continuous(quaternions: np.ndarray) -> np.ndarray:
-    """Flip signs so that neighbours in time lie on the same half of the sphere: linear interpolation is then safe."""
+    """Flip signs so that neighbours in time lie on the same half of the sphere: linear
+    interpolation is then safe.
+    """
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1) < 0
     sign = np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
     return np.concatenate([quaternions[:1], quaternions[1:] * sign[..., None]])
@@ -158,9 +190,13 @@ def _turn_root(quaternions: np.ndarray, world: np.ndarray) -> np.ndarray:
     return _continuous(turned)
 
 
-def _joint_translations(body: BodyModel, joints: np.ndarray, motion: _Motion, world: np.ndarray) -> np.ndarray:
+def _joint_translations(
+    body: BodyModel, joints: np.ndarray, motion: _Motion, world: np.ndarray
+) -> np.ndarray:
     """Joint translations relative to the parent (T, J, 3); the module's text has the formula."""
-    offsets = joints - np.where(np.array(body.parents)[:, None] < 0, 0.0, joints[np.maximum(body.parents, 0)])
+    offsets = joints - np.where(
+        np.array(body.parents)[:, None] < 0, 0.0, joints[np.maximum(body.parents, 0)]
+    )
     result = np.broadcast_to(offsets, (len(motion.trans), *offsets.shape)).copy()
     if motion.soft is not None:
         moved = np.einsum("jcb,tb->tjc", body.joint_shapedirs, motion.soft)
@@ -169,23 +205,37 @@ def _joint_translations(body: BodyModel, joints: np.ndarray, motion: _Motion, wo
     return result
 
 
-def _blocks(body: BodyModel, motions: list[_Motion], sample: Float[np.ndarray, "S J 3 3"] | None) -> list[Block]:
-    """The body's blend shapes: those that a joint drives, of the vertices that they move; soft tissue; dynamics."""
-    found, everyone = [], np.arange(len(body.v_template))
+def _blocks(
+    body: BodyModel, motions: list[_Motion], sample: Float[np.ndarray, "S J 3 3"] | None
+) -> list[Block]:
+    """The body's blend shapes: those that a joint drives, of the vertices that they move; soft
+    tissue; dynamics.
+    """
+    found = []
+    everyone = np.arange(len(body.v_template))
     if body.posedirs is not None:
         for k, joint in enumerate(body.drivers):
             shapes = body.posedirs[..., 9 * k : 9 * k + 9]
             moved = np.flatnonzero(shapes.any((1, 2)))
-            drives, usual = tuple(features(m.rotations, joint) for m in motions), None
+            drives = tuple(features(m.rotations, joint) for m in motions)
+            usual = None
             if sample is not None:
                 usual = features(sample, joint)
             told = body.joint_names[joint], moved, shapes[moved], drives, ENTRIES
             found.append(Block(*told, rows=np.eye(9), sample=usual))
     if any(motion.soft is not None for motion in motions):
-        found.append(Block("soft_tissue", everyone, body.shapedirs, _or_still(motions, "soft", body.num_betas)))
+        found.append(
+            Block(
+                "soft_tissue", everyone, body.shapedirs, _or_still(motions, "soft", body.num_betas)
+            )
+        )
     if any(motion.dynamics is not None for motion in motions):
         directions = dynamics_of(body).directions
-        found.append(Block("dynamics", everyone, directions, _or_still(motions, "dynamics", body.num_dynamics)))
+        found.append(
+            Block(
+                "dynamics", everyone, directions, _or_still(motions, "dynamics", body.num_dynamics)
+            )
+        )
     return found
 
 
@@ -203,14 +253,18 @@ def _or_still(motions: list[_Motion], name: str, count: int) -> tuple[np.ndarray
 
 
 def one_sided(animation: Animation) -> Animation:
-    """The same animation of its first track with morph weights between 0 and 1: "knee_01" and "knee_01_back".
+    """The same animation of its first track with morph weights between 0 and 1: "knee_01" and
+    "knee_01_back".
 
-    Some readers, Blender's among them, cut other weights off. A morph with weights of both signs becomes two, forth and
-    back; linear interpolation between frames stays the same. Those that joints drive keep their size, and each side
-    that any rotation reaches.
+    Some readers, Blender's among them, cut other weights off. A morph with weights of both signs
+    becomes two, forth and back; linear interpolation between frames stays the same. Those that
+    joints drive keep their size, and each side that any rotation reaches.
     """
     track = animation.tracks[0]
-    morphs, weights, names, rows = [], [], [], []
+    morphs = []
+    weights = []
+    names = []
+    rows = []
     for k, name in enumerate(animation.morph_names):
         for sign, end in ((1.0, ""), (-1.0, "_back")):
             side = np.maximum(sign * track.morph_weights[:, k], 0.0)
@@ -221,7 +275,8 @@ def one_sided(animation: Animation) -> Animation:
                 weights.append((side / reach).astype(np.float32))
                 names.append(f"{name}{end}")
                 rows.append(row)
-    shape, frames = animation.morphs.shape[1:], len(track.quaternions)
+    shape = animation.morphs.shape[1:]
+    frames = len(track.quaternions)
     track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
     told = {"morph_names": tuple(names), "morph_rows": np.reshape(rows, (-1, 9))}
     return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,), **told)

@@ -1,4 +1,6 @@
-"""BVH: the fitted skeleton and its motion, for MotionBuilder, Maya's and Blender's importers, retargeting tools."""
+"""BVH: the fitted skeleton and its motion, for MotionBuilder, Maya's and Blender's importers,
+retargeting tools.
+"""
 
 import os
 from collections.abc import Iterator
@@ -23,15 +25,18 @@ _TIP = 0.05
 
 
 def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> Animation:
-    """Write the skeleton in motion as .bvh, atomically: centimetres, +y up; what was written comes back.
+    """Write the skeleton in motion as .bvh, atomically: centimetres, +y up; what was written comes
+    back.
 
-    Offsets are those of the fitted person's joints at rest, a T-pose facing +z; the root's are zero, and its position
-    channels hold its place. Rotations are in degrees, in the order of `ORDER`. Soft tissue moves joints: a joint that
-    it moves by more than 0.02 mm has position channels, too, which take the place of its offset, as MotionBuilder
-    and Blender read them. Raises HabitusError where the file cannot be written.
+    Offsets are those of the fitted person's joints at rest, a T-pose facing +z; the root's are
+    zero, and its position channels hold its place. Rotations are in degrees, in the order of
+    `ORDER`. Soft tissue moves joints: a joint that it moves by more than 0.02 mm has position
+    channels, too, which take the place of its offset, as MotionBuilder and Blender read them.
+    Raises HabitusError where the file cannot be written.
     """
     animation = animate(fit, correctives="none", body=fit.body)
-    joints, parents = animation.rest_joints, animation.body.parents
+    joints = animation.rest_joints
+    parents = animation.body.parents
     offsets = joints - np.where(np.array(parents)[:, None] < 0, 0.0, joints[np.maximum(parents, 0)])
     places = _places(fit, offsets)
     moves = np.abs(places - offsets).max(axis=(0, 2)) > _STILL
@@ -39,7 +44,10 @@ def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> Animation:
     offsets[0] = 0.0
     text = "\n".join(_joint(animation, 0, CM * offsets, moves, 0))
     values = _channels(animation, CM * places, moves)
-    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
         file.write(f"HIERARCHY\n{text}\nMOTION\n")
         file.write(f"Frames: {len(values)}\nFrame Time: {1.0 / animation.rate_hz:.9f}\n")
         line = " ".join(["%.5f"] * values.shape[1]) + "\n"
@@ -58,9 +66,12 @@ def _places(fit: "Moving", offsets: Float[np.ndarray, "J 3"]) -> Float[np.ndarra
     return places
 
 
-def _joint(animation: Animation, joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int) -> Iterator[str]:
+def _joint(
+    animation: Animation, joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int
+) -> Iterator[str]:
     """The lines of a joint and of all that hang on it."""
-    space, parents = "\t" * depth, animation.body.parents
+    space = "\t" * depth
+    parents = animation.body.parents
     turns = " ".join(f"{axis}rotation" for axis in ORDER)
     places = "Xposition Yposition Zposition " if moves[joint] else ""
     yield f"{space}{'JOINT' if depth else 'ROOT'} {animation.body.joint_names[joint]}"

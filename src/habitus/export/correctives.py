@@ -1,4 +1,6 @@
-"""How a body's blend shapes become the few morphs of a file: all of them, or principal directions of this motion."""
+"""How a body's blend shapes become the few morphs of a file: all of them, or principal directions
+of this motion.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +18,12 @@ CHECKED = 64
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Blend shapes that belong together, of N vertices: n shapes (m) and, a motion each, their coefficients (T, n).
+    """Blend shapes that belong together, of N vertices: n shapes (m) and, a motion each, their
+    coefficients (T, n).
 
-    Those of a joint are *live*, driven by what other programs know as well: each coefficient is a row of ``rows``
-    times vec(R - I) of its rotation. ``sample`` are coefficients in poses that people take.
+    Those of a joint are *live*, driven by what other programs know as well: each coefficient is a
+    row of ``rows`` times vec(R - I) of its rotation. ``sample`` are coefficients in poses that
+    people take.
     """
 
     name: str
@@ -40,9 +44,10 @@ class Block:
 class Morphs:
     """K morphs, their names, and for each motion their weights, between -1 and 1.
 
-    ``residual`` and ``worst`` (m) are what they cannot express: RMS over vertices and frames, and the largest of the
-    frames looked at. The weight of a live one is its row of ``rows`` times vec(R - I) of its joint's rotation, in every
-    file and for every pose; other rows are zero. ``elsewhere`` (m) is the largest distance in poses that people take.
+    ``residual`` and ``worst`` (m) are what they cannot express: RMS over vertices and frames, and
+    the largest of the frames looked at. The weight of a live one is its row of ``rows`` times vec(R
+    - I) of its joint's rotation, in every file and for every pose; other rows are zero.
+    ``elsewhere`` (m) is the largest distance in poses that people take.
     """
 
     shapes: Float[np.ndarray, "K V 3"]
@@ -60,34 +65,45 @@ class Morphs:
 
 
 def check_correctives(text: str) -> tuple[str, int]:
-    """What "auto", "all", "none", "live:96" or "pca:16" asks for, and how many. Raises HabitusError for others."""
+    """What "auto", "all", "none", "live:96" or "pca:16" asks for, and how many. Raises HabitusError
+    for others.
+    """
     kind, _, count = text.partition(":")
     if kind in ("auto", "all", "none") and not count:
         return kind, 0
     if kind in ("live", "pca") and count.isdecimal() and 0 < int(count) <= 4096:
         return kind, int(count)
     raise HabitusError(
-        f"correctives are {text!r}; expected auto, all, none, or the number of morphs, as in live:96 or pca:16"
+        f"correctives are {text!r}; expected auto, all, none, or the number of morphs, as in "
+        "live:96 or pca:16"
     )
 
 
 def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wanted: str) -> Morphs:
     """The morphs that a file is given for motions of so many ``frames``.
 
-    wanted: "none"; "all", each of the blend shapes that joints drive as it is; "auto", the fewest directions that leave
-    no vertex further away than `WORST`, each of what one joint drives; "live:96", so many directions of what joints
-    drive, those that poses of people need most, the same for every motion of the body; "pca:16", so many principal
-    directions of all together. Soft tissue comes in principal directions.
+    wanted: "none"; "all", each of the blend shapes that joints drive as it is; "auto", the fewest
+    directions that leave no vertex further away than `WORST`, each of what one joint drives;
+    "live:96", so many directions of what joints drive, those that poses of people need most, the
+    same for every motion of the body; "pca:16", so many principal directions of all together. Soft
+    tissue comes in principal directions.
     """
     kind, count = check_correctives(wanted)
     blocks = [block for block in blocks if block.shapes.any()]
     if not blocks:
-        return Morphs(np.zeros((0, vertices, 3)), (), tuple(np.zeros((n, 0)) for n in frames), np.zeros((0, 9)))
+        return Morphs(
+            np.zeros((0, vertices, 3)),
+            (),
+            tuple(np.zeros((n, 0)) for n in frames),
+            np.zeros((0, 9)),
+        )
     if kind == "pca":
         return principal(blocks, vertices, count, 0.0)
     if kind == "live":
         return _most_needed(blocks, vertices, count)
-    local = [_exact(block) if kind == "all" and block.live else _directions(block) for block in blocks]
+    local = [
+        _exact(block) if kind == "all" and block.live else _directions(block) for block in blocks
+    ]
     together = _together(local, vertices)
     if kind == "none":
         return _kept(together, np.arange(0), *_worst(together, np.arange(len(together.names))))
@@ -95,21 +111,31 @@ def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wan
 
 
 def principal(blocks: Sequence[Block], vertices: int, most: int, tolerance: float) -> Morphs:
-    """Principal directions of all blocks together: the fewest whose RMS residual is below ``tolerance`` (m), or `most`.
+    """Principal directions of all blocks together: the fewest whose RMS residual is below
+    ``tolerance`` (m), or `most`.
 
     The best that so many morphs can do on average, each of them over the whole body.
     """
     rows = [np.zeros((vertices, 3, block.shapes.shape[-1])) for block in blocks]
     for dense, block in zip(rows, blocks, strict=True):
         dense[block.vertices] = block.shapes
-    terms = tuple(np.hstack(each) for each in zip(*(block.coefficients for block in blocks), strict=True))
+    terms = tuple(
+        np.hstack(each) for each in zip(*(block.coefficients for block in blocks), strict=True)
+    )
     name = "_and_".join(dict.fromkeys(_family(block) for block in reversed(blocks)))
     whole = Block(name, np.arange(vertices), np.concatenate(rows, -1), terms)
     values, shapes, rows = _components(whole, terms)
     weights = [c @ rows for c in terms]
-    left = np.sqrt(np.append(np.cumsum(values[::-1])[::-1], 0.0) / (vertices * sum(map(len, terms))))
+    left = np.sqrt(
+        np.append(np.cumsum(values[::-1])[::-1], 0.0) / (vertices * sum(map(len, terms)))
+    )
     kept = int(min(most, np.argmax(left <= max(tolerance, 1e-9)), len(values)))
-    found = Morphs(np.moveaxis(shapes, -1, 0), _numbered(name, len(values)), tuple(weights), np.zeros((len(values), 9)))
+    found = Morphs(
+        np.moveaxis(shapes, -1, 0),
+        _numbered(name, len(values)),
+        tuple(weights),
+        np.zeros((len(values), 9)),
+    )
     return _kept(found, np.arange(kept), float(left[kept]))
 
 
@@ -125,22 +151,28 @@ def _numbered(name: str, count: int) -> tuple[str, ...]:
 def _components(
     block: Block, terms: Sequence[Float[np.ndarray, "T n"]]
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "N 3 K"], Float[np.ndarray, "n K"]]:
-    """Energies, directions and what turns coefficients into weights, of the deformation D = B C^T, largest first.
+    """Energies, directions and what turns coefficients into weights, of the deformation D = B C^T,
+    largest first.
 
-    With B^T B = U U^T (U from its eigenvectors) the columns of Q = B U^-T are orthonormal and the principal directions
-    of D are Q v, v the leading eigenvectors of U^T (C^T C) U: no (3N, T) matrix is ever built. The weights of ``terms``
-    are within -1 and 1.
+    With B^T B = U U^T (U from its eigenvectors) the columns of Q = B U^-T are orthonormal and the
+    principal directions of D are Q v, v the leading eigenvectors of U^T (C^T C) U: no (3N, T)
+    matrix is ever built. The weights of ``terms`` are within -1 and 1.
     """
     flat = block.shapes.reshape(-1, block.shapes.shape[-1])
     squares, axes = np.linalg.eigh(flat.T @ flat)
     used = squares > 1e-13 * squares[-1]
-    root, inverse = axes[:, used] * np.sqrt(squares[used]), axes[:, used] / np.sqrt(squares[used])
+    root = axes[:, used] * np.sqrt(squares[used])
+    inverse = axes[:, used] / np.sqrt(squares[used])
     values, turn = np.linalg.eigh(root.T @ sum(c.T @ c for c in terms) @ root)
-    values, turn = np.maximum(values[::-1], 0.0), turn[:, ::-1]
+    values = np.maximum(values[::-1], 0.0)
+    turn = turn[:, ::-1]
     moved = values > 1e-20 * max(values[0], 1e-20)
-    values, turn = values[moved], turn[:, moved]
+    values = values[moved]
+    turn = turn[:, moved]
     weighing = root @ turn
-    scale = np.maximum(np.abs(np.concatenate([c @ weighing for c in terms])).max(axis=0, initial=0.0), 1e-12)
+    scale = np.maximum(
+        np.abs(np.concatenate([c @ weighing for c in terms])).max(axis=0, initial=0.0), 1e-12
+    )
     shapes = (flat @ (inverse @ turn) * scale).reshape(len(block.vertices), 3, -1)
     return values, shapes, weighing / scale
 
@@ -149,12 +181,18 @@ def _directions(block: Block) -> tuple[Block, tuple[str, ...]]:
     """A block in its principal directions, weights between -1 and 1."""
     _, shapes, weighing = _components(block, block.coefficients)
     weights = tuple(c @ weighing for c in block.coefficients)
-    return Block(block.name, block.vertices, shapes, weights), _numbered(block.name, shapes.shape[-1])
+    return Block(block.name, block.vertices, shapes, weights), _numbered(
+        block.name, shapes.shape[-1]
+    )
 
 
 def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
-    """So many directions of what joints drive, those with the most energy in their samples; soft tissue beside them."""
-    energies, parts, usual = [], [], []
+    """So many directions of what joints drive, those with the most energy in their samples; soft
+    tissue beside them.
+    """
+    energies = []
+    parts = []
+    usual = []
     for block in blocks:
         if block.rows is None or block.sample is None:
             parts.append(_directions(block))
@@ -164,7 +202,9 @@ def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
         size = np.array([max(furthest(row), furthest(-row)) for row in weighing.T @ block.rows])
         weighing /= size
         weights = tuple(c @ weighing for c in block.coefficients)
-        own = Block(block.name, block.vertices, shapes * size, weights, rows=weighing.T @ block.rows)
+        own = Block(
+            block.name, block.vertices, shapes * size, weights, rows=weighing.T @ block.rows
+        )
         parts.append((own, _numbered(block.name, len(values))))
         energies.append(values)
         usual.append(block.sample @ weighing)
@@ -196,31 +236,45 @@ def _exact(block: Block) -> tuple[Block, tuple[str, ...]]:
 
 def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> Morphs:
     names = tuple(name for _, names in parts for name in names)
-    shapes, first = np.zeros((len(names), vertices, 3)), 0
+    shapes = np.zeros((len(names), vertices, 3))
+    first = 0
     for block, own in parts:
         shapes[first : first + len(own), block.vertices] = np.moveaxis(block.shapes, -1, 0)
         first += len(own)
-    weights = tuple(np.hstack(each) for each in zip(*(block.coefficients for block, _ in parts), strict=True))
+    weights = tuple(
+        np.hstack(each) for each in zip(*(block.coefficients for block, _ in parts), strict=True)
+    )
     rows = [np.zeros((len(own), 9)) if block.rows is None else block.rows for block, own in parts]
     return Morphs(shapes, names, weights, np.concatenate(rows))
 
 
 def _fewest(morphs: Morphs, worst: float) -> Morphs:
-    """Without the smallest of those that are not live, as many as leave no vertex further away than ``worst`` (m)."""
+    """Without the smallest of those that are not live, as many as leave no vertex further away than
+    ``worst`` (m).
+    """
     weights = np.concatenate(morphs.weights)
     reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
     reach[morphs.live] = np.inf  # also of joints that this motion leaves still
     order = np.argsort(reach, kind="stable")
-    fewest, most = 0, int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
+    fewest = 0
+    most = int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
     while fewest < most:
         middle = (fewest + most + 1) // 2
-        fewest, most = (middle, most) if _worst(morphs, order[:middle], weights)[1] <= worst else (fewest, middle - 1)
+        fewest, most = (
+            (middle, most)
+            if _worst(morphs, order[:middle], weights)[1] <= worst
+            else (fewest, middle - 1)
+        )
     rms, far = _worst(morphs, order[:fewest], weights)
     return _kept(morphs, np.sort(order[fewest:]), rms, far)
 
 
-def _worst(morphs: Morphs, left: np.ndarray, weights: np.ndarray | None = None) -> tuple[float, float]:
-    """RMS and largest distance (m) by which these morphs move vertices in the frames that they can move most."""
+def _worst(
+    morphs: Morphs, left: np.ndarray, weights: np.ndarray | None = None
+) -> tuple[float, float]:
+    """RMS and largest distance (m) by which these morphs move vertices in the frames that they can
+    move most.
+    """
     if not len(left):
         return 0.0, 0.0
     drive = (np.concatenate(morphs.weights) if weights is None else weights)[:, left]

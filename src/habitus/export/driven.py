@@ -1,8 +1,9 @@
-"""How bones drive a file's blend shapes, as JSON beside it: for Unity, Maya, Unreal and scripts of any program.
+"""How bones drive a file's blend shapes, as JSON beside it: for Unity, Maya, Unreal and scripts of
+any program.
 
-The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1; R is the rotation of its joint against its
-parent, both counted from rest, in the body's axes, x to its left, y up, z forward; rows of R first. It holds for
-every pose, not only for those of the file's motion.
+The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1; R is the rotation of its
+joint against its parent, both counted from rest, in the body's axes, x to its left, y up, z
+forward; rows of R first. It holds for every pose, not only for those of the file's motion.
 """
 
 import json
@@ -16,15 +17,17 @@ import numpy as np
 from habitus.export.animation import Animation
 from habitus.io.files import atomic_write
 
-FORMAT, EDITION = "habitus-correctives", 1
+FORMAT = "habitus-correctives"
+EDITION = 1
 ENDING = ".correctives.json"
 
 
 def write_drivers(animation: Animation, beside: str | os.PathLike[str]) -> Path | None:
-    """Write ``walk.correctives.json`` beside ``walk.fbx``, atomically; nothing where no joint drives a blend shape.
+    """Write ``walk.correctives.json`` beside ``walk.fbx``, atomically; nothing where no joint
+    drives a blend shape.
 
-    animation: as a file has it (`habitus.export.animation.one_sided`). Its path comes back. Raises HabitusError where
-    it cannot be written.
+    animation: as a file has it (`habitus.export.animation.one_sided`). Its path comes back. Raises
+    HabitusError where it cannot be written.
     """
     if not animation.morph_rows.any():
         return None
@@ -35,8 +38,11 @@ def write_drivers(animation: Animation, beside: str | os.PathLike[str]) -> Path 
 
 
 def drivers(animation: Animation) -> Mapping[str, Any]:
-    """The joints with where they rest (m), and the channels that joints drive, in the file's order."""
-    body, names = animation.body, animation.body.joint_names
+    """The joints with where they rest (m), and the channels that joints drive, in the file's
+    order.
+    """
+    body = animation.body
+    names = animation.body.joint_names
     joints = [
         {"name": name, "parent": "" if parent < 0 else names[parent], "rest": _short(place)}
         for name, parent, place in zip(names, body.parents, animation.rest_joints, strict=True)
@@ -46,7 +52,13 @@ def drivers(animation: Animation) -> Mapping[str, Any]:
         for name, row in zip(animation.morph_names, animation.morph_rows, strict=True)
         if row.any()
     ]
-    return {"format": FORMAT, "version": EDITION, "body": body.name, "joints": joints, "channels": channels}
+    return {
+        "format": FORMAT,
+        "version": EDITION,
+        "body": body.name,
+        "joints": joints,
+        "channels": channels,
+    }
 
 
 def _joint(channel: str, names: tuple[str, ...]) -> str:

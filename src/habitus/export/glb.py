@@ -1,4 +1,6 @@
-"""Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and web viewers."""
+"""Binary glTF 2.0: the shaped body as a skinned mesh with its motion, for Blender, game engines and
+web viewers.
+"""
 
 import os
 from typing import TYPE_CHECKING
@@ -19,8 +21,15 @@ if TYPE_CHECKING:
     from habitus.body.motion import Moving
 
 GLB_FRAMES = 36_000
-"""Most frames that an animation is given by itself: readers hold every key of every joint in memory."""
-_COMPONENTS = {"f4": gl.FLOAT, "u1": gl.UNSIGNED_BYTE, "u2": gl.UNSIGNED_SHORT, "u4": gl.UNSIGNED_INT}
+"""Most frames that an animation is given by itself: readers hold every key of every joint in
+memory.
+"""
+_COMPONENTS = {
+    "f4": gl.FLOAT,
+    "u1": gl.UNSIGNED_BYTE,
+    "u2": gl.UNSIGNED_SHORT,
+    "u4": gl.UNSIGNED_INT,
+}
 SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
@@ -34,26 +43,34 @@ def write_glb(
 ) -> Animation:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
-    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th frame; by itself all
-    of up to `GLB_FRAMES` frames, and of longer captures as many as stay below that). The mesh is the shaped body at
-    zero pose, at its full level of detail where it has one; joints are nodes with rotation tracks and the root with a
-    translation track. Soft tissue and pose blend shapes become morph targets (``correctives``:
-    `habitus.export.correctives.morphs_of`), each a pair, forth and back, with weights between 0 and 1, named by what
-    they hold (``soft_tissue_01``, ``left_knee_01_back``). Where the body has texture coordinates, so has the mesh, with
-    vertices doubled along the seams. With soft tissue every joint has a translation track, because shape moves joints.
-    glTF knows linear blend skinning only, so a "dqbs" body is approximate near strongly twisted joints. ``detail``:
-    "full", or "coarse", the mesh that was fitted. What was written comes back. Raises HabitusError where the file
-    cannot be written.
+    Metres, +y up (the capture's up axis is turned there), the capture's rate (every ``stride``-th
+    frame; by itself all of up to `GLB_FRAMES` frames, and of longer captures as many as stay below
+    that). The mesh is the shaped body at zero pose, at its full level of detail where it has one;
+    joints are nodes with rotation tracks and the root with a translation track. Soft tissue and
+    pose blend shapes become morph targets (``correctives``:
+    `habitus.export.correctives.morphs_of`), each a pair, forth and back, with weights between 0 and
+    1, named by what they hold (``soft_tissue_01``, ``left_knee_01_back``). Where the body has
+    texture coordinates, so has the mesh, with vertices doubled along the seams. With soft tissue
+    every joint has a translation track, because shape moves joints. glTF knows linear blend
+    skinning only, so a "dqbs" body is approximate near strongly twisted joints. ``detail``: "full",
+    or "coarse", the mesh that was fitted. What was written comes back. Raises HabitusError where
+    the file cannot be written.
     """
     shown_body = body_at(fit, detail)
-    animation = one_sided(animate(fit, stride=stride or glb_stride(fit), correctives=correctives, body=shown_body))
+    animation = one_sided(
+        animate(fit, stride=stride or glb_stride(fit), correctives=correctives, body=shown_body)
+    )
     with atomic_write(path) as temporary:
-        temporary.write_bytes(b"".join(_document(animation, shown(fit.capture_name, 200)).save_to_bytes()))
+        temporary.write_bytes(
+            b"".join(_document(animation, shown(fit.capture_name, 200)).save_to_bytes())
+        )
     return animation
 
 
 def glb_stride(fit: "Moving") -> int:
-    """How many frames of the capture make one of the animation that `write_glb` writes by itself."""
+    """How many frames of the capture make one of the animation that `write_glb` writes by
+    itself.
+    """
     return max(1, -(-len(fit.pose) // GLB_FRAMES))
 
 
@@ -72,9 +89,13 @@ class _Buffer:
     """Collects arrays into one binary chunk and makes their accessors."""
 
     def __init__(self, document: gl.GLTF2):
-        self.document, self.chunks, self.size = document, [], 0
+        self.document = document
+        self.chunks = []
+        self.size = 0
 
-    def add(self, array: np.ndarray, kind: str, target: int | None = None, bounds: bool = False) -> int:
+    def add(
+        self, array: np.ndarray, kind: str, target: int | None = None, bounds: bool = False
+    ) -> int:
         data = np.ascontiguousarray(array)
         columns = data.reshape(len(data), -1)
         self.document.accessors.append(
@@ -150,7 +171,9 @@ def _document(animation: Animation, name: str) -> gl.GLTF2:
 def mesh_document(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None = None
 ) -> gl.GLTF2:
-    """A still mesh, metres, +y up; with texture coordinates where ``mesh`` has them for its faces."""
+    """A still mesh, metres, +y up; with texture coordinates where ``mesh`` has them for its
+    faces.
+    """
     document = gl.GLTF2(
         asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
         scene=0,
@@ -160,18 +183,26 @@ def mesh_document(
     )
     buffer = _Buffer(document)
     document.meshes.append(
-        gl.Mesh(name="body", primitives=[_primitive(vertices, faces, buffer, seams_of_mesh(faces, mesh))])
+        gl.Mesh(
+            name="body",
+            primitives=[_primitive(vertices, faces, buffer, seams_of_mesh(faces, mesh))],
+        )
     )
     return buffer.closed()
 
 
 def _material() -> gl.Material:
-    surface = gl.PbrMetallicRoughness(baseColorFactor=list(SKIN_COLOUR), metallicFactor=0.0, roughnessFactor=0.7)
-    return gl.Material(name="skin", pbrMetallicRoughness=surface, alphaMode="OPAQUE", doubleSided=False)
+    surface = gl.PbrMetallicRoughness(
+        baseColorFactor=list(SKIN_COLOUR), metallicFactor=0.0, roughnessFactor=0.7
+    )
+    return gl.Material(
+        name="skin", pbrMetallicRoughness=surface, alphaMode="OPAQUE", doubleSided=False
+    )
 
 
 def _joint_nodes(animation: Animation) -> list[gl.Node]:
-    parents, joints = animation.body.parents, animation.rest_joints
+    parents = animation.body.parents
+    joints = animation.rest_joints
     return [
         gl.Node(
             name=name,
@@ -184,26 +215,39 @@ def _joint_nodes(animation: Animation) -> list[gl.Node]:
 
 
 def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
-    seams, array = seams_of(animation.body), gl.ARRAY_BUFFER
+    seams = seams_of(animation.body)
+    array = gl.ARRAY_BUFFER
     primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer, seams)
     for k, (index, value) in enumerate(_influences(animation)):
-        setattr(primitive.attributes, f"JOINTS_{k}", buffer.add(index[seams.source], gl.VEC4, array))
-        setattr(primitive.attributes, f"WEIGHTS_{k}", buffer.add(value[seams.source], gl.VEC4, array))
-    targets = [gl.Attributes(POSITION=buffer.add_morph(morph[seams.source].astype("f4"))) for morph in animation.morphs]
+        setattr(
+            primitive.attributes, f"JOINTS_{k}", buffer.add(index[seams.source], gl.VEC4, array)
+        )
+        setattr(
+            primitive.attributes, f"WEIGHTS_{k}", buffer.add(value[seams.source], gl.VEC4, array)
+        )
+    targets = [
+        gl.Attributes(POSITION=buffer.add_morph(morph[seams.source].astype("f4")))
+        for morph in animation.morphs
+    ]
     primitive.targets = targets
     extras = {"targetNames": list(animation.morph_names)} if targets else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
 
 
-def _primitive(vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer, seams: Seams | None = None) -> gl.Primitive:
+def _primitive(
+    vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer, seams: Seams | None = None
+) -> gl.Primitive:
     seams = Seams(np.arange(len(vertices)), faces) if seams is None else seams
-    array, width = gl.ARRAY_BUFFER, "u2" if len(seams.source) < 65535 else "u4"
+    array = gl.ARRAY_BUFFER
+    width = "u2" if len(seams.source) < 65535 else "u4"
     attributes = gl.Attributes(
         POSITION=buffer.add(vertices[seams.source].astype("f4"), gl.VEC3, array, bounds=True),
         NORMAL=buffer.add(_normals(vertices, faces)[seams.source], gl.VEC3, array),
     )
     if seams.uv is not None:  # glTF counts from the top left
-        attributes.TEXCOORD_0 = buffer.add((seams.uv * [1, -1] + [0, 1]).astype("f4"), gl.VEC2, array)
+        attributes.TEXCOORD_0 = buffer.add(
+            (seams.uv * [1, -1] + [0, 1]).astype("f4"), gl.VEC2, array
+        )
     indices = buffer.add(seams.faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER)
     return gl.Primitive(attributes=attributes, indices=indices, material=0, mode=gl.TRIANGLES)
 
@@ -220,19 +264,28 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Joint indices and weights in groups of four, heaviest first; weights of a vertex sum to one in float32."""
-    given, count = animation.body.skinning_index, len(animation.body.parents)
+    """Joint indices and weights in groups of four, heaviest first; weights of a vertex sum to one
+    in float32.
+    """
+    given = animation.body.skinning_index
+    count = len(animation.body.parents)
     dense = np.zeros((len(given), count))
-    np.add.at(dense, (np.arange(len(given))[:, None], given), animation.body.skinning_value)  # no joint twice
+    np.add.at(
+        dense, (np.arange(len(given))[:, None], given), animation.body.skinning_value
+    )  # no joint twice
     index = np.argsort(-dense, axis=1, kind="stable")[:, : given.shape[1]]
     value = np.take_along_axis(dense, index, axis=1)
     value = (value / value.sum(axis=1, keepdims=True)).astype("f4")
     value[:, 0] = 1.0 - value[:, 1:].sum(axis=1, dtype=np.float64)
     index = np.where(value > 0, index, 0)
     padding = ((0, 0), (0, -value.shape[1] % 4))
-    index, value = np.pad(index, padding), np.pad(value, padding)
+    index = np.pad(index, padding)
+    value = np.pad(value, padding)
     small = "u1" if count <= 256 else "u2"
-    return [(index[:, k : k + 4].astype(small), value[:, k : k + 4]) for k in range(0, value.shape[1], 4)]
+    return [
+        (index[:, k : k + 4].astype(small), value[:, k : k + 4])
+        for k in range(0, value.shape[1], 4)
+    ]
 
 
 def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
@@ -240,7 +293,9 @@ def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
     inverse = np.tile(np.eye(4, dtype="f4"), (joints, 1, 1))
     inverse[:, 3, :3] = -animation.rest_joints  # glTF matrices are column-major
     bind = buffer.add(inverse.reshape(joints, 16), gl.MAT4)
-    return gl.Skin(name="skeleton", joints=list(range(joints)), skeleton=0, inverseBindMatrices=bind)
+    return gl.Skin(
+        name="skeleton", joints=list(range(joints)), skeleton=0, inverseBindMatrices=bind
+    )
 
 
 def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
@@ -252,12 +307,15 @@ def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
 
     def track(node: int, path: str, values: np.ndarray, kind: str) -> None:
         tracks.samplers.append(
-            gl.AnimationSampler(input=times, output=buffer.add(values, kind), interpolation="LINEAR")
+            gl.AnimationSampler(
+                input=times, output=buffer.add(values, kind), interpolation="LINEAR"
+            )
         )
         target = gl.AnimationChannelTarget(node=node, path=path)
         tracks.channels.append(gl.AnimationChannel(sampler=len(tracks.samplers) - 1, target=target))
 
-    quaternions, translations = _unit(motion.quaternions), motion.joint_translations.astype("f4")
+    quaternions = _unit(motion.quaternions)
+    translations = motion.joint_translations.astype("f4")
     for joint in range(joints):
         track(joint, "rotation", quaternions[:, joint], gl.VEC4)
         if joint == 0 or joints_move:

@@ -1,4 +1,6 @@
-"""OpenSim's .mot: joint angles under the coordinate names of its full-body models (Rajagopal et al. 2016)."""
+"""OpenSim's .mot: joint angles under the coordinate names of its full-body models (Rajagopal et al.
+2016).
+"""
 
 import os
 from collections.abc import Mapping
@@ -30,20 +32,32 @@ _HINGES: Mapping[str, tuple[str, str, float]] = {
 
 
 def write_mot(fit: "Moving", path: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Write joint angles as .mot, atomically: degrees, seconds, metres; the names of the coordinates come back.
+    """Write joint angles as .mot, atomically: degrees, seconds, metres; the names of the
+    coordinates come back.
 
-    Names, axes and signs are those of Rajagopal's model: pelvis (ground to pelvis about z, x, y; +y is up), hips, knees
-    (flexion above zero), ankles, lumbar, shoulders (zero: arms hanging) and elbows. They are rotations of the body's
-    joints, whose axes differ from the model's by some degrees, and ``pelvis_tx`` … is where the body's root joint is:
-    to follow markers exactly run OpenSim's inverse kinematics on a .trc. Raises HabitusError for a body without these
-    joints, and where the file cannot be written.
+    Names, axes and signs are those of Rajagopal's model: pelvis (ground to pelvis about z, x, y; +y
+    is up), hips, knees (flexion above zero), ankles, lumbar, shoulders (zero: arms hanging) and
+    elbows. They are rotations of the body's joints, whose axes differ from the model's by some
+    degrees, and ``pelvis_tx`` … is where the body's root joint is: to follow markers exactly run
+    OpenSim's inverse kinematics on a .trc. Raises HabitusError for a body without these joints, and
+    where the file cannot be written.
     """
     table = coordinates(fit)
     columns = np.column_stack([np.arange(len(fit.pose)) / fit.rate_hz, *table.values()])
-    head = ("Coordinates", "version=1", f"nRows={len(columns)}", f"nColumns={columns.shape[1]}", "inDegrees=yes", "")
+    head = (
+        "Coordinates",
+        "version=1",
+        f"nRows={len(columns)}",
+        f"nColumns={columns.shape[1]}",
+        "inDegrees=yes",
+        "",
+    )
     told = f"Motion of {shown(fit.capture_name)}; units are metres and degrees"
     line = "\t".join(["%.6f"] * columns.shape[1]) + "\n"
-    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
         file.write("\n".join([*head, told, "endheader", "\t".join(["time", *table]), ""]))
         file.writelines(line % tuple(row) for row in columns.tolist())
     return tuple(table)
@@ -51,15 +65,26 @@ def write_mot(fit: "Moving", path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 def coordinates(fit: "Moving") -> dict[str, Float[np.ndarray, " T"]]:
     """The coordinates by name, degrees and metres."""
-    body, pose = fit.body, np.asarray(fit.pose, np.float64)
-    missing = [name for name in ("pelvis", "spine3", "left_hip", "right_hip") if name not in body.joint_names]
+    body = fit.body
+    pose = np.asarray(fit.pose, np.float64)
+    missing = [
+        name
+        for name in ("pelvis", "spine3", "left_hip", "right_hip")
+        if name not in body.joint_names
+    ]
     if missing:
         raise HabitusError(
-            f"{body.name} has no joint {missing[0]}; .mot files are written of bodies with SMPL's joints"
+            f"{body.name} has no joint {missing[0]}; .mot files are written of bodies with SMPL's "
+            "joints"
         )
-    chains, world = Chains(body, pose), Rotation.from_matrix(up_rotation(fit.up_axis))
+    chains = Chains(body, pose)
+    world = Rotation.from_matrix(up_rotation(fit.up_axis))
     root = body.joint_names.index("pelvis")
-    found = _ball(("pelvis_tilt", "pelvis_list", "pelvis_rotation"), world * Rotation.from_rotvec(pose[:, root]), None)
+    found = _ball(
+        ("pelvis_tilt", "pelvis_list", "pelvis_rotation"),
+        world * Rotation.from_rotvec(pose[:, root]),
+        None,
+    )
     place = fit.joints()[:, root] @ up_rotation(fit.up_axis).T
     found |= dict(zip(("pelvis_tx", "pelvis_ty", "pelvis_tz"), place.T, strict=True))
     bent = joint_angles(body, np.asarray(fit.betas, np.float64), pose).get("elbow flexion", {})
@@ -77,7 +102,9 @@ def _limbs(chains: Chains, side: str, end: str) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     mirrored = 1.0 if side == "right" else -1.0
     for base, joint, names in _BALLS.values():
-        turn = chains.between(base if base in ("pelvis", "spine3") else f"{side}_{base}", f"{side}_{joint}")
+        turn = chains.between(
+            base if base in ("pelvis", "spine3") else f"{side}_{base}", f"{side}_{joint}"
+        )
         if turn is None:
             continue
         if joint == "shoulder":  # the model's arm hangs where the body's points sideways
@@ -91,13 +118,17 @@ def _limbs(chains: Chains, side: str, end: str) -> dict[str, np.ndarray]:
 
 
 def _ball(names: tuple[str, ...], turn: Rotation, mirrored: float | None) -> dict[str, np.ndarray]:
-    """Three angles by name; ``mirrored`` -1 for the left side; None where the turn begins at the ground."""
+    """Three angles by name; ``mirrored`` -1 for the left side; None where the turn begins at the
+    ground.
+    """
     angles = _split(turn, left=mirrored is not None) * [1.0, mirrored or 1.0, mirrored or 1.0]
     return dict(zip(names, angles.T, strict=True))
 
 
 def _split(turn: Rotation, left: bool) -> Float[np.ndarray, "T 3"]:
-    """Angles about OpenSim's z, then x, then y, the usual value as near to zero as whole turns allow."""
+    """Angles about OpenSim's z, then x, then y, the usual value as near to zero as whole turns
+    allow.
+    """
     axes = Rotation.from_matrix(_AXES)
     turned = (axes * turn if left else turn) * axes.inv()
     angles = continuous_angles(turned.as_quat()[:, None], "ZXY")[:, 0]

@@ -30,7 +30,9 @@ from habitus.io.files import atomic_write
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a file shall show of a motion: its blend shapes, its level of detail, of a still one which frame."""
+    """What a file shall show of a motion: its blend shapes, its level of detail, of a still one
+    which frame.
+    """
 
     correctives: str = "auto"
     detail: str = "full"
@@ -39,10 +41,11 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex (m) at the worst.
+    """What was written: frames, their rate, how many blend shapes, and how far they leave a vertex
+    (m) at the worst.
 
-    ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where they do;
-    ``elsewhere`` (m): how far they leave a vertex at the worst in poses that people take.
+    ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where
+    they do; ``elsewhere`` (m): how far they leave a vertex at the worst in poses that people take.
     """
 
     path: Path
@@ -57,10 +60,10 @@ class Exported:
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
     """Write a `BodyMotion` as .npz, atomically; `habitus.io.motions.load_motion` reads it back.
 
-    The names of AMASS and of a fit's body.npz (`habitus.export.npz.write_npz`), without markers; ``made`` says in
-    sentences where the motion comes from. A character's file holds its surface, ``character_vertices`` (V, 3; m, at
-    rest), and the name of the body that it was made of, ``character_base``. Raises HabitusError where it cannot be
-    written.
+    The names of AMASS and of a fit's body.npz (`habitus.export.npz.write_npz`), without markers;
+    ``made`` says in sentences where the motion comes from. A character's file holds its surface,
+    ``character_vertices`` (V, 3; m, at rest), and the name of the body that it was made of,
+    ``character_base``. Raises HabitusError where it cannot be written.
     """
     arrays = motion_arrays(motion) | dict(recentred_arrays(motion.body))
     arrays["made"] = np.array(motion.made, dtype=np.str_)
@@ -69,7 +72,9 @@ def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
 
 
 def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:
-    write_npz(moving, path) if isinstance(moving, MarkerFit) else write_motion(BodyMotion.of(moving), path)
+    write_npz(moving, path) if isinstance(moving, MarkerFit) else write_motion(
+        BodyMotion.of(moving), path
+    )
 
 
 def _still(moving: Moving, path: Path, wanted: Wanted) -> None:
@@ -86,7 +91,9 @@ def _still(moving: Moving, path: Path, wanted: Wanted) -> None:
 
 
 def _meshed(writer: Callable[..., Animation]) -> "_Writer":
-    return lambda moving, path, wanted: writer(moving, path, correctives=wanted.correctives, detail=wanted.detail)
+    return lambda moving, path, wanted: writer(
+        moving, path, correctives=wanted.correctives, detail=wanted.detail
+    )
 
 
 _Writer = Callable[[Moving, Path, Wanted], object]
@@ -100,7 +107,10 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".mot": (lambda moving, path, wanted: write_mot(moving, path), "OpenSim's joint angles"),
     ".obj": (_still, "one mesh"),
     ".ply": (_still, "one mesh"),
-    "": (lambda moving, path, wanted: write_obj_sequence(moving, path), "a folder with an OBJ mesh a frame"),
+    "": (
+        lambda moving, path, wanted: write_obj_sequence(moving, path),
+        "a folder with an OBJ mesh a frame",
+    ),
 }
 
 
@@ -115,16 +125,17 @@ def export_motion(
 ) -> Exported:
     """Write a fit or a motion as one file, by its ending, and say what was written.
 
-    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned mesh in motion; .bvh: its skeleton; .trc: joints and, of a fit,
-    markers; .mot: OpenSim's joint angles; .npz: AMASS's names; .obj, .ply: one mesh, of a ``frame`` or at rest; without
-    an ending: a folder with an OBJ mesh a frame. All but .npz and the folder have +y up.
+    .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned mesh in motion; .bvh: its skeleton; .trc:
+    joints and, of a fit, markers; .mot: OpenSim's joint angles; .npz: AMASS's names; .obj, .ply:
+    one mesh, of a ``frame`` or at rest; without an ending: a folder with an OBJ mesh a frame. All
+    but .npz and the folder have +y up.
 
-    fps: another rate than the motion's (`habitus.export.rates.at_rate`); a fit loses its markers by it. correctives:
-    which blend shapes a mesh is given, "auto", "all", "none", "live:96" or "pca:16"
-    (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how bones drive them lies beside
-    it (`habitus.export.driven`).
-    detail: "full", or "coarse", the mesh that was fitted. Raises HabitusError for other endings and options, for a
-    missing extra, and where the file cannot be written.
+    fps: another rate than the motion's (`habitus.export.rates.at_rate`); a fit loses its markers by
+    it. correctives: which blend shapes a mesh is given, "auto", "all", "none", "live:96" or
+    "pca:16" (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how
+    bones drive them lies beside it (`habitus.export.driven`). detail: "full", or "coarse", the mesh
+    that was fitted. Raises HabitusError for other endings and options, for a missing extra, and
+    where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
@@ -144,6 +155,7 @@ def check_motion_path(path: str | os.PathLike[str]) -> None:
     if target.suffix.lower() not in _WRITERS:
         listed = ", ".join(f"{ending} ({what})" for ending, (_, what) in _WRITERS.items() if ending)
         raise HabitusError(
-            f"cannot write a motion to {target.name}: expected {listed}, or a name without an ending "
+            f"cannot write a motion to {target.name}: expected {listed}, or a name without an "
+            "ending "
             f"({_WRITERS[''][1]})"
         )

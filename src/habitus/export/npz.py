@@ -25,26 +25,37 @@ POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
 
 
 def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
-    """Write a ``MarkerFit`` as .npz, atomically, without pickled objects: ``np.load(path)`` reads it.
+    """Write a ``MarkerFit`` as .npz, atomically, without pickled objects: ``np.load(path)`` reads
+    it.
 
-    Everything is in metres, radians and seconds, in the capture's own world frame, whose up axis ``up_axis`` names;
-    rotations are rotation vectors. T frames, J joints, B betas, M markers; NaN is a missing marker.
+    Everything is in metres, radians and seconds, in the capture's own world frame, whose up axis
+    ``up_axis`` names; rotations are rotation vectors. T frames, J joints, B betas, M markers; NaN
+    is a missing marker.
 
-    Names of AMASS and MoSh++: ``poses`` (T,3J), ``root_orient`` (T,3), ``pose_body`` and for SMPL families
-    ``pose_hand``, ``pose_jaw``, ``pose_eye``; ``trans`` (T,3), ``betas`` (B), ``num_betas``, ``gender`` ("neutral":
-    the betas belong to one body for everybody), ``mocap_framerate`` = ``mocap_frame_rate`` (Hz),
-    ``mocap_time_length`` (s), ``surface_model_type``, ``latent_labels`` (M), ``markers_latent`` (M,3; rest pose),
-    ``markers_latent_vids`` (M; the nearest vertex, in the order of ``latent_labels`` where MoSh++ pickles a
-    dictionary), ``labels_obs`` (M), ``markers_obs`` and ``markers_sim`` (T,M,3).
+    Names of AMASS and MoSh++: ``poses`` (T,3J), ``root_orient`` (T,3), ``pose_body`` and for SMPL
+    families ``pose_hand``, ``pose_jaw``, ``pose_eye``; ``trans`` (T,3), ``betas`` (B),
+    ``num_betas``, ``gender`` ("neutral": the betas belong to one body for everybody),
+    ``mocap_framerate`` = ``mocap_frame_rate`` (Hz), ``mocap_time_length`` (s),
+    ``surface_model_type``, ``latent_labels`` (M), ``markers_latent`` (M,3; rest pose),
+    ``markers_latent_vids`` (M; the nearest vertex, in the order of ``latent_labels`` where MoSh++
+    pickles a dictionary), ``labels_obs`` (M), ``markers_obs`` and ``markers_sim`` (T,M,3).
 
-    This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``), and with dynamics ``soft_tissue_dynamics``
-    (T,D; AMASS's ``dmpls`` belong to another basis), ``markers_sim_pose_stage`` (T,M,3), ``marker_weights`` (T,M;
-    0..1), ``marker_triangles`` and ``marker_coefficients`` (M,3), ``marker_noise`` (M; m), ``flagged_frames`` (T),
-    ``suspect_labels``, ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``, ``poses_pose_stage`` (T,3J) and
-    ``trans_pose_stage`` (T,3) where there is soft tissue, ``female_probability`` (of a neutral fit, where that chose
-    the model; else NaN), ``age_years`` (where the body was brought to an age), ``joint_names`` (J), ``capture``,
-    ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``, ``settings`` (JSON), ``habitus_version``; and what the
-    verdict is drawn from beside all that: ``recorded`` (JSON; of the person), ``layout_confidence``, ``displaced`` (M),
+    This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``), and with dynamics
+    ``soft_tissue_dynamics``
+    (T,D; AMASS's ``dmpls`` belong to another basis), ``markers_sim_pose_stage`` (T,M,3),
+    ``marker_weights`` (T,M;
+    0..1), ``marker_triangles`` and ``marker_coefficients`` (M,3), ``marker_noise`` (M; m),
+    ``flagged_frames`` (T),
+    ``suspect_labels``, ``suspect_reasons``, ``suspect_frames``, ``suspect_corrected``,
+    ``poses_pose_stage`` (T,3J) and
+    ``trans_pose_stage`` (T,3) where there is soft tissue, ``female_probability`` (of a neutral fit,
+    where that chose
+    the model; else NaN), ``age_years`` (where the body was brought to an age), ``joint_names`` (J),
+    ``capture``,
+    ``layout``, ``up_axis``, ``seed``, ``status``, ``warnings``, ``settings`` (JSON),
+    ``habitus_version``; and what the
+    verdict is drawn from beside all that: ``recorded`` (JSON; of the person),
+    ``layout_confidence``, ``displaced`` (M),
     ``tried``, ``left_out``, ``doubts``. `habitus.load_fit` reads it back.
     Raises HabitusError where the file cannot be written.
     """
@@ -54,7 +65,9 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
 
 
 def save_arrays(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
-    """What ``np.savez`` writes, one array after another, without holding any of the large ones in memory."""
+    """What ``np.savez`` writes, one array after another, without holding any of the large ones in
+    memory.
+    """
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
@@ -94,19 +107,25 @@ def motion_arrays(moving: "Moving") -> dict[str, np.ndarray]:
     if moving.dynamics is not None:
         arrays["soft_tissue_dynamics"] = _as(moving.dynamics, np.float64)
     for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
-        arrays[name] = mapped(lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose)
+        arrays[name] = mapped(
+            lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose
+        )
     return arrays
 
 
 def _fit_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
     return {
-        "female_probability": np.array(np.nan if fit.female_probability is None else fit.female_probability),
+        "female_probability": np.array(
+            np.nan if fit.female_probability is None else fit.female_probability
+        ),
         "layout": np.array(str(fit.layout_name)),
         "seed": np.array(int(fit.seed)),
         "status": np.array(str(fit.status)),
         "warnings": _texts(fit.warnings),
         "recorded": np.array(json.dumps(dict(fit.recorded), default=str, sort_keys=True)),
-        "layout_confidence": np.array(np.nan if fit.layout_confidence is None else fit.layout_confidence),
+        "layout_confidence": np.array(
+            np.nan if fit.layout_confidence is None else fit.layout_confidence
+        ),
         "tried": _texts(fit.tried),
         "left_out": _texts(fit.left_out),
         "doubts": _texts(fit.doubts),

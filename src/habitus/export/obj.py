@@ -17,30 +17,44 @@ if TYPE_CHECKING:
 
 
 def write_obj_sequence(
-    fit: "Moving", folder: str | os.PathLike[str], frames: Iterable[int] | None = None, *, y_up: bool = False
+    fit: "Moving",
+    folder: str | os.PathLike[str],
+    frames: Iterable[int] | None = None,
+    *,
+    y_up: bool = False,
 ) -> list[Path]:
-    """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return the paths.
+    """Write the fitted surface of ``frames`` (default: all) as ``<capture>_<frame>.obj`` and return
+    the paths.
 
-    Metres; the capture's own world frame, or turned so that +y is up with ``y_up``. The vertex order never changes: it
-    is that of the body's full level of detail where it has one, with its quads and texture coordinates. Each file is
-    written whole or not at all. Raises HabitusError where the folder cannot be written to.
+    Metres; the capture's own world frame, or turned so that +y is up with ``y_up``. The vertex
+    order never changes: it is that of the body's full level of detail where it has one, with its
+    quads and texture coordinates. Each file is written whole or not at all. Raises HabitusError
+    where the folder cannot be written to.
     """
     chosen = range(len(fit.pose)) if frames is None else list(frames)
-    turn, body = up_rotation(fit.up_axis) if y_up else np.eye(3), fit.finest_body
+    turn = up_rotation(fit.up_axis) if y_up else np.eye(3)
+    body = fit.finest_body
     faces = face_lines(body.faces, body.mesh)
     written = []
     for frame, vertices in zip(chosen, fitted_vertices(fit, chosen, body=body), strict=True):
         path = Path(folder) / f"{Path(fit.capture_name).name}_{frame:06d}.obj"
         with atomic_write(path) as temporary:
-            temporary.write_text(f"# {len(vertices)} vertices, metres\n{obj_lines(vertices @ turn.T)}{faces}", "ascii")
+            temporary.write_text(
+                f"# {len(vertices)} vertices, metres\n{obj_lines(vertices @ turn.T)}{faces}",
+                "ascii",
+            )
         written.append(path)
     return written
 
 
 def fitted_vertices(
-    fit: "Moving", frames: Iterable[int], vertices: np.ndarray | None = None, body: BodyModel | None = None
+    fit: "Moving",
+    frames: Iterable[int],
+    vertices: np.ndarray | None = None,
+    body: BodyModel | None = None,
 ) -> Iterator[np.ndarray]:
-    """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with soft tissue.
+    """Yield the fitted surface (V, 3), or some vertices, of each frame: metres, capture world, with
+    soft tissue.
 
     ``body`` stands in for the fitted one: its full level of detail.
     """
@@ -54,7 +68,9 @@ def obj_lines(vertices: np.ndarray) -> str:
 
 
 def face_lines(faces: np.ndarray, mesh: BodyMesh | None = None) -> str:
-    """Triangles (F, 3) as lines of an OBJ file; with ``mesh`` its texture coordinates and quads in their place."""
+    """Triangles (F, 3) as lines of an OBJ file; with ``mesh`` its texture coordinates and quads in
+    their place.
+    """
     if mesh is None:
         return ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel())
     corners = np.stack([mesh.quads, mesh.quad_uv], -1) + 1

@@ -1,7 +1,8 @@
 """Open Sound Control: messages of one shape sent again and again, filled with numbers in place.
 
-Everything in OSC is aligned to four bytes and big-endian, so that a bundle is laid out once, and a frame writes its
-numbers into it: some twenty microseconds, a fiftieth of what building messages anew takes.
+Everything in OSC is aligned to four bytes and big-endian, so that a bundle is laid out once, and a
+frame writes its numbers into it: some twenty microseconds, a fiftieth of what building messages
+anew takes.
 """
 
 import socket
@@ -18,7 +19,9 @@ _LARGEST = 1400
 
 
 class Message(NamedTuple):
-    """An address, the kinds of its arguments ("s", "i", "f"), and the texts among these; numbers are filled in."""
+    """An address, the kinds of its arguments ("s", "i", "f"), and the texts among these; numbers
+    are filled in.
+    """
 
     address: str
     kinds: str
@@ -44,14 +47,20 @@ class Bundles:
     def _add(self, data: bytes, message: Message) -> bytes:
         encoded, holes = _encoded(message)
         for kind, at in holes:
-            (self._floats if kind == "f" else self._ints).append((len(self._parts), (len(data) + 4 + at) // 4))
+            (self._floats if kind == "f" else self._ints).append(
+                (len(self._parts), (len(data) + 4 + at) // 4)
+            )
         return data + len(encoded).to_bytes(4, "big") + encoded
 
     def filled(self, floats: Sequence[float] | np.ndarray, ints: Sequence[int] = ()) -> list[bytes]:
         """The datagrams with these numbers, each kind in the order of the messages."""
-        floats, ints = np.asarray(floats, dtype=">f4"), np.asarray(ints, dtype=">i4")
+        floats = np.asarray(floats, dtype=">f4")
+        ints = np.asarray(ints, dtype=">i4")
         for k, part in enumerate(self._parts):
-            for places, values in ((self._floats, floats.view(">u4")), (self._ints, ints.view(">u4"))):
+            for places, values in (
+                (self._floats, floats.view(">u4")),
+                (self._ints, ints.view(">u4")),
+            ):
                 mine = [n for n, (where, _) in enumerate(places) if where == k]
                 part[[places[n][1] for n in mine]] = values[mine]
         return [part.tobytes() for part in self._parts]
@@ -59,7 +68,9 @@ class Bundles:
 
 def _encoded(message: Message) -> tuple[bytes, list[tuple[str, int]]]:
     """A message with zeros for its numbers, and where these are."""
-    data, texts, holes = _text(message.address) + _text(f",{message.kinds}"), iter(message.texts), []
+    data = _text(message.address) + _text(f",{message.kinds}")
+    texts = iter(message.texts)
+    holes = []
     for kind in message.kinds:
         if kind == "s":
             data += _text(next(texts))
@@ -86,7 +97,9 @@ class Sender:
         try:
             family, _, _, _, self._to = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except OSError as error:
-            raise HabitusError(f"no host {host!r} is known ({error.strerror}); check the address to send to") from None
+            raise HabitusError(
+                f"no host {host!r} is known ({error.strerror}); check the address to send to"
+            ) from None
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.failed = 0

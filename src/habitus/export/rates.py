@@ -1,4 +1,6 @@
-"""A motion at another rate: every so manieth frame where that fits, else what lies between two frames."""
+"""A motion at another rate: every so manieth frame where that fits, else what lies between two
+frames.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -17,10 +19,11 @@ FASTEST = 1e4
 
 
 def at_rate(moving: "Moving", fps: float | None) -> "Moving":
-    """The motion at ``fps`` frames a second from its first frame on, as long as it lasts; as it is with None.
+    """The motion at ``fps`` frames a second from its first frame on, as long as it lasts; as it is
+    with None.
 
-    Between two frames joints turn on the shortest way and all else moves on a straight line. Raises HabitusError for
-    a rate that is none.
+    Between two frames joints turn on the shortest way and all else moves on a straight line. Raises
+    HabitusError for a rate that is none.
     """
     if fps is None or fps == moving.rate_hz:
         return moving
@@ -28,7 +31,9 @@ def at_rate(moving: "Moving", fps: float | None) -> "Moving":
         raise HabitusError(f"fps is {fps:g}; expected frames a second, up to {FASTEST:g}")
     motion = BodyMotion.of(moving)
     last = len(motion.pose) - 1
-    places = np.arange(int(np.floor(last * fps / motion.rate_hz + 1e-6)) + 1) * (motion.rate_hz / fps)
+    places = np.arange(int(np.floor(last * fps / motion.rate_hz + 1e-6)) + 1) * (
+        motion.rate_hz / fps
+    )
     places = np.minimum(places, last)
     before = np.minimum(np.floor(places + 1e-6).astype(np.int64), max(last - 1, 0))
     part = np.where(np.abs(places - before) < 1e-6, 0.0, places - before)
@@ -37,13 +42,19 @@ def at_rate(moving: "Moving", fps: float | None) -> "Moving":
         motion,
         pose=_turned(np.asarray(motion.pose), before, after, part),
         trans=_between(motion.trans, before, after, part),
-        soft_tissue=None if motion.soft_tissue is None else _between(motion.soft_tissue, before, after, part),
-        dynamics=None if motion.dynamics is None else _between(motion.dynamics, before, after, part),
+        soft_tissue=None
+        if motion.soft_tissue is None
+        else _between(motion.soft_tissue, before, after, part),
+        dynamics=None
+        if motion.dynamics is None
+        else _between(motion.dynamics, before, after, part),
         rate_hz=float(fps),
     )
 
 
-def _between(values: np.ndarray, before: np.ndarray, after: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _between(
+    values: np.ndarray, before: np.ndarray, after: np.ndarray, part: np.ndarray
+) -> np.ndarray:
     first = np.asarray(values[before], np.float64)
     return first + part[:, None] * (values[after] - first)
 

@@ -1,4 +1,6 @@
-"""One posed surface with the person's own colours as .glb: a texture where the body has coordinates, else by vertex."""
+"""One posed surface with the person's own colours as .glb: a texture where the body has
+coordinates, else by vertex.
+"""
 
 import os
 
@@ -19,8 +21,9 @@ def write_textured(
     mesh: BodyMesh | None = None,
     picture: bytes | None = None,
 ) -> None:
-    """Write a mesh (m, +y up) as .glb, atomically. albedo: linear, 0..1, of each vertex. picture: a PNG in sRGB, row 0
-    at the top, for the coordinates of ``mesh``; with it the vertices' own albedo is left out.
+    """Write a mesh (m, +y up) as .glb, atomically. albedo: linear, 0..1, of each vertex. picture: a
+    PNG in sRGB, row 0 at the top, for the coordinates of ``mesh``; with it the vertices' own albedo
+    is left out.
     """
     textured = picture is not None and mesh is not None and mesh.triangle_uv(faces) is not None
     document = mesh_document(vertices, faces, mesh if textured else None)
@@ -46,7 +49,9 @@ def write_textured(
 def _add(document: gl.GLTF2, data: bytes, target: int | None = None) -> int:
     """The number of a new part of the document's binary chunk."""
     blob = document.binary_blob() or b""
-    document.bufferViews.append(gl.BufferView(buffer=0, byteOffset=len(blob), byteLength=len(data), target=target))
+    document.bufferViews.append(
+        gl.BufferView(buffer=0, byteOffset=len(blob), byteLength=len(data), target=target)
+    )
     document.set_binary_blob(blob + data + b"\0" * (-len(data) % 4))
     document.buffers[0].byteLength = len(blob) + len(data) + (-len(data) % 4)
     return len(document.bufferViews) - 1

@@ -16,15 +16,22 @@ if TYPE_CHECKING:
     from habitus.mesh.registrations import Registrations
 
 
-def write_model(body: BodyModel, folder: Path, stem: str = "model", like: str | None = None) -> list[str]:
-    """The body under official names, as ``.npz`` and, the main one, in SMPL's form ``.pkl``; gives warnings back.
+def write_model(
+    body: BodyModel, folder: Path, stem: str = "model", like: str | None = None
+) -> list[str]:
+    """The body under official names, as ``.npz`` and, the main one, in SMPL's form ``.pkl``; gives
+    warnings back.
 
-    The full level of a body of two levels, ``like`` that of a file, goes to a ``.npz`` of two levels.
+    The full level of a body of two levels, ``like`` that of a file, goes to a ``.npz`` of two
+    levels.
     """
     if like is not None:
         save_like(body, like, folder / f"{stem}.npz")
         (folder / "model.pkl").unlink(missing_ok=True)  # of an earlier run
-        return [f"no model.pkl: {stem}.npz has two levels of detail; save_body writes one of them for others"]
+        return [
+            f"no model.pkl: {stem}.npz has two levels of detail; save_body writes one of them for "
+            "others"
+        ]
     save_body(body, folder / f"{stem}.npz")
     if stem == "model" and is_official(body):
         save_body(body, folder / "model.pkl")
@@ -36,10 +43,11 @@ def write_model(body: BodyModel, folder: Path, stem: str = "model", like: str | 
 
 
 def write_poses(path: Path, registrations: "Registrations", estimate: "Estimate") -> None:
-    """Poses (N,J,3; rad), places (N,3; m), and the subjects' rest surfaces (S,V,3) and joints (S,J,3; m) as ``.npz``.
+    """Poses (N,J,3; rad), places (N,3; m), and the subjects' rest surfaces (S,V,3) and joints
+    (S,J,3; m) as ``.npz``.
 
-    ``registrations`` are those of the pose set; ``name`` and ``subject`` (N,) are theirs, ``subjects`` (S,) gives the
-    order of the rest surfaces.
+    ``registrations`` are those of the pose set; ``name`` and ``subject`` (N,) are theirs,
+    ``subjects`` (S,) gives the order of the rest surfaces.
     """
     arrays = {
         "poses": estimate.pose,

@@ -1,4 +1,6 @@
-"""A capture as a TRC file, the way OpenSim writes and reads them: tabs, five header lines, blanks where missing."""
+"""A capture as a TRC file, the way OpenSim writes and reads them: tabs, five header lines, blanks
+where missing.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -13,27 +15,37 @@ from habitus.io.captures.read import Capture
 from habitus.io.files import atomic_write
 
 Unit = Literal["mm", "m"]
-_PER_METRE: dict[str, tuple[float, int]] = {"mm": (1e3, 5), "m": (1.0, 8)}  # and decimals: both keep 10 nanometres
+_PER_METRE: dict[str, tuple[float, int]] = {
+    "mm": (1e3, 5),
+    "m": (1.0, 8),
+}  # and decimals: both keep 10 nanometres
 _BLOCK = 1024
 
 
-def write_trc(capture: Capture, path: str | os.PathLike[str], *, unit: Unit = "mm", y_up: bool = True) -> None:
-    """Write ``capture`` as TRC, whole or not at all; `habitus.read_capture` and OpenSim read it back.
+def write_trc(
+    capture: Capture, path: str | os.PathLike[str], *, unit: Unit = "mm", y_up: bool = True
+) -> None:
+    """Write ``capture`` as TRC, whole or not at all; `habitus.read_capture` and OpenSim read it
+    back.
 
-    TRC has no word for what is up and its readers take y: the points are turned there, or with ``y_up=False`` stay in
-    the capture's own frame. unit: "mm" or "m", which the header names. Positions keep 10 nanometres; a missing point is
-    three blank cells. In labels, characters that a table of tabs and lines cannot hold are written as escapes (``\\t``
-    as ``\\x09``). The person's name, height and mass have no place in the format.
+    TRC has no word for what is up and its readers take y: the points are turned there, or with
+    ``y_up=False`` stay in the capture's own frame. unit: "mm" or "m", which the header names.
+    Positions keep 10 nanometres; a missing point is three blank cells. In labels, characters that a
+    table of tabs and lines cannot hold are written as escapes (``\\t`` as ``\\x09``). The person's
+    name, height and mass have no place in the format.
 
-    Raises HabitusError for another unit, a capture without frames or markers or a rate, labels that are empty or
-    repeated, and where the file cannot be written.
+    Raises HabitusError for another unit, a capture without frames or markers or a rate, labels that
+    are empty or repeated, and where the file cannot be written.
     """
     if unit not in get_args(Unit):
         raise HabitusError(f"unit is {unit!r}; a TRC file is written in mm or m")
     labels = _writable_labels(capture)
     scale, decimals = _PER_METRE[unit]
     turn = scale * (up_rotation(capture.up_axis) if y_up else np.eye(3))
-    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
         name = shown(os.path.basename(os.fspath(path)), 200)
         file.write(_header(name, labels, len(capture), capture.rate_hz, unit))
         for lines in _rows(capture, turn, decimals):
@@ -45,20 +57,29 @@ def _writable_labels(capture: Capture) -> list[str]:
     labels = [shown(label, 10 * len(label) + 3).strip() for label in capture.labels]
     fault = None
     if not frames or not markers or len(labels) != markers:
-        fault = f"holds {frames} frames of {markers} markers and {len(labels)} labels; expected one label a marker"
+        fault = (
+            f"holds {frames} frames of {markers} markers and {len(labels)} labels; expected "
+            "one label a marker"
+        )
     elif not 0 < capture.rate_hz < 1e6:
         fault = f"has a rate of {capture.rate_hz:g} Hz; expected frames a second"
     elif not all(labels):
         fault = f"has no label for marker {labels.index('') + 1}; name it"
     elif len(set(labels)) < markers:
-        fault = f"names several markers {next(label for label in labels if labels.count(label) > 1)}; rename them"
+        fault = (
+            "names several markers "
+            f"{next(label for label in labels if labels.count(label) > 1)}; rename them"
+        )
     if fault:
         raise HabitusError(f"{shown(capture.name)}: cannot be written as TRC: it {fault}")
     return labels
 
 
 def _header(name: str, labels: Sequence[str], frames: int, rate_hz: float, unit: str) -> str:
-    keys = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames".split()
+    keys = (
+        "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame "
+        "OrigNumFrames"
+    ).split()
     rate = f"{rate_hz:.10g}"
     values = (rate, rate, str(frames), str(len(labels)), unit, rate, "1", str(frames))
     axes = (f"{axis}{k + 1}" for k in range(len(labels)) for axis in "XYZ")
@@ -83,12 +104,16 @@ def _rows(capture: Capture, turn: Float[np.ndarray, "3 3"], decimals: int) -> It
     for start in range(0, len(capture), _BLOCK):
         block = _without_zeros(capture.markers[start : start + _BLOCK] @ turn.T, 10.0**-decimals)
         numbers = np.arange(start, start + len(block))
-        table = np.column_stack([numbers + 1, numbers / capture.rate_hz, block.reshape(len(block), width)])
+        table = np.column_stack(
+            [numbers + 1, numbers / capture.rate_hz, block.reshape(len(block), width)]
+        )
         yield "".join(line % tuple(row) for row in table.tolist()).replace("nan", "")
 
 
 def _without_zeros(points: Float[np.ndarray, "T M 3"], least: float) -> Float[np.ndarray, "T M 3"]:
-    """A copy with NaN in all of a missing point; one at exactly zero, which readers take for missing, moves a bit."""
+    """A copy with NaN in all of a missing point; one at exactly zero, which readers take for
+    missing, moves a bit.
+    """
     seen = np.isfinite(points).all(axis=2)
     rounded = np.where(seen[..., None], points, np.nan)
     rounded[seen & (np.abs(rounded) < least / 2).all(axis=2)] = least

@@ -1,4 +1,6 @@
-"""USD: the body as a UsdSkel rig with blend shapes, for Omniverse, Houdini, Maya, Unreal, Blender; .usdz for phones."""
+"""USD: the body as a UsdSkel rig with blend shapes, for Omniverse, Houdini, Maya, Unreal, Blender;
+.usdz for phones.
+"""
 
 import os
 import re
@@ -20,7 +22,9 @@ if TYPE_CHECKING:
     from habitus.body.motion import Moving
 
 ENDINGS = (".usd", ".usdc", ".usda", ".usdz")
-_ROOT, _MESH, _SKELETON = "/person", "/person/body", "/person/skeleton"
+_ROOT = "/person"
+_MESH = "/person/body"
+_SKELETON = "/person/skeleton"
 _FLESH = 0.4
 """No skin is further from the nearest joint than this (m): how extents are told."""
 
@@ -30,11 +34,12 @@ def write_usd(
 ) -> Animation:
     """Write a motion as .usd, .usdc, .usda or .usdz, atomically; what was written comes back.
 
-    Metres, +y up, time codes are the motion's frames from 0 on, at its rate. One SkelRoot with a mesh (quads and
-    texture coordinates where the body has them), a skeleton of the body's joints, and an animation of joints and blend
-    shapes; the latter as for `habitus.export.fbx.write.write_fbx`. Needs usd-core: ``pip install 'habitus[usd]'``.
-    Raises HabitusError where that is missing, where pose blend shapes are not linear in vec(R - I), and where the file
-    cannot be written.
+    Metres, +y up, time codes are the motion's frames from 0 on, at its rate. One SkelRoot with a
+    mesh (quads and texture coordinates where the body has them), a skeleton of the body's joints,
+    and an animation of joints and blend shapes; the latter as for
+    `habitus.export.fbx.write.write_fbx`. Needs usd-core: ``pip install 'habitus[usd]'``. Raises
+    HabitusError where that is missing, where pose blend shapes are not linear in vec(R - I), and
+    where the file cannot be written.
     """
     require_extra("pxr", "USD files", "usd")
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
@@ -55,7 +60,9 @@ def write_usd(
 def _reach(fit: "Moving") -> Float[np.ndarray, "T 2 3"]:
     """The least and the largest corner (m, +y up) of what the body fills, frame by frame."""
     joints = fit.joints() @ up_rotation(fit.up_axis).T
-    return np.stack([joints.min(axis=1) - _FLESH, joints.max(axis=1) + _FLESH], axis=1).astype(np.float32)
+    return np.stack([joints.min(axis=1) - _FLESH, joints.max(axis=1) + _FLESH], axis=1).astype(
+        np.float32
+    )
 
 
 def _package(layer: Path, target: Path, name: str) -> None:
@@ -64,7 +71,9 @@ def _package(layer: Path, target: Path, name: str) -> None:
 
     inside = f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name) or 'body'}.usdc"
     if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(layer)), str(target), inside):
-        raise HabitusError(f"cannot write {target.name}: usd-core could not pack it; write a .usdc instead")
+        raise HabitusError(
+            f"cannot write {target.name}: usd-core could not pack it; write a .usdc instead"
+        )
 
 
 def _write_stage(animation: Animation, layer: Path, name: str, reach: np.ndarray) -> None:
@@ -96,21 +105,30 @@ def _skeleton(stage: Any, animation: Animation) -> list[str]:
     from pxr import Gf, UsdSkel
 
     paths: list[str] = []
-    parents, places = animation.body.parents, animation.rest_joints
+    parents = animation.body.parents
+    places = animation.rest_joints
     for name, parent in zip(animation.body.joint_names, parents, strict=True):
         paths.append(f"{paths[parent]}/{name}" if parent >= 0 else name)
     skeleton = UsdSkel.Skeleton.Define(stage, _SKELETON)
     skeleton.CreateJointsAttr(paths)
-    skeleton.CreateBindTransformsAttr([Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, place))) for place in places])
-    offsets = (place - (places[parent] if parent >= 0 else 0.0) for place, parent in zip(places, parents, strict=True))
-    skeleton.CreateRestTransformsAttr([Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, each))) for each in offsets])
+    skeleton.CreateBindTransformsAttr(
+        [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, place))) for place in places]
+    )
+    offsets = (
+        place - (places[parent] if parent >= 0 else 0.0)
+        for place, parent in zip(places, parents, strict=True)
+    )
+    skeleton.CreateRestTransformsAttr(
+        [Gf.Matrix4d().SetTranslate(Gf.Vec3d(*map(float, each))) for each in offsets]
+    )
     return paths
 
 
 def _mesh(stage: Any, animation: Animation) -> Any:
     from pxr import Gf, Sdf, UsdGeom, UsdShade, UsdSkel, Vt
 
-    faces, points = polygons_of(animation.body), animation.rest_vertices
+    faces = polygons_of(animation.body)
+    points = animation.rest_vertices
     mesh = UsdGeom.Mesh.Define(stage, _MESH)
     mesh.CreatePointsAttr(_vectors(points))
     mesh.CreateExtentAttr(_vectors(np.stack([points.min(axis=0), points.max(axis=0)])))
@@ -129,10 +147,14 @@ def _mesh(stage: Any, animation: Animation) -> Any:
     skin.CreateSkeletonRel().SetTargets([_SKELETON])
     index, value = _influences(animation)
     skin.CreateJointIndicesPrimvar(False, index.shape[1]).Set(_integers(index))
-    skin.CreateJointWeightsPrimvar(False, index.shape[1]).Set(Vt.FloatArray.FromNumpy(value.reshape(-1)))
+    skin.CreateJointWeightsPrimvar(False, index.shape[1]).Set(
+        Vt.FloatArray.FromNumpy(value.reshape(-1))
+    )
     skin.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
     skin.CreateSkinningMethodAttr(
-        UsdSkel.Tokens.classicLinear if animation.body.skinning == "lbs" else UsdSkel.Tokens.dualQuaternion
+        UsdSkel.Tokens.classicLinear
+        if animation.body.skinning == "lbs"
+        else UsdSkel.Tokens.dualQuaternion
     )
     material = UsdShade.Material.Define(stage, f"{_ROOT}/skin")
     shader = UsdShade.Shader.Define(stage, f"{_ROOT}/skin/surface")
@@ -158,7 +180,8 @@ def _blend_shapes(stage: Any, mesh: Any, animation: Animation) -> list[str]:
     from pxr import Tf, UsdSkel
 
     names = [Tf.MakeValidIdentifier(name) for name in animation.morph_names]
-    binding, paths = UsdSkel.BindingAPI(mesh.GetPrim()), []
+    binding = UsdSkel.BindingAPI(mesh.GetPrim())
+    paths = []
     for name, morph in zip(names, animation.morphs, strict=True):
         moved = np.flatnonzero(morph.any(axis=1))
         shape = UsdSkel.BlendShape.Define(stage, f"{_MESH}/{name}")
@@ -175,13 +198,17 @@ def _blend_shapes(stage: Any, mesh: Any, animation: Animation) -> list[str]:
 def _motion(stage: Any, animation: Animation, joints: list[str], shapes: list[str]) -> None:
     from pxr import UsdSkel, Vt
 
-    track, path = animation.tracks[0], f"{_SKELETON}/motion"
+    track = animation.tracks[0]
+    path = f"{_SKELETON}/motion"
     motion = UsdSkel.Animation.Define(stage, path)
     motion.CreateJointsAttr(joints)
     motion.CreateScalesAttr(Vt.Vec3hArray(len(joints), (1.0, 1.0, 1.0)))
-    turns, places = motion.CreateRotationsAttr(), motion.CreateTranslationsAttr()
+    turns = motion.CreateRotationsAttr()
+    places = motion.CreateTranslationsAttr()
     quaternions = track.quaternions.astype(np.float32)
-    for frame, (turned, placed) in enumerate(zip(quaternions, track.joint_translations, strict=True)):
+    for frame, (turned, placed) in enumerate(
+        zip(quaternions, track.joint_translations, strict=True)
+    ):
         turns.Set(Vt.QuatfArray.FromNumpy(turned), frame)
         places.Set(_vectors(placed), frame)
     if shapes:

@@ -1,14 +1,16 @@
-"""Where people put markers, learned from fits of many captures: means and spreads by empirical Bayes (beside M 4.1).
+"""Where people put markers, learned from fits of many captures: means and spreads by empirical
+Bayes (beside M 4.1).
 
-What is learned from is a held-out marker: it had no say in the body that it is seen on, so that where it sits is told
-without the layout's own pull. Every person counts once a label. Offsets are added up as
+What is learned from is a held-out marker: it had no say in the body that it is seen on, so that
+where it sits is told without the layout's own pull. Every person counts once a label. Offsets are
+added up as
 
     place  +  label at that place  +  person at that place  +  this person's label there  +  this marker
 
-whose five variances are found from all people together, so that a mean moves from the layout's place only as far as the
-people who tell it agree, and as places usually do. What people do by themselves is Student-t: a belt worn low, or a
-marker on a wand, moves nobody else's.
-"""
+whose five variances are found from all people together, so that a mean moves from the layout's
+place only as far as the people who tell it agree, and as places usually do. What people do by
+themselves is Student-t: a belt worn low, or a marker on a wand, moves nobody else's.
+"""  # noqa: E501
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -21,7 +23,14 @@ from scipy.optimize import minimize
 from habitus.body.model import BodyModel
 from habitus.fit.mosh.shape import place
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.markers.placements import PlacementPrior, UsualPlace, is_free, label_keys, mirrored, sideless
+from habitus.markers.placements import (
+    PlacementPrior,
+    UsualPlace,
+    is_free,
+    label_keys,
+    mirrored,
+    sideless,
+)
 from habitus.mesh.signed_distance import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers, triangle_bases
@@ -38,9 +47,11 @@ BOUNDS = (LEAST_VARIANCE, 10.0)
 
 @dataclass(frozen=True)
 class Seen:
-    """Where a person's marker sat: metres from the layout's place in body space at rest, x away from the middle.
+    """Where a person's marker sat: metres from the layout's place in body space at rest, x away
+    from the middle.
 
-    twin: where the fit that did not see it found the same label of the other side, likewise; None without one.
+    twin: where the fit that did not see it found the same label of the other side, likewise; None
+    without one.
     """
 
     person: str
@@ -59,20 +70,25 @@ def offsets_at_rest(
     layout: MarkerLayout,
     observed: Float[np.ndarray, "F H 3"],
 ) -> Float[np.ndarray, "H 3"]:
-    """Where markers that a fit did not see sit, from the layout's places, carried back to the body at rest, metres.
+    """Where markers that a fit did not see sit, from the layout's places, carried back to the body
+    at rest, metres.
 
-    Medians over frames of what is left in the basis of the triangle that carries the place; NaN where hardly seen.
+    Medians over frames of what is left in the basis of the triangle that carries the place; NaN
+    where hardly seen.
     """
     placement = place(layout, body)
     rest = body.rest_vertices(betas)
     start = default_markers(body, betas, placement.vertices, placement.distance)
-    at, count = attach(start, rest, body.faces), len(layout)
+    at = attach(start, rest, body.faces)
+    count = len(layout)
     steps = [at.coefficients, *(at.coefficients + axis for axis in np.eye(3))]
     tripods = MarkerAttachment(np.tile(at.triangles, (4, 1)), np.concatenate(steps))
     points = predict(marked_body(body, betas, tripods), pose, trans).reshape(-1, 4, count, 3)
     left = np.einsum("fahi,fhi->fha", points[:, 1:] - points[:, :1], observed - points[:, 0])
     few = np.isfinite(left[..., 0]).sum(axis=0) < FEWEST_FRAMES
-    middle = np.array([np.full(3, np.nan) if few[h] else np.nanmedian(left[:, h], axis=0) for h in range(count)])
+    middle = np.array(
+        [np.full(3, np.nan) if few[h] else np.nanmedian(left[:, h], axis=0) for h in range(count)]
+    )
     return np.einsum("hij,hj->hi", triangle_bases(rest, at.triangles).basis, middle)
 
 
@@ -83,18 +99,30 @@ def seen(
     whole: MarkerLayout,
     twins: Float[np.ndarray, "H 3"] | None = None,
 ) -> list[Seen]:
-    """What offsets of a layout's markers tell. whole: the layout as it comes, which knows each label's twin.
+    """What offsets of a layout's markers tell. whole: the layout as it comes, which knows each
+    label's twin.
 
-    The layout's labels are a capture's, the names of the whole layout among their aliases. twins: where the fit found
-    those of the other side, mirrored to this one; zeros where there is none.
+    The layout's labels are a capture's, the names of the whole layout among their aliases. twins:
+    where the fit found those of the other side, mirrored to this one; zeros where there is none.
     """
-    keys, found = label_keys(whole), []
+    keys = label_keys(whole)
+    found = []
     twins = np.zeros_like(offsets) if twins is None else twins
     for marker, offset, twin in zip(layout.markers, offsets, twins, strict=True):
         name = next((label for label in (*marker.aliases[:1], marker.label) if label in keys), None)
         if marker.landmarks and name is not None and np.isfinite(offset).all():
-            here, other = tuple(mirrored(marker, offset).tolist()), tuple(mirrored(marker, twin).tolist())
-            found.append(Seen(person, sideless(marker.place), keys[name], marker, here, other if twin.any() else None))
+            here = tuple(mirrored(marker, offset).tolist())
+            other = tuple(mirrored(marker, twin).tolist())
+            found.append(
+                Seen(
+                    person,
+                    sideless(marker.place),
+                    keys[name],
+                    marker,
+                    here,
+                    other if twin.any() else None,
+                )
+            )
     return found
 
 
@@ -102,7 +130,8 @@ def seen(
 class Variances:
     """Of offsets, in squares of the layout's spreads.
 
-    Of places, of labels at a place; of a person's markers at a place, of theirs with one label, and of each marker.
+    Of places, of labels at a place; of a person's markers at a place, of theirs with one label, and
+    of each marker.
     """
 
     place: float = 0.06
@@ -116,7 +145,8 @@ class Variances:
 class _Group:
     """All that was seen at one place: one row a person, label and side, the mean of its captures.
 
-    trust (N,): of the person's rows; few people are far off with everything, and say little of others.
+    trust (N,): of the person's rows; few people are far off with everything, and say little of
+    others.
     """
 
     place: str
@@ -129,7 +159,9 @@ class _Group:
     @property
     def scale(self) -> Float[np.ndarray, " N"]:
         """(N,) how unsure the layout is of each marker, metres."""
-        return np.array([np.hypot(marker.place_spread, marker.distance_spread) for marker in self.markers])
+        return np.array(
+            [np.hypot(marker.place_spread, marker.distance_spread) for marker in self.markers]
+        )
 
     def shared(self, variances: Variances) -> Float[np.ndarray, "N N"]:
         """Covariance of what all people share."""
@@ -157,30 +189,47 @@ def learned(everything: Sequence[Seen], body: BodyModel) -> PlacementPrior:
             if not _same(usual, places[group.place]):
                 labels[group.place, label] = usual
     return PlacementPrior(
-        places, labels, (_told_by_twins(everything, means, False), _told_by_twins(everything, means, True))
+        places,
+        labels,
+        (_told_by_twins(everything, means, False), _told_by_twins(everything, means, True)),
     )
 
 
-def _told_by_twins(everything: Iterable[Seen], means: Mapping[str, np.ndarray], free: bool) -> float:
-    """The share of what a fit finds its twin off (beside the mean) that a marker it did not see is off; robustly.
+def _told_by_twins(
+    everything: Iterable[Seen], means: Mapping[str, np.ndarray], free: bool
+) -> float:
+    """The share of what a fit finds its twin off (beside the mean) that a marker it did not see is
+    off; robustly.
 
-    Not the correlation of the two: a body that is fitted to the twin gives way to it. 0 without twins.
+    Not the correlation of the two: a body that is fitted to the twin gives way to it. 0 without
+    twins.
     """
-    both = [(one, means[one.place]) for one in everything if one.twin is not None and is_free(one.marker) == free]
+    both = [
+        (one, means[one.place])
+        for one in everything
+        if one.twin is not None and is_free(one.marker) == free
+    ]
     own = np.array([np.subtract(one.offset, mean) for one, mean in both]).reshape(-1, 3)
     twin = np.array([np.subtract(one.twin, mean) for one, mean in both]).reshape(-1, 3)
     shares = np.linspace(0.0, 1.0, 101)
-    return float(shares[np.argmin([np.linalg.norm(own - share * twin, axis=1).sum() for share in shares])])
+    return float(
+        shares[np.argmin([np.linalg.norm(own - share * twin, axis=1).sum() for share in shares])]
+    )
 
 
 def _mean(group: _Group, variances: Variances) -> Float[np.ndarray, " 3"]:
     towards = group.scale * np.median(group.scale) * variances.place
-    return towards @ np.linalg.solve(group.shared(variances) + group.of_people(variances), group.offsets)
+    return towards @ np.linalg.solve(
+        group.shared(variances) + group.of_people(variances), group.offsets
+    )
 
 
 def robustly(groups: Sequence[_Group], rounds: int = 4) -> tuple[list[_Group], Variances]:
-    """Variances under which what was seen is likeliest, people's own part Student-t: in turns with their trust."""
-    variances, found = Variances(), list(groups)
+    """Variances under which what was seen is likeliest, people's own part Student-t: in turns with
+    their trust.
+    """
+    variances = Variances()
+    found = list(groups)
     for _ in range(rounds):
         variances = _likeliest(found, variances)
         found = [_trusted(group, variances) for group in found]
@@ -189,24 +238,35 @@ def robustly(groups: Sequence[_Group], rounds: int = 4) -> tuple[list[_Group], V
 
 def _likeliest(groups: Sequence[_Group], start: Variances) -> Variances:
     def surprise(logs: np.ndarray) -> float:
-        variances, total = Variances(*np.exp(logs)), 0.0
+        variances = Variances(*np.exp(logs))
+        total = 0.0
         for group in groups:
             factor = np.linalg.cholesky(group.shared(variances) + group.of_people(variances))
-            total += 3.0 * np.log(np.diag(factor)).sum() + 0.5 * np.sum(np.linalg.solve(factor, group.offsets) ** 2)
+            total += 3.0 * np.log(np.diag(factor)).sum() + 0.5 * np.sum(
+                np.linalg.solve(factor, group.offsets) ** 2
+            )
         return total
 
     logs = np.log(np.maximum(astuple(start), LEAST_VARIANCE))
-    return Variances(*np.exp(minimize(surprise, logs, method="L-BFGS-B", bounds=[np.log(BOUNDS)] * len(logs)).x))
+    return Variances(
+        *np.exp(minimize(surprise, logs, method="L-BFGS-B", bounds=[np.log(BOUNDS)] * len(logs)).x)
+    )
 
 
 def _trusted(group: _Group, variances: Variances) -> _Group:
-    """The group with each person's trust by how far they are from what all share (expectation step of the t)."""
-    shared, own = group.shared(variances), group.of_people(variances)
+    """The group with each person's trust by how far they are from what all share (expectation step
+    of the t).
+    """
+    shared = group.shared(variances)
+    own = group.of_people(variances)
     left = group.offsets - shared @ np.linalg.solve(shared + own, group.offsets)
-    plain, trust = replace(group, trust=np.ones(len(group.people))).of_people(variances), np.array(group.trust)
+    plain = replace(group, trust=np.ones(len(group.people))).of_people(variances)
+    trust = np.array(group.trust)
     for name in np.unique(group.people):
         mine = group.people == name
-        surprise = float(np.sum(left[mine] * np.linalg.solve(plain[np.ix_(mine, mine)], left[mine])))
+        surprise = float(
+            np.sum(left[mine] * np.linalg.solve(plain[np.ix_(mine, mine)], left[mine]))
+        )
         trust[mine] = (FREEDOM + 3 * mine.sum()) / (FREEDOM + surprise)
     return replace(group, trust=trust)
 
@@ -218,17 +278,23 @@ def _groups(everything: Iterable[Seen]) -> list[_Group]:
     rows = []
     for (at, label, person, _), same in groupby(sorted(everything, key=row), key=row):
         ones = list(same)
-        rows.append((at, label, person, ones[0].marker, np.mean([one.offset for one in ones], axis=0)))
+        rows.append(
+            (at, label, person, ones[0].marker, np.mean([one.offset for one in ones], axis=0))
+        )
     groups = []
     for at, same in groupby(rows, key=lambda each: each[0]):
         _, labels, people, markers, offsets = zip(*same, strict=True)
         trust = np.ones(len(people))
-        groups.append(_Group(at, markers, np.array(offsets), np.array(labels), np.array(people), trust))
+        groups.append(
+            _Group(at, markers, np.array(offsets), np.array(labels), np.array(people), trust)
+        )
     return groups
 
 
 def _usual(group: _Group, label: str | None, variances: Variances, body: BodyModel) -> UsualPlace:
-    """Posterior mean and predictive spread of another person's marker at a place, with a label or with any other."""
+    """Posterior mean and predictive spread of another person's marker at a place, with a label or
+    with any other.
+    """
     first = 0 if label is None else int(np.argmax(group.labels == label))
     told = np.ones(len(group.people), bool) if label is None else group.labels == label
     shares = variances.place + (0.0 if label is None else variances.label) * told
@@ -247,8 +313,11 @@ def _same(one: UsualPlace, other: UsualPlace) -> bool:
 def _along_skin(
     marker: Marker, offset: Float[np.ndarray, " 3"], body: BodyModel
 ) -> tuple[tuple[float, float, float], float]:
-    """An offset from a marker's place on the template as a way along the skin and a change of the distance from it."""
-    betas, distance = np.zeros(body.num_betas), np.array([marker.distance])
+    """An offset from a marker's place on the template as a way along the skin and a change of the
+    distance from it.
+    """
+    betas = np.zeros(body.num_betas)
+    distance = np.array([marker.distance])
     vertex = MarkerLayout("one", (marker,)).vertices(body)
     skin = body.rest_vertices(betas)
     start = default_markers(body, betas, vertex, distance)
@@ -256,4 +325,6 @@ def _along_skin(
     on_skin = near.barycentric[0] @ skin[body.faces[near.triangle[0]]]
     x, y, z = mirrored(marker, on_skin - skin[vertex[0]])
     middle = not {name.split("_")[0] for name in marker.landmarks} & {"left", "right"}
-    return (0.0 if middle else float(x), float(y), float(z)), float(near.distance[0]) - marker.distance
+    return (0.0 if middle else float(x), float(y), float(z)), float(
+        near.distance[0]
+    ) - marker.distance

@@ -1,4 +1,5 @@
-"""Arrays of npz archives and npy files, each held against the bytes that are there before memory is asked for.
+"""Arrays of npz archives and npy files, each held against the bytes that are there before memory is
+asked for.
 
 Nothing pickled is ever loaded here.
 """
@@ -38,7 +39,9 @@ class ArrayHeader:
 
     @property
     def weight(self) -> int:
-        """The same with empty axes taken for one: rows of nothing, too, take memory once they are a list."""
+        """The same with empty axes taken for one: rows of nothing, too, take memory once they are a
+        list.
+        """
         return array_size(tuple(max(n, 1) for n in self.shape))
 
     @property
@@ -48,7 +51,9 @@ class ArrayHeader:
 
 
 def read_header(stream: Any) -> ArrayHeader:
-    """The header of an npy file that ``stream`` stands at the beginning of. Raises HabitusError where it is none."""
+    """The header of an npy file that ``stream`` stands at the beginning of. Raises HabitusError
+    where it is none.
+    """
     try:
         version = np.lib.format.read_magic(stream)
         if version not in _VERSIONS:
@@ -61,7 +66,9 @@ def read_header(stream: Any) -> ArrayHeader:
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(io.BytesIO(length + text))
         header = ArrayHeader(tuple(shape), bool(fortran), dtype, 8 + len(length) + len(text))
-    except MemoryError:  # how Python's parser says that a text of at most 10,000 bytes is nested too deep
+    except (
+        MemoryError
+    ):  # how Python's parser says that a text of at most 10,000 bytes is nested too deep
         raise HabitusError("its header is damaged (nested without end)") from None
     except Exception as error:  # numpy evaluates the header as a literal, which may raise anything
         raise HabitusError(f"its header is damaged ({reason(error)})") from error
@@ -70,9 +77,15 @@ def read_header(stream: Any) -> ArrayHeader:
 
 
 def checked_texts(array: np.ndarray) -> np.ndarray:
-    """The array as it is. Raises HabitusError for texts of numbers that are no characters, which would break Python."""
+    """The array as it is. Raises HabitusError for texts of numbers that are no characters, which
+    would break Python.
+    """
     if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
-        numbers = np.ascontiguousarray(array).reshape(-1).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        numbers = (
+            np.ascontiguousarray(array)
+            .reshape(-1)
+            .view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        )
         if numbers.max() > sys.maxunicode:
             raise HabitusError("its texts hold numbers that are no characters; get the file anew")
     return array
@@ -84,18 +97,25 @@ def reason(error: BaseException) -> str:
 
 
 class Archive:
-    """The arrays of an npz. Errors are HabitusErrors that name the array; who reads a file adds the file's name."""
+    """The arrays of an npz. Errors are HabitusErrors that name the array; who reads a file adds the
+    file's name.
+    """
 
     def __init__(self, file: BinaryIO | bytes):
         self._file = io.BytesIO(file) if isinstance(file, bytes) else file
         stored = self._file.seek(0, io.SEEK_END)
         self._file.seek(0)
-        self._stored, self.allowance = stored, Allowance(stored)
+        self._stored = stored
+        self.allowance = Allowance(stored)
         try:
             self._zip = zipfile.ZipFile(self._file)
-            self._entries = {entry.filename.removesuffix(".npy"): entry for entry in self._zip.infolist()}
+            self._entries = {
+                entry.filename.removesuffix(".npy"): entry for entry in self._zip.infolist()
+            }
         except Exception as error:  # a damaged archive may raise anything
-            raise HabitusError(f"no whole npz ({reason(error)}); save it again with numpy.savez") from error
+            raise HabitusError(
+                f"no whole npz ({reason(error)}); save it again with numpy.savez"
+            ) from error
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,7 +140,9 @@ class Archive:
         with _guarded(name), self._zip.open(entry) as stream:
             header = read_header(stream)
             present = min(entry.file_size, self._stored) if _is_stored(entry) else entry.file_size
-            check_present(header.begins + (0 if header.dtype.hasobject else header.bytes), present, "it")
+            check_present(
+                header.begins + (0 if header.dtype.hasobject else header.bytes), present, "it"
+            )
             return header
 
     def read(self, name: str) -> np.ndarray:
@@ -128,14 +150,17 @@ class Archive:
         header = self.header(name)
         with _guarded(name):
             if header.dtype.hasobject:
-                raise HabitusError("a pickled object, which could run code; save it as a plain array")
+                raise HabitusError(
+                    "a pickled object, which could run code; save it as a plain array"
+                )
             self.allowance.take(header.weight, header.dtype.itemsize, "it")
             with self._zip.open(self._entries[name]) as stream:
                 return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
 
     def raw(self, name: str) -> bytes:
         """What follows the header of an array: the pickle of an array of objects."""
-        header, entry = self.header(name), self._entries[name]
+        header = self.header(name)
+        entry = self._entries[name]
         with _guarded(name):
             self.allowance.take(entry.file_size, 1, "it")
             with self._zip.open(entry) as stream:
@@ -143,8 +168,11 @@ class Archive:
                 return stream.read(entry.file_size)
 
     def place(self, name: str) -> int | None:
-        """The byte of the file at which an array's numbers begin; None where they are compressed."""
-        header, entry = self.header(name), self._entries[name]
+        """The byte of the file at which an array's numbers begin; None where they are
+        compressed.
+        """
+        header = self.header(name)
+        entry = self._entries[name]
         if not _is_stored(entry):
             return None
         with _guarded(name):
@@ -167,18 +195,24 @@ def _guarded(name: str) -> Iterator[None]:
     except HabitusError as error:
         raise HabitusError(f"array {shown(name)!r}: {error}") from error
     except Exception as error:  # a damaged archive may raise anything
-        raise HabitusError(f"array {shown(name)!r} cannot be read ({reason(error)}); save it again") from error
+        raise HabitusError(
+            f"array {shown(name)!r} cannot be read ({reason(error)}); save it again"
+        ) from error
 
 
 @contextmanager
 def open_archive(path: Path) -> Iterator[Archive]:
-    """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is none."""
+    """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is
+    none.
+    """
     with path.open("rb") as file:
         yield Archive(file)
 
 
 def read_npy(path: Path) -> np.ndarray:
-    """The plain array in an npy file. Raises HabitusError, without the file's name, where it is none."""
+    """The plain array in an npy file. Raises HabitusError, without the file's name, where it is
+    none.
+    """
     try:
         with path.open("rb") as stream:
             header = mapped_header(stream, path)
@@ -188,7 +222,9 @@ def read_npy(path: Path) -> np.ndarray:
     except HabitusError:
         raise
     except Exception as error:
-        raise HabitusError(f"cannot be read ({reason(error)}); save it again with numpy.save") from error
+        raise HabitusError(
+            f"cannot be read ({reason(error)}); save it again with numpy.save"
+        ) from error
 
 
 def mapped_header(stream: BinaryIO, path: Path) -> ArrayHeader:

@@ -1,8 +1,9 @@
-"""Files and folders are written whole or not at all, under names that are safe; one lock keeps runs apart.
+"""Files and folders are written whole or not at all, under names that are safe; one lock keeps runs
+apart.
 
-What is being written stands under a hidden name beside its place, ``.NAME.partial-…``, and takes the place in one step.
-An older folder is first moved to ``.NAME.old-…``. `tidy` removes what killed runs left, and puts an older folder back
-where a run was killed between the two steps.
+What is being written stands under a hidden name beside its place, ``.NAME.partial-…``, and takes
+the place in one step. An older folder is first moved to ``.NAME.old-…``. `tidy` removes what killed
+runs left, and puts an older folder back where a run was killed between the two steps.
 """
 
 import os
@@ -24,9 +25,11 @@ _ROOM = "free some room or choose another folder"
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its place when the block ends well, and vanishes otherwise.
+    """A temporary file beside ``path`` that takes its place when the block ends well, and vanishes
+    otherwise.
 
-    It is on the disk before it takes the place. Raises HabitusError where the folder cannot be made or written to.
+    It is on the disk before it takes the place. Raises HabitusError where the folder cannot be made
+    or written to.
     """
     target = Path(path)
     try:
@@ -53,24 +56,30 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text as UTF-8, whole or not at all; what UTF-8 cannot hold is written as an escape."""
+    """Write a text as UTF-8, whole or not at all; what UTF-8 cannot hold is written as an
+    escape.
+    """
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 @contextmanager
 def whole_folder(path: str | os.PathLike[str], ours: Collection[str] = ()) -> Iterator[Path]:
-    """A hidden folder beside ``path`` that takes its place when the block ends well, and vanishes otherwise.
+    """A hidden folder beside ``path`` that takes its place when the block ends well, and vanishes
+    otherwise.
 
-    An older folder is replaced as a whole; what it holds beside ``ours``, the names that earlier runs may have written,
-    is not the program's and moves into the new one. Raises HabitusError where that cannot be done.
+    An older folder is replaced as a whole; what it holds beside ``ours``, the names that earlier
+    runs may have written, is not the program's and moves into the new one. Raises HabitusError
+    where that cannot be done.
     """
     target = replaceable(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}.partial-"))
     except OSError as error:
-        raise HabitusError(f"cannot write {target}: {error.strerror or error}; choose another folder") from error
+        raise HabitusError(
+            f"cannot write {target}: {error.strerror or error}; choose another folder"
+        ) from error
     try:
         yield partial
         partial.chmod(0o777 & ~_umask())
@@ -86,13 +95,20 @@ def whole_folder(path: str | os.PathLike[str], ours: Collection[str] = ()) -> It
 
 
 def replaceable(path: str | os.PathLike[str]) -> Path:
-    """The absolute path of a folder that may be replaced. Raises HabitusError for a file and for the working folder."""
+    """The absolute path of a folder that may be replaced. Raises HabitusError for a file and for
+    the working folder.
+    """
     target = Path(os.path.abspath(path))
     if target.exists() and not target.is_dir():
-        raise HabitusError(f"cannot write the folder {path}: a file of this name is there; move it away")
+        raise HabitusError(
+            f"cannot write the folder {path}: a file of this name is there; move it away"
+        )
     with suppress(FileNotFoundError):  # of a working folder that is gone
         if Path.cwd().is_relative_to(target.resolve()):
-            raise HabitusError(f"cannot replace {path}: it is the working folder; start the program from another one")
+            raise HabitusError(
+                f"cannot replace {path}: it is the working folder; start the program from another "
+                "one"
+            )
     return target
 
 
@@ -119,14 +135,20 @@ def _clear(aside: Path, target: Path, ours: Collection[str]) -> None:
         aside.unlink()
         return
     for entry in aside.iterdir():
-        stale = entry.name in ours or _LEFT.fullmatch(entry.name) or os.path.lexists(target / entry.name)
+        stale = (
+            entry.name in ours
+            or _LEFT.fullmatch(entry.name)
+            or os.path.lexists(target / entry.name)
+        )
         if not stale:
             os.rename(entry, target / entry.name)
     shutil.rmtree(aside, ignore_errors=True)
 
 
 def tidy(folder: Path, ours: Collection[str] = ()) -> None:
-    """Remove what killed runs left in a folder that nobody else is at work in; ``ours`` as for `whole_folder`."""
+    """Remove what killed runs left in a folder that nobody else is at work in; ``ours`` as for
+    `whole_folder`.
+    """
     entries = list(folder.iterdir()) if folder.is_dir() else []
     for entry in entries:
         found = _LEFT.fullmatch(entry.name)
@@ -144,7 +166,9 @@ def tidy(folder: Path, ours: Collection[str] = ()) -> None:
 
 
 def _flush(path: Path) -> None:
-    """See to it that a file, or a folder's list of names, is on the disk; where folders cannot be asked, nothing."""
+    """See to it that a file, or a folder's list of names, is on the disk; where folders cannot be
+    asked, nothing.
+    """
     folder = path.is_dir()
     try:
         handle = os.open(path, os.O_RDONLY if folder else os.O_RDWR)
@@ -172,15 +196,20 @@ def writable_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise HabitusError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from error
+        raise HabitusError(
+            f"cannot write to {folder}: {error.strerror}; choose another folder with --out"
+        ) from error
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise HabitusError(f"cannot write to {folder}: permission denied; choose another folder with --out")
+        raise HabitusError(
+            f"cannot write to {folder}: permission denied; choose another folder with --out"
+        )
     return folder
 
 
 @contextmanager
 def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
-    """Keep other runs out of the folder (created if missing) until the block ends or the process dies; then `tidy` it.
+    """Keep other runs out of the folder (created if missing) until the block ends or the process
+    dies; then `tidy` it.
 
     Raises HabitusError at once where another run is at work in it, or it cannot be written to.
     """
@@ -190,10 +219,12 @@ def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
     except OSError as error:
         if isinstance(error, Timeout):
             raise HabitusError(
-                f"{folder}: another run is at work in it; wait for its end or choose another folder with --out"
+                f"{folder}: another run is at work in it; wait for its end or choose another "
+                "folder with --out"
             ) from error
         raise HabitusError(
-            f"{lock.lock_file}: cannot be locked ({error.strerror or error}); choose another folder with --out"
+            f"{lock.lock_file}: cannot be locked ({error.strerror or error}); choose another "
+            "folder with --out"
         ) from error
     try:
         tidy(folder, ours)

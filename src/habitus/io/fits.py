@@ -16,19 +16,30 @@ from habitus.io.archives import open_archive, reason
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
-_NEEDED = ("poses", "trans", "betas", "latent_labels", "markers_latent", "markers_obs", "markers_sim", "settings")
+_NEEDED = (
+    "poses",
+    "trans",
+    "betas",
+    "latent_labels",
+    "markers_latent",
+    "markers_obs",
+    "markers_sim",
+    "settings",
+)
 _JOINT_SETS = {len(layout.joint_names): layout.name for layout in (SMPL, SMPLH, SMPLX)}
 _SAME_BODY = 1e-3  # metres: files of one body in float32 and float64 agree a thousand times better
 
 
-def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[str] | None = None) -> MarkerFit:
-    """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote, ready to be used and exported.
+def load_fit(
+    path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[str] | None = None
+) -> MarkerFit:
+    """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote, ready to be used
+    and exported.
 
-    body: the model that was fitted, loaded or a file; needed where it is none that comes along, as a fit's file holds
-    no body.
-    What the file does not keep: held-out errors, costs and timings, which stand in metrics.json beside it; observed
-    and predicted markers are kept in float32. Raises HabitusError, with the file named, where it holds no such fit or
-    the body is another.
+    body: the model that was fitted, loaded or a file; needed where it is none that comes along, as
+    a fit's file holds no body. What the file does not keep: held-out errors, costs and timings,
+    which stand in metrics.json beside it; observed and predicted markers are kept in float32.
+    Raises HabitusError, with the file named, where it holds no such fit or the body is another.
     """
     source = Path(path)
     try:
@@ -37,14 +48,19 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
     except FileNotFoundError:
         raise HabitusError(f"{source}: no such file; expected the body.npz of a fit") from None
     except (OSError, HabitusError) as error:
-        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected the body.npz of a fit") from error
+        raise HabitusError(
+            f"{source}: cannot be read ({reason(error)}); expected the body.npz of a fit"
+        ) from error
     if str(arrays.get("npz_style")) == "amass":
         raise HabitusError(
-            f"{source}: is in AMASS's style, which keeps neither markers nor soft tissue; fit with npz_style 'habitus'"
+            f"{source}: is in AMASS's style, which keeps neither markers nor soft tissue; fit "
+            "with npz_style 'habitus'"
         )
     missing = [name for name in _NEEDED if name not in arrays]
     if missing:
-        raise HabitusError(f"{source}: holds no {missing[0]}; expected the body.npz of a fit that habitus wrote")
+        raise HabitusError(
+            f"{source}: holds no {missing[0]}; expected the body.npz of a fit that habitus wrote"
+        )
     try:
         model = _body(source, arrays, body)
         return _checked(_fit(arrays, model))
@@ -59,7 +75,9 @@ def load_fit(path: str | os.PathLike[str], body: BodyModel | str | os.PathLike[s
 def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
     name = str(arrays["surface_model_type"])
     if body is None and name not in SHIPPED:
-        raise HabitusError(f"{source}: was fitted with the body {name!r}; give it, load_fit(path, body=FILE)")
+        raise HabitusError(
+            f"{source}: was fitted with the body {name!r}; give it, load_fit(path, body=FILE)"
+        )
     if not isinstance(body, BodyModel):
         joints = _JOINT_SETS.get(arrays["poses"].shape[1] // 3) if body is None else None
         body = load_body(name if body is None else os.fspath(body), joints=joints)
@@ -69,21 +87,26 @@ def _body(source: Path, arrays: dict[str, np.ndarray], body: Any) -> BodyModel:
     wanted = (arrays["poses"].shape[1] // 3, len(arrays["betas"]))
     if found != wanted:
         raise HabitusError(
-            f"{source}: was fitted with the body {name!r} of {wanted[0]} joints and {wanted[1]} betas; "
+            f"{source}: was fitted with the body {name!r} of {wanted[0]} joints and {wanted[1]} "
+            "betas; "
             f"{body.name} has {found[0]} and {found[1]}"
         )
     away = _markers_off(arrays, body)
     if away > _SAME_BODY:
         far = f"{1e3 * away:.0f} mm away" if np.isfinite(away) else "of another mesh"
         raise HabitusError(
-            f"{source}: was fitted with the body {name!r}; on {body.name} the same betas are another person, whose "
-            f"skin is {far} at its markers; give the body that was fitted, load_fit(path, body=FILE)"
+            f"{source}: was fitted with the body {name!r}; on {body.name} the same betas are "
+            "another person, whose "
+            f"skin is {far} at its markers; give the body that was fitted, load_fit(path, "
+            "body=FILE)"
         )
     return body
 
 
 def _markers_off(arrays: dict[str, np.ndarray], body: BodyModel) -> float:
-    """How far the rest surface of this body carries the markers from where the fit has them, metres, at the worst."""
+    """How far the rest surface of this body carries the markers from where the fit has them,
+    metres, at the worst.
+    """
     triangles = arrays["marker_triangles"]
     if not len(triangles):
         return 0.0
@@ -96,7 +119,9 @@ def _markers_off(arrays: dict[str, np.ndarray], body: BodyModel) -> float:
 
 def _checked(fit: MarkerFit) -> MarkerFit:
     """The fit as it is. Raises ValueError where its arrays do not fit together."""
-    frames, markers, joints = len(fit.trans), len(fit.labels), fit.body.num_joints
+    frames = len(fit.trans)
+    markers = len(fit.labels)
+    joints = fit.body.num_joints
     before = fit.pose_stage
     shapes = {
         "poses": (fit.pose, (frames, joints, 3)),
@@ -122,7 +147,8 @@ def _checked(fit: MarkerFit) -> MarkerFit:
 
 
 def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
-    pose, trans = arrays["poses"].reshape(len(arrays["poses"]), -1, 3), arrays["trans"]
+    pose = arrays["poses"].reshape(len(arrays["poses"]), -1, 3)
+    trans = arrays["trans"]
     soft = arrays.get("soft_tissue_betas")
     before = pose if soft is None else arrays["poses_pose_stage"].reshape(pose.shape)
     last = arrays["markers_sim"].astype(np.float64)
@@ -145,7 +171,9 @@ def _fit(arrays: dict[str, np.ndarray], body: BodyModel) -> MarkerFit:
         dynamics=arrays.get("soft_tissue_dynamics"),
         pose_stage=(before, trans if soft is None else arrays["trans_pose_stage"]),
         observed_markers=arrays["markers_obs"].astype(np.float64),
-        predicted_pose_stage=last if soft is None else arrays["markers_sim_pose_stage"].astype(np.float64),
+        predicted_pose_stage=last
+        if soft is None
+        else arrays["markers_sim_pose_stage"].astype(np.float64),
         predicted_soft_tissue=None if soft is None else last,
         marker_weights=arrays["marker_weights"].astype(np.float64),
         marker_noise=arrays["marker_noise"],

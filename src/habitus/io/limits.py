@@ -1,9 +1,10 @@
-"""How much a file may claim: the one place that decides what memory and time a reader spends on a file's word.
+"""How much a file may claim: the one place that decides what memory and time a reader spends on a
+file's word.
 
-A count in a header costs its writer ten bytes and its reader a hundred gigabytes. So no reader sets up what a file
-claims before it has asked here whether a file of that size can honestly hold it. Rules are relative to the bytes that
-are really there; where compressed, sparse or repeated data may honestly grow, they may grow to a tenfold of the file
-and 128 MB more, all of one file together.
+A count in a header costs its writer ten bytes and its reader a hundred gigabytes. So no reader sets
+up what a file claims before it has asked here whether a file of that size can honestly hold it.
+Rules are relative to the bytes that are really there; where compressed, sparse or repeated data may
+honestly grow, they may grow to a tenfold of the file and 128 MB more, all of one file together.
 """
 
 import zlib
@@ -38,7 +39,8 @@ class Allowance:
         size = count * max(8, width)
         if count < 0 or size > self._left:
             raise HabitusError(
-                f"{what} would fill {_size(size)}; a file of this size may fill {_size(self.most)} in all; "
+                f"{what} would fill {_size(size)}; a file of this size may fill "
+                f"{_size(self.most)} in all; "
                 "it is damaged or hostile: get it anew"
             )
         self._left -= size
@@ -47,29 +49,45 @@ class Allowance:
 def check_present(claimed: int, present: int, what: str) -> None:
     """Raise HabitusError where ``what`` claims more bytes than the file has for it."""
     if not 0 <= claimed <= present:
-        raise HabitusError(f"{what} claims {_size(claimed)}, the file has {_size(present)}; it is damaged, get it anew")
+        raise HabitusError(
+            f"{what} claims {_size(claimed)}, the file has {_size(present)}; it is damaged, get "
+            "it anew"
+        )
 
 
 def check_table(rows: int, width: int, cells: int, name: str) -> None:
-    """Raise HabitusError where the header of the table ``name`` promises far more columns than its rows have cells."""
+    """Raise HabitusError where the header of the table ``name`` promises far more columns than its
+    rows have cells.
+    """
     if rows * width > max(1_000_000, 20 * cells):
-        raise HabitusError(f"{name}: its header promises {width} columns that its rows do not have; export it again")
+        raise HabitusError(
+            f"{name}: its header promises {width} columns that its rows do not have; export it "
+            "again"
+        )
 
 
 def check_text(size: int, name: str, most: int = MOST_TEXT) -> None:
-    """Raise HabitusError where a text file is longer than any that a person or a program would write."""
+    """Raise HabitusError where a text file is longer than any that a person or a program would
+    write.
+    """
     if size > most:
-        raise HabitusError(f"{name}: {_size(size)} of text; expected at most {_size(most)}; is it another file?")
+        raise HabitusError(
+            f"{name}: {_size(size)} of text; expected at most {_size(most)}; is it another file?"
+        )
 
 
 def check_joints(count: int) -> None:
-    """Raise HabitusError for a tree of more joints than any body has; tables of joint by joint follow from them."""
+    """Raise HabitusError for a tree of more joints than any body has; tables of joint by joint
+    follow from them.
+    """
     if count > MOST_JOINTS:
         raise HabitusError(f"{count} joints; expected at most {MOST_JOINTS}")
 
 
 def array_size(shape: tuple[int, ...]) -> int:
-    """How many numbers an array has, however large. Raises HabitusError for lengths that are none."""
+    """How many numbers an array has, however large. Raises HabitusError for lengths that are
+    none.
+    """
     if not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 32:
         raise HabitusError(f"a shape of {shown(shape)}; expected whole numbers; get the file anew")
     count = 1
@@ -79,8 +97,11 @@ def array_size(shape: tuple[int, ...]) -> int:
 
 
 def check_inflated(packed: bytes, most: int, what: str, wbits: int = 15) -> None:
-    """Inflate deflated bytes piece by piece, keeping nothing; raise HabitusError where they grow beyond ``most``."""
-    machine, total = zlib.decompressobj(wbits), 0
+    """Inflate deflated bytes piece by piece, keeping nothing; raise HabitusError where they grow
+    beyond ``most``.
+    """
+    machine = zlib.decompressobj(wbits)
+    total = 0
     while packed and not machine.eof:
         total += len(machine.decompress(packed, 1 << 20))
         check_present(total, most, f"a packed piece of {what}")
@@ -95,4 +116,10 @@ def folder_bytes(folder: Path) -> int:
 def _size(count: int) -> str:
     if count < 10_000:
         return f"{count} bytes"
-    return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB" if count < 1e18 else "more than 10⁹ GB"
+    return (
+        f"{count / 1e6:.3g} MB"
+        if count < 1e9
+        else f"{count / 1e9:.3g} GB"
+        if count < 1e18
+        else "more than 10⁹ GB"
+    )

@@ -17,14 +17,17 @@ _MOST_LINES = 300
 
 
 def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
-    """The vertices, in the file's unit, and triangles of a PLY or OBJ file, none merged, none reordered.
+    """The vertices, in the file's unit, and triangles of a PLY or OBJ file, none merged, none
+    reordered.
 
-    Polygons are cut into triangles, always alike. Raises HabitusError where the file is no such mesh, or trimesh, which
-    reads it, is not installed.
+    Polygons are cut into triangles, always alike. Raises HabitusError where the file is no such
+    mesh, or trimesh, which reads it, is not installed.
     """
     source = Path(path)
     if source.suffix.lower() not in ENDINGS:
-        raise HabitusError(f"{source}: ending {source.suffix!r}; expected a mesh ({' or '.join(ENDINGS)})")
+        raise HabitusError(
+            f"{source}: ending {source.suffix!r}; expected a mesh ({' or '.join(ENDINGS)})"
+        )
     trimesh = require_extra("trimesh", "meshes")
     try:
         with source.open("rb") as file:
@@ -45,14 +48,27 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     except OSError as error:
         raise HabitusError(f"{source}: {error.strerror or error}; expected a mesh") from error
     except Exception as error:  # a damaged file may raise anything
-        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a mesh; export it again") from error
-    vertices, faces = _numbers(mesh, "vertices"), _numbers(mesh, "faces")
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise HabitusError(
-            f"{source}: holds {len(vertices)} points and {len(faces)} faces; expected a mesh of triangles"
+            f"{source}: cannot be read ({reason(error)}); expected a mesh; export it again"
+        ) from error
+    vertices = _numbers(mesh, "vertices")
+    faces = _numbers(mesh, "faces")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or faces.ndim != 2
+        or faces.shape[1] != 3
+        or not len(faces)
+    ):
+        raise HabitusError(
+            f"{source}: holds {len(vertices)} points and {len(faces)} faces; expected a mesh of "
+            "triangles"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise HabitusError(f"{source}: its faces name vertices up to {faces.max()} of {len(vertices)}; export it again")
+        raise HabitusError(
+            f"{source}: its faces name vertices up to {faces.max()} of {len(vertices)}; export it "
+            "again"
+        )
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
 
 
@@ -66,11 +82,16 @@ def check_obj(file: BinaryIO, size: int) -> None:
     found = re.search(rb"(?m)^\s*f.*?(\d{%d,})" % (len(str(size)) + 1), file.read())
     file.seek(0)
     if found:
-        raise HabitusError(f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it again")
+        raise HabitusError(
+            f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it "
+            "again"
+        )
 
 
 def check_ply(file: BinaryIO, size: int) -> None:
-    """A PLY's header counts elements, each of which takes a byte at least, and lists few properties."""
+    """A PLY's header counts elements, each of which takes a byte at least, and lists few
+    properties.
+    """
     header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
     file.seek(0)
     if header.count(b"\n") > _MOST_LINES:
@@ -78,5 +99,9 @@ def check_ply(file: BinaryIO, size: int) -> None:
     for line in header.splitlines():
         words = line.split()
         if words[:1] == [b"element"]:
-            count = int(words[2]) if len(words) == 3 and words[2].isdigit() and len(words[2]) < 20 else -1
+            count = (
+                int(words[2])
+                if len(words) == 3 and words[2].isdigit() and len(words[2]) < 20
+                else -1
+            )
             check_present(count, size, "its number of elements")

@@ -21,36 +21,47 @@ def inside(path: str) -> Path:
     """
     way = PurePath(path)
     if not path.strip() or "\0" in path or way.is_absolute() or ".." in way.parts:
-        raise HabitusError(f"{shown(path)!r} leads out of the folder that names it; expected a file beside it or below")
+        raise HabitusError(
+            f"{shown(path)!r} leads out of the folder that names it; expected a file beside it or "
+            "below"
+        )
     return Path(path)
 
 
 def plain_name(text: object) -> str:
-    """A label, a subject or another name from a file, as the project spells it: what is blank is a space, what cannot
-    be seen is written as an escape (`habitus.errors.shown`), and what is too long is cut in its middle."""
+    """A label, a subject or another name from a file, as the project spells it: what is blank is a
+    space, what cannot be seen is written as an escape (`habitus.errors.shown`), and what is too
+    long is cut in its middle.
+    """
     name = str(text)
     if name.isprintable() and len(name) <= LONGEST_NAME:
         return name.strip()
     if len(name) > 4 * LONGEST_NAME:
         name = name[: 2 * LONGEST_NAME] + name[-2 * LONGEST_NAME :] + "…"
-    return shown("".join(" " if letter in "\t\xa0" else letter for letter in name).strip(), LONGEST_NAME)
+    return shown(
+        "".join(" " if letter in "\t\xa0" else letter for letter in name).strip(), LONGEST_NAME
+    )
 
 
 def shown_stem(path: Path) -> str:
-    """A file's name without its ending, as a text that can be shown and encoded: what is no text becomes an escape."""
+    """A file's name without its ending, as a text that can be shown and encoded: what is no text
+    becomes an escape.
+    """
     return shown(os.fsencode(path.stem).decode("utf-8", "backslashreplace"), _ANY)
 
 
 def file_name(text: str, where: str = "") -> str:
-    """A text as the name of one file or folder: it names nothing elsewhere, nothing hidden and no device.
+    """A text as the name of one file or folder: it names nothing elsewhere, nothing hidden and no
+    device.
 
-    Separators become ``_``; what cannot be seen or encoded is written as an escape, ``_x1b``; what is longer than file
-    systems take is cut, and told apart by a digest of the whole. ``where`` is what the error names. Raises HabitusError
-    for an empty text, ``.`` and ``..``.
+    Separators become ``_``; what cannot be seen or encoded is written as an escape, ``_x1b``; what
+    is longer than file systems take is cut, and told apart by a digest of the whole. ``where`` is
+    what the error names. Raises HabitusError for an empty text, ``.`` and ``..``.
     """
     if text.strip() in ("", ".", ".."):
         raise HabitusError(
-            f"{where or shown(text) or 'a name'}: its results cannot be called {text!r}; rename the file"
+            f"{where or shown(text) or 'a name'}: its results cannot be called {text!r}; rename "
+            "the file"
         )
     name = re.sub(r"^[. ]|[. ]$", "_", _APART.sub("_", shown(text, _ANY)))
     if _RESERVED.fullmatch(name):

@@ -1,4 +1,6 @@
-"""TOML, JSON and XML from anybody: whatever is in the text, a table comes out or one clear error."""
+"""TOML, JSON and XML from anybody: whatever is in the text, a table comes out or one clear
+error.
+"""
 
 import json
 import re
@@ -29,7 +31,9 @@ def read_toml(text: str, most: int = MOST_TEXT) -> dict[str, Any]:
 
 
 def read_json(text: str, most: int = MOST_TEXT) -> Any:
-    """What a JSON text of at most so many characters holds. Raises HabitusError where it is none."""
+    """What a JSON text of at most so many characters holds. Raises HabitusError where it is
+    none.
+    """
     check_text(len(text), "the file", most)
     try:
         return json.loads(text)
@@ -40,10 +44,13 @@ def read_json(text: str, most: int = MOST_TEXT) -> Any:
 def read_xml(text: str, most: int = MOST_TEXT) -> Element:
     """The root of an XML text of at most so many characters. Raises HabitusError where it is none.
 
-    Nothing is fetched and no entity is expanded: a text that declares any is refused, as is one nested without end.
+    Nothing is fetched and no entity is expanded: a text that declares any is refused, as is one
+    nested without end.
     """
     check_text(len(text), "the file", most)
-    builder, parser, depth = TreeBuilder(), expat.ParserCreate(), [0]
+    builder = TreeBuilder()
+    parser = expat.ParserCreate()
+    depth = [0]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         depth[0] += 1
@@ -58,8 +65,11 @@ def read_xml(text: str, most: int = MOST_TEXT) -> Element:
     def refuse(*declared: object) -> None:
         raise HabitusError(f"it declares the entity {shown(declared[0], 40)}; expected plain XML")
 
-    parser.buffer_text, parser.StartElementHandler, parser.EndElementHandler = True, start, end
-    parser.CharacterDataHandler, parser.EntityDeclHandler = builder.data, refuse
+    parser.buffer_text = True
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
+    parser.EntityDeclHandler = refuse
     try:
         parser.Parse(text.lstrip("\ufeff"), True)
     except (expat.ExpatError, ValueError) as error:

@@ -1,4 +1,6 @@
-"""Metres, whatever the file says: its unit is read, then checked against the size of the body that its numbers make."""
+"""Metres, whatever the file says: its unit is read, then checked against the size of the body that
+its numbers make.
+"""
 
 from collections.abc import Sequence
 
@@ -23,12 +25,16 @@ _USUAL_M = 1.6
 
 
 def unit_of(text: str | None) -> str | None:
-    """The unit a file's word stands for: "Millimeters" -> "mm"; None where it is no unit of length."""
+    """The unit a file's word stands for: "Millimeters" -> "mm"; None where it is no unit of
+    length.
+    """
     return _UNIT_OF.get(text.strip().lower()) if text else None
 
 
 def extent(points: Float[np.ndarray, "T M 3"]) -> float:
-    """The size of the body in the points' unit: twice the distance from the middle that holds nine in ten points."""
+    """The size of the body in the points' unit: twice the distance from the middle that holds nine
+    in ten points.
+    """
     seen = np.isfinite(points[..., 0]).sum(axis=1)
     if not seen.any():
         return float("nan")
@@ -40,7 +46,9 @@ def extent(points: Float[np.ndarray, "T M 3"]) -> float:
 
 
 def restlessness(points: Float[np.ndarray, "T M 3"]) -> float:
-    """How far a point moves against the others from frame to frame, at the median, as a share of the body's extent."""
+    """How far a point moves against the others from frame to frame, at the median, as a share of
+    the body's extent.
+    """
     steps = np.arange(len(points) - 1)[:: max(1, len(points) // _MOST_FRAMES)]
     both = np.stack([points[steps], points[steps + 1]])
     shared = np.isfinite(both).all(axis=(0, 3))
@@ -52,28 +60,38 @@ def restlessness(points: Float[np.ndarray, "T M 3"]) -> float:
     return float(np.nanmedian(np.linalg.norm(both[1] - both[0], axis=2)) / extent(points))
 
 
-def find_unit(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None) -> tuple[str, str | None]:
+def find_unit(
+    labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None
+) -> tuple[str, str | None]:
     """The unit of the numbers, and a warning where the file claims none or another.
 
-    A claim stands as long as the body that it makes could exist: 0.45 to 4.2 m from head to foot, else 2 cm to 6 m.
+    A claim stands as long as the body that it makes could exist: 0.45 to 4.2 m from head to foot,
+    else 2 cm to 6 m.
     """
     claimed = unit_of(claim)
     size = extent(points)
     least, most = (0.45, 4.2) if _whole_body(labels) else (0.02, 6.0)
     if not np.isfinite(size) or size <= 0:
-        return claimed or "mm", None if claimed else "the file names no unit of length; millimetres are assumed"
+        return (
+            claimed or "mm",
+            None if claimed else "the file names no unit of length; millimetres are assumed",
+        )
     if claimed and least <= size * METRES[claimed] <= most:
         return claimed, None
     fitting = [unit for unit in ("mm", "cm", "m") if least <= size * METRES[unit] <= most]
     if not fitting:
         span = f"the markers span {size:.3g} {claimed or 'mm'}"
-        return claimed or "mm", f"{span}, which is no size of a body in any unit; the file's unit is kept"
+        return (
+            claimed or "mm",
+            f"{span}, which is no size of a body in any unit; the file's unit is kept",
+        )
     unit = min(fitting, key=lambda unit: abs(np.log(size * METRES[unit] / _USUAL_M)))
     found = f"the markers span {size * METRES[unit]:.2f} m in {unit}"
     if claimed:
         return (
             unit,
-            f"the file says {claimed}, which makes a body of {size * METRES[claimed]:.3g} m: {found}, which is used",
+            f"the file says {claimed}, which makes a body of {size * METRES[claimed]:.3g} m: "
+            f"{found}, which is used",
         )
     named = f"no unit that is known ({claim!r})" if claim else "no unit of length"
     return unit, f"the file names {named}: {found}, which is used"

@@ -12,7 +12,9 @@ AUTO = "auto"
 
 
 def read_age(age: float | str | None) -> float | None:
-    """The age that is asked for in years; None for none, and for "auto". Raises HabitusError for what is no age."""
+    """The age that is asked for in years; None for none, and for "auto". Raises HabitusError for
+    what is no age.
+    """
     if age is None or age == AUTO:
         return None
     try:
@@ -20,17 +22,24 @@ def read_age(age: float | str | None) -> float | None:
     except (TypeError, ValueError):
         years = math.nan
     if not math.isfinite(years):
-        raise HabitusError(f"age is {age!r}; expected years, such as 8, or auto for what the capture's file says")
+        raise HabitusError(
+            f"age is {age!r}; expected years, such as 8, or auto for what the capture's file says"
+        )
     return years
 
 
 def at_age(body: BodyModel, age: float | None) -> BodyModel:
-    """The body at an age in years; as it is where there is none, or where it has that one. Raises HabitusError."""
+    """The body at an age in years; as it is where there is none, or where it has that one. Raises
+    HabitusError.
+    """
     return body if age is None or body.age == age else body.at_age(age)
 
 
-def told_age(body: BodyModel, age: float | str | None, person: Person) -> tuple[BodyModel, tuple[str, ...]]:
-    """With "auto" the body at the age that all files of a person agree on, or at the nearest that it knows.
+def told_age(
+    body: BodyModel, age: float | str | None, person: Person
+) -> tuple[BodyModel, tuple[str, ...]]:
+    """With "auto" the body at the age that all files of a person agree on, or at the nearest that
+    it knows.
 
     What was done about the age comes with it in a sentence.
     """
@@ -38,7 +47,11 @@ def told_age(body: BodyModel, age: float | str | None, person: Person) -> tuple[
         return body, ()
     if body.ages is None:
         return body, (f"age auto: the body {body.called} knows of no other ages",)
-    said = {years for capture in person.captures if isinstance(years := capture.recorded.get("age_years"), float | int)}
+    said = {
+        years
+        for capture in person.captures
+        if isinstance(years := capture.recorded.get("age_years"), float | int)
+    }
     if len(said) != 1:
         why = "the files differ" if said else "the capture's file says none"
         return body, (f"age auto: {why}: the body is that of a grown person",)

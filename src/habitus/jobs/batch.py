@@ -1,4 +1,6 @@
-"""Many captures in one run: each fails by itself, the others are fitted; what became of each is told."""
+"""Many captures in one run: each fails by itself, the others are fitted; what became of each is
+told.
+"""
 
 import json
 import time
@@ -29,7 +31,8 @@ _Files = Mapping[Found, tuple[Capture, ...]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a capture: the folder of its results and the numbers in its metrics.json, or why there are none.
+    """What became of a capture: the folder of its results and the numbers in its metrics.json, or
+    why there are none.
 
     ``left_out``: the file was found in a folder and is no capture, which is no failure.
     """
@@ -49,13 +52,17 @@ class Outcome:
     @property
     def reason(self) -> str:
         """Why there is no result, in one line that names the file."""
-        where, text = shown(self.source, 300), str(self.error)
+        where = shown(self.source, 300)
+        text = str(self.error)
         if isinstance(self.error, HabitusError):
             for begin in (f"{where}: ", f"{self.source.name}: ", f"{self.name}: "):
                 text = text.removeprefix(begin)
             return f"{where}: {text}"
         kind = f"{type(self.error).__name__}: {shown(text, 200)}"
-        return f"{where}: {kind}; this is a fault of habitus: report it, with what -v says of this file alone"
+        return (
+            f"{where}: {kind}; this is a fault of habitus: report it, with what -v says of "
+            "this file alone"
+        )
 
 
 @dataclass(frozen=True)
@@ -79,15 +86,20 @@ def fit_all(
     progress: Progress = silent,
     on_done: Callable[[Outcome], None] = lambda outcome: None,
 ) -> list[Outcome]:
-    """Fit every capture among files and below folders; ``out`` receives a folder for each, as deep as it lay.
+    """Fit every capture among files and below folders; ``out`` receives a folder for each, as deep
+    as it lay.
 
-    Files that are given are one subject. Of a folder, captures that name the same subject and have their markers at the
-    same places are one. What fails is left behind with its reason. Raises HabitusError where nothing can begin: no
-    capture at all, no such layout or body, a folder that cannot be written to or that another run is at work in.
+    Files that are given are one subject. Of a folder, captures that name the same subject and have
+    their markers at the same places are one. What fails is left behind with its reason. Raises
+    HabitusError where nothing can begin: no capture at all, no such layout or body, a folder that
+    cannot be written to or that another run is at work in.
     """
     if not paths:
-        raise HabitusError("no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)")
-    model, target = recipe.body(body), Path(out)
+        raise HabitusError(
+            "no capture was given; expected a file or a folder or more (C3D, TRC, CSV, TSV or npz)"
+        )
+    model = recipe.body(body)
+    target = Path(out)
     check_npz_style(options.npz_style, model)
     check_layout(recipe.layout, options.hold_out, options.hold_out_every)
     found = find_captures([Path(path) for path in paths], target)
@@ -95,7 +107,9 @@ def fit_all(
     with locked(target, OURS):
         for place in {one.place for one in found}:
             tidy(target / place, OURS)
-        batch = _Batch(recipe, model, body, target, options, _Counted(progress, len(found), outcomes))
+        batch = _Batch(
+            recipe, model, body, target, options, _Counted(progress, len(found), outcomes)
+        )
         for outcome in batch.run(found):
             outcomes.append(outcome)
             on_done(outcome)
@@ -116,7 +130,9 @@ class _Counted:
     done: Sequence[Outcome]
 
     def __call__(self, stage: str, share: float) -> None:
-        self.progress(stage if self.count == 1 else f"{len(self.done)} of {self.count} done, {stage}", share)
+        self.progress(
+            stage if self.count == 1 else f"{len(self.done)} of {self.count} done, {stage}", share
+        )
 
 
 @dataclass(frozen=True)
@@ -140,7 +156,12 @@ class _Batch:
                 try:
                     worn.append((one, self._worn(one)))
                 except Exception as error:
-                    yield Outcome(one.path, one.name, error=error, left_out=one.path.suffix.lower() not in SURE)
+                    yield Outcome(
+                        one.path,
+                        one.name,
+                        error=error,
+                        left_out=one.path.suffix.lower() not in SURE,
+                    )
         for group in grouped(worn):
             yield from self._group(group)
 
@@ -164,8 +185,8 @@ class _Batch:
     def _fitted(self, files: _Files, seconds: float) -> Iterator[Outcome]:
         """The fits of one subject's files, which took so many seconds to read.
 
-        Files that cannot be fitted together are fitted without those that cannot be alone. Where a fit breaks off, each
-        file that is not done yet is fitted by itself.
+        Files that cannot be fitted together are fitted without those that cannot be alone. Where a
+        fit breaks off, each file that is not done yet is fitted by itself.
         """
         if not files:
             return
@@ -192,7 +213,9 @@ class _Batch:
 
     def _people(self, files: _Files) -> tuple[list[Person], dict[int, Path]]:
         recipe = self.recipe
-        people = gather(list(files.values()), recipe.layout, recipe.subject, self.body, self.progress)
+        people = gather(
+            list(files.values()), recipe.layout, recipe.subject, self.body, self.progress
+        )
         for person in people:
             check_each(person)
         place = self.out / next(iter(files)).place

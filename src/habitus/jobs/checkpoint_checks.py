@@ -1,4 +1,6 @@
-"""Whether what a checkpoint holds fits together: a damaged file may be whole and yet no state of a training."""
+"""Whether what a checkpoint holds fits together: a damaged file may be whole and yet no state of a
+training.
+"""
 
 from typing import Any
 
@@ -10,7 +12,9 @@ from habitus.mesh.joint_tree import check_parents
 
 
 def checked_state(state: TrainingState, seconds: Any) -> tuple[TrainingState, list[float]]:
-    """The state and its seconds as they are. Raises ValueError, TypeError or HabitusError where they cannot be."""
+    """The state and its seconds as they are. Raises ValueError, TypeError or HabitusError where
+    they cannot be.
+    """
     if type(state.finished) is not bool:
         raise ValueError("it does not say whether it is finished")
     for record in state.history:
@@ -29,7 +33,10 @@ def checked_state(state: TrainingState, seconds: Any) -> tuple[TrainingState, li
 def _check_estimate(estimate: Estimate) -> None:
     rig = estimate.rig
     check_parents(rig.parents)
-    s, n, j, v = len(estimate.templates), len(estimate.pose), rig.num_joints, rig.num_vertices
+    s = len(estimate.templates)
+    n = len(estimate.pose)
+    j = rig.num_joints
+    v = rig.num_vertices
     shapes = {
         "templates": (s, v, 3),
         "joints": (s, j, 3),

@@ -1,7 +1,7 @@
 """Checkpoints of training on disk: a stopped or killed run continues from the last one.
 
-Every file is written beside its place first, so that whatever happens the last whole state is there. Nothing is
-pickled.
+Every file is written beside its place first, so that whatever happens the last whole state is
+there. Nothing is pickled.
 """
 
 import hashlib
@@ -33,14 +33,22 @@ _ESTIMATE = ("templates", "joints", "descriptors", "pose", "trans")
 
 
 def fingerprint(
-    registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
+    registrations: Registrations,
+    template: Template,
+    options: TrainOptions,
+    body: BodyModel | None = None,
 ) -> dict[str, Any]:
-    """Identifies a training: the registrations' words, number, first and last, and what is known of them where that is
-    started from; the template; the options but those that say how long; the ``body`` that it starts from, if it does.
+    """Identifies a training: the registrations' words, number, first and last, and what is known of
+    them where that is started from; the template; the options but those that say how long; the
+    ``body`` that it starts from, if it does.
     """
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     if registrations.known is not None and options.start == "body":
-        ends += [value for key, value in registrations.known.items() if key != "rest" and value is not None]
+        ends += [
+            value
+            for key, value in registrations.known.items()
+            if key != "rest" and value is not None
+        ]
         ends += list(registrations.known.rest.values())
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -70,9 +78,9 @@ def _digest(arrays: Sequence[np.ndarray], words: Sequence[str]) -> str:
 class Checkpoint:
     """A folder with the last whole state of one training.
 
-    ``run.json`` says what the training is of, ``progress.npz`` holds the estimate, the energies and when they were
-    reached, ``surfaces.npy`` the pose-normalised surfaces, ``surfaces.json`` how many of them are there. Seconds are
-    of work, counted over all runs.
+    ``run.json`` says what the training is of, ``progress.npz`` holds the estimate, the energies and
+    when they were reached, ``surfaces.npy`` the pose-normalised surfaces, ``surfaces.json`` how
+    many of them are there. Seconds are of work, counted over all runs.
     """
 
     folder: Path
@@ -80,7 +88,8 @@ class Checkpoint:
 
     @staticmethod
     def open(folder: Path, run: Mapping[str, Any], *, restart: bool = False) -> "Checkpoint":
-        """The checkpoint of a run (see `fingerprint`), empty where there is none yet or ``restart`` is asked for.
+        """The checkpoint of a run (see `fingerprint`), empty where there is none yet or ``restart``
+        is asked for.
 
         Raises HabitusError where the folder holds another training's, or cannot be written to.
         """
@@ -93,7 +102,8 @@ class Checkpoint:
             other = _differences(_read_json(file), told)
             if other:
                 raise HabitusError(
-                    f"{folder}: it belongs to a training with other {other}; expected the same to go on from there: "
+                    f"{folder}: it belongs to a training with other {other}; expected the same to "
+                    "go on from there: "
                     "choose another folder, or throw it away with --restart"
                 )
         else:
@@ -127,7 +137,9 @@ class Checkpoint:
         self._surfaces = None
 
     def load(self) -> tuple[TrainingState | None, list[float]]:
-        """The last whole state and its seconds; None where there is none. Raises HabitusError for damaged files."""
+        """The last whole state and its seconds; None where there is none. Raises HabitusError for
+        damaged files.
+        """
         path = self.folder / "progress.npz"
         if not path.exists():
             return None, []
@@ -135,7 +147,9 @@ class Checkpoint:
             with open_archive(path) as file:
                 told = json.loads(str(file["told"]))
                 before = _estimate(told, file, _BEFORE) if f"{_BEFORE}index" in file else None
-                history = tuple(Record(number, step, Energy(terms)) for number, step, terms in told["history"])
+                history = tuple(
+                    Record(number, step, Energy(terms)) for number, step, terms in told["history"]
+                )
                 state = TrainingState(_estimate(told, file, ""), history, told["finished"], before)
                 return checked_state(state, told["seconds"])
         except _DAMAGE as error:
@@ -143,26 +157,40 @@ class Checkpoint:
 
     def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
         """Surfaces (S,V,3) that lie on disk, and how many of them are there already."""
-        path, done = self.folder / "surfaces.npy", self.surface_count
+        path = self.folder / "surfaces.npy"
+        done = self.surface_count
         try:
             if done and path.exists():
-                with path.open("rb") as stream:  # a file that is too short is refused, which "r+" would lengthen
+                with path.open(
+                    "rb"
+                ) as stream:  # a file that is too short is refused, which "r+" would lengthen
                     mapped_header(stream, path)
                 self._surfaces = np.lib.format.open_memmap(path, "r+")
-            if self._surfaces is None or self._surfaces.shape != shape or self._surfaces.dtype != np.float32:
-                self._surfaces, done = np.lib.format.open_memmap(path, "w+", np.float32, shape), 0
+            if (
+                self._surfaces is None
+                or self._surfaces.shape != shape
+                or self._surfaces.dtype != np.float32
+            ):
+                self._surfaces = np.lib.format.open_memmap(path, "w+", np.float32, shape)
+                done = 0
         except (ValueError, HabitusError) as error:
             raise _damaged(path, error) from error
         except OSError as error:
             raise HabitusError(
-                f"cannot write {path}: {error.strerror or error}; expected room for {4 * np.prod(shape) / 1e6:.0f} MB"
+                f"cannot write {path}: {error.strerror or error}; expected room for "
+                f"{4 * np.prod(shape) / 1e6:.0f} MB"
             ) from error
         if not 0 <= done <= len(self._surfaces):
-            raise _damaged(path.with_suffix(".json"), ValueError(f"it counts {done} surfaces of {len(self._surfaces)}"))
+            raise _damaged(
+                path.with_suffix(".json"),
+                ValueError(f"it counts {done} surfaces of {len(self._surfaces)}"),
+            )
         return self._surfaces, done
 
     def on_surfaces_stored(self, count: int, seconds: float) -> None:
-        """Record that ``count`` surfaces are stored; they are flushed to disk before the number is."""
+        """Record that ``count`` surfaces are stored; they are flushed to disk before the number
+        is.
+        """
         if isinstance(self._surfaces, np.memmap):
             self._surfaces.flush()
         _write_json(self.folder / "surfaces.json", {"done": count, "seconds": seconds})
@@ -195,16 +223,30 @@ def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
 
 
 def _estimate(told: Mapping[str, Any], file: Mapping[str, np.ndarray], lead: str) -> Estimate:
-    words = (tuple(told["parents"]), told["skinning"], told["pose_features"], told["shape_features"])
+    words = (
+        tuple(told["parents"]),
+        told["skinning"],
+        told["pose_features"],
+        told["shape_features"],
+    )
     rig = Rig(*words, file[f"{lead}index"], file[f"{lead}value"], file.get(f"{lead}posedirs"))
     return Estimate(rig, **{key: file[f"{lead}{key}"] for key in _ESTIMATE})
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """In words, what of a run is not as it was; empty where all is."""
-    words = [key for key in ("registrations", "template", "body") if before.get(key, "") != now[key]]
-    old, new = ({k: v for k, v in _flat(o.get("options", {})).items() if k not in STOPPING} for o in (before, now))
-    words += [f"{key} ({old.get(key)}, now {new.get(key)})" for key in {**old, **new} if old.get(key) != new.get(key)]
+    words = [
+        key for key in ("registrations", "template", "body") if before.get(key, "") != now[key]
+    ]
+    old, new = (
+        {k: v for k, v in _flat(o.get("options", {})).items() if k not in STOPPING}
+        for o in (before, now)
+    )
+    words += [
+        f"{key} ({old.get(key)}, now {new.get(key)})"
+        for key in {**old, **new}
+        if old.get(key) != new.get(key)
+    ]
     return ", ".join(words)
 
 
@@ -212,7 +254,11 @@ def _flat(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options by name, those of groups with the group's name before theirs."""
     found: dict[str, Any] = {}
     for key, value in options.items():
-        found |= {f"{key}.{name}": one for name, one in value.items()} if isinstance(value, Mapping) else {key: value}
+        found |= (
+            {f"{key}.{name}": one for name, one in value.items()}
+            if isinstance(value, Mapping)
+            else {key: value}
+        )
     return found
 
 
@@ -232,4 +278,6 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> HabitusError:
-    return HabitusError(f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder")
+    return HabitusError(
+        f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder"
+    )

@@ -18,15 +18,17 @@ from habitus.report.comparison.page import comparison_page
 from habitus.report.metrics import finite
 from habitus.types import PathLike
 
-PAGE, NUMBERS = "compare.html", "compare.json"
+PAGE = "compare.html"
+NUMBERS = "compare.json"
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Two results of one capture, and how far they are apart.
 
-    ``names`` tell them apart, ``found`` holds every distance at every moment, ``numbers`` what compare.json holds
-    (mm, degrees, m), ``reports`` are their pages where they lie beside the results.
+    ``names`` tell them apart, ``found`` holds every distance at every moment, ``numbers`` what
+    compare.json holds (mm, degrees, m), ``reports`` are their pages where they lie beside the
+    results.
     """
 
     names: tuple[str, str]
@@ -41,8 +43,15 @@ class Comparison:
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """What is apart, by how much: name, mean, what 95 % are below, and most, as text."""
-        named = {"skin_mm": "skin", "joints_mm": "joints", "joints_root_aligned_mm": "joints, pelvis on pelvis"}
-        named |= {"joint_rotations_degrees": "joints' rotations", "shape_at_rest_mm": "shape at rest"}
+        named = {
+            "skin_mm": "skin",
+            "joints_mm": "joints",
+            "joints_root_aligned_mm": "joints, pelvis on pelvis",
+        }
+        named |= {
+            "joint_rotations_degrees": "joints' rotations",
+            "shape_at_rest_mm": "shape at rest",
+        }
         apart = {what: self.numbers[key] for key, what in named.items()}
         apart["markers, predicted"] = (self.numbers["markers"] or {}).get("apart_mm")
         rows = []
@@ -55,8 +64,8 @@ class Comparison:
     def save(self, folder: PathLike) -> Path:
         """Write compare.html and compare.json into a folder and return the page's path.
 
-        Each is written whole or not at all; what else the folder holds stays. Raises HabitusError where it cannot be
-        written to.
+        Each is written whole or not at all; what else the folder holds stays. Raises HabitusError
+        where it cannot be written to.
         """
         target = Path(folder)
         links = tuple(None if page is None else _way(target, page) for page in self.reports)
@@ -78,16 +87,19 @@ def compare(
 ) -> Comparison:
     """Compare two results of one capture: two fits, or those of two tools.
 
-    a, b: fits, motions, a folder that ``habitus mosh`` wrote, its body.npz, or an npz as AMASS's. out: a folder for
-    compare.html and compare.json. body_a, body_b: the models that their betas belong to, where the files name none that
-    comes along. offset: seconds from A's first frame to B's. align: "auto" turns and moves B as a whole where the two
-    plainly stand in different worlds, "rigid" always, "none" never. Raises HabitusError for files that cannot be read,
-    and where the two have no moment, or no joint, in common.
+    a, b: fits, motions, a folder that ``habitus mosh`` wrote, its body.npz, or an npz as AMASS's.
+    out: a folder for compare.html and compare.json. body_a, body_b: the models that their betas
+    belong to, where the files name none that comes along. offset: seconds from A's first frame to
+    B's. align: "auto" turns and moves B as a whole where the two plainly stand in different worlds,
+    "rigid" always, "none" never. Raises HabitusError for files that cannot be read, and where the
+    two have no moment, or no joint, in common.
     """
     sides = [_read(source, body) for source, body in ((a, body_a), (b, body_b))]
     names = told_apart(a, b)
     found = differences(sides[0], sides[1], offset=offset, align=align)
-    pages = tuple(None if isinstance(source, Moving) else _report(Path(source)) for source in (a, b))
+    pages = tuple(
+        None if isinstance(source, Moving) else _report(Path(source)) for source in (a, b)
+    )
     comparison = Comparison(names, found, numbers(found, names), (pages[0], pages[1]))
     if out is not None:
         comparison.save(out)
@@ -95,9 +107,13 @@ def compare(
 
 
 def told_apart(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
-    """Short names of the two: the parts of their paths in which these differ, or the captures' names."""
+    """Short names of the two: the parts of their paths in which these differ, or the captures'
+    names.
+    """
     if isinstance(a, Moving) or isinstance(b, Moving):
-        return tuple(m.capture_name if isinstance(m, Moving) else _file(Path(m)).name for m in (a, b))  # type: ignore[return-value]
+        return tuple(
+            m.capture_name if isinstance(m, Moving) else _file(Path(m)).name for m in (a, b)
+        )  # type: ignore[return-value]
     parts = [list(_file(Path(source)).resolve().parts) for source in (a, b)]
     if parts[0] == parts[1]:
         return Path(a).name, Path(b).name
@@ -123,7 +139,9 @@ def _read(source: Moving | PathLike, body: BodyModel | PathLike | None) -> Movin
         return source
     path = _file(Path(source))
     if Path(source).is_dir() and not path.is_file():
-        raise HabitusError(f"{source}: a folder without body.npz; expected one that habitus mosh wrote, or an npz")
+        raise HabitusError(
+            f"{source}: a folder without body.npz; expected one that habitus mosh wrote, or an npz"
+        )
     return read_moving(path, body)
 
 

@@ -1,4 +1,6 @@
-"""Layouts that are found by fitting a body to captures whose labels nobody has written down (``--layout discover``)."""
+"""Layouts that are found by fitting a body to captures whose labels nobody has written down
+(``--layout discover``).
+"""
 
 from collections.abc import Sequence
 
@@ -25,20 +27,24 @@ def asks_to_discover(layout: object) -> bool:
 
 
 def check_layout(layout: PathLike, hold_out: Sequence[str] = (), every: int | None = None) -> None:
-    """Raises HabitusError for a layout that is neither there nor to be found, and where markers are to be held out that
-    would tell their own places.
+    """Raises HabitusError for a layout that is neither there nor to be found, and where markers are
+    to be held out that would tell their own places.
     """
     if not asks_to_discover(layout) and str(layout) != "auto":
         load_layout(layout)
     if asks_to_discover(layout) and (hold_out or every is not None):
         raise HabitusError(
-            "markers cannot be held out where their places are discovered, since each tells its own place; "
+            "markers cannot be held out where their places are discovered, since each tells its "
+            "own place; "
             "fit again with the layout.toml that was found"
         )
 
 
-def discovered(captures: Sequence[Capture], body: BodyModel | None, progress: Progress) -> Discovery:
-    """The layout of all captures of a person together; labels that known layouts understand as a set help.
+def discovered(
+    captures: Sequence[Capture], body: BodyModel | None, progress: Progress
+) -> Discovery:
+    """The layout of all captures of a person together; labels that known layouts understand as a
+    set help.
 
     Raises HabitusError, naming the captures, where there are too few labels.
     """
@@ -46,20 +52,29 @@ def discovered(captures: Sequence[Capture], body: BodyModel | None, progress: Pr
     labels = tuple(dict.fromkeys(label for capture in captures for label in capture.labels))
     markers = np.concatenate([_some_frames(capture, labels) for capture in captures])
     try:
-        known, usual = known_labels(labels, body), shipped_layouts()
+        known = known_labels(labels, body)
+        usual = shipped_layouts()
         return discover(body, prior_of(body), labels, markers, known, usual, progress)
     except HabitusError as error:
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
 def known_labels(labels: Sequence[str], body: BodyModel) -> dict[str, Marker]:
-    """What some labels usually mean, by the layout that explains most of them and where others agree; on this body."""
+    """What some labels usually mean, by the layout that explains most of them and where others
+    agree; on this body.
+    """
     found = interpreted(labels, shipped_layouts()).found
-    return {labels[column]: marker for column, marker in found.items() if set(marker.landmarks) <= set(body.landmarks)}
+    return {
+        labels[column]: marker
+        for column, marker in found.items()
+        if set(marker.landmarks) <= set(body.landmarks)
+    }
 
 
 def _some_frames(capture: Capture, labels: Sequence[str]) -> np.ndarray:
-    """(T, M, 3) evenly chosen frames with a column for each label, NaN where the capture lacks it."""
+    """(T, M, 3) evenly chosen frames with a column for each label, NaN where the capture lacks
+    it.
+    """
     step = max(1, -(-len(capture.markers) // _FRAMES))
     some = np.asarray(capture.markers[::step], dtype=float)
     markers = np.full((len(some), len(labels), 3), np.nan)

@@ -20,33 +20,42 @@ SEXES = ("neutral", "female", "male")
 
 
 def body_from_measurements(
-    *, sex: str = "neutral", age: float | None = None, body: PathLike | BodyModel | None = None, **measurements: Given
+    *,
+    sex: str = "neutral",
+    age: float | None = None,
+    body: PathLike | BodyModel | None = None,
+    **measurements: Given,
 ) -> BodyEstimate:
-    """The likeliest person with some measurements: ``body_from_measurements(height=1.78, weight=80, sex="male")``.
+    """The likeliest person with some measurements: ``body_from_measurements(height=1.78, weight=80,
+    sex="male")``.
 
-    Any of the measurements that bodies have (m, kg; `habitus.body.measurement_names`), under their names or short ones
-    (height, weight, chest, waist, hip, inseam, …), each a number or (number, its standard deviation). sex: "female",
-    "male" or "neutral" picks the shape space; ``body`` another one. age in years, where the body has ages. The result
-    knows its ``betas``, ``measurements``, and the ``spread`` of what was not told.
-    Raises HabitusError for names and values that make no sense, and for people such as nobody is (1.78 m, 20 kg).
+    Any of the measurements that bodies have (m, kg; `habitus.body.measurement_names`), under their
+    names or short ones (height, weight, chest, waist, hip, inseam, …), each a number or (number,
+    its standard deviation). sex: "female", "male" or "neutral" picks the shape space; ``body``
+    another one. age in years, where the body has ages. The result knows its ``betas``,
+    ``measurements``, and the ``spread`` of what was not told. Raises HabitusError for names and
+    values that make no sense, and for people such as nobody is (1.78 m, 20 kg).
     """
     if sex not in SEXES:
         raise HabitusError(f"sex is {sex!r}; expected one of {', '.join(SEXES)}")
     if isinstance(body, BodyModel):
         model = body
     else:
-        model = load_body(os.fspath(body) if body is not None else "default" if sex == "neutral" else sex)
+        model = load_body(
+            os.fspath(body) if body is not None else "default" if sex == "neutral" else sex
+        )
     if age is None:
         return estimate_body(model, measurements)
     return replace(estimate_body(model.at_age(age), measurements), space=model.name, age=float(age))
 
 
 def save_estimate(found: BodyEstimate, path: PathLike) -> None:
-    """Write the person as a mesh at rest (.ply, .obj, .glb), or as an .npz that `habitus measure` reads.
+    """Write the person as a mesh at rest (.ply, .obj, .glb), or as an .npz that `habitus measure`
+    reads.
 
-    A mesh is of the full level of detail. The npz holds ``betas``, ``betas_covariance``, ``gender``,
-    ``surface_model_type``, with an age ``age_years``, and names, values and spreads of the measurements. Raises
-    HabitusError for another ending, or where nothing can be written.
+    A mesh is of the full level of detail. The npz holds ``betas``, ``betas_covariance``,
+    ``gender``, ``surface_model_type``, with an age ``age_years``, and names, values and spreads of
+    the measurements. Raises HabitusError for another ending, or where nothing can be written.
     """
     target = Path(path)
     if target.suffix.lower() != ".npz":

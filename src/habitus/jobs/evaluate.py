@@ -13,7 +13,11 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.counts import COUNTS
-from habitus.evaluate.generalisation import Generalisation, model_generalisation, pose_generalisation
+from habitus.evaluate.generalisation import (
+    Generalisation,
+    model_generalisation,
+    pose_generalisation,
+)
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
@@ -49,13 +53,15 @@ def evaluate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Measure models on the registrations of the set ``which`` and, where ``out`` is given, write the results (S 5).
+    """Measure models on the registrations of the set ``which`` and, where ``out`` is given, write
+    the results (S 5).
 
-    models: files, "default", or BodyModel objects. dataset and clean (the same registrations without noise): what
-    `open_registrations` takes, or open Registrations (m). gender: "female" or "male", only registrations of these.
-    plain: measure each model with pose blend shapes also without them, as S 5.1 does. repeats and seed: of the run
-    times, and of their random shapes and poses. workers: number of threads (default: one per core), address of a Dask
-    scheduler, or Workers. ``out`` receives report.html, evaluation.json, per_vertex.npz and the folder figures.
+    models: files, "default", or BodyModel objects. dataset and clean (the same registrations
+    without noise): what `open_registrations` takes, or open Registrations (m). gender: "female" or
+    "male", only registrations of these. plain: measure each model with pose blend shapes also
+    without them, as S 5.1 does. repeats and seed: of the run times, and of their random shapes and
+    poses. workers: number of threads (default: one per core), address of a Dask scheduler, or
+    Workers. ``out`` receives report.html, evaluation.json, per_vertex.npz and the folder figures.
     Raises HabitusError, in one line, for bad input.
     """
     progress = progress or (lambda stage, share: None)
@@ -70,7 +76,9 @@ def evaluate(
     registrations = _opened(dataset, unit).where(set=which, sex=gender)
     if not len(registrations):
         whose = f" of sex {gender!r}" if gender else ""
-        raise HabitusError(f"{source} has no registrations of the set {which!r}{whose}; choose another with --set")
+        raise HabitusError(
+            f"{source} has no registrations of the set {which!r}{whose}; choose another with --set"
+        )
     true = None
     if clean is not None:
         clean_set = _opened(clean, unit).where(set=which, sex=gender)
@@ -113,20 +121,23 @@ def _clean_vertices(clean: Registrations, registrations: Registrations, path: st
     """The vertices without noise of each registration, found by its name."""
     if clean.num_vertices != registrations.num_vertices:
         raise HabitusError(
-            f"{path} has meshes of {clean.num_vertices} vertices; expected {registrations.num_vertices}, as the dataset"
+            f"{path} has meshes of {clean.num_vertices} vertices; expected "
+            f"{registrations.num_vertices}, as the dataset"
         )
     rows = {name: k for k, name in enumerate(clean.name)}
     missing = [name for name in registrations.name if name not in rows]
     if missing or len(rows) != len(clean):
         raise HabitusError(
-            f"{path} holds no mesh called {missing[0]}, as the dataset does; expected the same names"
+            f"{path} holds no mesh called {missing[0]}, as the dataset does; expected the same "
+            "names"
             if missing
-            else f"{path} holds several meshes of one name; expected a name each, those of the dataset"
+            else f"{path} holds several meshes of one name; expected a name each, those of the "
+            "dataset"
         )
     return clean.take(np.array([rows[name] for name in registrations.name])).vertices
 
 
-# -- measures ---------------------------------------------------------------------------------------------------------
+# -- measures --------------------------------------------------------------------------------------
 
 
 _Curves = tuple[Generalisation, Generalisation | None]
@@ -142,8 +153,11 @@ def _fitted(
     progress: Progress,
 ) -> list[_Curves]:
     several = len(registrations) > len(registrations.subjects)
-    total = len(loaded) * (len(registrations) + several * (len(registrations) - len(registrations.subjects)))
-    before, found = 0, []
+    total = len(loaded) * (
+        len(registrations) + several * (len(registrations) - len(registrations.subjects))
+    )
+    before = 0
+    found = []
 
     def reporting(stage: str) -> ReportingWorkers:
         """Workers that report the share of all fits."""
@@ -153,12 +167,16 @@ def _fitted(
 
     for one in loaded:
         stage = f"model generalisation of {one.model.name}"
-        shape = model_generalisation(one.model, registrations, counts, clean=clean, workers=reporting(stage))
+        shape = model_generalisation(
+            one.model, registrations, counts, clean=clean, workers=reporting(stage)
+        )
         before += len(shape.rows)
         pose = None
         if several:
             stage = f"pose generalisation of {one.model.name}"
-            pose = pose_generalisation(one.model, registrations, shape, clean=clean, workers=reporting(stage))
+            pose = pose_generalisation(
+                one.model, registrations, shape, clean=clean, workers=reporting(stage)
+            )
             before += len(pose.rows)
         found.append((shape, pose))
     return found
@@ -181,18 +199,33 @@ def _assembled(
     )
 
 
-def _times(loaded: Sequence[Loaded], counts: Sequence[int], repeats: int, seed: int) -> dict[str, ForwardTimes]:
+def _times(
+    loaded: Sequence[Loaded], counts: Sequence[int], repeats: int, seed: int
+) -> dict[str, ForwardTimes]:
     """Models with as many joints take turns."""
     by_joints: dict[int, list[Model]] = {}
     for one in loaded:
         by_joints.setdefault(len(one.model.parents), []).append(one.model)
-    used, options = (0, *counts), {"repeats": repeats, "seed": seed}
-    found = (time_forward(group, used, joints=joints, **options) for joints, group in by_joints.items())
+    used = (0, *counts)
+    options = {"repeats": repeats, "seed": seed}
+    found = (
+        time_forward(group, used, joints=joints, **options) for joints, group in by_joints.items()
+    )
     return {times.model: times for group in found for times in group}
 
 
 def _twists(loaded: Sequence[Loaded]) -> list[NeckTwist | None]:
-    bodies = {one.model.name: one.model.body for one in loaded if isinstance(one.model, PosableBody)}
-    necks = {name: body for name, body in bodies.items() if twist_joints(body.joint_names, body.parents)}
-    found = dict(zip(necks, neck_twist([replace(body, name=name) for name, body in necks.items()]), strict=True))
+    bodies = {
+        one.model.name: one.model.body for one in loaded if isinstance(one.model, PosableBody)
+    }
+    necks = {
+        name: body for name, body in bodies.items() if twist_joints(body.joint_names, body.parents)
+    }
+    found = dict(
+        zip(
+            necks,
+            neck_twist([replace(body, name=name) for name, body in necks.items()]),
+            strict=True,
+        )
+    )
     return [found.get(one.model.name) for one in loaded]

@@ -1,4 +1,6 @@
-"""Bodies against registrations whose poses and people are known, without fits: ``habitus evaluate --known``."""
+"""Bodies against registrations whose poses and people are known, without fits: ``habitus evaluate
+--known``.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -27,8 +29,9 @@ WHO = ("all", "new people", "known people")
 
 @dataclass(frozen=True, eq=False)
 class KnownEvaluation:
-    """For each model and group of people (`WHO`, those there are) mean, rms and p95 of vertex distance (m), and the
-    share of the first model's plain LBS error (mean) that is gone."""
+    """For each model and group of people (`WHO`, those there are) mean, rms and p95 of vertex
+    distance (m), and the share of the first model's plain LBS error (mean) that is gone.
+    """
 
     models: Mapping[str, Mapping[str, Mapping[str, float]]]
     registrations: int
@@ -46,29 +49,46 @@ def evaluate_known(
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> KnownEvaluation:
-    """Errors of body models in the poses and shapes that the registrations of the set ``which`` tell.
+    """Errors of body models in the poses and shapes that the registrations of the set ``which``
+    tell.
 
-    The first model is also measured as plain LBS and plain DQBS, without its pose blend shapes. Of a body of two levels
-    of detail the one is taken that the dataset is of. New people are those of whom the dataset has no registration in
-    another set. ``out`` receives known.json. Raises HabitusError for bad input.
+    The first model is also measured as plain LBS and plain DQBS, without its pose blend shapes. Of
+    a body of two levels of detail the one is taken that the dataset is of. New people are those of
+    whom the dataset has no registration in another set. ``out`` receives known.json. Raises
+    HabitusError for bad input.
     """
     if not models:
         raise HabitusError("no model was given; expected one or more model files, or 'default'")
-    everything = dataset if isinstance(dataset, Registrations) else open_registrations(dataset, unit=unit)
+    everything = (
+        dataset if isinstance(dataset, Registrations) else open_registrations(dataset, unit=unit)
+    )
     data = everything.where(set=which, sex=gender)
     if not len(data):
-        raise HabitusError(f"the dataset has no registrations of the set {which!r}; choose another with --set")
+        raise HabitusError(
+            f"the dataset has no registrations of the set {which!r}; choose another with --set"
+        )
     bodies = _bodies(models, data)
     with open_workers(workers) as ready:
-        report = ReportingWorkers(ready, lambda done, total: (progress or _nothing)("known poses", done / total))
+        report = ReportingWorkers(
+            ready, lambda done, total: (progress or _nothing)("known poses", done / total)
+        )
         errors = known_errors(bodies, data, report)
-    others = {one for one, where in zip(everything.subject, everything.set, strict=True) if where != which}
+    others = {
+        one for one, where in zip(everything.subject, everything.set, strict=True) if where != which
+    }
     known = np.array([one in others for one in data.subject])
-    groups = {name: rows for name, rows in zip(WHO, (known | ~known, ~known, known), strict=True) if rows.any()}
+    groups = {
+        name: rows
+        for name, rows in zip(WHO, (known | ~known, ~known, known), strict=True)
+        if rows.any()
+    }
     plain = next(iter(errors))
     found = {
         name: {
-            who: {**one.over(rows), "removed": 1 - one.over(rows)["mean"] / errors[plain].over(rows)["mean"]}
+            who: {
+                **one.over(rows),
+                "removed": 1 - one.over(rows)["mean"] / errors[plain].over(rows)["mean"],
+            }
             for who, rows in groups.items()
         }
         for name, one in errors.items()
@@ -89,14 +109,21 @@ def _bodies(models: Sequence[PathLike | BodyModel], data: Registrations) -> dict
     """Plain LBS and DQBS of the first model, then all as they are."""
     loaded = [_body(model, data) for model in models]
     plain = replace(without_pose_shapes(loaded[0]), pose_joints=None)
-    found = {"plain LBS": replace(plain, skinning="lbs"), "plain DQBS": replace(plain, skinning="dqbs")}
+    found = {
+        "plain LBS": replace(plain, skinning="lbs"),
+        "plain DQBS": replace(plain, skinning="dqbs"),
+    }
     return found | dict(zip(model_names(models), loaded, strict=True))
 
 
 def _body(model: PathLike | BodyModel, data: Registrations) -> BodyModel:
     """A model with the joints and the level of detail of the dataset, where it has such."""
     if not isinstance(model, BodyModel):
-        count = data.known.pose.shape[1] if data.known is not None and data.known.pose is not None else 0
+        count = (
+            data.known.pose.shape[1]
+            if data.known is not None and data.known.pose is not None
+            else 0
+        )
         joints = {len(layout.joint_names): name for name, layout in LAYOUTS.items()}.get(count)
         body = load_body(str(model), joints=joints)
         fine = body.num_vertices != data.num_vertices and has_levels(str(model))

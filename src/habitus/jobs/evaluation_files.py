@@ -22,7 +22,9 @@ from habitus.report.metrics import finite
 
 @contextmanager
 def prepared_folder(folder: Path) -> Iterator[None]:
-    """The folder made and locked. Raises HabitusError where that cannot be, or what draws figures is not installed."""
+    """The folder made and locked. Raises HabitusError where that cannot be, or what draws figures
+    is not installed.
+    """
     require_extra("matplotlib", "figures")
     with locked(folder):
         tidy(folder / "figures")
@@ -32,13 +34,16 @@ def prepared_folder(folder: Path) -> Iterator[None]:
 def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
     """Write all files, each whole or not at all. Raises HabitusError where that cannot be done."""
     numbers = finite(evaluation_numbers(evaluation))
-    pictures, plots = list(draw_pictures(evaluation)), figures(numbers)
+    pictures = list(draw_pictures(evaluation))
+    plots = figures(numbers)
     files = {f"figures/{name}.svg": text.encode() for name, text in plots.items()}
     files |= {f"figures/{each.file}": each.content for each in pictures}
     numbers["figures"] = sorted(files)
     for name in _figures_of_before(folder) - {*files}:
         (folder / name).unlink(missing_ok=True)
-    files["evaluation.json"] = (json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    files["evaluation.json"] = (
+        json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    ).encode()
     files["report.html"] = training_page(numbers, plots, pictures).encode()
     for name, content in files.items():
         with atomic_write(folder / name) as temporary:
@@ -68,12 +73,13 @@ def _per_vertex(evaluation: Evaluation) -> dict[str, np.ndarray]:
     return found
 
 
-# -- numbers ----------------------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------------------
 
 
 def evaluation_numbers(evaluation: Evaluation) -> dict[str, Any]:
     """Every number as plain values: errors in mm, times in ms (fits: s), angles in degrees."""
-    data, models = evaluation.registrations, evaluation.models
+    data = evaluation.registrations
+    models = evaluation.models
     removed = _removed(models)
     return {
         "habitus": habitus.__version__,
@@ -85,18 +91,25 @@ def evaluation_numbers(evaluation: Evaluation) -> dict[str, Any]:
             "noise_free": evaluation.clean is not None,
         },
         "shown": evaluation.shown,
-        "models": [_model_numbers(entry) | {"removed_by_pose_shapes": removed.get(entry.name)} for entry in models],
+        "models": [
+            _model_numbers(entry) | {"removed_by_pose_shapes": removed.get(entry.name)}
+            for entry in models
+        ],
     }
 
 
 def _removed(models: Sequence[ModelEvaluation]) -> dict[str, dict[str, Any]]:
-    """For models measured without their pose blend shapes as well: what share (%) of that error in pose generalisation
-    these remove, against noise-free meshes where there are any."""
-    by_name, found = {entry.name: entry for entry in models}, {}
+    """For models measured without their pose blend shapes as well: what share (%) of that error in
+    pose generalisation these remove, against noise-free meshes where there are any.
+    """
+    by_name = {entry.name: entry for entry in models}
+    found = {}
     for entry in models:
         full = by_name.get(entry.without_pose_shapes_of or "")
         if full and full.pose and entry.pose:
-            means = (c.means if c.clean_means is None else c.clean_means for c in (full.pose, entry.pose))
+            means = (
+                c.means if c.clean_means is None else c.clean_means for c in (full.pose, entry.pose)
+            )
             with_them, without = means
             percent = 100 * (1 - with_them / np.maximum(without, 1e-12))
             found[full.name] = {"counts": list(full.pose.counts), "percent": percent.tolist()}
@@ -111,13 +124,18 @@ def _model_numbers(entry: ModelEvaluation) -> dict[str, Any]:
         "file": entry.file,
         "kind": "BlendSCAPE" if body is None else "blend shapes",
         "skinning": body and body.skinning,
-        "pose_features": body and body.pose_features if body and body.posedirs is not None else None,
+        "pose_features": body and body.pose_features
+        if body and body.posedirs is not None
+        else None,
         "shape_features": body and body.shape_features,
         "num_betas": entry.model.num_betas,
         "without_pose_shapes_of": entry.without_pose_shapes_of,
         "model_generalisation": _curve_numbers(entry.shape),
         "pose_generalisation": entry.pose and _curve_numbers(entry.pose),
-        "run_time": {"counts": list(entry.times.counts), "median_ms": (1e3 * entry.times.medians).tolist()},
+        "run_time": {
+            "counts": list(entry.times.counts),
+            "median_ms": (1e3 * entry.times.medians).tolist(),
+        },
         "cumulative_variance": {
             "of": "all shapes trained on" if entry.all_variances else "the model's own directions",
             "share": (np.cumsum(entry.variances) / (total if total > 0 else 1.0)).tolist(),
@@ -135,7 +153,8 @@ def _model_numbers(entry: ModelEvaluation) -> dict[str, Any]:
 
 
 def _curve_numbers(curve: Generalisation) -> dict[str, Any]:
-    clean, means = curve.clean_errors, curve.clean_means
+    clean = curve.clean_errors
+    means = curve.clean_means
     return {
         "counts": list(curve.counts),
         "mean_mm": (1e3 * curve.means).tolist(),

@@ -24,7 +24,9 @@ from habitus.types import PathLike
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """A model, its file (None for a body given as such), and whose copy without pose blend shapes it is, if any."""
+    """A model, its file (None for a body given as such), and whose copy without pose blend shapes
+    it is, if any.
+    """
 
     model: Model
     file: str | None
@@ -32,7 +34,8 @@ class Loaded:
 
 
 def load_models(models: Sequence[PathLike | BodyModel], plain: bool) -> list[Loaded]:
-    """The models of files (or "default") and bodies; with ``plain`` each also without its pose blend shapes.
+    """The models of files (or "default") and bodies; with ``plain`` each also without its pose
+    blend shapes.
 
     Raises HabitusError for files that are no models, and for two models of one name.
     """
@@ -56,7 +59,9 @@ def rest_template(model: Model) -> Template:
 
 
 def model_names(models: Sequence[PathLike | BodyModel]) -> list[str]:
-    """Bodies' own names; files' names, the folder's for a model.npz, both where one alone is not unique."""
+    """Bodies' own names; files' names, the folder's for a model.npz, both where one alone is not
+    unique.
+    """
     stems = [model.name if isinstance(model, BodyModel) else _stem(Path(model)) for model in models]
     names = [
         stem
@@ -67,7 +72,9 @@ def model_names(models: Sequence[PathLike | BodyModel]) -> list[str]:
     for name, model in zip(names, models, strict=True):
         if names.count(name) > 1:
             source = "a body" if isinstance(model, BodyModel) else model
-            raise HabitusError(f"two models are called {name} ({source}); expected names that differ: rename one")
+            raise HabitusError(
+                f"two models are called {name} ({source}); expected names that differ: rename one"
+            )
     return names
 
 
@@ -95,8 +102,10 @@ def check_topology(model: Model, registrations: Registrations, dataset: str) -> 
     count = model.body.num_vertices if isinstance(model, PosableBody) else len(model.template)
     if count != registrations.num_vertices or not _same_faces(faces, registrations.faces):
         raise HabitusError(
-            f"{model.name} has {count} vertices and {len(faces)} faces, another topology than {dataset} with "
-            f"{registrations.num_vertices} and {len(registrations.faces)}; expected a model trained on such meshes"
+            f"{model.name} has {count} vertices and {len(faces)} faces, another topology than "
+            f"{dataset} with "
+            f"{registrations.num_vertices} and {len(registrations.faces)}; expected a model "
+            "trained on such meshes"
         )
 
 
@@ -110,14 +119,16 @@ def _same_faces(one: np.ndarray, other: np.ndarray) -> bool:
 def shape_variances(model: Model, file: str | None) -> tuple[Float[np.ndarray, " S"], bool]:
     """Variances along shape directions, and whether these are all that the model was trained on.
 
-    They are kept with the model or in the training.json beside it; else they are those of the model's own directions,
-    which are scaled to one standard deviation.
+    They are kept with the model or in the training.json beside it; else they are those of the
+    model's own directions, which are scaled to one standard deviation.
     """
     if isinstance(model, PosableBody):
-        kept, directions = model.body.extras.get("shape_variances"), model.body.shapedirs.reshape(-1, model.num_betas).T
+        kept = model.body.extras.get("shape_variances")
+        directions = model.body.shapedirs.reshape(-1, model.num_betas).T
         kept = _training_variances(Path(file)) if kept is None and file is not None else kept
     else:
-        kept, directions = model.shape_variances, model.shape_directions.reshape(model.num_betas, -1)
+        kept = model.shape_variances
+        directions = model.shape_directions.reshape(model.num_betas, -1)
     if kept is not None:
         return np.asarray(kept, float).reshape(-1), True
     return (np.asarray(directions) ** 2).sum(1), False
@@ -127,6 +138,8 @@ def _training_variances(file: Path) -> list[float] | None:
     """Those of the training.json beside the file."""
     try:
         record = json.loads((file.parent / "training.json").read_text("utf-8"))
-        return (record if file.stem == "model" else record["baselines"][file.stem])["shape_variances"]
+        return (record if file.stem == "model" else record["baselines"][file.stem])[
+            "shape_variances"
+        ]
     except (OSError, ValueError, KeyError, TypeError):
         return None

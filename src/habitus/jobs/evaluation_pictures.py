@@ -22,7 +22,9 @@ HEAD_TURN = 70  # degrees to either side, in the pictures of the neck
 _LEAST = 0.0005  # m: scales of error reach at least this far
 _ARMS_DOWN = 0.95  # rad: how far the arms of those who stand for error maps are lowered
 _UPRIGHT = 0.8  # cosine between the vertical and a neck that is seen from the front
-_NECK_BOX = np.array([[x, y, z] for x in (-0.15, 0.15) for y in (-0.13, 0.25) for z in (-0.1, 0.1)])  # m, around it
+_NECK_BOX = np.array(
+    [[x, y, z] for x in (-0.15, 0.15) for y in (-0.13, 0.25) for z in (-0.1, 0.1)]
+)  # m, around it
 
 
 def draw_pictures(evaluation: Evaluation) -> Iterator[Picture]:
@@ -34,29 +36,46 @@ def draw_pictures(evaluation: Evaluation) -> Iterator[Picture]:
 
 def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
     """Each model's mean person, coloured on one scale by how far off each vertex is on average."""
-    curves = [(entry, curve) for entry in evaluation.models for curve in (entry.shape, entry.pose) if curve]
+    curves = [
+        (entry, curve)
+        for entry in evaluation.models
+        for curve in (entry.shape, entry.pose)
+        if curve
+    ]
     maps = [_of_vertices(curve)[_place(evaluation, curve)] for _, curve in curves]
     limit = max(_LEAST, float(np.percentile(maps, 99)))
     standing = _standing(evaluation)
     for (entry, curve), errors in zip(curves, maps, strict=True):
-        faces, colours = evaluation.registrations.faces, draw.error_colours(errors, limit)
-        pose = standing if len(standing) == len(entry.model.parents) else np.zeros((len(entry.model.parents), 3))
+        faces = evaluation.registrations.faces
+        colours = draw.error_colours(errors, limit)
+        pose = (
+            standing
+            if len(standing) == len(entry.model.parents)
+            else np.zeros((len(entry.model.parents), 3))
+        )
         yield Picture(
             kind=f"{curve.measure} error map",
             model=entry.name,
             file=f"error_map_{curve.measure}_{slug(entry.name)}.png",
             caption=f"mean {1e3 * errors.mean():.2f} mm, worst vertex {1e3 * errors.max():.1f} mm",
-            content=png(draw.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)),
+            content=png(
+                draw.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)
+            ),
             scale=(0.0, 1e3 * limit),
         )
 
 
 def _standing(evaluation: Evaluation) -> Float[np.ndarray, "J 3"]:
-    """The rest pose; arms down, if they are held out and joints are called shoulders (by the first model of bodies)."""
-    bodies = [entry.model.body for entry in evaluation.models if isinstance(entry.model, PosableBody)]
+    """The rest pose; arms down, if they are held out and joints are called shoulders (by the first
+    model of bodies).
+    """
+    bodies = [
+        entry.model.body for entry in evaluation.models if isinstance(entry.model, PosableBody)
+    ]
     if not bodies:
         return np.zeros((0, 3))
-    body, pose = bodies[0], np.zeros((bodies[0].num_joints, 3))
+    body = bodies[0]
+    pose = np.zeros((bodies[0].num_joints, 3))
     across = body.joint_template[:, 0]
     width, height = np.ptp(body.v_template, axis=0)[:2]
     for k, name in enumerate(body.joint_names):
@@ -72,28 +91,40 @@ def _of_vertices(curve: Generalisation) -> Float[np.ndarray, "K V"]:
 
 def _place(evaluation: Evaluation, curve: Generalisation) -> int:
     """Index in the curve at which all models have as many coefficients; else its end."""
-    return curve.counts.index(evaluation.shown) if evaluation.shown is not None else len(curve.counts) - 1
+    return (
+        curve.counts.index(evaluation.shown)
+        if evaluation.shown is not None
+        else len(curve.counts) - 1
+    )
 
 
 def _necks(evaluation: Evaluation) -> Iterator[Picture]:
-    """Heads turned to the right, not, and to the left; the neck coloured by how much thicker or thinner it gets."""
+    """Heads turned to the right, not, and to the left; the neck coloured by how much thicker or
+    thinner it gets.
+    """
     entries = [entry for entry in evaluation.models if entry.twist is not None]
     bodies = [entry.model.body for entry in entries if isinstance(entry.model, PosableBody)]
     if not bodies:
         return
     rows = neck_vertices(bodies)
-    found = [[turned_head(body, angle, rows) for angle in (-HEAD_TURN, 0, HEAD_TURN)] for body in bodies]
-    limit = max(0.05, float(np.percentile([np.abs(change) for each in found for _, change in each], 99)))
+    found = [
+        [turned_head(body, angle, rows) for angle in (-HEAD_TURN, 0, HEAD_TURN)] for body in bodies
+    ]
+    limit = max(
+        0.05, float(np.percentile([np.abs(change) for each in found for _, change in each], 99))
+    )
     for entry, body, heads in zip(entries, bodies, found, strict=True):
         views = [_head(body, surface, rows, change, limit) for surface, change in heads]
         assert entry.twist is not None
         girth = dict(zip(entry.twist.angles, entry.twist.girth - 1, strict=True))
-        right, left = girth[-HEAD_TURN], girth[HEAD_TURN]
+        right = girth[-HEAD_TURN]
+        left = girth[HEAD_TURN]
         yield Picture(
             kind="neck",
             model=entry.name,
             file=f"neck_{slug(entry.name)}.png",
-            caption=f"girth {_percent(right)} at {HEAD_TURN}° right, {_percent(left)} at {HEAD_TURN}° left",
+            caption=f"girth {_percent(right)} at {HEAD_TURN}° right, {_percent(left)} at "
+            f"{HEAD_TURN}° left",
             content=png(draw.side_by_side(views)),
             scale=(-100 * limit, 100 * limit),
         )
@@ -103,7 +134,9 @@ def _percent(change: float) -> str:
     return f"{100 * change:+.1f} %".replace("-", "−")
 
 
-def _head(body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.ndarray, limit: float) -> draw.Rgba:
+def _head(
+    body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.ndarray, limit: float
+) -> draw.Rgba:
     changes = np.zeros(len(surface))
     changes[rows] = change
     colours = draw.error_colours(changes, limit, draw.CHANGE_RAMP, -limit)
@@ -111,9 +144,11 @@ def _head(body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.nda
     return draw.picture(surface, body.faces, colours, towards, frame=frame)
 
 
-def head_view(body: BodyModel, rows: np.ndarray) -> tuple[tuple[float, float, float], Float[np.ndarray, "n 3"]]:
-    """From where a turned head is seen, and what is to be in the picture: of an upright neck the front, and a box
-    around it; of any other (an animal's) the side, and all that turns.
+def head_view(
+    body: BodyModel, rows: np.ndarray
+) -> tuple[tuple[float, float, float], Float[np.ndarray, "n 3"]]:
+    """From where a turned head is seen, and what is to be in the picture: of an upright neck the
+    front, and a box around it; of any other (an animal's) the side, and all that turns.
     """
     if twist_axis(body)[1] > _UPRIGHT:
         size = float(np.ptp(body.v_template[:, 1])) / 1.7
@@ -137,12 +172,16 @@ class _Shown:
 
 
 def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
-    """For each model the registrations that it fits worst: the registration, and beside it the fit."""
+    """For each model the registrations that it fits worst: the registration, and beside it the
+    fit.
+    """
     chosen = [fit for entry in evaluation.models for fit in _worst(evaluation, entry)]
     limit = max(_LEAST, float(np.percentile([fit.distances for fit in chosen], 99)))
-    faces, ranks = evaluation.registrations.faces, dict[str, int]()
+    faces = evaluation.registrations.faces
+    ranks = dict[str, int]()
     for fit in chosen:
-        name, errors = fit.entry.name, fit.distances
+        name = fit.entry.name
+        errors = fit.distances
         ranks[name] = ranks.get(name, 0) + 1
         colours = (draw.plain_colours(len(errors)), draw.error_colours(errors, limit))
         frame = np.concatenate([fit.target, fit.fitted])
@@ -154,7 +193,8 @@ def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
             kind="worst fits",
             model=name,
             file=f"worst_{slug(name)}_{ranks[name]}.png",
-            caption=f"{fit.name}: mean {1e3 * errors.mean():.2f} mm, furthest {1e3 * errors.max():.1f} mm",
+            caption=f"{fit.name}: mean {1e3 * errors.mean():.2f} mm, furthest "
+            f"{1e3 * errors.max():.1f} mm",
             content=png(draw.side_by_side(views, 4)),
             scale=(0.0, 1e3 * limit),
         )
@@ -171,7 +211,9 @@ def _worst(evaluation: Evaluation, entry: ModelEvaluation) -> Iterator[_Shown]:
 
 
 def _facing(model: Model, pose: np.ndarray) -> tuple[float, float, float]:
-    """The horizontal direction from which a person is seen from the front, a little from the side."""
+    """The horizontal direction from which a person is seen from the front, a little from the
+    side.
+    """
     root = matrix_from_rotvec(pose[model.parents.index(-1)])
     x, _, z = root @ np.array([0.35, 0.0, 1.0])
     length = float(np.hypot(x, z))

@@ -1,4 +1,6 @@
-"""Captures among files and folders: which there are, what their results are called, which are one subject's."""
+"""Captures among files and folders: which there are, what their results are called, which are one
+subject's.
+"""
 
 import os
 from collections import Counter, defaultdict
@@ -16,13 +18,17 @@ from habitus.io.names import file_name, shown_stem
 SURE = (".c3d", ".trc")
 """Endings that only captures have; tables and archives may hold anything."""
 _FRAMES = 200
-_LEAST_LABELS, _LEAST_PAIRS = 8, 10
-_RIGID, _NEAR, _ALIKE = 0.02, 0.06, 0.025
+_LEAST_LABELS = 8
+_LEAST_PAIRS = 10
+_RIGID = 0.02
+_NEAR = 0.06
+_ALIKE = 0.025
 
 
 @dataclass(frozen=True)
 class Found:
-    """A file that may be a capture; results go to ``place``, relative to the folder for all, and are called ``name``.
+    """A file that may be a capture; results go to ``place``, relative to the folder for all, and
+    are called ``name``.
 
     ``given``: named by itself, not found in a folder.
     """
@@ -34,19 +40,26 @@ class Found:
 
 
 def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
-    """Files as they are given, and every capture below the folders among them, in order of their names.
+    """Files as they are given, and every capture below the folders among them, in order of their
+    names.
 
-    Hidden files and folders, ``out`` and what fits have written are left out. Raises HabitusError for a folder without
-    captures and for results that would have one name.
+    Hidden files and folders, ``out`` and what fits have written are left out. Raises HabitusError
+    for a folder without captures and for results that would have one name.
     """
     folders = [path for path in paths if path.is_dir()]
     found = []
     for path in paths:
         if path.is_dir():
             start = Path(file_name(path.resolve().name)) if len(folders) > 1 else Path()
-            below = [Found(file, start / _safe(file.parent.relative_to(path)), "", False) for file in _below(path, out)]
+            below = [
+                Found(file, start / _safe(file.parent.relative_to(path)), "", False)
+                for file in _below(path, out)
+            ]
             if not below:
-                raise HabitusError(f"{path}: there is no capture in this folder ({', '.join(PARSERS)}); check the path")
+                raise HabitusError(
+                    f"{path}: there is no capture in this folder ({', '.join(PARSERS)}); check "
+                    "the path"
+                )
             found += below
         else:
             found.append(Found(path, Path(), "", True))
@@ -56,7 +69,9 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
 def _below(folder: Path, out: Path) -> Iterator[Path]:
     out = out.resolve()
     for root, inner, names in os.walk(folder):
-        inner[:] = sorted(x for x in inner if not x.startswith(".") and (Path(root) / x).resolve() != out)
+        inner[:] = sorted(
+            x for x in inner if not x.startswith(".") and (Path(root) / x).resolve() != out
+        )
         results = {"body.npz"} if "metrics.json" in names else set()
         for name in sorted(set(names) - results):
             if Path(name).suffix.lower() in PARSERS and not name.startswith("."):
@@ -68,13 +83,21 @@ def _safe(relative: Path) -> Path:
 
 
 def _named(found: Sequence[Found]) -> list[Found]:
-    """With the names of their results: those of one folder that differ in their endings have these in their names."""
+    """With the names of their results: those of one folder that differ in their endings have these
+    in their names.
+    """
     stems = Counter((one.place, one.path.stem) for one in found)
-    named = [replace(one, name=_stem(one.path, not one.given and stems[one.place, one.path.stem] > 1)) for one in found]
-    twice = [key for key, count in Counter((one.place, one.name) for one in named).items() if count > 1]
+    named = [
+        replace(one, name=_stem(one.path, not one.given and stems[one.place, one.path.stem] > 1))
+        for one in found
+    ]
+    twice = [
+        key for key, count in Counter((one.place, one.name) for one in named).items() if count > 1
+    ]
     if twice:
         raise HabitusError(
-            f"several captures are called {twice[0][1]}, so their results would overwrite each other; "
+            f"several captures are called {twice[0][1]}, so their results would overwrite each "
+            "other; "
             "expected names that differ; rename one, or fit them in separate runs"
         )
     return named
@@ -86,8 +109,8 @@ def _stem(path: Path, with_ending: bool) -> str:
 
 @dataclass(frozen=True)
 class Worn:
-    """What tells whether two captures show one person with the same markers: ``rigid``, medians (M, M) in metres of the
-    distances between markers that keep them, NaN for others.
+    """What tells whether two captures show one person with the same markers: ``rigid``, medians (M,
+    M) in metres of the distances between markers that keep them, NaN for others.
     """
 
     subject: str | None
@@ -105,7 +128,9 @@ class Worn:
         return Worn(capture.subject, capture.labels, np.where(kept, distances, np.nan))
 
     def like(self, other: "Worn") -> bool:
-        """Whether markers that keep their distance in both captures are as far apart in one as in the other."""
+        """Whether markers that keep their distance in both captures are as far apart in one as in
+        the other.
+        """
         apart = self.apart(other)
         return self.subject == other.subject and apart is not None and apart < _ALIKE
 
@@ -117,14 +142,20 @@ class Worn:
     def apart(self, other: "Worn") -> float | None:
         """The median of what such distances differ by, as a share; None where too few can tell.
 
-        Measured on real captures: at most 1.5 % for one person in one session, and at least 4 % for two people.
+        Measured on real captures: at most 1.5 % for one person in one session, and at least 4 % for
+        two people.
         """
         common = [label for label in self.labels if label in other.labels]
         if len(common) < _LEAST_LABELS:
             return None
-        a, b = self._among(common), other._among(common)
+        a = self._among(common)
+        b = other._among(common)
         rigid = np.triu(np.isfinite(a) & np.isfinite(b), 1)
-        return float(np.median(np.abs(np.log(b[rigid] / a[rigid])))) if rigid.sum() >= _LEAST_PAIRS else None
+        return (
+            float(np.median(np.abs(np.log(b[rigid] / a[rigid]))))
+            if rigid.sum() >= _LEAST_PAIRS
+            else None
+        )
 
     def _among(self, labels: Sequence[str]) -> np.ndarray:
         rows = [self.labels.index(label) for label in labels]
@@ -140,7 +171,9 @@ def _median(values: Float[np.ndarray, "T M M"]) -> Float[np.ndarray, "M M"]:
 
 
 def grouped(worn: Sequence[tuple[Found, Worn | None]]) -> list[list[Found]]:
-    """Captures of one folder, of one recorded subject and with the same markers, together; each other one alone."""
+    """Captures of one folder, of one recorded subject and with the same markers, together; each
+    other one alone.
+    """
     groups: dict[Path, list[tuple[Worn | None, list[Found]]]] = defaultdict(list)
     for found, seen in worn:
         here = groups[found.path.parent]

@@ -1,4 +1,6 @@
-"""Which of the body's models fits a person: the one asked for, or that of the sex of which the markers are sure."""
+"""Which of the body's models fits a person: the one asked for, or that of the sex of which the
+markers are sure.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +26,9 @@ NEUTRAL = ("default", "neutral")
 
 @dataclass(frozen=True)
 class Chosen:
-    """A body's model for one person: which, how likely the neutral shape is a woman's, and what must be said of it."""
+    """A body's model for one person: which, how likely the neutral shape is a woman's, and what
+    must be said of it.
+    """
 
     body: BodyModel
     gender: str
@@ -34,7 +38,9 @@ class Chosen:
     def told(self, fit: MarkerFit) -> MarkerFit:
         """A fit of this body that says which it is."""
         warnings = (*fit.warnings, *self.notes)
-        return replace(fit, gender=self.gender, female_probability=self.female_probability, warnings=warnings)
+        return replace(
+            fit, gender=self.gender, female_probability=self.female_probability, warnings=warnings
+        )
 
 
 def check_gender(gender: str) -> None:
@@ -48,15 +54,26 @@ def of_gender(body: BodyModel, gender: str) -> BodyModel:
     if gender in ("neutral", body.name):
         return body
     if body.name not in NEUTRAL:
-        raise HabitusError(f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto")
+        raise HabitusError(
+            f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto"
+        )
     layout = find_layout(body.parents)
     found = load_body(gender, joints=layout and layout.name)
-    found = found if found.num_betas == body.num_betas else found.with_betas(min(found.num_betas, body.num_betas))
+    found = (
+        found
+        if found.num_betas == body.num_betas
+        else found.with_betas(min(found.num_betas, body.num_betas))
+    )
     return at_age(found, body.age)
 
 
 def model_of(
-    body: BodyModel, age: float | str | None, gender: str, person: Person, settings: MoshSettings, progress: Progress
+    body: BodyModel,
+    age: float | str | None,
+    gender: str,
+    person: Person,
+    settings: MoshSettings,
+    progress: Progress,
 ) -> Chosen:
     """`choose`, at the age that is asked for or told by the person's files."""
     aged, notes = told_age(body, age, person)
@@ -64,9 +81,11 @@ def model_of(
     return replace(chosen, notes=(*notes, *chosen.notes))
 
 
-def choose(body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress) -> Chosen:
-    """The model of a person: with "auto" that of the sex in the capture's file, or else of the sex that a fit of the
-    neutral model is sure of; the neutral one where it cannot tell.
+def choose(
+    body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress
+) -> Chosen:
+    """The model of a person: with "auto" that of the sex in the capture's file, or else of the sex
+    that a fit of the neutral model is sure of; the neutral one where it cannot tell.
     """
     if gender != "auto":
         return Chosen(of_gender(body, gender), gender)
@@ -74,7 +93,9 @@ def choose(body: BodyModel, gender: str, person: Person, settings: MoshSettings,
         note = f"gender auto: the body {body.name} is one model, so none had to be chosen"
         return Chosen(body, "neutral", notes=(note,))
     if (told := _told(person)) is not None:
-        return Chosen(of_gender(body, told), told, notes=(f"gender auto: the capture's file says {told}",))
+        return Chosen(
+            of_gender(body, told), told, notes=(f"gender auto: the capture's file says {told}",)
+        )
     progress("gender", 0.0)
     return _estimated(body, person, settings)
 
@@ -84,16 +105,26 @@ def _estimated(body: BodyModel, person: Person, settings: MoshSettings) -> Chose
     fit = next(iterate_fits(body, prior_of(body), person.layout, person.recordings, quick))
     probability = None if fit.verdict.level == FAILED else fit_female_probability(fit)
     if probability is None:
-        why = "the neutral fit failed" if fit.verdict.level == FAILED else f"{body.called} has no classifier of sex"
-        return Chosen(body, "neutral", notes=(f"gender auto: {why}, so the neutral model was kept",))
+        why = (
+            "the neutral fit failed"
+            if fit.verdict.level == FAILED
+            else f"{body.called} has no classifier of sex"
+        )
+        return Chosen(
+            body, "neutral", notes=(f"gender auto: {why}, so the neutral model was kept",)
+        )
     said = said_of(probability)
     if said == CANNOT_TELL:
         note = (
-            f"gender auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): the neutral model was kept"
+            f"gender auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): "
+            "the neutral model was kept"
         )
         return Chosen(body, "neutral", probability, (note,))
     sure = probability if said == "female" else 1.0 - probability
-    note = f"gender auto: the neutral shape is {said} with probability {sure:.2f}: fitted with the {said} model"
+    note = (
+        f"gender auto: the neutral shape is {said} with probability {sure:.2f}: fitted with "
+        f"the {said} model"
+    )
     return Chosen(of_gender(body, said), said, probability, (note,))
 
 

@@ -33,16 +33,20 @@ def rotate_hold_out(
     others: Sequence[Capture] = (),
     placements: PlacementPrior | None = None,
 ) -> tuple[list[HeldOut], list[HeldOut | None]]:
-    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each capture.
+    """Each marker's held-out error, one in ``every`` left out at a time: ``every`` fits of each
+    capture.
 
-    Also the same at places that ``others`` tell, with as many fits again; None without any. placements: the prior that
-    says where held-out markers are expected, by itself the one that comes with habitus.
+    Also the same at places that ``others`` tell, with as many fits again; None without any.
+    placements: the prior that says where held-out markers are expected, by itself the one that
+    comes with habitus.
     """
     if not 2 <= every <= len(person.layout):
         raise HabitusError(
-            f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of matched markers"
+            f"hold-out-every is {every}; expected 2 to {len(person.layout)}, the number of "
+            "matched markers"
         )
-    folds, shared = [], (body, prior_of(body), person, every, settings, others, placements)
+    folds = []
+    shared = (body, prior_of(body), person, every, settings, others, placements)
     progress(f"hold out 1 of {every}", 0.0)
     with open_workers(1 if workers is None else workers) as team:
         for fold in team.map(_fold, shared, range(every)):
@@ -53,13 +57,17 @@ def rotate_hold_out(
     return [merged([fold[0][r] for fold in folds]) for r in count], told
 
 
-def errors_of(fit: MarkerFit, held: HeldMarkers, index: int, placements: PlacementPrior | None = None) -> HeldOut:
+def errors_of(
+    fit: MarkerFit, held: HeldMarkers, index: int, placements: PlacementPrior | None = None
+) -> HeldOut:
     """Errors of the held-out markers in one capture of a person, where the prior expects them."""
     offsets = expected_offsets(fit, held, placements or load_placements())
     return held_out_errors(fit, held.layout, held.observed[index], offsets)
 
 
-_Shared = tuple[BodyModel, PosePrior, Person, int, MoshSettings, Sequence[Capture], PlacementPrior | None]
+_Shared = tuple[
+    BodyModel, PosePrior, Person, int, MoshSettings, Sequence[Capture], PlacementPrior | None
+]
 
 
 def _fold(shared: _Shared, k: int) -> tuple[list[HeldOut], list[HeldOut]]:
@@ -67,4 +75,6 @@ def _fold(shared: _Shared, k: int) -> tuple[list[HeldOut], list[HeldOut]]:
     kept, held = leave_out(person, person.layout.labels[k::every])
     fits = fit_markers(body, prior, kept.layout, kept.recordings, settings)
     default = [errors_of(fit, held, index, placements) for index, fit in enumerate(fits)]
-    return default, told_errors(body, prior, person, held.layout.labels, others, settings) if others else []
+    return default, told_errors(
+        body, prior, person, held.layout.labels, others, settings
+    ) if others else []

@@ -1,4 +1,6 @@
-"""From points without names to a labelled capture: for ``habitus label``, ``habitus.label`` and ``mosh --label``."""
+"""From points without names to a labelled capture: for ``habitus label``, ``habitus.label`` and
+``mosh --label``.
+"""
 
 import json
 import os
@@ -35,16 +37,19 @@ from habitus.types import PathLike
 DOUBTFUL = 0.9
 """Confidence below which a label is called doubtful."""
 SURE = 0.45
-"""Confidence below which a point stays without a name: a little under one half, which names two that are alike."""
+"""Confidence below which a point stays without a name: a little under one half, which names two
+that are alike.
+"""
 
 
 @dataclass(frozen=True)
 class LabelledCapture:
     """A capture whose points have names where these are likely.
 
-    labels (M,) and markers (T, M, 3), metres, NaN where no point has the label; confidence (T, M), 0..1, NaN there;
-    others (T, K, 3): the points that were left without a name. ``report`` is what is written as JSON: of each label
-    and of each piece of a trajectory, what it is called and how sure that is.
+    labels (M,) and markers (T, M, 3), metres, NaN where no point has the label; confidence (T, M),
+    0..1, NaN there; others (T, K, 3): the points that were left without a name. ``report`` is what
+    is written as JSON: of each label and of each piece of a trajectory, what it is called and how
+    sure that is.
     """
 
     source: UnlabelledCapture
@@ -78,8 +83,8 @@ class LabelledCapture:
     def save(self, path: PathLike, source: PathLike | None = None) -> None:
         """Write a C3D or TRC file, and the report beside it as ``<name>.labels.json``.
 
-        source: the C3D file that was labelled, of which all else is kept. Points without a name are ``*1``, ``*2``, …
-        Raises HabitusError for another ending.
+        source: the C3D file that was labelled, of which all else is kept. Points without a name are
+        ``*1``, ``*2``, … Raises HabitusError for another ending.
         """
         out = Path(path)
         _check_path(out)
@@ -107,20 +112,23 @@ def label(
     body: PathLike | BodyModel = "default",
     rate_hz: float | None = None,
 ) -> LabelledCapture:
-    """Name the points of a capture, whatever they were called, and write the result where ``out`` is given.
+    """Name the points of a capture, whatever they were called, and write the result where ``out``
+    is given.
 
-    layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a file. like: a
-    labelled capture of the same person with the same markers, which tells shape and places; the strongest. sure: labels
-    less likely than this are left out. people: how many are in the capture, all in the same markers; their labels begin
-    with ``person1:``, ``person2:``, which readers take for subjects. Raises HabitusError with one clear line on bad
-    input.
+    layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a
+    file. like: a labelled capture of the same person with the same markers, which tells shape and
+    places; the strongest. sure: labels less likely than this are left out. people: how many are in
+    the capture, all in the same markers; their labels begin with ``person1:``, ``person2:``, which
+    readers take for subjects. Raises HabitusError with one clear line on bad input.
     """
     _check_people(people, like)
     if not 0.0 <= sure <= 1.0:
         raise HabitusError(f"sure = {sure:g}; expected a confidence of 0 to 1")
     if out is not None:
         _check_path(Path(out))
-    source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
+    source = (
+        _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
+    )
     model = loaded(body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
     one = clouds if people == 1 else only(clouds, heaps(clouds, tracklets(clouds), people) == 0)
@@ -143,8 +151,12 @@ def check_labelling(how: str) -> None:
         raise HabitusError(f"label = {how!r}; expected 'given' or 'auto'")
 
 
-def labelled_capture(source: PathLike | Capture, layout: PathLike, rate_hz: float | None) -> Capture:
-    """A capture with the labels that were found for its points; what was found is told by a warning."""
+def labelled_capture(
+    source: PathLike | Capture, layout: PathLike, rate_hz: float | None
+) -> Capture:
+    """A capture with the labels that were found for its points; what was found is told by a
+    warning.
+    """
     return label(source, layout=layout, rate_hz=rate_hz).capture()
 
 
@@ -152,29 +164,46 @@ def _check_people(people: int, like: object) -> None:
     if people < 1:
         raise HabitusError(f"people = {people}; expected how many are in the capture")
     if people > 1 and like is not None:
-        raise HabitusError("a labelled capture tells one person, and there are several; expected --layout alone")
+        raise HabitusError(
+            "a labelled capture tells one person, and there are several; expected --layout alone"
+        )
 
 
 def _check_path(out: Path) -> None:
     if out.suffix.lower() not in (".c3d", ".trc"):
-        raise HabitusError(f"cannot write a labelled capture to {out}: expected a name that ends in .c3d or .trc")
+        raise HabitusError(
+            f"cannot write a labelled capture to {out}: expected a name that ends in .c3d or .trc"
+        )
 
 
 def _anonymous(capture: Capture) -> UnlabelledCapture:
     columns = tuple(range(len(capture.labels)))
     return UnlabelledCapture(
-        capture.name, capture.markers, columns, capture.rate_hz, capture.up_axis, capture.unit, capture.format
+        capture.name,
+        capture.markers,
+        columns,
+        capture.rate_hz,
+        capture.up_axis,
+        capture.unit,
+        capture.format,
     )
 
 
 def _told(
     body: BodyModel, clouds: Clouds, layout: PathLike, like: PathLike | Capture | None
 ) -> tuple[MarkerLayout, Known | None, tuple[str, ...], dict[str, Any]]:
-    """The layout, the person where one is known, the labels in the layout's order, and where all that comes from."""
+    """The layout, the person where one is known, the labels in the layout's order, and where all
+    that comes from.
+    """
     if like is None:
         if os.fspath(layout) == "auto":
             chosen, confidence = choose_layout(body, clouds)
-            return chosen, None, chosen.labels, {"layout": chosen.name, "layout_confidence": confidence}
+            return (
+                chosen,
+                None,
+                chosen.labels,
+                {"layout": chosen.name, "layout_confidence": confidence},
+            )
         chosen = load_layout(layout)
         return chosen, None, chosen.labels, {"layout": chosen.name}
     capture = like if isinstance(like, Capture) else read_captures(like)[0]
@@ -183,11 +212,15 @@ def _told(
 
 
 def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, tuple[str, ...]]:
-    """A person whose labelled captures tell shape and marker places, and what the markers are called there."""
+    """A person whose labelled captures tell shape and marker places, and what the markers are
+    called there.
+    """
     prior = prior_of(body).for_joints(body.joint_names)
     recording = whole.recordings[0]
     seen = np.isfinite(recording.observed[..., 0]).any(axis=0)
-    layout = replace(whole.layout, markers=tuple(m for m, s in zip(whole.layout.markers, seen, strict=True) if s))
+    layout = replace(
+        whole.layout, markers=tuple(m for m, s in zip(whole.layout.markers, seen, strict=True) if s)
+    )
     recording = replace(recording, observed=np.ascontiguousarray(recording.observed[:, seen]))
     subject = fit_subject(body, prior, layout, [recording], MoshSettings())
     names = list(layout.labels)
@@ -206,13 +239,20 @@ def _alike(layout: MarkerLayout) -> tuple[str, ...]:
     if not several:
         return ()
     return (
-        f"{layout.name} has several markers at one place ({listed(several, 4, '; ')}): each is followed throughout, "
-        "but which is called what is drawn by lot; give a labelled capture of the same person with --like",
+        f"{layout.name} has several markers at one place ({listed(several, 4, '; ')}): each is "
+        "followed throughout, "
+        "but which is called what is drawn by lot; give a labelled capture of the same person "
+        "with --like",
     )
 
 
 def _labelled(
-    source: UnlabelledCapture, clouds: Clouds, names: tuple[str, ...], found: Named, sure: float, how: dict[str, Any]
+    source: UnlabelledCapture,
+    clouds: Clouds,
+    names: tuple[str, ...],
+    found: Named,
+    sure: float,
+    how: dict[str, Any],
 ) -> LabelledCapture:
     """Points under their names, those less sure than asked for without."""
     named = np.where(found.confidence >= sure, found.label, -1)
@@ -234,8 +274,11 @@ def _report(
 ) -> dict[str, Any]:
     known: Bool[np.ndarray, " P"] = named >= 0
     doubtful = known & (found.confidence < DOUBTFUL)
-    frames, count = np.bincount(named[known], minlength=len(names)), max(1, len(named))
-    worst = sorted({names[i] for i in np.unique(named[doubtful]) if np.mean(doubtful[named == i]) > 0.5})
+    frames = np.bincount(named[known], minlength=len(names))
+    count = max(1, len(named))
+    worst = sorted(
+        {names[i] for i in np.unique(named[doubtful]) if np.mean(doubtful[named == i]) > 0.5}
+    )
     absent = [name for name, seen in zip(names, frames, strict=True) if not seen]
     said = f"{known.mean():.1%} of {count} points labelled, {doubtful.sum() / count:.1%} doubtful"
     said += f" ({listed(worst, 6)})" if worst else ""
@@ -251,7 +294,9 @@ def _report(
         "labels": {
             name: {
                 "frames": int(frames[i]),
-                "confidence": round(float(found.confidence[named == i].mean()), 3) if frames[i] else None,
+                "confidence": round(float(found.confidence[named == i].mean()), 3)
+                if frames[i]
+                else None,
                 "told_from_nearest": round(float(found.sure[i]), 3),
             }
             for i, name in enumerate(names)
@@ -260,13 +305,17 @@ def _report(
     }
 
 
-def _pieces(clouds: Clouds, names: Sequence[str], found: Named, named: np.ndarray) -> list[dict[str, Any]]:
+def _pieces(
+    clouds: Clouds, names: Sequence[str], found: Named, named: np.ndarray
+) -> list[dict[str, Any]]:
     """Each run of a tracklet under one label: its frames, label and confidence."""
     order = np.lexsort((clouds.frame, named, found.tracklet))
     keys = np.stack([found.tracklet[order], named[order]])
     first = np.flatnonzero((np.diff(keys, axis=1, prepend=-2) != 0).any(axis=0))
     last = np.append(first[1:], len(order)) - 1
-    means = np.add.reduceat(found.confidence[order], first) / (last - first + 1) if len(order) else []
+    means = (
+        np.add.reduceat(found.confidence[order], first) / (last - first + 1) if len(order) else []
+    )
     return [
         {
             "tracklet": int(keys[0, a]),

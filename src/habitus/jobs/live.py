@@ -30,7 +30,9 @@ from habitus.types import PathLike
 
 STATUS_S = 1.0
 REHEARSED = 0.7
-"""Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next frame comes."""
+"""Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next
+frame comes.
+"""
 MakeSink = Callable[[KnownSubject, Recording], Sink]
 """Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
 
@@ -55,16 +57,18 @@ def live(
     say: Say = lambda text, mark: None,
     on_status: Callable[[str], None] = lambda line: None,
 ) -> MarkerFit | None:
-    """Follow one person through a live stream of markers, and write what was found where ``out`` is given.
+    """Follow one person through a live stream of markers, and write what was found where ``out`` is
+    given.
 
-    source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this one without, with
-    ``:port`` where that is another), or any `habitus.io.streams.source.Source`. out: a file that ends in .npz or
-    .glb, or a folder for all files of a fit. subject: a fit or the body.npz of one, whose shape and marker places are
-    taken; without, they are found from the first ``seconds``. rate_hz: how fast a file is played (0: as fast as it can
-    be followed), or the rate of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
-    on_status: told what happens, and a line a second.
-    It ends with the stream, or with Ctrl-C, which is no error once somebody is followed. The fit that comes back holds
-    all frames from the first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
+    source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this
+    one without, with ``:port`` where that is another), or any `habitus.io.streams.source.Source`.
+    out: a file that ends in .npz or .glb, or a folder for all files of a fit. subject: a fit or the
+    body.npz of one, whose shape and marker places are taken; without, they are found from the first
+    ``seconds``. rate_hz: how fast a file is played (0: as fast as it can be followed), or the rate
+    of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
+    on_status: told what happens, and a line a second. It ends with the stream, or with Ctrl-C,
+    which is no error once somebody is followed. The fit that comes back holds all frames from the
+    first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
     HabitusError with one clear line on bad input.
     """
     check_gender(gender)
@@ -72,12 +76,18 @@ def live(
     wanted = Wanted(layout, body, person, gender, joints, age)
     settings = MoshSettings(causal=True, soft_tissue=False)
     named = isinstance(body, str) and body == "default"
-    known = load_fit(subject, None if named else body) if isinstance(subject, str | os.PathLike) else subject
+    known = (
+        load_fit(subject, None if named else body)
+        if isinstance(subject, str | os.PathLike)
+        else subject
+    )
     model = known.body if isinstance(known, MarkerFit) else loaded(body, joints, read_age(age))
     warm_up(model)
     stream = Stream(open_source(source, address, rate_hz) if isinstance(source, str) else source)
     try:
-        asked = Asked(wanted, model, settings, known, seconds, None if source == "replay" else rate_hz)
+        asked = Asked(
+            wanted, model, settings, known, seconds, None if source == "replay" else rate_hz
+        )
         fit = _session(stream, asked, stop_after, keep or target is not None, sinks, say, on_status)
     finally:
         stream.source.close()
@@ -88,7 +98,10 @@ def live(
 
 def _checked(out: Path) -> Path:
     if out.suffix.lower() not in ("", ".npz", ".glb"):
-        raise HabitusError(f"cannot write a live fit to {out}: expected a name that ends in .npz or .glb, or a folder")
+        raise HabitusError(
+            f"cannot write a live fit to {out}: expected a name that ends in .npz or .glb, or a "
+            "folder"
+        )
     return out
 
 
@@ -106,9 +119,11 @@ def _session(
     over = lambda: time.perf_counter() > until  # noqa: E731
     say(f"listening to {stream.source.name}", "")
     gathered = gather(stream, asked, say, over)
-    rate, stream.behind = gathered.rate_hz, True
+    rate = gathered.rate_hz
+    stream.behind = True
     say(
-        f"{len(gathered.frames) / rate:.1f} s of somebody: finding the {'shape' if asked.fit is None else 'markers'}",
+        f"{len(gathered.frames) / rate:.1f} s of somebody: finding the "
+        f"{'shape' if asked.fit is None else 'markers'}",
         "",
     )
     found = learn_meanwhile(stream, gathered, asked)
@@ -124,7 +139,11 @@ def _session(
     finally:
         follower.close()
     trouble = stream.counts.line
-    say(f"followed {follower.count} frames, {follower.seconds:.1f} s{'; ' if trouble else ''}{trouble}", "")
+    say(
+        f"followed {follower.count} frames, {follower.seconds:.1f} "
+        f"s{'; ' if trouble else ''}{trouble}",
+        "",
+    )
     notes = [*follower.notes, *([f"of the stream's frames, {trouble}"] if trouble else [])]
     if follower.record is None:
         return None
@@ -135,7 +154,10 @@ def _introduced(follower: Follower, known: KnownSubject, asked: Asked) -> str:
     measured = known.body.measure(known.subject.shape.betas)
     who = f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg"
     how = "as saved" if asked.fit is not None else f"shape in {known.subject.seconds:.1f} s"
-    return f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): {follower.quality.verdict}"
+    return (
+        f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): "
+        f"{follower.quality.verdict}"
+    )
 
 
 def _follow(
@@ -147,9 +169,12 @@ def _follow(
     on_status: Callable[[str], None],
 ) -> None:
     """Every frame until the end; a status now and then, silence said."""
-    told, fresh, heard = time.perf_counter(), False, time.perf_counter()
+    told = time.perf_counter()
+    fresh = False
+    heard = time.perf_counter()
     while not stream.ended and not over():
-        waited, found = stream.behind, stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
+        waited = stream.behind
+        found = stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
         if found is not None:
             follower.take(*found, waited)
             heard = time.perf_counter()

@@ -1,4 +1,6 @@
-"""Following somebody through a stream, and saying what happens: who leaves and returns, what is lost or relabelled."""
+"""Following somebody through a stream, and saying what happens: who leaves and returns, what is
+lost or relabelled.
+"""
 
 import time
 from collections import deque
@@ -24,7 +26,9 @@ _MOST_NOTES = 40
 
 
 class Now(NamedTuple):
-    """A frame as it is shown and sent on: its number, seconds since the first, the markers (N, 3), what was found."""
+    """A frame as it is shown and sent on: its number, seconds since the first, the markers (N, 3),
+    what was found.
+    """
 
     number: int
     seconds: float
@@ -47,18 +51,32 @@ class Sink(Protocol):
 class Follower:
     """Takes the frames after those that told the shape. For one stream and one thread.
 
-    notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of the last minute or
-    so, those left out that waited until the shape was found.
+    notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of
+    the last minute or so, those left out that waited until the shape was found.
     """
 
     def __init__(
-        self, found: Followed, heading: RawPoints, rate_hz: float, say: Say, sinks: Sequence[Sink], keep: bool = True
+        self,
+        found: Followed,
+        heading: RawPoints,
+        rate_hz: float,
+        say: Say,
+        sinks: Sequence[Sink],
+        keep: bool = True,
     ):
-        self._found, self._wiring, self._heading, self._rate, self._say = found, found.wiring, heading, rate_hz, say
+        self._found = found
+        self._wiring = found.wiring
+        self._heading = heading
+        self._rate = rate_hz
+        self._say = say
         self._known = heading.labels
         self.quality = Quality(found.known.layout.labels, rate_hz)
-        self.record, self.notes, self.latencies = Record() if keep else None, list[str](), deque[float](maxlen=10_000)
-        self.count, self._sinks, self._state = 0, list(sinks), "nobody"
+        self.record = Record() if keep else None
+        self.notes = list[str]()
+        self.latencies = deque[float](maxlen=10_000)
+        self.count = 0
+        self._sinks = list(sinks)
+        self._state = "nobody"
         for frame, markers in zip(found.frames, found.markers, strict=True):
             self._add(frame, markers)
 
@@ -68,7 +86,9 @@ class Follower:
         return self.count / self._rate
 
     def take(self, frame: Frame, missing: int, waited: bool = False) -> Now:
-        """Fit the next frame, before which so many are missing; whether it ``waited`` until the shape was found."""
+        """Fit the next frame, before which so many are missing; whether it ``waited`` until the
+        shape was found.
+        """
         if frame.heading is not self._heading:
             self._relabelled(frame.heading)
         for _ in range(self._bridged(missing)):
@@ -101,24 +121,37 @@ class Follower:
         if missing > 0.1 * self._rate:
             self._note(f"{missing} frames were lost at {self.seconds:.1f} s", "warning:")
         if missing > most:
-            self._note(f"of these {missing - most} are left out of the time that follows", "warning:")
+            self._note(
+                f"of these {missing - most} are left out of the time that follows", "warning:"
+            )
         return min(missing, most)
 
     def _tell(self, found: LiveFrame) -> None:
         """Says when somebody leaves, returns or is begun anew."""
-        before, self._state = self._state, found.state
+        before = self._state
+        self._state = found.state
         if found.state == "nobody" and before != "nobody":
             self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
         elif found.state == "started" and self.count:
-            what = "the subject is seen again" if before == "nobody" else "the body was astray and is begun anew"
+            what = (
+                "the subject is seen again"
+                if before == "nobody"
+                else "the body was astray and is begun anew"
+            )
             self._note(f"{what} at {self.seconds:.1f} s", "")
 
     def _relabelled(self, heading: RawPoints) -> None:
-        """The stream calls its points something else: markers are found by their labels, and what changed is said."""
+        """The stream calls its points something else: markers are found by their labels, and what
+        changed is said.
+        """
         self._heading = heading
         self._wiring, gone, new = rewired(self._found.wiring, self._known, heading.labels)
-        labels, left = self._found.known.layout.labels, int((self._wiring.columns >= 0).sum())
-        said = f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers are left"
+        labels = self._found.known.layout.labels
+        left = int((self._wiring.columns >= 0).sum())
+        said = (
+            f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers "
+            "are left"
+        )
         said += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
         said += f"; not used, as their places are not known: {listed(new)}" if new else ""
         said += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
@@ -140,8 +173,12 @@ class Follower:
 
 def status(follower: Follower, trouble: str) -> str:
     """One line on how it goes; ``trouble``: what was wrong with the stream's frames."""
-    quality, verdict = follower.quality, follower.quality.verdict
+    quality = follower.quality
+    verdict = follower.quality.verdict
     took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
-    said = f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  {quality.mean_mm:.1f} mm"
+    said = (
+        f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  "
+        f"{quality.mean_mm:.1f} mm"
+    )
     said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
     return f"{said}  frames {trouble}" if trouble else said

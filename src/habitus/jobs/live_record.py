@@ -31,25 +31,49 @@ class Record:
         return len(self._poses)
 
     def add(self, frame: LiveFrame, observed: np.ndarray) -> None:
-        """The next frame, with the markers (N, 3) that it was told; nobody's markers are not kept."""
+        """The next frame, with the markers (N, 3) that it was told; nobody's markers are not
+        kept.
+        """
         self._poses.append(frame.pose)
         self._trans.append(frame.trans)
         self._costs.append(frame.cost)
-        self._observed.append((observed if frame.state != "nobody" else np.full_like(observed, np.nan)).astype("f4"))
+        self._observed.append(
+            (observed if frame.state != "nobody" else np.full_like(observed, np.nan)).astype("f4")
+        )
 
-    def fit(self, known: KnownSubject, recording: Recording, settings: MoshSettings, notes: Sequence[str]) -> MarkerFit:
-        """The fit of all frames; where nobody was seen the body stands as it was last, and the frames are flagged."""
+    def fit(
+        self,
+        known: KnownSubject,
+        recording: Recording,
+        settings: MoshSettings,
+        notes: Sequence[str],
+    ) -> MarkerFit:
+        """The fit of all frames; where nobody was seen the body stands as it was last, and the
+        frames are flagged.
+        """
         standing = _held(np.isfinite(np.array(self._trans)[:, 0]))
-        pose, trans = np.array(self._poses)[standing], np.array(self._trans)[standing]
+        pose = np.array(self._poses)[standing]
+        trans = np.array(self._trans)[standing]
         observed = exchange(np.array(self._observed, dtype=np.float64), known.subject.exchanged)
         scale = np.full(observed.shape[1], settings.robust_scale[1])
         costs = np.array(self._costs)
-        result = SequenceResult(pose, trans, None, {"frames": float(costs.sum())}, costs, np.ones(observed.shape[:2]),
-                                "causal", len(costs), (float(costs.sum()),))  # fmt: skip
+        result = SequenceResult(
+            pose,
+            trans,
+            None,
+            {"frames": float(costs.sum())},
+            costs,
+            np.ones(observed.shape[:2]),
+            "causal",
+            len(costs),
+            (float(costs.sum()),),
+        )
         found = PoseStage(result, observed, Evidence(observed, None), scale)
         recording = replace(recording, warnings=(*recording.warnings, *notes))
         seconds = {"shape": known.subject.seconds, "pose": None, "soft_tissue": None}
-        fit = assemble(known.body, known.layout, recording, known.subject, found, None, seconds, settings)
+        fit = assemble(
+            known.body, known.layout, recording, known.subject, found, None, seconds, settings
+        )
         distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
         return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
 

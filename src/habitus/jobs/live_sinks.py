@@ -20,7 +20,9 @@ _PORTS = {"vmc": VMC_PORT, "osc": OSC_PORT}
 
 
 def sinks(send: Sequence[str], port: int | None, say: Callable[[str], None]) -> list[MakeSink]:
-    """What ``--send`` and ``--view`` ask for; port: of the viewer's page, None for no viewer. Raises HabitusError."""
+    """What ``--send`` and ``--view`` ask for; port: of the viewer's page, None for no viewer.
+    Raises HabitusError.
+    """
     made: list[MakeSink] = [_sending(text) for text in send]
     if port is not None:
         from habitus.jobs.live_view import viewer
@@ -33,7 +35,10 @@ def _sending(text: str) -> MakeSink:
     """``vmc``, ``osc=192.168.1.7`` or ``vmc=studio:39540``. Raises HabitusError."""
     kind, _, address = text.partition("=")
     if kind.lower() not in _PORTS:
-        raise HabitusError(f"cannot send {shown(text)!r}; expected osc or vmc, with =HOST or =HOST:PORT where not here")
+        raise HabitusError(
+            f"cannot send {shown(text)!r}; expected osc or vmc, with =HOST or =HOST:PORT where "
+            "not here"
+        )
     return partial(_sender, kind.lower(), Sender(*host_and_port(address, _PORTS[kind.lower()])))
 
 
@@ -43,9 +48,12 @@ def _sender(kind: str, sender: Sender, known: KnownSubject, recording: Recording
         return PoseSender(OscPoses(body.joint_names), sender)
     if body.joint_names[0] not in UNITY_BONES:
         raise HabitusError(
-            f"vmc sends joints of the SMPL family; {body.name} begins with {body.joint_names[0]!r}: use osc"
+            f"vmc sends joints of the SMPL family; {body.name} begins with "
+            f"{body.joint_names[0]!r}: use osc"
         )
-    rest = body(known.subject.shape.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]).joints
+    rest = body(
+        known.subject.shape.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]
+    ).joints
     return PoseSender(VmcPoses(body.joint_names, body.parents, rest, recording.up_axis), sender)
 
 
@@ -53,12 +61,17 @@ class PoseSender:
     """Sends each frame on as soon as it is solved."""
 
     def __init__(self, poses: VmcPoses | OscPoses, sender: Sender):
-        self._poses, self._sender = poses, sender
+        self._poses = poses
+        self._sender = sender
 
     def show(self, now: Now, quality: Quality) -> None:
         """Send a frame."""
         frame = now.frame
-        self._sender.send(self._poses.packets(now.number, now.seconds, frame.pose, frame.trans, STATES[frame.state]))
+        self._sender.send(
+            self._poses.packets(
+                now.number, now.seconds, frame.pose, frame.trans, STATES[frame.state]
+            )
+        )
 
     def close(self) -> None:
         """Close the socket."""

@@ -1,4 +1,6 @@
-"""How a live fit begins: frames of somebody are gathered, then the shape is found, or a saved person recognised."""
+"""How a live fit begins: frames of somebody are gathered, then the shape is found, or a saved
+person recognised.
+"""
 
 import threading
 import time
@@ -38,9 +40,11 @@ Say = Callable[[str, str], None]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a live fit is asked for: who, with which body (model) and settings; ``fit``: of a person fitted before.
+    """What a live fit is asked for: who, with which body (model) and settings; ``fit``: of a person
+    fitted before.
 
-    seconds: of frames that tell the shape. rate_hz: of the stream, where it does not say or says it wrong.
+    seconds: of frames that tell the shape. rate_hz: of the stream, where it does not say or says it
+    wrong.
     """
 
     wanted: Wanted
@@ -53,7 +57,9 @@ class Asked:
 
 @dataclass(frozen=True)
 class Gathered:
-    """Frames that show somebody, (T, P, 3) in the stream's own unit, and how many a second there are."""
+    """Frames that show somebody, (T, P, 3) in the stream's own unit, and how many a second there
+    are.
+    """
 
     frames: tuple[Frame, ...]
     rate_hz: float
@@ -66,8 +72,8 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Followed:
-    """Somebody whose shape is known: who, what the first frames were told as, (T, N, 3) markers in metres and what the
-    tracker made of them, and how the stream's points become markers.
+    """Somebody whose shape is known: who, what the first frames were told as, (T, N, 3) markers in
+    metres and what the tracker made of them, and how the stream's points become markers.
     """
 
     known: KnownSubject
@@ -83,7 +89,9 @@ def gather(stream: Stream, asked: Asked, say: Say, over: Callable[[], bool]) -> 
 
     Raises HabitusError where the stream ends, or ``over`` says so, before there are any.
     """
-    name, gathered, heard = stream.source.name, list[Frame](), time.perf_counter()
+    name = stream.source.name
+    gathered = list[Frame]()
+    heard = time.perf_counter()
     wanted = asked.seconds if asked.fit is None else min(asked.seconds, SAVED_S)
     while not stream.ended and not over():
         found = stream.following(None, IDLE_S)
@@ -103,7 +111,8 @@ def gather(stream: Stream, asked: Asked, say: Say, over: Callable[[], bool]) -> 
     rate = _rate(gathered, asked.rate_hz, stream.stride)
     if len(gathered) < 2 or not rate:
         raise HabitusError(
-            f"{name}: it ended before {FEWEST} or more labelled points were seen; check that markers are streamed"
+            f"{name}: it ended before {FEWEST} or more labelled points were seen; check that "
+            "markers are streamed"
         )
     return Gathered(tuple(gathered), rate)
 
@@ -112,7 +121,10 @@ def silence(name: str, heard: float, say: Say) -> float:
     """Says that nothing comes; gives when that was said or something was heard last."""
     if time.perf_counter() - heard < _SILENCE_S:
         return heard
-    say(f"no frames from {name} for {_SILENCE_S:.0f} s; is it streaming, and to this machine?", "warning:")
+    say(
+        f"no frames from {name} for {_SILENCE_S:.0f} s; is it streaming, and to this machine?",
+        "warning:",
+    )
     return time.perf_counter()
 
 
@@ -152,7 +164,8 @@ def learn_meanwhile(stream: Stream, gathered: Gathered, asked: Asked) -> Followe
 
 def learn(name: str, gathered: Gathered, asked: Asked) -> Followed:
     """Who the gathered frames show. Raises HabitusError where they do not tell it."""
-    heading, rate = gathered.heading, gathered.rate_hz
+    heading = gathered.heading
+    rate = gathered.rate_hz
     points = np.stack([frame.points for frame in gathered.frames])
     if not np.isfinite(points).any():
         raise HabitusError(f"{name}: no labelled point is seen")
@@ -164,7 +177,12 @@ def learn(name: str, gathered: Gathered, asked: Asked) -> Followed:
     wiring = find_wiring(points, recording.observed, METRES[capture.unit])
     lost = [label for label, k in zip(known.layout.labels, wiring.columns, strict=True) if k < 0]
     if lost:
-        raise HabitusError(f"{name}: which of its points are {listed(lost)} is not clear; check for labels that repeat")
+        raise HabitusError(
+            f"{name}: which of its points are {listed(lost)} is not clear; check for labels that "
+            "repeat"
+        )
     markers = np.stack([wiring.markers(each) for each in points])
     tracker = known.tracker(asked.settings, rate)
-    return Followed(known, recording, wiring, tracker, markers, tuple(tracker.step(each) for each in markers))
+    return Followed(
+        known, recording, wiring, tracker, markers, tuple(tracker.step(each) for each in markers)
+    )

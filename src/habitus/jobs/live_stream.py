@@ -1,4 +1,6 @@
-"""The frames of a source in order: what was lost on the way or came too late is counted, never passed over."""
+"""The frames of a source in order: what was lost on the way or came too late is counted, never
+passed over.
+"""
 
 from collections import Counter, deque
 from dataclasses import dataclass
@@ -11,7 +13,9 @@ LATE_S = 0.1
 
 @dataclass
 class Counts:
-    """How many frames of a stream came, were lost on the way or came too late, and packets that could not be read."""
+    """How many frames of a stream came, were lost on the way or came too late, and packets that
+    could not be read.
+    """
 
     came: int = 0
     lost: int = 0
@@ -21,7 +25,11 @@ class Counts:
     @property
     def line(self) -> str:
         """What went wrong, in words; empty where nothing did."""
-        said = ((self.lost, "lost on the way"), (self.late, "too late"), (self.bad, "packets unreadable"))
+        said = (
+            (self.lost, "lost on the way"),
+            (self.late, "too late"),
+            (self.bad, "packets unreadable"),
+        )
         return ", ".join(f"{count} {words}" for count, words in said if count > 0)
 
 
@@ -29,7 +37,9 @@ class Stream:
     """Frames one after another, each with how many are missing before it; for one reader."""
 
     def __init__(self, source: Source):
-        self.source, self.counts, self.behind = source, Counts(), True
+        self.source = source
+        self.counts = Counts()
+        self.behind = True
         self._waiting: deque[Frame] = deque()
         self._steps: Counter[int] = Counter()
         self._last: int | None = None
@@ -41,7 +51,9 @@ class Stream:
 
     @property
     def stride(self) -> int:
-        """By how much the numbers of frames usually grow: more than 1 where the source sends only some of them."""
+        """By how much the numbers of frames usually grow: more than 1 where the source sends only
+        some of them.
+        """
         return self._steps.most_common(1)[0][0] if self._steps else 1
 
     def listen(self, timeout: float, always: bool = False) -> None:
@@ -50,10 +62,11 @@ class Stream:
         self.counts.bad = self.source.bad
 
     def following(self, rate_hz: float | None, timeout: float) -> tuple[Frame, int] | None:
-        """The next frame, and how many that should be before it are missing; None where none came in time.
+        """The next frame, and how many that should be before it are missing; None where none came
+        in time.
 
-        rate_hz: of the frames; where it is told and the reader is not `behind` for another reason, frames that wait for
-        longer than `LATE_S` are let go but for the newest.
+        rate_hz: of the frames; where it is told and the reader is not `behind` for another reason,
+        frames that wait for longer than `LATE_S` are let go but for the newest.
         """
         self.listen(timeout)
         if not self._waiting:
@@ -69,7 +82,8 @@ class Stream:
     def _next(self) -> tuple[Frame, int]:
         frame = self._waiting.popleft()
         step = 0 if self._last is None else frame.number - self._last
-        self._last, missing = frame.number, 0
+        self._last = frame.number
+        missing = 0
         if step > 0:  # not at the first, nor where a stream begins its count anew
             self._steps[step] += 1
             missing = max(0, round(step / self.stride) - 1)

@@ -1,4 +1,6 @@
-"""Who is followed through a stream: a person from its first frames, or one who was fitted before."""
+"""Who is followed through a stream: a person from its first frames, or one who was fitted
+before.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +27,8 @@ from habitus.types import PathLike
 
 @dataclass(frozen=True)
 class Wanted:
-    """Who and what is asked for: the layout, which person of several, gender, joints, age, as `habitus.Mosh` has it.
+    """Who and what is asked for: the layout, which person of several, gender, joints, age, as
+    `habitus.Mosh` has it.
 
     ``given`` is the body as it was asked for, by name or whole.
     """
@@ -41,8 +44,8 @@ class Wanted:
 def learnt(
     captures: Sequence[Capture], model: BodyModel, wanted: Wanted, settings: MoshSettings
 ) -> tuple[KnownSubject, Recording, Capture]:
-    """The person of some frames, shape and marker places found from them; the frames on the markers in use, and as they
-    were captured.
+    """The person of some frames, shape and marker places found from them; the frames on the markers
+    in use, and as they were captured.
 
     Raises HabitusError where they hold several people, or too few known markers.
     """
@@ -55,14 +58,17 @@ def learnt(
     warm_up(model)
     person = people[0]
     with one_blas_thread():  # the matrices are small: more threads only wait for each other
-        known = KnownSubject.learnt(model, prior_of(model), person.layout, person.recordings[0], settings)
+        known = KnownSubject.learnt(
+            model, prior_of(model), person.layout, person.recordings[0], settings
+        )
     return known, _of(person.recordings[0], person, known), person.captures[0]
 
 
 def saved(
     captures: Sequence[Capture], fit: MarkerFit, wanted: Wanted, settings: MoshSettings
 ) -> tuple[KnownSubject, Recording, Capture]:
-    """A person who was fitted before; the frames on the markers that both have, and as they were captured.
+    """A person who was fitted before; the frames on the markers that both have, and as they were
+    captured.
 
     Raises HabitusError where fewer than four labels of the stream were in that fit.
     """
@@ -70,8 +76,10 @@ def saved(
     shared = [label for label in fit.labels if label in chosen.labels]
     if len(shared) < FEWEST_MARKERS:
         raise HabitusError(
-            f"of the saved subject's markers ({listed(fit.labels, 6)}) the stream has {len(shared)}; it has "
-            f"{listed(chosen.labels, 6)}; expected at least {FEWEST_MARKERS}: the same labels as in {fit.capture_name}"
+            f"of the saved subject's markers ({listed(fit.labels, 6)}) the stream has "
+            f"{len(shared)}; it has "
+            f"{listed(chosen.labels, 6)}; expected at least {FEWEST_MARKERS}: the same labels as "
+            f"in {fit.capture_name}"
         )
     people = gather([[chosen]], _layout_of(fit, wanted), None, fit.body)
     layout = people[0].layout
@@ -83,7 +91,11 @@ def saved(
 
 def _layout_of(fit: MarkerFit, wanted: Wanted) -> PathLike:
     """The fit's, where it is one that comes along and nobody asks for another."""
-    return fit.layout_name if str(wanted.layout) == "auto" and fit.layout_name in list_layouts() else wanted.layout
+    return (
+        fit.layout_name
+        if str(wanted.layout) == "auto" and fit.layout_name in list_layouts()
+        else wanted.layout
+    )
 
 
 def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:
@@ -93,7 +105,8 @@ def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:
         if (capture.subject or "").lower() == name.lower():
             return capture
     raise HabitusError(
-        f"the stream holds nobody called {name!r}; it holds {listed(c.subject or '(unnamed)' for c in captures)}"
+        f"the stream holds nobody called {name!r}; it holds "
+        f"{listed(c.subject or '(unnamed)' for c in captures)}"
     )
 
 

@@ -20,18 +20,28 @@ _ENDING_S = 2.0
 
 
 def viewer(port: int, say: Callable[[str], None]) -> MakeSink:
-    """What shows a live fit on a page of this machine. Raises HabitusError where viser is not installed."""
+    """What shows a live fit on a page of this machine. Raises HabitusError where viser is not
+    installed.
+    """
     check_extra("viser", "Live views", "live")
     return partial(Viewer, port, say)
 
 
 class Viewer:
-    """A page in the browser, served by a process of its own, which is told of every frame and draws the latest."""
+    """A page in the browser, served by a process of its own, which is told of every frame and draws
+    the latest.
+    """
 
-    def __init__(self, port: int, say: Callable[[str], None], known: KnownSubject, recording: Recording):
+    def __init__(
+        self, port: int, say: Callable[[str], None], known: KnownSubject, recording: Recording
+    ):
         context = multiprocessing.get_context("spawn")
-        self._board, self._say, self._count = Board(context, known.body.num_joints, len(known.layout)), say, 0
-        self._text, self._told, self._who = "", "", _who(known)
+        self._board = Board(context, known.body.num_joints, len(known.layout))
+        self._say = say
+        self._count = 0
+        self._text = ""
+        self._told = ""
+        self._who = _who(known)
         fields = {name: getattr(known.body, name) for name in NEEDED}
         told = (self._board, fields, known.subject.shape.betas, recording.up_axis, port)
         self._process = context.Process(target=serve, args=told, daemon=True)
@@ -43,7 +53,9 @@ class Viewer:
             self._text = _text(self._who, now, quality)
             self._introduce()
         self._count += 1
-        self._board.write(Shown(now.frame.pose, now.frame.trans, now.markers, now.frame.distances, self._text))
+        self._board.write(
+            Shown(now.frame.pose, now.frame.trans, now.markers, now.frame.distances, self._text)
+        )
 
     def close(self) -> None:
         """End the process."""
@@ -55,11 +67,19 @@ class Viewer:
     def _introduce(self) -> None:
         """Says where the page is, once it is served, and when it is no more."""
         now = (
-            "gone" if not self._process.is_alive() else f"http://{HOST}:{self._board.port}" if self._board.port else ""
+            "gone"
+            if not self._process.is_alive()
+            else f"http://{HOST}:{self._board.port}"
+            if self._board.port
+            else ""
         )
         if now and now != self._told:
             self._told = now
-            self._say("the viewer has ended; frames are followed without it" if now == "gone" else f"viewer: {now}")
+            self._say(
+                "the viewer has ended; frames are followed without it"
+                if now == "gone"
+                else f"viewer: {now}"
+            )
 
 
 def _who(known: KnownSubject) -> str:
@@ -68,7 +88,11 @@ def _who(known: KnownSubject) -> str:
 
 
 def _text(who: str, now: Now, quality: Quality) -> str:
-    verdict, mean = quality.verdict, quality.mean_mm
-    said = f"**{verdict.level}**\n\n{who}\n\n{now.seconds:.1f} s, {quality.seen} of {len(quality.labels)} markers"
+    verdict = quality.verdict
+    mean = quality.mean_mm
+    said = (
+        f"**{verdict.level}**\n\n{who}\n\n{now.seconds:.1f} s, {quality.seen} of "
+        f"{len(quality.labels)} markers"
+    )
     said += "" if np.isnan(mean) else f", {mean:.1f} mm"
     return "\n\n".join([said, *verdict.reasons])

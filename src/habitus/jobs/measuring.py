@@ -25,7 +25,10 @@ from habitus.mesh.normals import vertex_normals
 from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
-POSE = "upright, arms level to the sides (T-pose); shoulders, chest and hips with hanging arms and heels together"
+POSE = (
+    "upright, arms level to the sides (T-pose); shoulders, chest and hips with hanging arms "
+    "and heels together"
+)
 SPACES = ("neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
@@ -35,7 +38,8 @@ _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body
 class Measurements:
     """What a file's person measures: ``values`` by name (m, kg), and what must be known of them.
 
-    ``body`` and ``rest_vertices`` (V, 3) are what was measured; None where the mesh is of no known body.
+    ``body`` and ``rest_vertices`` (V, 3) are what was measured; None where the mesh is of no known
+    body.
     """
 
     source: str
@@ -45,24 +49,37 @@ class Measurements:
     rest_vertices: Float[np.ndarray, "V 3"] | None = None
 
     def save(self, path: PathLike) -> None:
-        """Write them as .json or .csv. Raises HabitusError for another ending or where nothing can be written."""
+        """Write them as .json or .csv. Raises HabitusError for another ending or where nothing can
+        be written.
+        """
         target = Path(path)
         make = {".json": self._json, ".csv": self._csv}.get(target.suffix.lower())
         if make is None:
-            raise HabitusError(f"cannot write measurements to {target.name}: expected a name in .json, .csv")
+            raise HabitusError(
+                f"cannot write measurements to {target.name}: expected a name in .json, .csv"
+            )
         write_text(target, make())
 
     def draw(self, path: PathLike) -> None:
-        """Write a picture (.svg) of the person with every tape. Raises HabitusError where there is none to draw."""
+        """Write a picture (.svg) of the person with every tape. Raises HabitusError where there is
+        none to draw.
+        """
         target = Path(path)
         if target.suffix.lower() != ".svg":
-            raise HabitusError(f"cannot draw {target.name}: expected a name in .svg, which browsers open")
+            raise HabitusError(
+                f"cannot draw {target.name}: expected a name in .svg, which browsers open"
+            )
         if self.body is None or self.rest_vertices is None:
             raise HabitusError(f"{self.source}: no tapes were laid on it, so there is none to draw")
         write_text(target, tape_picture(self.body, self.rest_vertices, self.values))
 
     def _json(self) -> str:
-        facts = {"source": self.source, "pose": POSE, "notes": list(self.notes), "measurements": dict(self.values)}
+        facts = {
+            "source": self.source,
+            "pose": POSE,
+            "notes": list(self.notes),
+            "measurements": dict(self.values),
+        }
         return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
 
     def _csv(self) -> str:
@@ -71,17 +88,20 @@ class Measurements:
         rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
         for name, value in self.values.items():
             told = DEFINITIONS[name]
-            rows.writerow((name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso))
+            rows.writerow(
+                (name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso)
+            )
         return text.getvalue()
 
 
 def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Measurements:
     """The measurements of the person in a file.
 
-    A body model (npz, pkl; its mean person), or "default", "female", …; an npz with ``betas`` (a fit's body.npz,
-    AMASS); a mesh (ply, obj; metres, y up). body: that which betas or mesh belong to, where the file does not say it.
-    Of a mesh of a body of habitus all is measured if it is at rest; of another only what needs no anatomy, height and
-    mass. Raises HabitusError for a file that is none of these, and for a posed mesh.
+    A body model (npz, pkl; its mean person), or "default", "female", …; an npz with ``betas`` (a
+    fit's body.npz, AMASS); a mesh (ply, obj; metres, y up). body: that which betas or mesh belong
+    to, where the file does not say it. Of a mesh of a body of habitus all is measured if it is at
+    rest; of another only what needs no anatomy, height and mass. Raises HabitusError for a file
+    that is none of these, and for a posed mesh.
     """
     source = Path(path)
     if source.suffix.lower() in MESHES:
@@ -89,16 +109,22 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
     if source.suffix.lower() == ".npz" and (found := _person(source)):
         name, betas, age, skin = found
         if body is None and name not in SHIPPED:
-            whose = f"belong to the body {name!r}" if name else "do not say to which body they belong"
+            whose = (
+                f"belong to the body {name!r}" if name else "do not say to which body they belong"
+            )
             raise HabitusError(f"{source}: its betas {whose}; give it, --body FILE")
         model = _loaded(name if body is None else body)
         model = model if age is None else model.at_age(age)
         if len(betas) > model.num_betas:
-            raise HabitusError(f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own body")
+            raise HabitusError(
+                f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own "
+                "body"
+            )
         if skin is not None:
             if skin.shape != (model.num_vertices,):
                 raise HabitusError(
-                    f"{source.name}: skin_offset is {skin.shape}; expected ({model.num_vertices},), one a vertex "
+                    f"{source.name}: skin_offset is {skin.shape}; expected "
+                    f"({model.num_vertices},), one a vertex "
                     f"of {model.name}; name the body that the file was fitted with"
                 )
             rest = model.rest_vertices(betas)
@@ -111,7 +137,9 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
 def _of_betas(source: str, body: BodyModel, betas: np.ndarray) -> Measurements:
     values = body.measure(betas)
     if not values:
-        raise HabitusError(f"{source}: {body.name} is no person's body; nothing on it has a name to measure")
+        raise HabitusError(
+            f"{source}: {body.name} is no person's body; nothing on it has a name to measure"
+        )
     return Measurements(source, values, (), body, body.rest_vertices(betas))
 
 
@@ -120,8 +148,8 @@ def _loaded(body: PathLike | BodyModel) -> BodyModel:
 
 
 def _person(source: Path) -> tuple[str, np.ndarray, float | None, np.ndarray | None] | None:
-    """The body's name ("": not told), betas, age and the skin's offset from the model along normals (m; both if any)
-    of an npz that holds a person; None if there is none.
+    """The body's name ("": not told), betas, age and the skin's offset from the model along normals
+    (m; both if any) of an npz that holds a person; None if there is none.
     """
     try:
         with open_archive(source) as file:
@@ -134,9 +162,13 @@ def _person(source: Path) -> tuple[str, np.ndarray, float | None, np.ndarray | N
     except FileNotFoundError:
         return None
     except (OSError, TypeError, ValueError, HabitusError) as error:
-        raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a body or a fit") from error
+        raise HabitusError(
+            f"{source}: cannot be read ({reason(error)}); expected a body or a fit"
+        ) from error
     if betas.ndim != 1 or not np.isfinite(betas).all():
-        raise HabitusError(f"{source}: betas of shape {betas.shape}; expected numbers (B,) of one person")
+        raise HabitusError(
+            f"{source}: betas of shape {betas.shape}; expected numbers (B,) of one person"
+        )
     return name, betas, age, skin
 
 
@@ -148,7 +180,10 @@ def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:
     if known:
         return _of_known(source, min(known, key=lambda level: misfit(level, vertices)), vertices)
     if body is not None:
-        raise HabitusError(f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its own body")
+        raise HabitusError(
+            f"{source}: its {len(faces)} triangles are not those of {models[0].name}; give its "
+            "own body"
+        )
     return _of_unknown(source, vertices, faces)
 
 
@@ -156,7 +191,8 @@ def _of_known(source: Path, body: BodyModel, vertices: np.ndarray) -> Measuremen
     turned = turned_by(body, vertices)
     if turned > _TURNED:
         raise HabitusError(
-            f"{source}: is posed (a limb is {np.rad2deg(turned):.0f} degrees from rest); measurements are taken at "
+            f"{source}: is posed (a limb is {np.rad2deg(turned):.0f} degrees from rest); "
+            "measurements are taken at "
             "rest: give the body.npz that it comes from, or export it in the rest pose"
         )
     return Measurements(str(source), body.measure_rest(vertices), (), body, vertices)
@@ -167,9 +203,11 @@ def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measur
     height = float(np.ptp(used[:, 1]))
     if not _PERSON[0] < height < _PERSON[1]:
         raise HabitusError(
-            f"{source}: {height:.3g} high along y; expected a person in metres, y up, {_PERSON[0]} to {_PERSON[1]} m"
+            f"{source}: {height:.3g} high along y; expected a person in metres, y up, "
+            f"{_PERSON[0]} to {_PERSON[1]} m"
         )
-    values, notes = {"height_m": height}, ["the mesh is of no known body: only what needs no anatomy was measured"]
+    values = {"height_m": height}
+    notes = ["the mesh is of no known body: only what needs no anatomy was measured"]
     if is_closed(faces):
         values["mass_kg"] = DENSITY * abs(float(volume(vertices, faces)))
     else:

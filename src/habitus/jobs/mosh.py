@@ -1,4 +1,6 @@
-"""From captures to moving bodies: read, fit, write. ``habitus mosh`` and ``habitus.mosh`` both call this."""
+"""From captures to moving bodies: read, fit, write. ``habitus mosh`` and ``habitus.mosh`` both call
+this.
+"""
 
 import os
 import time
@@ -52,19 +54,27 @@ class _Options(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Mosh:
-    """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each marker sat (MoSh).
+    """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each
+    marker sat (MoSh).
 
-    The options are those of ``habitus mosh``. Raises HabitusError for a gender or an age that is none.
+    The options are those of ``habitus mosh``. Raises HabitusError for a gender or an age that is
+    none.
     """
 
     layout: PathLike = "auto"
-    """Which marker sits where: "auto" (by the capture's labels), "discover" (by fitting), a shipped name or a file."""
+    """Which marker sits where: "auto" (by the capture's labels), "discover" (by fitting), a shipped
+    name or a file.
+    """
     weights: MoshWeights = field(default_factory=MoshWeights)
     """Of the energy's terms."""
     gender: str = "neutral"
-    """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral fit is sure of."""
+    """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral
+    fit is sure of.
+    """
     soft_tissue: bool | str = True
-    """Whether the last stage lets soft tissue move, and along what: "shape" (also True), "dynamics" or "both"."""
+    """Whether the last stage lets soft tissue move, and along what: "shape" (also True), "dynamics"
+    or "both".
+    """
     causal: bool = False
     """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
     subject: str | None = None
@@ -72,13 +82,17 @@ class Mosh:
     rate_hz: float | None = None
     """Frames a second, where a file does not say or says it wrong."""
     joints: str = "auto"
-    """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have markers)."""
+    """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have
+    markers).
+    """
     seed: int = 0
     """Of what is drawn at random."""
     age: float | str | None = None
     """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
     label: str = "given"
-    """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls its points."""
+    """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls
+    its points.
+    """
 
     def __post_init__(self) -> None:
         check_labelling(self.label)
@@ -99,7 +113,9 @@ class Mosh:
         )
 
     @overload
-    def fit(self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]) -> MarkerFit: ...
+    def fit(
+        self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]
+    ) -> MarkerFit: ...
     @overload
     def fit(
         self, captures: Sequence[Source], body: PathLike | BodyModel = ..., **options: object
@@ -118,22 +134,28 @@ class Mosh:
         workers: WorkersLike = None,
         progress: Progress | None = None,
     ) -> MarkerFit | list[MarkerFit]:
-        """The fit of one capture (read, or a file), or the list of fits of several, which are one subject.
+        """The fit of one capture (read, or a file), or the list of fits of several, which are one
+        subject.
 
-        Where the files of a list hold several people, each is fitted by itself. body: loaded, "default" or a file.
-        out: a folder that receives ``<capture's name>/`` with body.npz, body.glb, metrics.json and report.html, and
-        with ``obj`` a mesh a frame; npz_style "amass" writes body.npz as AMASS scripts slice it. hold_out leaves
-        markers out of everything and reports their error; hold_out_every does so for all, one in so many at a time;
-        places_from are other captures of the same person that tell where held-out markers sit, for a second report;
-        workers (a number of threads, the address of a Dask scheduler, or `Workers`) share these fits, which without any
-        follow each other, each on all cores. progress: told (stage, share done).
-        Raises HabitusError with one clear line on bad input.
+        Where the files of a list hold several people, each is fitted by itself. body: loaded,
+        "default" or a file. out: a folder that receives ``<capture's name>/`` with body.npz,
+        body.glb, metrics.json and report.html, and with ``obj`` a mesh a frame; npz_style "amass"
+        writes body.npz as AMASS scripts slice it. hold_out leaves markers out of everything and
+        reports their error; hold_out_every does so for all, one in so many at a time; places_from
+        are other captures of the same person that tell where held-out markers sit, for a second
+        report; workers (a number of threads, the address of a Dask scheduler, or `Workers`) share
+        these fits, which without any follow each other, each on all cores. progress: told (stage,
+        share done). Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
         sources = _listed(captures)
         if not sources:
-            raise HabitusError("no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)")
-        model, folder, progress = self.body(body), None if out is None else Path(out), progress or silent
+            raise HabitusError(
+                "no capture was given; expected one file or more (C3D, TRC, CSV, TSV or npz)"
+            )
+        model = self.body(body)
+        folder = None if out is None else Path(out)
+        progress = progress or silent
         check_npz_style(npz_style, model)
         check_layout(self.layout, hold_out, hold_out_every)
         with nullcontext() if folder is None else locked(folder, OURS):
@@ -146,14 +168,21 @@ class Mosh:
             found = [capture for person in people for capture in person.captures]
             if one and len(found) > 1:
                 names = ", ".join(capture.subject or "(unnamed)" for capture in found)
-                raise HabitusError(f"the capture holds several people: {names}; name one with subject, or give a list")
+                raise HabitusError(
+                    f"the capture holds several people: {names}; name one with subject, or give a "
+                    "list"
+                )
             folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
             told = self.read_all(_listed(places_from))
-            each = self.each_fit(model, people, hold_out, hold_out_every, workers, progress, read_seconds, told)
+            each = self.each_fit(
+                model, people, hold_out, hold_out_every, workers, progress, read_seconds, told
+            )
             if folder is None:
                 fits = [fit for _, fit in each]
             else:
-                fits = [save_fit(fit, folders[id(capture)], obj, npz_style) for capture, fit in each]
+                fits = [
+                    save_fit(fit, folders[id(capture)], obj, npz_style) for capture, fit in each
+                ]
                 write_index(folder)
         return fits[0] if one else fits
 
@@ -168,8 +197,8 @@ class Mosh:
         read_seconds: float = 0.0,
         told: Sequence[Capture] = (),
     ) -> Iterator[tuple[Capture, MarkerFit]]:
-        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent on reading them, and
-        ``told`` are captures that tell where held-out markers sit.
+        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent
+        on reading them, and ``told`` are captures that tell where held-out markers sit.
 
         Raises HabitusError for a capture without enough markers, before anything is fitted.
         """
@@ -178,31 +207,44 @@ class Mosh:
         if self.gender in ("female", "male"):
             body = of_gender(body, self.gender)
         progress("start", 0.0)
-        startup, count = warm_up(body), sum(len(person.captures) for person in people)
+        startup = warm_up(body)
+        count = sum(len(person.captures) for person in people)
         for person in people:
             notes = check_told(person, told, hold_out, hold_out_every)
             model = model_of(body, self.age, self.gender, person, self.settings, progress)
-            fits = self._fits(model.body, person, (hold_out, hold_out_every, told), workers, progress)
+            fits = self._fits(
+                model.body, person, (hold_out, hold_out_every, told), workers, progress
+            )
             for fit, capture in zip(fits, person.captures, strict=True):
-                found = "" if person.discovery is None else found_layout_text(person.discovery, capture.name)
+                found = (
+                    ""
+                    if person.discovery is None
+                    else found_layout_text(person.discovery, capture.name)
+                )
                 seconds = {"read": read_seconds / count, **fit.stage_seconds}
-                fit = replace(fit, stage_seconds=seconds, startup_seconds=startup, found_layout=found)
+                fit = replace(
+                    fit, stage_seconds=seconds, startup_seconds=startup, found_layout=found
+                )
                 yield capture, model.told(replace(fit, warnings=(*fit.warnings, *notes)))
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
-        """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for each frame to come.
+        """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for
+        each frame to come.
 
-        A few seconds in varied poses are enough. ``step`` takes the markers in the order of this capture's labels.
-        Raises HabitusError with one clear line on bad input.
+        A few seconds in varied poses are enough. ``step`` takes the markers in the order of this
+        capture's labels. Raises HabitusError with one clear line on bad input.
         """
-        read, settings = self.read(captures), replace(self.settings, causal=True, soft_tissue=False)
+        read = self.read(captures)
+        settings = replace(self.settings, causal=True, soft_tissue=False)
         wanted = Wanted(self.layout, body, self.subject, self.gender, self.joints, self.age)
         known, recording, capture = learnt(read, self.body(body), wanted, settings)
         wiring = find_wiring(capture.markers, recording.observed, 1.0)
         return LiveFit(known, capture.labels, wiring.columns, settings, recording.rate_hz)
 
     def body(self, given: PathLike | BodyModel) -> BodyModel:
-        """The body that is fitted, with its joints and, where one is given, at its age. Raises HabitusError."""
+        """The body that is fitted, with its joints and, where one is given, at its age. Raises
+        HabitusError.
+        """
         return loaded(given, self.joints, read_age(self.age))
 
     def read(self, source: Source) -> tuple[Capture, ...]:
@@ -225,22 +267,35 @@ class Mosh:
         workers: WorkersLike,
         progress: Progress,
     ) -> Iterator[MarkerFit]:
-        """A person's fits, one after another, with the errors of held-out markers where they were asked for."""
-        prior, settings = prior_of(body), self.settings
+        """A person's fits, one after another, with the errors of held-out markers where they were
+        asked for.
+        """
+        prior = prior_of(body)
+        settings = self.settings
         labels, every, told = held_out
         if labels:
             kept, held = leave_out(person, labels)
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
             gone = held.layout.labels
-            at_told = told_errors(body, prior, person, gone, told, settings) if told else [None] * len(held.observed)
+            at_told = (
+                told_errors(body, prior, person, gone, told, settings)
+                if told
+                else [None] * len(held.observed)
+            )
             for index, (fit, errors) in enumerate(zip(fits, at_told, strict=True)):
                 yield replace(fit, held_out=errors_of(fit, held, index), held_out_told=errors)
             return
-        rotated = None if every is None else rotate_hold_out(body, person, every, settings, progress, workers, told)
+        rotated = (
+            None
+            if every is None
+            else rotate_hold_out(body, person, every, settings, progress, workers, told)
+        )
         for index, fit in enumerate(
             iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
         ):
-            default, at_told = (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
+            default, at_told = (
+                (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
+            )
             yield replace(fit, held_out=default, held_out_told=at_told)
 
 
@@ -272,12 +327,28 @@ def mosh(
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> list[MarkerFit]:
-    """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out: a fit a capture.
+    """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out:
+    a fit a capture.
 
-    ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds several people, each
-    is fitted by itself, or only the one named ``subject``. Raises HabitusError with one clear line on bad input.
+    ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds
+    several people, each is fitted by itself, or only the one named ``subject``. Raises HabitusError
+    with one clear line on bad input.
     """
-    told = (layout, weights or MoshWeights(), gender, soft_tissue, causal, subject, rate_hz, joints, seed, age, label)
+    told = (
+        layout,
+        weights or MoshWeights(),
+        gender,
+        soft_tissue,
+        causal,
+        subject,
+        rate_hz,
+        joints,
+        seed,
+        age,
+        label,
+    )
     held_out = _Options(hold_out=hold_out, hold_out_every=hold_out_every, places_from=places_from)
     written = _Options(out=out, obj=obj, npz_style=npz_style)
-    return Mosh(*told).fit(_listed(captures), body, **held_out, **written, workers=workers, progress=progress)
+    return Mosh(*told).fit(
+        _listed(captures), body, **held_out, **written, workers=workers, progress=progress
+    )

@@ -1,4 +1,6 @@
-"""What is made of a body in motion: soft tissue exaggerated, other bodies in the same motion. Files in, files out."""
+"""What is made of a body in motion: soft tissue exaggerated, other bodies in the same motion. Files
+in, files out.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,11 +24,13 @@ def exaggerate(
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
 ) -> BodyMotion:
-    """The motion with its soft tissue ``factor`` times as far from its own mean (M 9.1): 1.5 or 2, or 0 for none.
+    """The motion with its soft tissue ``factor`` times as far from its own mean (M 9.1): 1.5 or 2,
+    or 0 for none.
 
-    source: a fit, a motion, or the npz of one. body: the model that its betas belong to, where the file names none that
-    comes along. out: a file that receives it, by its ending .npz, .glb, or a folder with an OBJ a frame. Raises
-    HabitusError for a factor below 0, a motion without soft tissue, and other endings.
+    source: a fit, a motion, or the npz of one. body: the model that its betas belong to, where the
+    file names none that comes along. out: a file that receives it, by its ending .npz, .glb, or a
+    folder with an OBJ a frame. Raises HabitusError for a factor below 0, a motion without soft
+    tissue, and other endings.
     """
     _check(out)
     return _written(exaggerated(motion_of(source, body), factor), out)
@@ -39,13 +43,14 @@ def retarget(
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
 ) -> Retargeting:
-    """The motion on another body (M 9.2): soft tissue carried over, feet where they stood, no deeper in the ground.
+    """The motion on another body (M 9.2): soft tissue carried over, feet where they stood, no
+    deeper in the ground.
 
-    source: a fit, a motion, or the npz of one. to: betas of another shape of its body; a person's npz (a fit's
-    body.npz, what ``habitus body`` wrote); a body model, by name or file, for its mean person; or a character's mesh at
-    rest (obj, ply; metres, y up, T-pose) with the body's vertices and faces, of either level of detail. body: as for
-    `exaggerate`. out: as there. Raises HabitusError for a mesh of another topology, a character that is not at rest,
-    and other endings.
+    source: a fit, a motion, or the npz of one. to: betas of another shape of its body; a person's
+    npz (a fit's body.npz, what ``habitus body`` wrote); a body model, by name or file, for its mean
+    person; or a character's mesh at rest (obj, ply; metres, y up, T-pose) with the body's vertices
+    and faces, of either level of detail. body: as for `exaggerate`. out: as there. Raises
+    HabitusError for a mesh of another topology, a character that is not at rest, and other endings.
     """
     _check(out)
     motion = motion_of(source, body)

@@ -33,8 +33,14 @@ from habitus.report.registration.page import scan_page
 from habitus.types import PathLike, Progress
 
 OURS = (
-    "body.npz", "surface.ply", "surface.glb", "model.ply", "rest.ply", "metrics.json", "report.html",
-)  # fmt: skip
+    "body.npz",
+    "surface.ply",
+    "surface.glb",
+    "model.ply",
+    "rest.ply",
+    "metrics.json",
+    "report.html",
+)
 """All names that `save_scan` writes into a scan's folder."""
 DATASET = "registrations.npz"
 """What `habitus train` reads, beside the folders of the scans."""
@@ -58,17 +64,19 @@ def register_scans(
     seed: int = 0,
     progress: Progress = lambda stage, share: None,
 ) -> list[ScanFit]:
-    """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T 5.4).
+    """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T
+    5.4).
 
-    scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3) in any unit and
-    axes. All are one person, unless ``separate``. sequence: in time order, each beginning where the one before ended.
-    body: a model, a file, "neutral", "female", "male", or "default": the best of these three.
-    unit: auto, m, cm, mm, in, ft. up: auto, or the axis that points up ("+z"). age in years, for children. texture:
-    colours of two scans or more of one person make their correspondences sharper. out: a folder that receives
-    ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply, rest.ply, metrics.json and report.html, and
-    registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female", "male" or "" for not told). Raises
-    HabitusError for what is no scan of a person, where that can be known
-    before a fit; after it, the verdict tells.
+    scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3)
+    in any unit and axes. All are one person, unless ``separate``. sequence: in time order, each
+    beginning where the one before ended. body: a model, a file, "neutral", "female", "male", or
+    "default": the best of these three. unit: auto, m, cm, mm, in, ft. up: auto, or the axis that
+    points up ("+z"). age in years, for children. texture: colours of two scans or more of one
+    person make their correspondences sharper. out: a folder that receives ``SCAN/`` with body.npz,
+    surface.ply, surface.glb, model.ply, rest.ply, metrics.json and report.html, and
+    registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female", "male" or "" for not
+    told). Raises HabitusError for what is no scan of a person, where that can be known before a
+    fit; after it, the verdict tells.
     """
     if sex not in ("", *SEXES):
         raise HabitusError(f"sex is {sex!r}; expected {' or '.join(SEXES)}, or nothing")
@@ -78,7 +86,10 @@ def register_scans(
     read = [one for each in given for one in _read(each)]
     if texture:
         if separate:
-            raise HabitusError("texture and separate were given; expected one: colours are compared within one person")
+            raise HabitusError(
+                "texture and separate were given; expected one: colours are compared within one "
+                "person"
+            )
         check_colours(read)
     names = _folders(read) if out is not None else []
     registrar = made_ready(body, age)
@@ -92,7 +103,9 @@ def register_scans(
             fits = registrar.register(read, **asked, progress=progress)
         if texture:
             progress("colours", 0.9)
-            fits = with_colours(registrar.settled(next((fit for fit in fits if fit.person), fits[0])), fits, read)
+            fits = with_colours(
+                registrar.settled(next((fit for fit in fits if fit.person), fits[0])), fits, read
+            )
     if out is not None:
         for fit, name in zip(fits, names, strict=True):
             save_scan(fit, Path(out) / name)
@@ -103,7 +116,9 @@ def register_scans(
 
 
 def made_ready(body: BodyModel | PathLike = "default", age: float | None = None) -> Registrar:
-    """A body to be registered to scans; of "default" women's and men's, too, whichever explains them best."""
+    """A body to be registered to scans; of "default" women's and men's, too, whichever explains
+    them best.
+    """
     model = loaded(body, age=age)
     sexes = SEXES if isinstance(body, str) and body == "default" else ()
     return Registrar.of(model, prior_of(model), [loaded(sex, age=age) for sex in sexes])
@@ -118,17 +133,22 @@ def _folders(scans: Sequence[Scan]) -> list[str]:
     names = [file_name(scan.name, f"the scan {scan.name!r}") for scan in scans]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise HabitusError(f"several scans are called {', '.join(twice)}; expected names that differ; rename one")
+        raise HabitusError(
+            f"several scans are called {', '.join(twice)}; expected names that differ; rename one"
+        )
     return names
 
 
 def _in_time(
     registrar: Registrar, scans: Sequence[Scan], asked: Mapping[str, Any], progress: Progress
 ) -> list[ScanFit]:
-    """One scan after the other, each from the state of the one before and coupled to it, upright as the first was."""
+    """One scan after the other, each from the state of the one before and coupled to it, upright as
+    the first was.
+    """
     fits: list[ScanFit] = []
     for k, scan in enumerate(scans):
-        previous, here = None, dict(asked)
+        previous = None
+        here = dict(asked)
         if fits:
             last = fits[-1]
             previous = ModelState(last.betas, last.pose[None], last.trans[None])
@@ -138,7 +158,9 @@ def _in_time(
     return fits
 
 
-def _dataset(fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[str], sex: str) -> Registrations:
+def _dataset(
+    fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[str], sex: str
+) -> Registrations:
     return Registrations(
         vertices=np.stack([fit.vertices for fit in fits]),
         faces=fits[0].body.faces,
@@ -151,10 +173,11 @@ def _dataset(fits: Sequence[ScanFit], names: Sequence[str], subjects: Sequence[s
 
 
 def save_scan(fit: ScanFit, folder: PathLike) -> None:
-    """body.npz, surface.ply and .glb, model.ply, rest.ply, metrics.json and report.html, in a folder that is whole.
+    """body.npz, surface.ply and .glb, model.ply, rest.ply, metrics.json and report.html, in a
+    folder that is whole.
 
-    body.npz has AMASS's names for the model's state (one frame), ``vertices``, ``vertex_weights`` and ``to_body``.
-    Raises HabitusError where it cannot be written.
+    body.npz has AMASS's names for the model's state (one frame), ``vertices``, ``vertex_weights``
+    and ``to_body``. Raises HabitusError where it cannot be written.
     """
     with whole_folder(folder, OURS) as partial:
         with (partial / "body.npz").open("wb") as file:
@@ -173,11 +196,14 @@ def save_scan(fit: ScanFit, folder: PathLike) -> None:
 
 
 def _write_glb(fit: ScanFit, path: Path) -> None:
-    """The surface; with the person's albedo on triangles cut as finely as it is known, where colours were used."""
+    """The surface; with the person's albedo on triangles cut as finely as it is known, where
+    colours were used.
+    """
     if fit.colours is None:
         write_surface(_Mesh(fit.vertices), path, fit.body.faces)
         return
-    grid, albedo = fit.colours.grid, fit.colours.albedo
+    grid = fit.colours.grid
+    albedo = fit.colours.albedo
     bright = albedo / max(float(np.percentile(albedo, 99.5)), 1e-6)
     write_textured(grid.placed(fit.vertices), grid.triangles, path, BRIGHTEST * bright)
 
@@ -242,5 +268,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
 
 
 def _spread(distances: np.ndarray) -> dict[str, float]:
-    shares = zip(("median", "p95", "max"), np.percentile(1e3 * distances, (50, 95, 100)), strict=True)
+    shares = zip(
+        ("median", "p95", "max"), np.percentile(1e3 * distances, (50, 95, 100)), strict=True
+    )
     return {"mean": float(1e3 * distances.mean())} | {name: float(value) for name, value in shares}

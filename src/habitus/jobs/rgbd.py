@@ -45,13 +45,14 @@ def fit_rgbd(
     settings: RgbdSettings | None = None,
     age: float | None = None,
 ) -> RgbdFit:
-    """The body of a person whom a depth camera saw in one view or several (T 4.6.1), its poses, light and albedo.
+    """The body of a person whom a depth camera saw in one view or several (T 4.6.1), its poses,
+    light and albedo.
 
-    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file, "neutral", "female", "male",
-    or "default": women's or men's, whichever explains the views better, the neutral one where neither does. turns:
-    degrees by which the person was turned in each view, to the person's left; None where unknown, as all are by
-    themselves. age: in years, of the body. Raises HabitusError for folders that hold no views, and where nobody is
-    found in one.
+    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file,
+    "neutral", "female", "male", or "default": women's or men's, whichever explains the views
+    better, the neutral one where neither does. turns: degrees by which the person was turned in
+    each view, to the person's left; None where unknown, as all are by themselves. age: in years, of
+    the body. Raises HabitusError for folders that hold no views, and where nobody is found in one.
     """
     capture = views if isinstance(views, RgbdCapture) else read_views(views)
     settings = settings or RgbdSettings()
@@ -78,17 +79,21 @@ def rgbd(
     hair_mm: float | None = None,
     progress: Callable[[str], Any] | None = None,
 ) -> RgbdFit:
-    """Read a folder of views, fit, and write the results into the folder ``out``; what ``habitus rgbd`` does.
+    """Read a folder of views, fit, and write the results into the folder ``out``; what ``habitus
+    rgbd`` does.
 
-    views, depth_unit, cameras: as `habitus.read_views` takes them. clothes_mm, hair_mm: that lie on the skin of trunk
-    and thighs and on the head, and are taken off; as in `RgbdSettings` where not given. Raises HabitusError.
+    views, depth_unit, cameras: as `habitus.read_views` takes them. clothes_mm, hair_mm: that lie on
+    the skin of trunk and thighs and on the head, and are taken off; as in `RgbdSettings` where not
+    given. Raises HabitusError.
     """
     tell = progress or (lambda text: None)
     tell("reading")
     capture = read_views(folder, views, depth_unit, cameras)
     tell(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
     told = {"clothes": clothes_mm, "hair": hair_mm}
-    settings = replace(RgbdSettings(), **{name: 1e-3 * value for name, value in told.items() if value is not None})
+    settings = replace(
+        RgbdSettings(), **{name: 1e-3 * value for name, value in told.items() if value is not None}
+    )
     fit = fit_rgbd(capture, body, turns=turns, settings=settings, age=age)
     tell("writing")
     save_rgbd(fit, out)
@@ -96,13 +101,15 @@ def rgbd(
 
 
 def save_rgbd(fit: RgbdFit, folder: PathLike) -> None:
-    """body.npz, body.glb, measurements.csv, metrics.json and report.html in a folder that appears whole.
+    """body.npz, body.glb, measurements.csv, metrics.json and report.html in a folder that appears
+    whole.
 
     Raises HabitusError where it cannot be written.
     """
     skin = None
     if fit.appearance is not None:
-        state, tall = State(fit.betas, fit.pose, fit.trans), fit.sights[0].view.colour
+        state = State(fit.betas, fit.pose, fit.trans)
+        tall = fit.sights[0].view.colour
         size = LARGE if tall is not None and len(tall) >= LARGE_FROM else SMALL
         skin = bake(fit.body, state, fit.sights, fit.appearance, size, fit.skin)
     with whole_folder(folder, OURS) as partial:
@@ -161,5 +168,7 @@ def _table(fit: RgbdFit) -> str:
     rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
     for name, value in fit.measurements.items():
         told = DEFINITIONS[name]
-        rows.writerow((name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso))
+        rows.writerow(
+            (name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso)
+        )
     return text.getvalue()

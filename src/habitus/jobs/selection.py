@@ -1,4 +1,6 @@
-"""Marker sets and poses chosen for a goal (M 7, M 10). Names and files in, layouts, numbers and pictures out."""
+"""Marker sets and poses chosen for a goal (M 7, M 10). Names and files in, layouts, numbers and
+pictures out.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,9 +40,11 @@ KINDS = ("of the start", "of the {count} best to add", "others that were conside
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """A path of marker sets, each a marker or a pair more or less than the next; ``pool`` is all there was.
+    """A path of marker sets, each a marker or a pair more or less than the next; ``pool`` is all
+    there was.
 
-    ``removed`` goes down from the start, ``added`` up; each `Step` holds its groups and error (m, root mean square).
+    ``removed`` goes down from the start, ``added`` up; each `Step` holds its groups and error (m,
+    root mean square).
     """
 
     body: BodyModel
@@ -62,13 +66,22 @@ class Selection:
         return self.pool.candidates.count(self.added[0].groups)
 
     def layout(self, count: int) -> MarkerLayout:
-        """The set of at most so many markers. Raises HabitusError where the path has none as small."""
-        found = [step for step in (*self.removed, *self.added) if self.pool.candidates.count(step.groups) <= count]
+        """The set of at most so many markers. Raises HabitusError where the path has none as
+        small.
+        """
+        found = [
+            step
+            for step in (*self.removed, *self.added)
+            if self.pool.candidates.count(step.groups) <= count
+        ]
         if not found:
             raise HabitusError(f"no set of {count} markers; the smallest has {min(self.errors)}")
         best = max(found, key=lambda step: len(step.groups))
         chosen = sorted(k for group in best.groups for k in self.pool.candidates.groups[group])
-        said = f"Chosen for the error of the {self.goal} ({self.region}), expected {1e3 * best.error:.1f} mm, of "
+        said = (
+            f"Chosen for the error of the {self.goal} ({self.region}), expected "
+            f"{1e3 * best.error:.1f} mm, of "
+        )
         return replace(
             self.pool.layout.restricted_to(tuple(self.pool.candidates.labels[k] for k in chosen)),
             name=f"selected-{len(chosen)}",
@@ -93,14 +106,16 @@ def select_markers(
     out: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Selection:
-    """Which markers tell a body best: from a set markers go one by one, and others come (M 7, eqs. 11 to 13).
+    """Which markers tell a body best: from a set markers go one by one, and others come (M 7, eqs.
+    11 to 13).
 
-    pool: so many candidates, those of ``start`` and landmarks spread over the body, or the layouts that have them.
-    start: a layout (47 and 67 are MoSh's). goal: error of the posed "surface" (eq. 13), of the "shape" at rest, or of
-    joints in their "pose"; region: of all, legs, arms, trunk or head. pairs: left and right go together. people: posed,
-    held out, drawn from other shape spaces than the body's, with skin that no space explains. out: a folder for
-    selection.json, curve.svg, markers.svg and a layout for each number in ``keep``. progress: told (stage, share
-    done). Raises HabitusError for names that there are not, and for too small a pool.
+    pool: so many candidates, those of ``start`` and landmarks spread over the body, or the layouts
+    that have them. start: a layout (47 and 67 are MoSh's). goal: error of the posed "surface" (eq.
+    13), of the "shape" at rest, or of joints in their "pose"; region: of all, legs, arms, trunk or
+    head. pairs: left and right go together. people: posed, held out, drawn from other shape spaces
+    than the body's, with skin that no space explains. out: a folder for selection.json, curve.svg,
+    markers.svg and a layout for each number in ``keep``. progress: told (stage, share done). Raises
+    HabitusError for names that there are not, and for too small a pool.
     """
     tell = progress or (lambda stage, share: None)
     model = loaded(body)
@@ -114,9 +129,13 @@ def select_markers(
     problem = linearised(model, prior, known, found.candidates, goal, region)
     with open_workers(workers) as shared:
         least = min(len(found.start), max(1, -(-fewest // (2 if pairs else 1))))
-        removed = _told(removals(problem, found.start, least, shared), "remove", len(found.start) - least, tell)
+        removed = _told(
+            removals(problem, found.start, least, shared), "remove", len(found.start) - least, tell
+        )
         most = len(found.candidates.groups)
-        added = _told(additions(problem, found.start, most, shared), "add", most - len(found.start), tell)
+        added = _told(
+            additions(problem, found.start, most, shared), "add", most - len(found.start), tell
+        )
     selection = Selection(model, found, goal, region, removed, added)
     if out is not None:
         _write(selection, Path(out), keep)
@@ -142,7 +161,10 @@ def _write(found: Selection, folder: Path, keep: Sequence[int]) -> None:
     names = [name.format(count=best) for name in KINDS]
     with whole_folder(folder, (*FILES, *layouts)) as partial:
         write_text(partial / "selection.json", json.dumps(_numbers(found), indent=1) + "\n")
-        write_text(partial / "curve.svg", curve_picture(found.errors, found.start, f"{found.goal}, {found.region}"))
+        write_text(
+            partial / "curve.svg",
+            curve_picture(found.errors, found.start, f"{found.goal}, {found.region}"),
+        )
         picture = marker_picture(found.body, found.pool.candidates.vertices, kinds, names)
         write_text(partial / "markers.svg", picture)
         for name, layout in layouts.items():
@@ -163,8 +185,11 @@ def _kinds(found: Selection, best: int) -> list[int]:
 
 
 def _numbers(found: Selection) -> dict[str, object]:
-    """The path as JSON has it: which labels go and come, and the error at each number of markers."""
-    labels, groups = found.pool.candidates.labels, found.pool.candidates.groups
+    """The path as JSON has it: which labels go and come, and the error at each number of
+    markers.
+    """
+    labels = found.pool.candidates.labels
+    groups = found.pool.candidates.groups
 
     def told(steps: Sequence[Step]) -> list[dict[str, object]]:
         return [
@@ -197,51 +222,75 @@ def select_poses(
     workers: WorkersLike = None,
     out: PathLike | None = None,
 ) -> tuple[PoseChoice, Float[np.ndarray, "count J 3"]]:
-    """The ``count`` poses that together tell a person's shape best with a layout's markers: a body scan (M 10).
+    """The ``count`` poses that together tell a person's shape best with a layout's markers: a body
+    scan (M 10).
 
-    candidates: poses to choose among, plain ones (arms down, T-pose, sitting, crouching, arms up) and others drawn from
-    the pose prior, with both legs alike and the body over its feet, so that they can be held. out: an .npz that
-    receives the poses as a motion of one pose a second, with AMASS's names. Returns the choice and the poses (rad).
-    Raises HabitusError for a layout that the body has not, and for fewer candidates than poses.
+    candidates: poses to choose among, plain ones (arms down, T-pose, sitting, crouching, arms up)
+    and others drawn from the pose prior, with both legs alike and the body over its feet, so that
+    they can be held. out: an .npz that receives the poses as a motion of one pose a second, with
+    AMASS's names. Returns the choice and the poses (rad). Raises HabitusError for a layout that the
+    body has not, and for fewer candidates than poses.
     """
     if not 0 < count <= candidates:
-        raise HabitusError(f"{count} poses of {candidates}; expected 1 or more, and no more than there are")
+        raise HabitusError(
+            f"{count} poses of {candidates}; expected 1 or more, and no more than there are"
+        )
     model = loaded(body)
     prior = prior_of(model)
     found = find_layout(layout)
     poses = _candidate_poses(model, prior, candidates, seed)
     with open_workers(workers) as shared:
-        choice = choose_poses(model, prior, place(found, model), poses, count, seed=seed, workers=shared)
+        choice = choose_poses(
+            model, prior, place(found, model), poses, count, seed=seed, workers=shared
+        )
     chosen = poses[list(choice.poses)]
     if out is not None:
         _write_poses(model, chosen, choice, found, Path(out))
     return choice, chosen
 
 
-def _candidate_poses(body: BodyModel, prior: PosePrior, count: int, seed: int) -> Float[np.ndarray, "N J 3"]:
-    own, rng = prior.for_joints(body.joint_names), np.random.default_rng(seed)
+def _candidate_poses(
+    body: BodyModel, prior: PosePrior, count: int, seed: int
+) -> Float[np.ndarray, "N J 3"]:
+    own = prior.for_joints(body.joint_names)
+    rng = np.random.default_rng(seed)
     plain = np.stack([plain_pose(body.joint_names, angles) for angles in PLAIN_POSES])[:count]
-    drawn = own.mean + rng.normal(size=(count - len(plain), len(own.mean))) @ np.linalg.cholesky(own.covariance).T
+    drawn = (
+        own.mean
+        + rng.normal(size=(count - len(plain), len(own.mean)))
+        @ np.linalg.cholesky(own.covariance).T
+    )
     poses = drawn.reshape(len(drawn), len(own.joint_names), 3)
     poses = np.concatenate([plain, np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)])
     return np.stack([_stood(body, pose) for pose in poses])
 
 
 def _stood(body: BodyModel, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """A pose that can be held: legs apart, the right as the left, and the body leaning so that it is over its feet."""
-    out, names = pose.copy(), body.joint_names
-    left = {part: names.index(f"left_{part}") for part in ("hip", "knee", "ankle", "foot") if f"left_{part}" in names}
+    """A pose that can be held: legs apart, the right as the left, and the body leaning so that it
+    is over its feet.
+    """
+    out = pose.copy()
+    names = body.joint_names
+    left = {
+        part: names.index(f"left_{part}")
+        for part in ("hip", "knee", "ankle", "foot")
+        if f"left_{part}" in names
+    }
     if body((), out, vertices=[0]).joints[left["ankle"], 0] < APART:
         out[left["hip"]] *= [1, -1, -1]
     for part, joint in left.items():
         out[names.index(f"right_{part}")] = out[joint] * [1, -1, -1]
     surface = body((), out)
-    over = surface.vertices.mean(axis=0) - surface.joints[[left["ankle"], names.index("right_ankle")]].mean(axis=0)
+    over = surface.vertices.mean(axis=0) - surface.joints[
+        [left["ankle"], names.index("right_ankle")]
+    ].mean(axis=0)
     out[0] = [-np.arctan2(over[2], over[1]), 0.0, 0.0]
     return out
 
 
-def _write_poses(body: BodyModel, poses: np.ndarray, choice: PoseChoice, layout: MarkerLayout, target: Path) -> None:
+def _write_poses(
+    body: BodyModel, poses: np.ndarray, choice: PoseChoice, layout: MarkerLayout, target: Path
+) -> None:
     if target.suffix.lower() != ".npz":
         raise HabitusError(f"cannot write poses to {target.name}: expected a name in .npz")
     standing = [-float(body((), pose).vertices[:, 1].min()) for pose in poses]
@@ -254,7 +303,9 @@ def _write_poses(body: BodyModel, poses: np.ndarray, choice: PoseChoice, layout:
         "surface_model_type": np.array(body.name),
         "up_axis": np.array("+y"),
         "shape_error_mm": 1e3 * np.array(choice.errors),
-        "made": np.array([f"poses that tell the shape best with the markers of {layout.name}, the best first"]),
+        "made": np.array(
+            [f"poses that tell the shape best with the markers of {layout.name}, the best first"]
+        ),
     }
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         save_arrays(file, arrays)

@@ -22,15 +22,18 @@ from habitus.parallel.blocks import mapped
 from habitus.types import PathLike, Progress
 
 Wanted = PathLike | MarkerLayout | Sequence[MarkerLayout]
-"""A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or some to choose from."""
+"""A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or
+some to choose from.
+"""
 
 
 @dataclass(frozen=True)
 class Person:
-    """One person's captures, brought to one layout: recordings share the layout's markers, in its order.
+    """One person's captures, brought to one layout: recordings share the layout's markers, in its
+    order.
 
-    ``wanted``: the layout asked for; the one that was found, where ``discovery`` tells how. ``fingers``: whether
-    markers on fingers count; ``left_fingers`` are those that were left out.
+    ``wanted``: the layout asked for; the one that was found, where ``discovery`` tells how.
+    ``fingers``: whether markers on fingers count; ``left_fingers`` are those that were left out.
     """
 
     captures: tuple[Capture, ...]
@@ -49,28 +52,37 @@ def gather(
     body: BodyModel | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> list[Person]:
-    """Captures grouped by person: one person a file means one subject in all; else each named person is one.
+    """Captures grouped by person: one person a file means one subject in all; else each named
+    person is one.
 
     body: of that kind is who is fitted where the layout is to be discovered.
     """
     return [someone(each, layout, body, progress) for each in _people(files, subject)]
 
 
-def someone(captures: Sequence[Capture], layout: Wanted, body: BodyModel | None, progress: Progress) -> Person:
+def someone(
+    captures: Sequence[Capture], layout: Wanted, body: BodyModel | None, progress: Progress
+) -> Person:
     """`person`, whose layout is found by fitting a body first where that is asked for."""
     if not asks_to_discover(layout):
         return person(captures, layout)
     found = discovered(captures, body, progress)
-    return replace(person(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found)
+    return replace(
+        person(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found
+    )
 
 
 def _people(files: Sequence[Sequence[Capture]], subject: str | None) -> list[list[Capture]]:
     found = [capture for file in files for capture in file]
     if subject is not None:
-        chosen = [capture for capture in found if (capture.subject or "").lower() == subject.lower()]
+        chosen = [
+            capture for capture in found if (capture.subject or "").lower() == subject.lower()
+        ]
         if not chosen:
             names = sorted({capture.subject or "(unnamed)" for capture in found})
-            raise HabitusError(f"no capture holds a subject called {subject!r}; found {', '.join(names)}")
+            raise HabitusError(
+                f"no capture holds a subject called {subject!r}; found {', '.join(names)}"
+            )
         return [chosen]
     if all(len(file) == 1 for file in files):
         return [found]
@@ -85,7 +97,8 @@ def person(
     notes: Sequence[str] = (),
     doubts: tuple[str, ...] = (),
 ) -> Person:
-    """All captures of a person on the union of their matched markers, those on fingers left out unless asked for.
+    """All captures of a person on the union of their matched markers, those on fingers left out
+    unless asked for.
 
     notes, doubts: what each recording is told besides.
     """
@@ -96,16 +109,24 @@ def person(
         told = (*capture.warnings, _matched(match), *notes, *match.warnings)
         markers = _on(union, match, capture)
         found = _suspects(match, len(markers))
-        known = {"recorded": dict(capture.recorded), "layout_confidence": _confidence(match), "doubts": doubts}
-        recordings.append(Recording(capture.name, markers, capture.rate_hz, capture.up_axis, told, found, **known))
-    left = dict.fromkeys(label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER)
+        known = {
+            "recorded": dict(capture.recorded),
+            "layout_confidence": _confidence(match),
+            "doubts": doubts,
+        }
+        recordings.append(
+            Recording(capture.name, markers, capture.rate_hz, capture.up_axis, told, found, **known)
+        )
+    left = dict.fromkeys(
+        label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER
+    )
     return Person(tuple(captures), wanted, union, tuple(recordings), fingers, tuple(left))
 
 
 @dataclass(frozen=True)
 class Agreed:
-    """What a person's captures told together, for captures of the same person that come later: the layout, how sure it
-    is, and what is said of every capture.
+    """What a person's captures told together, for captures of the same person that come later: the
+    layout, how sure it is, and what is said of every capture.
     """
 
     layout: MarkerLayout
@@ -117,19 +138,31 @@ class Agreed:
     @staticmethod
     def of(person: Person) -> "Agreed":
         """By all of a person's recordings: warnings and corrected places that all of them share."""
-        first, others = person.recordings[0], person.recordings[1:]
+        first = person.recordings[0]
+        others = person.recordings[1:]
         own = {_matched_words(recording) for recording in person.recordings}
-        warnings = [text for text in first.warnings if text not in own and all(text in r.warnings for r in others)]
-        shared = [s for s in first.suspects if all(_reasons(r.suspects) >= _reasons([s]) for r in others)]
-        return Agreed(person.layout, first.layout_confidence, tuple(warnings), tuple(shared), first.doubts)
+        warnings = [
+            text
+            for text in first.warnings
+            if text not in own and all(text in r.warnings for r in others)
+        ]
+        shared = [
+            s for s in first.suspects if all(_reasons(r.suspects) >= _reasons([s]) for r in others)
+        ]
+        return Agreed(
+            person.layout, first.layout_confidence, tuple(warnings), tuple(shared), first.doubts
+        )
 
     def recording(self, capture: Capture) -> Recording:
-        """One more capture in the layout's order, its own labels looked at for pairs that change places; the layout's
-        places stay as they are. Raises HabitusError where too few labels are known.
+        """One more capture in the layout's order, its own labels looked at for pairs that change
+        places; the layout's places stay as they are. Raises HabitusError where too few labels are
+        known.
         """
         match = _checked([capture], self.layout)[0]
         placed = {one.text for one in match.corrections if one.exchange is None}
-        match = replace(match, corrections=tuple(one for one in match.corrections if one.exchange is not None))
+        match = replace(
+            match, corrections=tuple(one for one in match.corrections if one.exchange is not None)
+        )
         names = tuple(marker.aliases[0] for marker in match.layout.markers)
         known = replace(match.layout, markers=tuple(self.layout[name] for name in names))
         match = replace(match, layout=known)
@@ -160,13 +193,17 @@ def _matched_words(recording: Recording) -> str:
 
 
 def _confidence(match: LayoutMatch) -> float:
-    """How sure the layout is: of its choice, and of its places where these were found by fitting."""
+    """How sure the layout is: of its choice, and of its places where these were found by
+    fitting.
+    """
     sure = [marker.confidence for marker in match.layout.markers if marker.confidence is not None]
     return min(match.confidence, float(np.mean(sure))) if sure else match.confidence
 
 
 def check_each(person: Person) -> None:
-    """HabitusError where one of the captures holds too few known markers in every frame, whatever the others hold."""
+    """HabitusError where one of the captures holds too few known markers in every frame, whatever
+    the others hold.
+    """
     for recording in person.recordings:
         check_recordings([recording])
 
@@ -174,17 +211,21 @@ def check_each(person: Person) -> None:
 def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers]:
     """The person without some markers, and those markers with their observations.
 
-    The layout is matched afresh without them, so that nothing of them decides where anything sits; their own places
-    come from labels alone. Labels that the file itself exchanges are first put right, for both sides alike: they are
-    the file's fault, not a place. Raises HabitusError for a label that was not matched.
+    The layout is matched afresh without them, so that nothing of them decides where anything sits;
+    their own places come from labels alone. Labels that the file itself exchanges are first put
+    right, for both sides alike: they are the file's fault, not a place. Raises HabitusError for a
+    label that was not matched.
     """
     unknown = sorted(set(labels) - set(whole.layout.labels))
     if unknown:
         raise HabitusError(
-            f"cannot hold out {', '.join(unknown)}: not among the matched labels {', '.join(whole.layout.labels)}"
+            f"cannot hold out {', '.join(unknown)}: not among the matched labels "
+            f"{', '.join(whole.layout.labels)}"
         )
     if set(labels) >= set(whole.layout.labels):
-        raise HabitusError(f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to")
+        raise HabitusError(
+            f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to"
+        )
     captures = put_right(whole)
     kept = person(
         [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures],
@@ -197,7 +238,10 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
     stay = union.restricted_to(tuple(label for label in union.labels if label not in labels))
     columns = [union.labels.index(label) for label in gone.labels]
-    observed = tuple(_on(union, match, capture)[:, columns] for match, capture in zip(matches, captures, strict=True))
+    observed = tuple(
+        _on(union, match, capture)[:, columns]
+        for match, capture in zip(matches, captures, strict=True)
+    )
     return kept, HeldMarkers(gone, observed, stay)
 
 
@@ -210,25 +254,39 @@ def put_right(whole: Person) -> list[Capture]:
         markers = np.array(capture.markers)
         markers[:, checked.columns] = checked.select(capture.markers)
         renamed = dict(_exchanged(plain, checked.layout))
-        captures.append(replace(capture, labels=tuple(renamed.get(x, x) for x in capture.labels), markers=markers))
+        captures.append(
+            replace(
+                capture, labels=tuple(renamed.get(x, x) for x in capture.labels), markers=markers
+            )
+        )
     return captures
 
 
 def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str, str]]:
-    """Pairs of labels, both ways round, that sit at each other's places once the geometry has been looked at."""
+    """Pairs of labels, both ways round, that sit at each other's places once the geometry has been
+    looked at.
+    """
     places = {marker.label: marker.place for marker in plain.markers}
     found = {marker.label: marker.place for marker in checked.markers}
     for a in found:
         for b in found:
-            if a != b and places.get(a) != places.get(b) and (found[a], found[b]) == (places.get(b), places.get(a)):
+            if (
+                a != b
+                and places.get(a) != places.get(b)
+                and (found[a], found[b]) == (places.get(b), places.get(a))
+            ):
                 yield a, b
 
 
-def _checked(captures: Sequence[Capture], wanted: Wanted, fingers: bool = False) -> Sequence[LayoutMatch]:
+def _checked(
+    captures: Sequence[Capture], wanted: Wanted, fingers: bool = False
+) -> Sequence[LayoutMatch]:
     """The captures matched by labels and geometry, judged together."""
     layouts = _given(wanted, fingers)
     try:
-        return match_layouts([(capture.labels, capture.markers) for capture in captures], layouts=layouts)
+        return match_layouts(
+            [(capture.labels, capture.markers) for capture in captures], layouts=layouts
+        )
     except HabitusError as error:
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
@@ -248,7 +306,9 @@ def _given(wanted: Wanted, fingers: bool = False) -> list[MarkerLayout] | None:
 
 
 def _union(matches: Sequence[LayoutMatch]) -> MarkerLayout:
-    markers = {marker.label: marker for match in reversed(matches) for marker in match.layout.markers}
+    markers = {
+        marker.label: marker for match in reversed(matches) for marker in match.layout.markers
+    }
     return replace(matches[0].layout, markers=tuple(markers.values()))
 
 
@@ -269,11 +329,20 @@ def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
     found = []
     for correction in match.corrections:
         if correction.exchange is not None:
-            pair = [match.layout.labels[k] for k in (correction.exchange.first, correction.exchange.second)]
+            pair = [
+                match.layout.labels[k]
+                for k in (correction.exchange.first, correction.exchange.second)
+            ]
             count = int(correction.exchange.frames.sum())
-            found += [Suspect(a, f"swapped with {b}; exchanged back", count, True) for a, b in (pair, pair[::-1])]
+            found += [
+                Suspect(a, f"swapped with {b}; exchanged back", count, True)
+                for a, b in (pair, pair[::-1])
+            ]
         elif not correction.quiet:
-            found += [Suspect(marker.label, correction.text, frames, True) for marker in correction.markers]
+            found += [
+                Suspect(marker.label, correction.text, frames, True)
+                for marker in correction.markers
+            ]
     return tuple(found)
 
 
@@ -283,7 +352,10 @@ def _only(capture: Capture, labels: Sequence[str]) -> Capture:
 
 
 def _matched(match: LayoutMatch) -> str:
-    words = f"layout {match.layout.name}: {len(match.matched)} labels matched, confidence {match.confidence:.2f}"
+    words = (
+        f"layout {match.layout.name}: {len(match.matched)} labels matched, confidence "
+        f"{match.confidence:.2f}"
+    )
     if match.unmatched_labels:
         words += f"; not used: {listed(match.unmatched_labels)}"
     if match.missing_labels:

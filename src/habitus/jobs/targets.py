@@ -1,4 +1,6 @@
-"""Onto whom a motion is retargeted: betas, a person, the mean person of a body, or a character's mesh."""
+"""Onto whom a motion is retargeted: betas, a person, the mean person of a body, or a character's
+mesh.
+"""
 
 import os
 from collections.abc import Sequence
@@ -22,11 +24,14 @@ Target = tuple[BodyModel, Float[np.ndarray, " B"], str]
 """The body that moves, its betas, and what to call it."""
 
 
-def find_target(motion: BodyMotion, to: BodyModel | Sequence[float] | np.ndarray | PathLike) -> Target:
+def find_target(
+    motion: BodyMotion, to: BodyModel | Sequence[float] | np.ndarray | PathLike
+) -> Target:
     """The target that ``to`` means for a motion's body. Raises HabitusError where it means none.
 
-    Another shape of the motion's own body space is a set of betas; of any other person or character of its topology the
-    surface at rest becomes the template (`recentred`), so that soft tissue has the motion's own directions.
+    Another shape of the motion's own body space is a set of betas; of any other person or character
+    of its topology the surface at rest becomes the template (`recentred`), so that soft tissue has
+    the motion's own directions.
     """
     if isinstance(to, BodyModel):
         return _person(motion, to, np.zeros(to.num_betas), to.name)
@@ -41,7 +46,8 @@ def find_target(motion: BodyMotion, to: BodyModel | Sequence[float] | np.ndarray
         return _betas(motion, np.array([float(word) for word in text.split(",")]))
     except ValueError:
         raise HabitusError(
-            f"{shown(text)}: nobody to retarget to; expected a person or body (.npz), a character's mesh (.obj, .ply), "
+            f"{shown(text)}: nobody to retarget to; expected a person or body (.npz), a "
+            "character's mesh (.obj, .ply), "
             "neutral, female or male, or betas with commas between, such as 1.5,-0.5"
         ) from None
 
@@ -49,7 +55,10 @@ def find_target(motion: BodyMotion, to: BodyModel | Sequence[float] | np.ndarray
 def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
     count = motion.body.num_betas
     if given.ndim != 1 or len(given) > count or not np.isfinite(given).all():
-        raise HabitusError(f"betas of shape {given.shape}; expected up to {count} finite numbers of the fit's space")
+        raise HabitusError(
+            f"betas of shape {given.shape}; expected up to {count} finite numbers of the fit's "
+            "space"
+        )
     said = ", ".join(f"{value:g}" for value in given[:4]) + (", …" if len(given) > 4 else "")
     name = motion.body_name or motion.body.name
     return motion.body, np.pad(given, (0, count - len(given))), f"{name} with betas {said}"
@@ -61,16 +70,30 @@ def _of_file(motion: BodyMotion, text: str) -> Target:
     if text not in SHIPPED and source.suffix.lower() == ".npz":
         try:
             with open_archive(source) as file:
-                held = {name: file.read(name) for name in _KEYS if name in file} if "shapedirs" not in file else {}
+                held = (
+                    {name: file.read(name) for name in _KEYS if name in file}
+                    if "shapedirs" not in file
+                    else {}
+                )
         except (OSError, HabitusError) as error:
-            raise HabitusError(f"{source}: cannot be read ({reason(error)}); expected a person or a body") from error
+            raise HabitusError(
+                f"{source}: cannot be read ({reason(error)}); expected a person or a body"
+            ) from error
         if "betas" in held:
             return _of_person(motion, source, held)
     model = load_body(text)
     return _person(motion, model, np.zeros(model.num_betas), model.name)
 
 
-_KEYS = ("betas", "body_betas", "surface_model_type", "body", "age_years", "character_vertices", "character_base")
+_KEYS = (
+    "betas",
+    "body_betas",
+    "surface_model_type",
+    "body",
+    "age_years",
+    "character_vertices",
+    "character_base",
+)
 
 
 def _of_person(motion: BodyMotion, source: Path, held: dict[str, np.ndarray]) -> Target:
@@ -79,19 +102,24 @@ def _of_person(motion: BodyMotion, source: Path, held: dict[str, np.ndarray]) ->
     told = str(held.get("body", held.get("surface_model_type", "")))
     if told not in SHIPPED and told != motion.body_name:
         raise HabitusError(
-            f"{source}: its betas belong to {shown(told) or 'an unnamed body'}, which is not the motion's; give the "
+            f"{source}: its betas belong to {shown(told) or 'an unnamed body'}, which is not the "
+            "motion's; give the "
             "person's mesh at rest instead (.obj, .ply)"
         )
     model = load_body(told) if told in SHIPPED else motion.body
     if "age_years" in held and model.ages is not None:
         model = model.at_age(float(held["age_years"]))
     betas = np.asarray(held.get("body_betas", held["betas"]), np.float64)
-    return _person(motion, model, betas, source.stem if source.stem != "body" else source.resolve().parent.name)
+    return _person(
+        motion, model, betas, source.stem if source.stem != "body" else source.resolve().parent.name
+    )
 
 
 def _person(motion: BodyMotion, model: BodyModel, betas: np.ndarray, name: str) -> Target:
     own = motion.body
-    same = FROM not in own.extras and SHIPPED.get(model.name, model.name) == SHIPPED.get(own.name, own.name)
+    same = FROM not in own.extras and SHIPPED.get(model.name, model.name) == SHIPPED.get(
+        own.name, own.name
+    )
     if same and (model.age, model.num_betas) == (own.age, own.num_betas):
         return own, np.pad(betas, (0, own.num_betas - len(betas))), name
     level = model.full or model
@@ -102,10 +130,14 @@ def _character(motion: BodyMotion, source: Path) -> Target:
     vertices, faces = read_mesh(source)
     levels = [level for level in (motion.body, motion.body.full) if level is not None]
     if not any(is_of(level, vertices, faces) for level in levels):
-        known = " or ".join(f"{level.num_vertices} vertices and {level.num_faces} triangles" for level in levels)
+        known = " or ".join(
+            f"{level.num_vertices} vertices and {level.num_faces} triangles" for level in levels
+        )
         raise HabitusError(
-            f"{source}: a mesh of {len(vertices)} vertices and {len(faces)} triangles; a character has the body's own "
-            f"({known}, in their order): register the body to it first, in a tool that keeps vertex order"
+            f"{source}: a mesh of {len(vertices)} vertices and {len(faces)} triangles; a "
+            "character has the body's own "
+            f"({known}, in their order): register the body to it first, in a tool that keeps "
+            "vertex order"
         )
     return _recentred(motion, vertices, source.stem)
 

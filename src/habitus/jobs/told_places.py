@@ -1,8 +1,9 @@
-"""Held-out markers judged fairly: at places on the body that other captures of the same person told.
+"""Held-out markers judged fairly: at places on the body that other captures of the same person
+told.
 
-The layout's default places hold the technician's placement, 6 to 12 cm for wands, which is no error of the body (M 8.1
-counts it). Another capture with the same markers tells where each really sits; in the capture that is judged a held-out
-marker is still left out of everything.
+The layout's default places hold the technician's placement, 6 to 12 cm for wands, which is no error
+of the body (M 8.1 counts it). Another capture with the same markers tells where each really sits;
+in the capture that is judged a held-out marker is still left out of everything.
 """
 
 from collections.abc import Sequence
@@ -32,14 +33,19 @@ def told_errors(
     others: Sequence[Capture],
     settings: MoshSettings,
 ) -> list[HeldOut]:
-    """Errors of the held-out markers in each capture of a person, their places told by ``others`` alone.
+    """Errors of the held-out markers in each capture of a person, their places told by ``others``
+    alone.
 
-    All captures are fitted as one subject, the held-out markers hidden in the person's own. Labels that files exchange
-    are put right first, judged by all captures: an identity is no place. NaN for markers that the others lack.
+    All captures are fitted as one subject, the held-out markers hidden in the person's own. Labels
+    that files exchange are put right first, judged by all captures: an identity is no place. NaN
+    for markers that the others lack.
     """
     every = put_right(person([*whole.captures, *others], whole.wanted, whole.fingers))
-    own, rest = every[: len(whole.captures)], every[len(whole.captures) :]
-    together = person([*(_hidden(capture, held) for capture in own), *rest], whole.wanted, whole.fingers)
+    own = every[: len(whole.captures)]
+    rest = every[len(whole.captures) :]
+    together = person(
+        [*(_hidden(capture, held) for capture in own), *rest], whole.wanted, whole.fingers
+    )
     fits = iterate_fits(body, prior, together.layout, together.recordings, settings)
     return [
         _errors(fit, tuple(held), _seen(capture, held))
@@ -47,7 +53,9 @@ def told_errors(
     ]
 
 
-def check_told(whole: Person, others: Sequence[Capture], labels: Sequence[str], every: int | None) -> tuple[str, ...]:
+def check_told(
+    whole: Person, others: Sequence[Capture], labels: Sequence[str], every: int | None
+) -> tuple[str, ...]:
     """Warnings where other captures may not show the same person with the same markers.
 
     Raises HabitusError where nothing is held out, and where the others have none of the labels.
@@ -55,19 +63,26 @@ def check_told(whole: Person, others: Sequence[Capture], labels: Sequence[str], 
     if not others:
         return ()
     if not labels and every is None:
-        raise HabitusError("places-from tells where held-out markers sit, but none is held out: add hold-out-every K")
+        raise HabitusError(
+            "places-from tells where held-out markers sit, but none is held out: add "
+            "hold-out-every K"
+        )
     have = {normalised(label) for capture in others for label in capture.labels}
     wanted = tuple(labels) or whole.layout.labels
     lacking = [label for label in wanted if normalised(label) not in have]
     if len(lacking) == len(wanted):
         names = listed(tuple(capture.name for capture in others))
-        raise HabitusError(f"places-from: {names} has none of the held-out labels {listed(wanted)}; expected the same")
+        raise HabitusError(
+            f"places-from: {names} has none of the held-out labels {listed(wanted)}; expected the "
+            "same"
+        )
     notes = [f"places-from: not told there: {listed(lacking)}"] if lacking else []
     own = [Worn.of(replace(capture, subject=None)) for capture in whole.captures]
     for other in others:
         if not any(Worn.of(replace(other, subject=None)).like(worn) for worn in own):
             notes.append(
-                f"places-from: markers of {other.name} are not as far apart as here; is it the same person, and were "
+                f"places-from: markers of {other.name} are not as far apart as here; is it the "
+                "same person, and were "
                 "the markers left where they were?"
             )
     return tuple(notes)
@@ -90,7 +105,9 @@ def _seen(capture: Capture, labels: Sequence[str]) -> np.ndarray:
 
 
 def _errors(fit: MarkerFit, labels: tuple[str, ...], observed: np.ndarray) -> HeldOut:
-    """Distances of observed (T, H, 3) from predicted markers; the fit was told where they sit by other captures."""
+    """Distances of observed (T, H, 3) from predicted markers; the fit was told where they sit by
+    other captures.
+    """
     names = {normalised(label): column for column, label in enumerate(fit.labels)}
     columns = [names.get(normalised(label)) for label in labels]
 

@@ -1,4 +1,6 @@
-"""From registrations to a trained body model: open, check, train, write. ``habitus train`` calls `train`."""
+"""From registrations to a trained body model: open, check, train, write. ``habitus train`` calls
+`train`.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -39,7 +41,8 @@ _MUCH = 1e9  # bytes of vertices sent to a cluster's machines again and again
 
 @dataclass(frozen=True)
 class Trainer(TrainOptions):
-    """Training of body models from registrations (S 4, T 5.4); its keyword arguments are those of `TrainOptions`.
+    """Training of body models from registrations (S 4, T 5.4); its keyword arguments are those of
+    `TrainOptions`.
 
         model = Trainer(skinning="lbs", num_betas=20).fit("people.npz", template="template.npz")
         model.body, model.save("trained")
@@ -66,18 +69,25 @@ class Trainer(TrainOptions):
         on_step: Callable[[str, Record], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
     ) -> Training:
-        """Train one model. Without ``out`` nothing is written; with it, files and checkpoints as `train` writes them.
+        """Train one model. Without ``out`` nothing is written; with it, files and checkpoints as
+        `train` writes them.
 
-        Arguments are those of `train`; ``gender`` "each", which means two models, is refused. Training draws no random
-        numbers: ``seed`` is accepted because the other verbs take one, and changes nothing.
+        Arguments are those of `train`; ``gender`` "each", which means two models, is refused.
+        Training draws no random numbers: ``seed`` is accepted because the other verbs take one, and
+        changes nothing.
         """
         if gender == "each":
-            raise HabitusError("gender 'each' means two models; fit 'female' and 'male' in turn, or use habitus.train")
+            raise HabitusError(
+                "gender 'each' means two models; fit 'female' and 'male' in turn, or use "
+                "habitus.train"
+            )
         (done,) = _train(
             registrations,
             None if out is None else Path(out),
             template=template,
-            options=TrainOptions(**{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}),
+            options=TrainOptions(
+                **{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}
+            ),
             level=(detail, joints),
             gender=gender,
             baselines=baselines,
@@ -108,19 +118,21 @@ def train(
     on_step: Callable[[str, Record], None] | None = None,
     on_warning: Callable[[str], None] | None = None,
 ) -> list[Training]:
-    """Train body models from registrations and write them to the folder ``out``; one model for each gender with "each".
+    """Train body models from registrations and write them to the folder ``out``; one model for each
+    gender with "each".
 
-    datasets: what `open_registrations` opens, in one topology; or registrations already open (m). template: what
-    `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose prior, sex) is carried over. detail
-    and joints: of a body's file, as in `load_body`; "full" of a file of two levels gives such a file again. gender:
-    "all" people together, "each", "female" or "male"; the latter three use folders of those names in ``out``.
-    baselines: also train models without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`.
-    workers: number of threads (default: one per core), address of a Dask scheduler, or Workers. progress: (stage, share
-    done). on_step: (model, record), the energy after each step. on_warning: (text).
+    datasets: what `open_registrations` opens, in one topology; or registrations already open (m).
+    template: what `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose
+    prior, sex) is carried over. detail and joints: of a body's file, as in `load_body`; "full" of a
+    file of two levels gives such a file again. gender: "all" people together, "each", "female" or
+    "male"; the latter three use folders of those names in ``out``. baselines: also train models
+    without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`. workers:
+    number of threads (default: one per core), address of a Dask scheduler, or Workers. progress:
+    (stage, share done). on_step: (model, record), the energy after each step. on_warning: (text).
 
-    A stopped run continues when called again with the same arguments, a finished one when called with more rounds;
-    ``restart`` discards its checkpoint. Raises HabitusError, in one line, for bad input and for faulty registrations,
-    which it names.
+    A stopped run continues when called again with the same arguments, a finished one when called
+    with more rounds; ``restart`` discards its checkpoint. Raises HabitusError, in one line, for bad
+    input and for faulty registrations, which it names.
     """
     return _train(
         datasets,
@@ -178,19 +190,23 @@ def _train(
     with open_workers(workers) as ready:
         if isinstance(workers, str) and (size := pickled_size(data.vertices)) > _MUCH:
             notes.append(
-                f"{size / 1e9:.1f} GB of vertices are sent to the cluster's machines again and again; registrations in "
+                f"{size / 1e9:.1f} GB of vertices are sent to the cluster's machines again and "
+                "again; registrations in "
                 "a folder that all of them see are read there"
             )
         notes += check_data(data, model, ready, callbacks.progress)
         if baselines and data.weighted:
             raise HabitusError(
-                "baselines of registrations with holes or weights: BlendSCAPE is trained on whole triangles; expected "
+                "baselines of registrations with holes or weights: BlendSCAPE is trained on whole "
+                "triangles; expected "
                 "whole meshes, or a training without baselines"
             )
         for note in notes:
             callbacks.on_warning(note)
         like = two_levels(template, level[0])
-        run = _Run(out, model, body, options, baselines, ready, callbacks, restart, tuple(notes), like)
+        run = _Run(
+            out, model, body, options, baselines, ready, callbacks, restart, tuple(notes), like
+        )
         with nullcontext() if out is None else locked(out):
             return [_train_one(run, whose, group) for whose, group in groups.items()]
 
@@ -199,7 +215,9 @@ def _train_one(run: _Run, gender: str, data: Registrations) -> Training:
     folder = None if run.out is None else run.out / gender
     if folder is not None:
         tidy(folder)
-    done = _train_model(run, folder, gender, replace(data, faces=run.template.faces))  # same faces, other order
+    done = _train_model(
+        run, folder, gender, replace(data, faces=run.template.faces)
+    )  # same faces, other order
     return _train_baselines(run, folder, done) if run.baselines else done
 
 
@@ -207,8 +225,11 @@ def _train_model(run: _Run, folder: Path | None, gender: str, data: Registration
     """The model itself, written where there is a folder."""
     trained, callback = _train_body(run, folder, gender, data, "model", run.options)
     late = _fewer_betas(trained, run.options)
-    seconds, steps = {"model": callback.elapsed}, {"model": callback.seconds}
-    done = Training(gender, trained, data, run.options, (*run.notes, *late), seconds, steps, like=run.like)
+    seconds = {"model": callback.elapsed}
+    steps = {"model": callback.seconds}
+    done = Training(
+        gender, trained, data, run.options, (*run.notes, *late), seconds, steps, like=run.like
+    )
     if folder is not None:
         done = done.save(folder)
     for note in done.warnings[len(run.notes) :]:
@@ -217,7 +238,9 @@ def _train_model(run: _Run, folder: Path | None, gender: str, data: Registration
 
 
 def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training:
-    """The same registrations without pose blend shapes, linear and dual quaternion, and as BlendSCAPE (S 5.1)."""
+    """The same registrations without pose blend shapes, linear and dual quaternion, and as
+    BlendSCAPE (S 5.1).
+    """
     for name, skinning in _BASELINES.items():
         fixed = tuple(name for name in run.options.fixed if name != "posedirs")
         options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning, fixed=fixed)
@@ -243,7 +266,12 @@ def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
 
 
 def _train_body(
-    run: _Run, folder: Path | None, gender: str, data: Registrations, name: str, options: TrainOptions
+    run: _Run,
+    folder: Path | None,
+    gender: str,
+    data: Registrations,
+    name: str,
+    options: TrainOptions,
 ) -> tuple[TrainedBody, CheckpointingCallback]:
     """Train one body, from its checkpoint where there is one."""
     checkpoint = None
@@ -251,7 +279,9 @@ def _train_body(
         described = fingerprint(data, run.template, options, run.body)
         checkpoint = Checkpoint.open(folder / "checkpoint" / name, described, restart=run.restart)
     title = f"{gender} {name}".strip()
-    callback = CheckpointingCallback(title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.on_step)
+    callback = CheckpointingCallback(
+        title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.on_step
+    )
     workers = ReportingWorkers(run.workers, callback.on_item)
     trained = train_body(
         data,
@@ -269,7 +299,9 @@ def _train_body(
 def _blendscape(run: _Run, done: Training) -> BlendScape:
     """BlendSCAPE on the same registrations, in the poses that the trained model gave them."""
     title = f"{done.gender} BlendSCAPE".strip()
-    workers = ReportingWorkers(run.workers, lambda n, total: run.callbacks.progress(title, n / total))
+    workers = ReportingWorkers(
+        run.workers, lambda n, total: run.callbacks.progress(title, n / total)
+    )
     return train_blendscape(
         done.registrations,
         run.template,

@@ -1,4 +1,6 @@
-"""From people in motion to a body with dynamics: open, fit what is not told, learn, evaluate, write (S 6)."""
+"""From people in motion to a body with dynamics: open, fit what is not told, learn, evaluate, write
+(S 6).
+"""
 
 import json
 import os
@@ -29,7 +31,9 @@ OURS = ("model.npz", "dynamics.json")
 
 @dataclass(frozen=True, eq=False)
 class DynamicsTraining:
-    """What was learned, its errors on sequences that were kept out (none where none were), seconds, and the options."""
+    """What was learned, its errors on sequences that were kept out (none where none were), seconds,
+    and the options.
+    """
 
     learned: LearnedDynamics
     errors: tuple[DynamicsErrors, ...]
@@ -43,7 +47,8 @@ class DynamicsTraining:
 
     def numbers(self) -> dict[str, Any]:
         """The content of dynamics.json."""
-        learned, dynamics = self.learned, self.body.dynamics
+        learned = self.learned
+        dynamics = self.body.dynamics
         assert dynamics is not None
         best = learned.choices[0]
         return {
@@ -53,7 +58,9 @@ class DynamicsTraining:
             "sequences": len(learned.coefficients),
             "variance_shares": learned.shares.tolist(),
             "size_mm": (1e3 * np.sqrt((dynamics.directions**2).sum(1).max(0))).tolist(),
-            "modes": [{"frequency_hz": hz, "damping_ratio": ratio} for hz, ratio in learned.modes.tolist()],
+            "modes": [
+                {"frequency_hz": hz, "damping_ratio": ratio} for hz, ratio in learned.modes.tolist()
+            ],
             "chosen": asdict(best),
             "choices": [asdict(choice) for choice in learned.choices],
             "test": [_told(one) for one in self.errors],
@@ -74,15 +81,19 @@ def train_dynamics(
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> DynamicsTraining:
-    """Learn dynamic blend shapes of a body, and what predicts them from motion, and write them to the folder ``out``.
+    """Learn dynamic blend shapes of a body, and what predicts them from motion, and write them to
+    the folder ``out``.
 
     datasets, and test, which is kept out of the training and gives the errors of S 6: what
-    `habitus.io.registrations.motions.open_moving_surfaces` opens, or such sequences. Where they tell no betas, pose and
-    trans, these are fitted first. body: a file, one of the bodies that come along, or a BodyModel; a file's other
-    arrays and levels of detail are kept. ``rate_hz`` and ``unit``: where the data do not tell them. ``out`` receives
-    model.npz (the body with dynamics) and dynamics.json. Raises HabitusError, in one line, for bad input.
+    `habitus.io.registrations.motions.open_moving_surfaces` opens, or such sequences. Where they
+    tell no betas, pose and trans, these are fitted first. body: a file, one of the bodies that come
+    along, or a BodyModel; a file's other arrays and levels of detail are kept. ``rate_hz`` and
+    ``unit``: where the data do not tell them. ``out`` receives model.npz (the body with dynamics)
+    and dynamics.json. Raises HabitusError, in one line, for bad input.
     """
-    began, options, progress = time.perf_counter(), options or DynamicsOptions(), progress or _silent
+    began = time.perf_counter()
+    options = options or DynamicsOptions()
+    progress = progress or _silent
     model = body if isinstance(body, BodyModel) else load_whole_body(os.fspath(body))
     given = [_opened(each, rate_hz, unit) for each in (datasets, test)]
     if not given[0]:
@@ -106,14 +117,17 @@ def _opened(given: Any, rate_hz: float | None, unit: str) -> list[MovingSurface]
     found: list[MovingSurface] = []
     for one in paths:
         known = isinstance(one, MovingSurface)
-        found += [one] if known else open_moving_surfaces(os.fspath(one), rate_hz=rate_hz, unit=unit)
+        found += (
+            [one] if known else open_moving_surfaces(os.fspath(one), rate_hz=rate_hz, unit=unit)
+        )
     return found
 
 
 def _moving(
     body: BodyModel, sequences: list[MovingSurface], workers: Workers, progress: Progress
 ) -> list[MovingSurface]:
-    known, found = [one.for_body(body) for one in sequences], []
+    known = [one.for_body(body) for one in sequences]
+    found = []
     for one in with_motions(body, known, workers):
         found.append(one)
         progress("motions", len(found) / len(known))
@@ -131,8 +145,16 @@ def _write(training: DynamicsTraining, body: PathLike | BodyModel, folder: Path)
 
 
 def _told(one: DynamicsErrors) -> dict[str, Any]:
-    errors = {way: dict(zip(QUANTITIES, row, strict=True)) for way, row in zip(WAYS, one.errors.tolist(), strict=True)}
-    return {"sequence": one.name, "subject": one.subject, "frames": len(one.fitted), "errors": errors}
+    errors = {
+        way: dict(zip(QUANTITIES, row, strict=True))
+        for way, row in zip(WAYS, one.errors.tolist(), strict=True)
+    }
+    return {
+        "sequence": one.name,
+        "subject": one.subject,
+        "frames": len(one.fitted),
+        "errors": errors,
+    }
 
 
 def _silent(stage: str, share: float) -> None:

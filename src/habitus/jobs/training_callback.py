@@ -35,11 +35,13 @@ class Callbacks:
 
 
 class CheckpointingCallback:
-    """Stores checkpoints of a training, sums its seconds of work over all runs, and reports progress.
+    """Stores checkpoints of a training, sums its seconds of work over all runs, and reports
+    progress.
 
-    Stages are "poses by edges", "rounds" (at most ``rounds`` of them), "shapes" and, where pose blend shapes depend on
-    shape, "rounds by shape", each preceded by ``title``. ``state`` is where an earlier run stopped, or None. Without a
-    ``checkpoint`` nothing is written and surfaces are kept in memory.
+    Stages are "poses by edges", "rounds" (at most ``rounds`` of them), "shapes" and, where pose
+    blend shapes depend on shape, "rounds by shape", each preceded by ``title``. ``state`` is where
+    an earlier run stopped, or None. Without a ``checkpoint`` nothing is written and surfaces are
+    kept in memory.
     """
 
     def __init__(
@@ -50,13 +52,20 @@ class CheckpointingCallback:
         progress: Progress,
         on_step: Callable[[str, Record], None],
     ):
-        self.title, self.checkpoint, self.progress, self.on_step = title, checkpoint, progress, on_step
+        self.title = title
+        self.checkpoint = checkpoint
+        self.progress = progress
+        self.on_step = on_step
         self.state, self.seconds = checkpoint.load() if checkpoint else (None, [])
         self._total_steps = rounds * len(STEPS)
-        self._steps = len(STEPS) * self.state.rounds + len(self.state.steps_done) if self.state else -1  # -1: not begun
+        self._steps = (
+            len(STEPS) * self.state.rounds + len(self.state.steps_done) if self.state else -1
+        )  # -1: not begun
         self._ended: int | None = None  # steps of the first rounds, once these are over
         self._kept = len(self.state.history) if self.state else 0  # records in the checkpoint
-        self._share, self._surfaces, self._stored = 0.0, 0, 0
+        self._share = 0.0
+        self._surfaces = 0
+        self._stored = 0
         self._earlier = max([0.0, *self.seconds[-1:], checkpoint.seconds if checkpoint else 0.0])
         self._began = time.perf_counter()
 
@@ -74,7 +83,9 @@ class CheckpointingCallback:
             return
         step = (self._steps - (self._ended or 0) + done / total) / self._total_steps
         self._share = min(1.0, max(self._share, step))
-        self.progress(f"{self.title}: rounds{'' if self._ended is None else ' by shape'}", self._share)
+        self.progress(
+            f"{self.title}: rounds{'' if self._ended is None else ' by shape'}", self._share
+        )
 
     def on_step_end(self, record: Record) -> None:
         """Note the seconds and report the energy."""
@@ -94,10 +105,13 @@ class CheckpointingCallback:
         """Write the checkpoint."""
         self.on_state(state)
         if state.finished:
-            self._ended, self._share = self._steps, 0.0
+            self._ended = self._steps
+            self._share = 0.0
 
     def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
-        """An array (S,V,3), on disk where there is a checkpoint, and how many surfaces it already holds."""
+        """An array (S,V,3), on disk where there is a checkpoint, and how many surfaces it already
+        holds.
+        """
         store, self._stored = (self.checkpoint or NoCallback()).surface_store(shape)
         self._surfaces = shape[0]
         return store, self._stored

@@ -24,19 +24,26 @@ GENDERS = ("all", "each", "female", "male")
 def open_training_data(
     datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, gender: str
 ) -> tuple[Registrations, list[str]]:
-    """The registrations to train on, those of the sets "pose" and "shape" and the gender asked for; and warnings."""
+    """The registrations to train on, those of the sets "pose" and "shape" and the gender asked for;
+    and warnings.
+    """
     if gender not in GENDERS:
         raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
     if not isinstance(datasets, Registrations):
         paths = [datasets] if isinstance(datasets, str | os.PathLike) else list(datasets)
-        datasets = open_registrations([Path(path).absolute() for path in paths], unit=unit, every=every)
+        datasets = open_registrations(
+            [Path(path).absolute() for path in paths], unit=unit, every=every
+        )
     data = datasets.where(set=("pose", "shape"))
     if gender == "all":
         return data, []
     wanted = ("female", "male") if gender == "each" else (gender,)
     known = data.where(sex=wanted)
     if not len(known):
-        raise HabitusError(f"no registration is said to be {' or '.join(wanted)}; tell their sex, or train --sex all")
+        raise HabitusError(
+            f"no registration is said to be {' or '.join(wanted)}; tell their sex, or train --sex "
+            "all"
+        )
     unknown = len(data.where(sex=""))
     return known, [f"{unknown} registrations whose sex is not told are left out"] if unknown else []
 
@@ -48,7 +55,8 @@ def by_gender(data: Registrations, gender: str) -> dict[str, Registrations]:
     for word, group in groups.items():
         if "pose" not in group.set:
             raise HabitusError(
-                f"no {word or 'single'} registration belongs to the set 'pose'; expected several poses each of several "
+                f"no {word or 'single'} registration belongs to the set 'pose'; expected several "
+                "poses each of several "
                 "people"
             )
     return groups
@@ -60,41 +68,64 @@ def check_people(gender: str, data: Registrations, options: TrainOptions) -> Non
     least = max(2, options.shape_features + 1)
     if people < least:
         raise HabitusError(
-            f"too few {gender or 'people'} to learn shapes from: {people}, with {options.shape_features} "
+            f"too few {gender or 'people'} to learn shapes from: {people}, with "
+            f"{options.shape_features} "
             f"shape_features; expected {least} or more"
         )
 
 
 def open_template(
-    template: PathLike | Template | BodyModel, options: TrainOptions, detail: str = "coarse", joints: str | None = None
+    template: PathLike | Template | BodyModel,
+    options: TrainOptions,
+    detail: str = "coarse",
+    joints: str | None = None,
 ) -> tuple[Template, BodyModel | None, list[str]]:
-    """The template with its mirror, the body that it is of (None: of none), and a warning where it has no mirror."""
+    """The template with its mirror, the body that it is of (None: of none), and a warning where it
+    has no mirror.
+    """
     if isinstance(template, Template):
-        found, body = template, None
+        found = template
+        body = None
     elif isinstance(template, BodyModel):
-        found, body = body_template(template), template
+        found = body_template(template)
+        body = template
     else:
         found, body = template_and_body(str(template), detail=detail, joints=joints)
     if options.start == "body" and body is None:
         raise HabitusError(
-            "start 'body' with a template that is of no body model; expected a body's file, or 'default'"
+            "start 'body' with a template that is of no body model; expected a body's file, or "
+            "'default'"
         )
     try:
         return with_mirror(found), body, []
     except HabitusError as error:
-        return found, body, [f"the template is not symmetric: {error}; nothing holds left and right together"]
+        return (
+            found,
+            body,
+            [f"the template is not symmetric: {error}; nothing holds left and right together"],
+        )
 
 
 def two_levels(template: PathLike | Template | BodyModel, detail: str) -> str | None:
-    """The name or file of the body whose full level is trained, where there is a coarse one beside it."""
-    if detail != "full" or isinstance(template, Template | BodyModel) or not has_levels(str(template)):
+    """The name or file of the body whose full level is trained, where there is a coarse one beside
+    it.
+    """
+    if (
+        detail != "full"
+        or isinstance(template, Template | BodyModel)
+        or not has_levels(str(template))
+    ):
         return None
     return str(template)
 
 
-def check_data(data: Registrations, template: Template, workers: Workers, progress: Progress) -> list[str]:
+def check_data(
+    data: Registrations, template: Template, workers: Workers, progress: Progress
+) -> list[str]:
     """The warnings about the registrations. Raises HabitusError where there are errors."""
-    reporting = ReportingWorkers(workers, lambda done, total: progress("check registrations", done / total))
+    reporting = ReportingWorkers(
+        workers, lambda done, total: progress("check registrations", done / total)
+    )
     findings = check_registrations(
         data, template, over=lambda function, rows: reporting.map(_call, function, list(rows))
     )

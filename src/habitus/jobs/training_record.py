@@ -23,10 +23,11 @@ from habitus.types import PathLike
 class Training:
     """One trained model with its energies, estimate, warnings and seconds of work.
 
-    ``gender`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are, None where nothing
-    was written. ``step_seconds`` holds for each model the seconds of work at the end of each step of its history.
-    ``baselines`` are the models without pose blend shapes, by name; ``blendscape`` is trained with them. ``like`` is
-    the body's file of two levels of detail whose full one was trained, where it was.
+    ``gender`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are,
+    None where nothing was written. ``step_seconds`` holds for each model the seconds of work at the
+    end of each step of its history. ``baselines`` are the models without pose blend shapes, by
+    name; ``blendscape`` is trained with them. ``like`` is the body's file of two levels of detail
+    whose full one was trained, where it was.
     """
 
     gender: str
@@ -47,14 +48,18 @@ class Training:
         return self.trained.body
 
     def save(self, folder: PathLike) -> "Training":
-        """Write model.npz, model.pkl, poses.npz, training.json and the baselines' models, each atomically.
+        """Write model.npz, model.pkl, poses.npz, training.json and the baselines' models, each
+        atomically.
 
-        The same result is returned with its folder, and with a warning where SMPL's pickle cannot express the model
-        (no model.pkl is written then). Raises HabitusError where the folder cannot be written to.
+        The same result is returned with its folder, and with a warning where SMPL's pickle cannot
+        express the model (no model.pkl is written then). Raises HabitusError where the folder
+        cannot be written to.
         """
         folder = writable_folder(Path(folder))
         notes = write_model(self.body, folder, like=self.like)
-        write_poses(folder / "poses.npz", self.registrations.where(set="pose"), self.trained.estimate)
+        write_poses(
+            folder / "poses.npz", self.registrations.where(set="pose"), self.trained.estimate
+        )
         for name, baseline in self.baselines.items():
             write_model(baseline.body, folder, name)
         if self.blendscape is not None:
@@ -66,8 +71,12 @@ class Training:
 
 
 def write_record(done: Training, folder: Path) -> None:
-    """training.json: version, sizes, options, energies of every step, seconds, variances along the shape directions."""
-    body, sets, seconds = done.body, Counter(done.registrations.set), done.step_seconds
+    """training.json: version, sizes, options, energies of every step, seconds, variances along the
+    shape directions.
+    """
+    body = done.body
+    sets = Counter(done.registrations.set)
+    seconds = done.step_seconds
     record = {
         "version": habitus.__version__,
         "sex": done.gender,
@@ -92,7 +101,13 @@ def write_record(done: Training, folder: Path) -> None:
 
 def _history(trained: TrainedBody, seconds: Sequence[float]) -> dict[str, Any]:
     energies = [
-        {"round": r.round, "step": r.step, "total": r.energy.total, "terms": dict(r.energy.terms), "seconds": at}
+        {
+            "round": r.round,
+            "step": r.step,
+            "total": r.energy.total,
+            "terms": dict(r.energy.terms),
+            "seconds": at,
+        }
         for r, at in zip(trained.history, seconds, strict=True)
     ]
     return {"energies": energies, "shape_variances": trained.shape.variances.tolist()}

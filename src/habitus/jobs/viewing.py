@@ -27,10 +27,14 @@ LARGEST = 5.0  # metres: a scan of more is in centimetres, or in millimetres
 
 
 class View:
-    """A page that is being served; ``address`` is where, ``panels`` are what it shows, in the order of the sources."""
+    """A page that is being served; ``address`` is where, ``panels`` are what it shows, in the order
+    of the sources.
+    """
 
     def __init__(self, server: Any, panels: list[Any]):
-        self._server, self.panels, self._stop = server, panels, threading.Event()
+        self._server = server
+        self.panels = panels
+        self._stop = threading.Event()
         self.address = f"http://{HOST}:{server.get_port()}"
         threading.Thread(target=play, args=(panels, self._stop), daemon=True).start()
 
@@ -44,12 +48,15 @@ class View:
         self._server.stop()
 
 
-def view(sources: Sequence[PathLike], *, body: PathLike | None = None, up: str = "+y", port: int = 8080) -> View:
+def view(
+    sources: Sequence[PathLike], *, body: PathLike | None = None, up: str = "+y", port: int = 8080
+) -> View:
     """Show body models, results, motions and meshes side by side on a page of this machine.
 
-    sources: "default", "female" or another model that comes along, a model's file, a fit's body.npz, a motion (npz), a
-    mesh or a cloud of points. body: what motions are shown on that do not name theirs. up: the axis of meshes and
-    clouds that points up. Raises HabitusError for bad input, and where viser is not installed.
+    sources: "default", "female" or another model that comes along, a model's file, a fit's
+    body.npz, a motion (npz), a mesh or a cloud of points. body: what motions are shown on that do
+    not name theirs. up: the axis of meshes and clouds that points up. Raises HabitusError for bad
+    input, and where viser is not installed.
     """
     if up not in UP_AXES:
         raise HabitusError(f"up is {up!r}; expected one of {', '.join(UP_AXES)}")
@@ -62,7 +69,11 @@ def view(sources: Sequence[PathLike], *, body: PathLike | None = None, up: str =
     server = viser.ViserServer(HOST, port, label="habitus view", verbose=False)
     studio(server)
     return View(
-        server, [_panel(server, kind, name, what, k, len(loaded)) for k, (kind, name, what) in enumerate(loaded)]
+        server,
+        [
+            _panel(server, kind, name, what, k, len(loaded))
+            for k, (kind, name, what) in enumerate(loaded)
+        ],
     )
 
 
@@ -87,7 +98,9 @@ def _kind(source: str) -> str:
 
 
 def _load_body(source: PathLike, body: PathLike | None, up: str) -> Any:
-    return load_body(str(source), detail="full") if has_levels(str(source)) else load_body(str(source))
+    return (
+        load_body(str(source), detail="full") if has_levels(str(source)) else load_body(str(source))
+    )
 
 
 def _upright(scan: Scan, up: str) -> Scan:
@@ -107,7 +120,9 @@ _LOAD = {
 
 def _panel(server: Any, kind: str, name: str, what: Any, k: int, count: int) -> Any:
     node = f"/{k}"
-    server.scene.add_frame(node, show_axes=False, position=(APART * (k - (count - 1) / 2.0), _floor(kind, what), 0.0))
+    server.scene.add_frame(
+        node, show_axes=False, position=(APART * (k - (count - 1) / 2.0), _floor(kind, what), 0.0)
+    )
     if kind == "body":
         return BodyPanel(server, what, node)
     if kind == "mesh":

@@ -1,4 +1,6 @@
-"""Virtual markers of a body in motion, and captures whose gaps are filled from their fits. Files in, files out."""
+"""Virtual markers of a body in motion, and captures whose gaps are filled from their fits. Files
+in, files out.
+"""
 
 import csv
 import io
@@ -30,7 +32,9 @@ from habitus.population.virtual_markers import CLEAN, carried_markers, layout_at
 from habitus.types import PathLike
 
 ENDINGS = (".c3d", ".trc")
-_SEVERAL = "no single column of the file holds this marker (exchanged labels, or a trajectory in pieces)"
+_SEVERAL = (
+    "no single column of the file holds this marker (exchanged labels, or a trajectory in pieces)"
+)
 
 
 def virtual_markers(
@@ -42,31 +46,49 @@ def virtual_markers(
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
 ) -> Capture:
-    """What a marker system would record of a body in motion: M markers in every frame, metres, the motion's own world.
+    """What a marker system would record of a body in motion: M markers in every frame, metres, the
+    motion's own world.
 
-    source: a fit, a motion, or the npz of one (`habitus.io.motions.load_motion`). layout: a shipped one by name, or a
-    file, without its optional markers; by itself a fit's own markers at the places that were found for them.
-    faults: placement and noise (m, sd) and missing samples; `CLEAN` has none. out: a .c3d or .trc file that receives
-    them. Raises HabitusError for a motion without markers where no layout is given, a layout that does not fit the
-    body, and other endings.
+    source: a fit, a motion, or the npz of one (`habitus.io.motions.load_motion`). layout: a shipped
+    one by name, or a file, without its optional markers; by itself a fit's own markers at the
+    places that were found for them. faults: placement and noise (m, sd) and missing samples;
+    `CLEAN` has none. out: a .c3d or .trc file that receives them. Raises HabitusError for a motion
+    without markers where no layout is given, a layout that does not fit the body, and other
+    endings.
     """
     target = None if out is None else _writable(out)
     moving = source if isinstance(source, Moving) else _loaded(source, layout, body)
     rng = np.random.default_rng(seed)
     if layout is None:
         if not isinstance(moving, MarkerFit):
-            raise HabitusError(f"{moving.capture_name}: a motion has no markers of its own; name a layout, cmu-41 say")
-        name, labels, attachment = "its own layout", moving.labels, moving.attachment
+            raise HabitusError(
+                f"{moving.capture_name}: a motion has no markers of its own; name a layout, "
+                "cmu-41 say"
+            )
+        name = "its own layout"
+        labels = moving.labels
+        attachment = moving.attachment
     else:
         found = load_layout(layout)
-        found = found.restricted_to(tuple(marker.label for marker in found.markers if not marker.optional))
+        found = found.restricted_to(
+            tuple(marker.label for marker in found.markers if not marker.optional)
+        )
         places = found.vertices(moving.body), found.distances()
         attachment = layout_attachment(moving, *places, faults.placement, rng)
-        name, labels = f"layout {found.name}", found.labels
+        name = f"layout {found.name}"
+        labels = found.labels
     markers = recorded(carried_markers(moving, attachment), faults, rng)
-    note = f"virtual marker, {name}, on {moving.body_name or moving.body.name}: {moving.capture_name}"
+    note = (
+        f"virtual marker, {name}, on {moving.body_name or moving.body.name}: {moving.capture_name}"
+    )
     capture = Capture(
-        moving.capture_name, labels, markers, moving.rate_hz, moving.up_axis, warnings=(note,), format="virtual"
+        moving.capture_name,
+        labels,
+        markers,
+        moving.rate_hz,
+        moving.up_axis,
+        warnings=(note,),
+        format="virtual",
     )
     if target is not None:
         _write(capture, target, note)
@@ -75,19 +97,34 @@ def virtual_markers(
 
 @dataclass(frozen=True, eq=False)
 class FilledCapture:
-    """A capture whose gaps were filled from its fit: the markers of the person, and what was done (`Filling`)."""
+    """A capture whose gaps were filled from its fit: the markers of the person, and what was done
+    (`Filling`).
+    """
 
     capture: Capture
     filling: Filling
 
     @property
     def table(self) -> str:
-        """Every gap, a line each (CSV): label, first and last frame (the file's first is 1), what was done, why not."""
+        """Every gap, a line each (CSV): label, first and last frame (the file's first is 1), what
+        was done, why not.
+        """
         text = io.StringIO()
         rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(("label", "first_frame", "last_frame", "filled", "markers_seen_nearby", "why_not"))
+        rows.writerow(
+            ("label", "first_frame", "last_frame", "filled", "markers_seen_nearby", "why_not")
+        )
         for gap in self.filling.gaps:
-            rows.writerow((gap.label, gap.first + 1, gap.last + 1, "no" if gap.why else "yes", gap.nearby, gap.why))
+            rows.writerow(
+                (
+                    gap.label,
+                    gap.first + 1,
+                    gap.last + 1,
+                    "no" if gap.why else "yes",
+                    gap.nearby,
+                    gap.why,
+                )
+            )
         return text.getvalue()
 
 
@@ -100,28 +137,40 @@ def fill_capture(
 ) -> FilledCapture:
     """A capture with its gaps filled from the fit of it, and which samples those are.
 
-    fit: a fit or its body.npz. capture: the file that was fitted. out: where it is written, with ``OUT.filled.csv``
-    beside it. A .c3d of a .c3d is the file itself, to the last bit, but for the filled samples, whose residual is 0, as
-    the format says of what no camera measured; else the person's markers alone are written (.c3d, .trc). Raises
-    HabitusError where this is not the capture that was fitted, and for other endings.
+    fit: a fit or its body.npz. capture: the file that was fitted. out: where it is written, with
+    ``OUT.filled.csv`` beside it. A .c3d of a .c3d is the file itself, to the last bit, but for the
+    filled samples, whose residual is 0, as the format says of what no camera measured; else the
+    person's markers alone are written (.c3d, .trc). Raises HabitusError where this is not the
+    capture that was fitted, and for other endings.
     """
-    target, source = None if out is None else _writable(out), Path(capture)
+    target = None if out is None else _writable(out)
+    source = Path(capture)
     if target is not None and target.exists() and target.resolve() == source.resolve():
-        raise HabitusError(f"{target}: is the capture itself, which stays as it is; choose another name with --out")
+        raise HabitusError(
+            f"{target}: is the capture itself, which stays as it is; choose another name with --out"
+        )
     found = fit if isinstance(fit, MarkerFit) else load_fit(fit, body)
     person, columns = _person(found, source)
     observed = np.full((len(person), len(found.labels), 3), np.nan)
     observed[:, columns >= 0] = person.markers[:, columns[columns >= 0]]
-    left_out = {label: _SEVERAL for label, column in zip(found.labels, columns, strict=True) if column < 0}
+    left_out = {
+        label: _SEVERAL for label, column in zip(found.labels, columns, strict=True) if column < 0
+    }
     in_file = None
     if source.suffix.lower() == ".c3d":
         in_file = _file_columns(source, person, columns)
-        left_out |= {label: _SEVERAL for label, (column, _) in zip(found.labels, in_file, strict=True) if column < 0}
+        left_out |= {
+            label: _SEVERAL
+            for label, (column, _) in zip(found.labels, in_file, strict=True)
+            if column < 0
+        }
     filling = fill_gaps(found, observed, left_out)
     markers = np.array(person.markers)
     for marker, column in enumerate(columns):
         if column >= 0:
-            markers[filling.filled[:, marker], column] = filling.markers[filling.filled[:, marker], marker]
+            markers[filling.filled[:, marker], column] = filling.markers[
+                filling.filled[:, marker], marker
+            ]
     result = FilledCapture(replace(person, markers=markers), filling)
     if target is not None:
         if in_file is not None and target.suffix.lower() == ".c3d":
@@ -139,7 +188,9 @@ def _loaded(source: PathLike, layout: PathLike | None, body: BodyModel | PathLik
 def _writable(out: PathLike) -> Path:
     target = Path(out)
     if target.suffix.lower() not in ENDINGS:
-        raise HabitusError(f"cannot write markers to {target.name}: expected a name in {', '.join(ENDINGS)}")
+        raise HabitusError(
+            f"cannot write markers to {target.name}: expected a name in {', '.join(ENDINGS)}"
+        )
     return target
 
 
@@ -152,21 +203,35 @@ def _write(capture: Capture, target: Path, note: str) -> None:
 
 
 def _person(fit: MarkerFit, source: Path) -> tuple[Capture, np.ndarray]:
-    """The person of the file who was fitted, and the column of each of the fit's markers, -1 where none is it."""
+    """The person of the file who was fitted, and the column of each of the fit's markers, -1 where
+    none is it.
+    """
     people = [each for each in read_captures(source) if len(each) == fit.num_frames]
     found = [(same_columns(fit.observed_markers, each.markers), each) for each in people]
-    columns, person = max(found, key=lambda pair: int((pair[0] >= 0).sum()), default=(np.zeros(0), None))
+    columns, person = max(
+        found, key=lambda pair: int((pair[0] >= 0).sum()), default=(np.zeros(0), None)
+    )
     if person is None or 2 * (columns >= 0).sum() < len(fit.labels):
-        held = "frames of another number" if person is None else f"{int((columns >= 0).sum())} of its markers"
+        held = (
+            "frames of another number"
+            if person is None
+            else f"{int((columns >= 0).sum())} of its markers"
+        )
         raise HabitusError(
-            f"{source}: is not the capture that was fitted ({shown(fit.capture_name)}): it holds {held}; give that one"
+            f"{source}: is not the capture that was fitted ({shown(fit.capture_name)}): it holds "
+            f"{held}; give that one"
         )
     return person, columns
 
 
-def _file_columns(source: Path, person: Capture, columns: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """For each of the fit's markers its point in a C3D file (-1: none), and what takes metres to the file's axes."""
-    raw, unit = parse_c3d(source.read_bytes(), source.name), METRES[person.unit]
+def _file_columns(
+    source: Path, person: Capture, columns: np.ndarray
+) -> list[tuple[int, np.ndarray]]:
+    """For each of the fit's markers its point in a C3D file (-1: none), and what takes metres to
+    the file's axes.
+    """
+    raw = parse_c3d(source.read_bytes(), source.name)
+    unit = METRES[person.unit]
     known = columns >= 0
     best = np.full(len(columns), -1), np.ones(3)
     for signs in (np.ones(3), *(1.0 - 2.0 * np.eye(3))):  # a mirrored capture has one axis negated
@@ -177,7 +242,9 @@ def _file_columns(source: Path, person: Capture, columns: np.ndarray) -> list[tu
     return [(int(column), best[1] / unit) for column in best[0]]
 
 
-def _patch(source: Path, target: Path, columns: list[tuple[int, np.ndarray]], filling: Filling) -> None:
+def _patch(
+    source: Path, target: Path, columns: list[tuple[int, np.ndarray]], filling: Filling
+) -> None:
     known = [k for k, (column, _) in enumerate(columns) if column >= 0]
     points = np.stack([np.nan_to_num(filling.markers[:, k]) * columns[k][1] for k in known], axis=1)
     where = np.array([columns[k][0] for k in known])

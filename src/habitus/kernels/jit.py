@@ -1,4 +1,6 @@
-"""The decorator of every compiled kernel: float64, no interpreter lock, cached on disk, compiled when first called."""
+"""The decorator of every compiled kernel: float64, no interpreter lock, cached on disk, compiled
+when first called.
+"""
 
 import gc
 from pathlib import Path
@@ -51,10 +53,13 @@ FILES = (
 
 
 class _Undisturbed(event.Listener):
-    """Lets no garbage be collected while numba compiles: it would take a sixth of the time, again and again."""
+    """Lets no garbage be collected while numba compiles: it would take a sixth of the time, again
+    and again.
+    """
 
     def __init__(self) -> None:
-        self._depth, self._collects = 0, False
+        self._depth = 0
+        self._collects = False
 
     def on_start(self, event: event.Event) -> None:
         """A function begins, maybe within one that calls it."""
@@ -74,15 +79,21 @@ event.register("numba:compile", _Undisturbed())
 
 
 def jit(function, **options):
-    """Compile `function` at its first call and keep the result on disk until one of `FILES` changes.
+    """Compile `function` at its first call and keep the result on disk until one of `FILES`
+    changes.
 
-    numba itself watches only the file of the function, not those of the functions that were compiled into it. A wrapper
-    for C, which nothing here calls, would take a tenth of the time.
+    numba itself watches only the file of the function, not those of the functions that were
+    compiled into it. A wrapper for C, which nothing here calls, would take a tenth of the time.
     """
-    dispatcher = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    dispatcher = njit(
+        cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
+    )(function)
     cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     if cache_file is not None and hasattr(cache_file, "_version"):
-        cache_file._version = (cache_file._version, _stamp())  # compared before anything of an index is unpickled
+        cache_file._version = (
+            cache_file._version,
+            _stamp(),
+        )  # compared before anything of an index is unpickled
     return dispatcher
 
 
@@ -95,11 +106,15 @@ def jit_noalloc(function):
 
 
 def jit_inline(function):
-    """`jit_noalloc` for device functions that only kernels call: not callable from Python, and not cached.
+    """`jit_noalloc` for device functions that only kernels call: not callable from Python, and not
+    cached.
 
-    A Python wrapper and a cache file for each such function would take longer to make than its kernels.
+    A Python wrapper and a cache file for each such function would take longer to make than its
+    kernels.
     """
-    return njit(nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    return njit(
+        nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    )(function)
 
 
 def _stamp() -> tuple:

@@ -1,9 +1,10 @@
-"""Lanes: a number that is really LANES float64 numbers, one per frame, for kernels that treat several frames at once.
+"""Lanes: a number that is really LANES float64 numbers, one per frame, for kernels that treat
+several frames at once.
 
-Inside compiled functions a lane value is one SIMD register (`<8 x double>` with AVX-512, else `<4 x double>`): it
-is added, multiplied and so on like a float, also with floats, which spread over the lanes. Arrays of lanes are
-float64 arrays (n, LANES) whose rows `load` and `store` move. Code that uses only arithmetic reads like the code for
-one frame.
+Inside compiled functions a lane value is one SIMD register (`<8 x double>` with AVX-512, else `<4 x
+double>`): it is added, multiplied and so on like a float, also with floats, which spread over the
+lanes. Arrays of lanes are float64 arrays (n, LANES) whose rows `load` and `store` move. Code that
+uses only arithmetic reads like the code for one frame.
 
 numba vectorises no such loops by itself, hence this small extension of it.
 """
@@ -76,11 +77,18 @@ def _teach(symbol, instruction):
     @infer_global(symbol)  # pyright: ignore[reportOptionalCall]
     class _Template(AbstractTemplate):
         def generic(self, args, kws):
-            if len(args) == 2 and lane in args and all(kind is lane or isinstance(kind, types.Float) for kind in args):
+            if (
+                len(args) == 2
+                and lane in args
+                and all(kind is lane or isinstance(kind, types.Float) for kind in args)
+            ):
                 return lane(*args)
 
     def lower(context, builder, signature, args):
-        pair = (_as_lane(context, builder, kind, value) for kind, value in zip(signature.args, args, strict=True))
+        pair = (
+            _as_lane(context, builder, kind, value)
+            for kind, value in zip(signature.args, args, strict=True)
+        )
         return getattr(builder, instruction)(*pair, flags=_FUSE)
 
     for pair in ((lane, lane), (lane, types.Float), (types.Float, lane)):
@@ -118,7 +126,9 @@ def spread(typingctx, value):
 def _call(builder, name, args):
     """Call one of LLVM's own functions of a vector."""
     kind = ir.FunctionType(_VECTOR, [_VECTOR])
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args)
+    return builder.call(
+        cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64"), args
+    )
 
 
 @_known
@@ -143,11 +153,14 @@ def nearest(typingctx, value):
 
 @_known
 def where_less(typingctx, left, right, then, otherwise):
-    """`then` in the lanes where left < right, `otherwise` elsewhere (and where either is not a number)."""
+    """`then` in the lanes where left < right, `otherwise` elsewhere (and where either is not a
+    number).
+    """
 
     def codegen(context, builder, signature, args):
         left, right, then, otherwise = (
-            _as_lane(context, builder, kind, value) for kind, value in zip(signature.args, args, strict=True)
+            _as_lane(context, builder, kind, value)
+            for kind, value in zip(signature.args, args, strict=True)
         )
         return builder.select(builder.fcmp_ordered("<", left, right), then, otherwise)
 
@@ -160,14 +173,25 @@ def _row_pointer(context, builder, array_type, array, index):
     strides = cgutils.unpack_tuple(builder, view.strides)
     zero = context.get_constant(types.intp, 0)
     pointer = cgutils.get_item_pointer2(
-        context, builder, view.data, shape, strides, "C", [index, zero], wraparound=False, boundscheck=False
+        context,
+        builder,
+        view.data,
+        shape,
+        strides,
+        "C",
+        [index, zero],
+        wraparound=False,
+        boundscheck=False,
     )
     return builder.bitcast(pointer, _VECTOR.as_pointer())
 
 
 def _checked(array):
     if not (
-        isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C" and array.dtype == types.float64
+        isinstance(array, types.Array)
+        and array.ndim == 2
+        and array.layout == "C"
+        and array.dtype == types.float64
     ):
         raise TypingError(f"lanes live in C-contiguous float64 arrays (n, LANES), not in {array}")
 

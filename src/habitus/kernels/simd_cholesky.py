@@ -1,12 +1,21 @@
 """Cholesky of symmetric matrices of 3 x 3 blocks, one matrix per lane (`habitus.kernels.simd`).
 
-Blocks of the lower triangle lie one after another, row by row, in an array (n, LANES) (`simd_linalg.block_row`). The
-factor takes the matrix' place; its diagonal holds reciprocals.
+Blocks of the lower triangle lie one after another, row by row, in an array (n, LANES)
+(`simd_linalg.block_row`). The factor takes the matrix' place; its diagonal holds reciprocals.
 """
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
 from habitus.kernels.simd import root
-from habitus.kernels.simd_linalg import block_row, load3, load9, store3, store9, sub3, turn3, turn_back3
+from habitus.kernels.simd_linalg import (
+    block_row,
+    load3,
+    load9,
+    store3,
+    store9,
+    sub3,
+    turn3,
+    turn_back3,
+)
 
 
 @jit_noalloc
@@ -18,11 +27,14 @@ def factor(workspace, offset, blocks):
     for r in range(0, blocks, 2):
         last = min(r + 1, blocks - 1)
         for c in range(r):
-            first, second = load9(workspace, offset + block_row(r, c)), load9(workspace, offset + block_row(last, c))
+            first = load9(workspace, offset + block_row(r, c))
+            second = load9(workspace, offset + block_row(last, c))
             for k in range(c):
                 above = load9(workspace, offset + block_row(c, k))
                 first = _minus_product(first, load9(workspace, offset + block_row(r, k)), above)
-                second = _minus_product(second, load9(workspace, offset + block_row(last, k)), above)
+                second = _minus_product(
+                    second, load9(workspace, offset + block_row(last, k)), above
+                )
             corner = load9(workspace, offset + block_row(c, c))
             store9(workspace, offset + block_row(r, c), _divided(first, corner))
             store9(workspace, offset + block_row(last, c), _divided(second, corner))
@@ -37,9 +49,13 @@ def finish_block(workspace, offset, r, c):
     rest = load9(workspace, offset + block_row(r, c))
     for k in range(c):
         rest = _minus_product(
-            rest, load9(workspace, offset + block_row(r, k)), load9(workspace, offset + block_row(c, k))
+            rest,
+            load9(workspace, offset + block_row(r, k)),
+            load9(workspace, offset + block_row(c, k)),
         )
-    done = _divided(rest, load9(workspace, offset + block_row(c, c))) if c < r else _small_factor(rest)
+    done = (
+        _divided(rest, load9(workspace, offset + block_row(c, c))) if c < r else _small_factor(rest)
+    )
     store9(workspace, offset + block_row(r, c), done)
 
 
@@ -49,20 +65,28 @@ def solve_factored(workspace, offset, blocks, right):
     for r in range(blocks):
         v = load3(workspace, right + 3 * r)
         for c in range(r):
-            v = sub3(v, turn3(load9(workspace, offset + block_row(r, c)), load3(workspace, right + 3 * c)))
+            v = sub3(
+                v,
+                turn3(load9(workspace, offset + block_row(r, c)), load3(workspace, right + 3 * c)),
+            )
         m = load9(workspace, offset + block_row(r, r))
         x = v[0] * m[0]
         y = (v[1] - m[3] * x) * m[4]
         store3(workspace, right + 3 * r, (x, y, (v[2] - m[6] * x - m[7] * y) * m[8]))
     for r in range(blocks - 1, -1, -1):
-        v, m = load3(workspace, right + 3 * r), load9(workspace, offset + block_row(r, r))
+        v = load3(workspace, right + 3 * r)
+        m = load9(workspace, offset + block_row(r, r))
         z = v[2] * m[8]
         y = (v[1] - m[7] * z) * m[4]
         solved = ((v[0] - m[3] * y - m[6] * z) * m[0], y, z)
         store3(workspace, right + 3 * r, solved)
         for c in range(r):
             rest = load3(workspace, right + 3 * c)
-            store3(workspace, right + 3 * c, sub3(rest, turn_back3(load9(workspace, offset + block_row(r, c)), solved)))
+            store3(
+                workspace,
+                right + 3 * c,
+                sub3(rest, turn_back3(load9(workspace, offset + block_row(r, c)), solved)),
+            )
 
 
 @jit_inline
@@ -105,7 +129,8 @@ def _small_factor(m):
     """Cholesky of a 3 x 3 matrix, reciprocals on the diagonal."""
     zero = 0.0 * m[0]
     x = 1.0 / root(m[0])
-    yx, zx = m[3] * x, m[6] * x
+    yx = m[3] * x
+    zx = m[6] * x
     y = 1.0 / root(m[4] - yx * yx)
     zy = (m[7] - zx * yx) * y
     return x, zero, zero, yx, y, zero, zx, zy, 1.0 / root(m[8] - zx * zx - zy * zy)

@@ -1,4 +1,6 @@
-"""Vectors and 3 x 3 matrices of lanes, as tuples (rows first), for compiled kernels; see `habitus.kernels.simd`."""
+"""Vectors and 3 x 3 matrices of lanes, as tuples (rows first), for compiled kernels; see
+`habitus.kernels.simd`.
+"""
 
 import math
 
@@ -27,7 +29,9 @@ def store3(workspace, row, v):
 @jit_inline
 def load9(workspace, row):
     """The matrix in nine rows."""
-    a, b, c = load3(workspace, row), load3(workspace, row + 3), load3(workspace, row + 6)
+    a = load3(workspace, row)
+    b = load3(workspace, row + 3)
+    c = load3(workspace, row + 6)
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
 
 
@@ -116,27 +120,35 @@ def unit3(v):
 
 @jit_inline
 def rotation_and_jacobian9(v):
-    """R = exp([v]x) and its left Jacobian for any v: R = I + A [v]x + B [v]x^2 and L = I + B [v]x + C [v]x^2.
+    """R = exp([v]x) and its left Jacobian for any v: R = I + A [v]x + B [v]x^2 and L = I + B [v]x +
+    C [v]x^2.
 
-    A = sin n / n, B = (1 - cos n) / n^2, C = (n - sin n) / n^3 by series in n^2 for n < 1; else sin n and cos n by
-    series in the remainder of n by whole turns.
+    A = sin n / n, B = (1 - cos n) / n^2, C = (n - sin n) / n^3 by series in n^2 for n < 1; else sin
+    n and cos n by series in the remainder of n by whole turns.
     """
     squared = dot3(v, v)
     angle = root(squared)
     rest = angle - WHOLE * nearest(angle * (1.0 / WHOLE))
     b, c = _series(rest * rest)
-    sine, versine = rest - rest * rest * rest * c, rest * rest * b
+    sine = rest - rest * rest * rest * c
+    versine = rest * rest * b
     small_b, small_c = _series(where_less(squared, 1.0, squared, 0.0))
     far = where_less(squared, 1.0, 1.0, squared)
     b = where_less(squared, 1.0, small_b, versine / far)
-    c = where_less(squared, 1.0, small_c, (angle - sine) / (far * angle + (1.0 - where_less(squared, 1.0, 0.0, 1.0))))
+    c = where_less(
+        squared,
+        1.0,
+        small_c,
+        (angle - sine) / (far * angle + (1.0 - where_less(squared, 1.0, 0.0, 1.0))),
+    )
     return _rodrigues(1.0 - squared * c, b, squared, v), _rodrigues(b, c, squared, v)
 
 
 @jit_inline
 def _series(squared):
     """(1 - cos n) / n^2 and (n - sin n) / n^3 of n^2, for n up to pi."""
-    b, c = 1.0 + 0.0 * squared, 1.0 + 0.0 * squared
+    b = 1.0 + 0.0 * squared
+    c = 1.0 + 0.0 * squared
     for k in range(SERIES_TERMS, 0, -1):
         b = 1.0 - b * squared * (1.0 / ((2 * k + 1) * (2 * k + 2)))
         c = 1.0 - c * squared * (1.0 / ((2 * k + 2) * (2 * k + 3)))
@@ -149,13 +161,27 @@ def _rodrigues(a, b, squared, v):
     x, y, z = scale3(b, v)
     ax, ay, az = scale3(a, v)
     one = 1.0 - b * squared
-    xy, xz, yz = x * v[1], x * v[2], y * v[2]
-    return one + x * v[0], xy - az, xz + ay, xy + az, one + y * v[1], yz - ax, xz - ay, yz + ax, one + z * v[2]
+    xy = x * v[1]
+    xz = x * v[2]
+    yz = y * v[2]
+    return (
+        one + x * v[0],
+        xy - az,
+        xz + ay,
+        xy + az,
+        one + y * v[1],
+        yz - ax,
+        xz - ay,
+        yz + ax,
+        one + z * v[2],
+    )
 
 
 @jit_noalloc
 def block_row(r, c):
-    """Where block (r, c) begins in the lower triangle of a symmetric matrix of 3 x 3 blocks, kept block after block."""
+    """Where block (r, c) begins in the lower triangle of a symmetric matrix of 3 x 3 blocks, kept
+    block after block.
+    """
     return 9 * (r * (r + 1) // 2 + c)
 
 

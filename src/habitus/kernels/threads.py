@@ -1,4 +1,6 @@
-"""Plain Python threads for kernels that release the interpreter's lock: nothing spins, a forked child starts anew."""
+"""Plain Python threads for kernels that release the interpreter's lock: nothing spins, a forked
+child starts anew.
+"""
 
 import os
 from collections.abc import Callable, Iterator
@@ -14,7 +16,9 @@ _MOST: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Everything within is done on the thread that asks for it: who works on many things at once has one for each."""
+    """Everything within is done on the thread that asks for it: who works on many things at once
+    has one for each.
+    """
     before = _MOST.set(1)
     try:
         with _blas().limit(limits=1):
@@ -24,7 +28,9 @@ def one_thread() -> Iterator[None]:
 
 
 def num_threads() -> int:
-    """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this process may use."""
+    """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
+    process may use.
+    """
     most = _MOST.get()
     if most is not None:
         return most
@@ -35,12 +41,15 @@ def num_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_chunks(work: Callable[[int, int, int], None], size: int, least: int = 4096, pieces: int = 1) -> int:
+def run_chunks(
+    work: Callable[[int, int, int], None], size: int, least: int = 4096, pieces: int = 1
+) -> int:
     """Call `work(chunk, begin, end)` for ranges that make up 0..size; gives the number of chunks.
 
-    There are at most `pieces` chunks a thread, each of at least `least` items, so that small work stays on one thread:
-    to wake another takes about as long as a tenth of a millisecond of work.
-    The chunks depend on `size` and the number of threads only: sums over them are the same in every run.
+    There are at most `pieces` chunks a thread, each of at least `least` items, so that small work
+    stays on one thread: to wake another takes about as long as a tenth of a millisecond of work.
+    The chunks depend on `size` and the number of threads only: sums over them are the same in every
+    run.
     """
     chunks = count_chunks(size, least, pieces)
     if chunks == 1:
@@ -56,7 +65,9 @@ def run_chunks(work: Callable[[int, int, int], None], size: int, least: int = 40
     others = [_pool(os.getpid(), threads).submit(take) for _ in range(min(threads, chunks) - 1)]
     take()
     for other in others:
-        if not other.cancel():  # on a busy machine a thread may come too late to find work: nobody waits for it
+        if (
+            not other.cancel()
+        ):  # on a busy machine a thread may come too late to find work: nobody waits for it
             other.result()
     return chunks
 
@@ -73,7 +84,9 @@ def _pool(process: int, threads: int) -> ThreadPoolExecutor:
 
 
 def one_blas_thread() -> AbstractContextManager:
-    """Matrix products within are on the thread that asks for them: the threads are the caller's own."""
+    """Matrix products within are on the thread that asks for them: the threads are the caller's
+    own.
+    """
     return _blas().limit(limits=1, user_api="blas")
 
 

@@ -1,4 +1,6 @@
-"""The trained arrays as a body model, with what the template's own body knows besides (landmarks, pose prior, sex)."""
+"""The trained arrays as a body model, with what the template's own body knows besides (landmarks,
+pose prior, sex).
+"""
 
 from dataclasses import replace
 from types import MappingProxyType
@@ -25,10 +27,11 @@ def assemble(
     shape: ShapeSpace,
     body: BodyModel | None = None,
 ) -> BodyModel:
-    """The trained arrays as a body model; ``body`` is the one that the template is of, if it is of any.
+    """The trained arrays as a body model; ``body`` is the one that the template is of, if it is of
+    any.
 
-    All that such a body knows and training does not find is carried over as it is: ages, expressions, quads, texture,
-    parts, mirror, pose prior, hands.
+    All that such a body knows and training does not find is carried over as it is: ages,
+    expressions, quads, texture, parts, mirror, pose prior, hands.
     """
     trained = BodyModel(
         name=name,
@@ -57,7 +60,9 @@ def _pose_shapes(rig: Rig) -> dict[str, Any]:
         return {"posedirs": None}
     joints = tuple(range(1, rig.num_joints))
     blocks = rig.posedirs.reshape(*rig.posedirs.shape[:2], 1 + rig.shape_features, len(joints), -1)
-    drivers = tuple(joint for joint, drives in zip(joints, blocks.any((0, 1, 2, 4)), strict=True) if drives)
+    drivers = tuple(
+        joint for joint, drives in zip(joints, blocks.any((0, 1, 2, 4)), strict=True) if drives
+    )
     if not drivers or drivers == joints:
         return {"posedirs": rig.posedirs.copy()}
     return {
@@ -69,7 +74,9 @@ def _pose_shapes(rig: Rig) -> dict[str, Any]:
 def _carried_over(body: BodyModel, shape: ShapeSpace) -> dict[str, Any]:
     """What a body knows that training does not find, for the same mesh and the same joints."""
     extras = {key: value for key, value in body.extras.items() if key not in _OF_THE_FILE}
-    same = shape.directions.shape == body.shapedirs.shape and np.array_equal(shape.directions, body.shapedirs)
+    same = shape.directions.shape == body.shapedirs.shape and np.array_equal(
+        shape.directions, body.shapedirs
+    )
     same = same and np.array_equal(shape.mean, body.v_template)
     return {
         **{key: getattr(body, key) for key in _CARRIED},
@@ -79,11 +86,14 @@ def _carried_over(body: BodyModel, shape: ShapeSpace) -> dict[str, Any]:
     }
 
 
-def sex_direction(body: BodyModel, shape: ShapeSpace) -> tuple[Float[np.ndarray, " B"], float] | None:
-    """A body's sex direction by the coefficients of another shape space of the same mesh; None where it has none.
+def sex_direction(
+    body: BodyModel, shape: ShapeSpace
+) -> tuple[Float[np.ndarray, " B"], float] | None:
+    """A body's sex direction by the coefficients of another shape space of the same mesh; None
+    where it has none.
 
-    A surface of the space is brought to the body's coefficients by least squares over vertices and a translation,
-    which is linear: so is what says how likely its person is a woman.
+    A surface of the space is brought to the body's coefficients by least squares over vertices and
+    a translation, which is linear: so is what says how likely its person is a woman.
     """
     if body.female_direction is None:
         return None
@@ -91,6 +101,8 @@ def sex_direction(body: BodyModel, shape: ShapeSpace) -> tuple[Float[np.ndarray,
     places = np.tile(np.eye(3), (body.num_vertices, 1))
     columns = np.concatenate([body.shapedirs.reshape(-1, body.num_betas), places], 1)
     surfaces = np.concatenate([(shape.mean - body.v_template)[..., None], shape.directions], -1)
-    betas = np.linalg.lstsq(columns, surfaces.reshape(len(columns), -1), rcond=None)[0][: body.num_betas]
+    betas = np.linalg.lstsq(columns, surfaces.reshape(len(columns), -1), rcond=None)[0][
+        : body.num_betas
+    ]
     found = direction @ betas
     return found[1:], bias + float(found[0])

@@ -20,7 +20,8 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class TrainingState:
-    """Complete state of the alternation, as stored in a checkpoint; ``finished`` means that it has converged.
+    """Complete state of the alternation, as stored in a checkpoint; ``finished`` means that it has
+    converged.
 
     ``before`` is the estimate at the beginning of a round that is under way, None between rounds.
     """
@@ -58,7 +59,9 @@ class TrainingCallback(Protocol):
         ...
 
     def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
-        """An array (S,V,3) for the pose-normalised surfaces (m), and how many of them it already holds."""
+        """An array (S,V,3) for the pose-normalised surfaces (m), and how many of them it already
+        holds.
+        """
         ...
 
     def on_surfaces_stored(self, count: int) -> None:

@@ -15,7 +15,8 @@ from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template
 
-_ALIKE, _NEAR = 0.7, np.deg2rad(20.0)
+_ALIKE = 0.7
+_NEAR = np.deg2rad(20.0)
 _UNITS = {
     1000.0: "in millimetres",
     100.0: "in centimetres",
@@ -26,7 +27,8 @@ _UNITS = {
     0.01: "a hundred times too small (metres taken for centimetres)",
     0.001: "a thousand times too small (metres taken for millimetres)",
 }
-_MOST_NAMED, _STRAINED = 5, 0.4
+_MOST_NAMED = 5
+_STRAINED = 0.4
 
 
 def check_registrations(
@@ -38,13 +40,14 @@ def check_registrations(
 ) -> list[Finding]:
     """All that is wrong with registrations and their template, errors first.
 
-    Errors: another topology than the template's; parts scattered over the mesh; vertices that are infinite; more holes
-    than vertices; another unit than metres; a mesh that is broken (collapsed, torn, its vertices in another order, a
-    mirror image); a registration under the name of one subject with the build of another; a subject of two sexes.
-    Warnings: oddities of the template (`check_template`); joints that hardly bend in the pose set; subjects with one
-    pose; meshes that are there twice; another axis up, or faced, than the template's; holes, which without ``holes``
-    are errors. One registration is in memory at a time; ``over`` maps a function over registrations, in order (on
-    threads, say).
+    Errors: another topology than the template's; parts scattered over the mesh; vertices that are
+    infinite; more holes than vertices; another unit than metres; a mesh that is broken (collapsed,
+    torn, its vertices in another order, a mirror image); a registration under the name of one
+    subject with the build of another; a subject of two sexes. Warnings: oddities of the template
+    (`check_template`); joints that hardly bend in the pose set; subjects with one pose; meshes that
+    are there twice; another axis up, or faced, than the template's; holes, which without ``holes``
+    are errors. One registration is in memory at a time; ``over`` maps a function over
+    registrations, in order (on threads, say).
     """
     findings = [*check_template(template), *subject_findings(registrations)]
     other = other_topology(registrations, template)
@@ -53,8 +56,15 @@ def check_registrations(
     ruler = Ruler(template)
     measures = list(over(partial(_measure, ruler, registrations), range(len(registrations))))
     posed = registrations.made.tolist()
-    wrong = [_fault(one, template.num_vertices, holes, made) for one, made in zip(measures, posed, strict=True)]
-    findings += [Finding("error", name, fault) for name, fault in zip(registrations.name, wrong, strict=True) if fault]
+    wrong = [
+        _fault(one, template.num_vertices, holes, made)
+        for one, made in zip(measures, posed, strict=True)
+    ]
+    findings += [
+        Finding("error", name, fault)
+        for name, fault in zip(registrations.name, wrong, strict=True)
+        if fault
+    ]
     sound = np.array([not fault for fault in wrong], dtype=bool)
     findings += mislabelled(registrations, measures, sound)
     findings += unposed(registrations, template, ruler, measures, sound)
@@ -73,7 +83,8 @@ def refuse(findings: Sequence[Finding]) -> None:
 
 
 def other_topology(registrations: Registrations, template: Template) -> str | None:
-    """Difference between the registrations' topology and the template's as text; None where they agree.
+    """Difference between the registrations' topology and the template's as text; None where they
+    agree.
 
     The order of the faces, and at which corner each begins, do not matter.
     """
@@ -83,9 +94,16 @@ def other_topology(registrations: Registrations, template: Template) -> str | No
             "expected registrations of this template"
         )
     if len(registrations.faces) != len(template.faces):
-        return f"{len(registrations.faces)} faces, the template has {len(template.faces)}; expected the same ones"
+        return (
+            f"{len(registrations.faces)} faces, the template has {len(template.faces)}; "
+            "expected the same ones"
+        )
     off = len(_from_least(template.faces) - _from_least(registrations.faces))
-    return f"{off} of {len(template.faces)} faces are not the template's; expected the same ones" if off else None
+    return (
+        f"{off} of {len(template.faces)} faces are not the template's; expected the same ones"
+        if off
+        else None
+    )
 
 
 def _from_least(faces: Int[np.ndarray, "F 3"]) -> set[tuple[int, ...]]:
@@ -98,7 +116,9 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
     """The measures of a registration, or why it cannot be read."""
     try:
         vertices, weight = registrations.read_seen(k)
-        if weight is not None and registrations.made[k]:  # what does not count lies where it should all the same
+        if (
+            weight is not None and registrations.made[k]
+        ):  # what does not count lies where it should all the same
             vertices = registrations.read(k)
             weight = np.isfinite(vertices).all(1).astype(np.float64)
             vertices[weight == 0] = 0.0
@@ -108,32 +128,49 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
 
 
 def _fault(measures: Measures | str, vertices: int, holes: bool, made: bool) -> str | None:
-    """The fault of one registration by itself, or None. One that was ``made`` may be folded up as nobody is scanned."""
+    """The fault of one registration by itself, or None. One that was ``made`` may be folded up as
+    nobody is scanned.
+    """
     if isinstance(measures, str):
         return measures
     m = measures
     if bad := m.bad + m.holes * (not holes):
-        return f"{bad} {'vertex is' if bad == 1 else 'vertices are'} not finite; repair or leave it out"
+        return (
+            f"{bad} {'vertex is' if bad == 1 else 'vertices are'} not finite; repair or leave "
+            "it out"
+        )
     if 2 * m.holes > vertices:
-        return f"{m.holes} of its {vertices} vertices are holes; expected half of them or less: leave it out"
+        return (
+            f"{m.holes} of its {vertices} vertices are holes; expected half of them or less: "
+            "leave it out"
+        )
     if m.extent < 1e-6 or m.edge < 1e-6:
         return "its vertices are collapsed to a point or a line; repair or leave it out"
     if not 0.22 < m.edge < 2.2 and m.strain < _STRAINED:
         factor = min(_UNITS, key=lambda factor: abs(np.log(m.edge / factor)))
-        told = f"it seems to be {_UNITS[factor]}" if abs(np.log(m.edge / factor)) < np.log(1.6) else "no known unit"
-        return f"its edges are {m.edge:.4g} times the template's: {told}; expected metres: say its unit"
+        told = (
+            f"it seems to be {_UNITS[factor]}"
+            if abs(np.log(m.edge / factor)) < np.log(1.6)
+            else "no known unit"
+        )
+        return (
+            f"its edges are {m.edge:.4g} times the template's: {told}; expected metres: say "
+            "its unit"
+        )
     if m.short > 0.05:
         return f"{m.short:.0%} of its edges are collapsed to a point; repair or leave it out"
     if m.edge > 2 * m.extent and not (made and m.strain < _STRAINED):
         return (
-            f"its edges are {m.edge:.3g} times as long as the template's, its whole {m.extent:.3g} times as large; "
+            f"its edges are {m.edge:.3g} times as long as the template's, its whole "
+            f"{m.extent:.3g} times as large; "
             "expected the template's vertices, each in its place in the order and on the surface"
         )
     if m.flying:
         return f"{m.flying} of its edges cross the body: vertices fly off; repair or leave it out"
     if m.long > 0.01 or m.strain > _STRAINED:
         return (
-            f"its edges are {m.strain:.0%} off the template's in the mean, {m.long:.1%} over 5 times as long; "
+            f"its edges are {m.strain:.0%} off the template's in the mean, {m.long:.1%} over 5 "
+            "times as long; "
             "repair or leave it out"
         )
     if m.mirrored > 0.6:
@@ -142,7 +179,9 @@ def _fault(measures: Measures | str, vertices: int, holes: bool, made: bool) -> 
 
 
 def _frame(measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Finding]:
-    """Registrations that stand in another frame than the template's: z up, say, or all facing backwards."""
+    """Registrations that stand in another frame than the template's: z up, say, or all facing
+    backwards.
+    """
     turns = [measures[k].upright for k in np.flatnonzero(sound).tolist()]
     if not turns:
         return []
@@ -151,7 +190,8 @@ def _frame(measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Findi
         return []
     faced = f" and face {front}" if front else ""
     message = (
-        f"they stand with {up} up{faced}; expected +y up, facing +z, as the template: turn them, or their roots' poses "
+        f"they stand with {up} up{faced}; expected +y up, facing +z, as the template: turn them, "
+        "or their roots' poses "
         "will all hold that turn"
     )
     return [Finding("warning", "the registrations", message)]
@@ -159,17 +199,27 @@ def _frame(measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Findi
 
 def _axis(mean: Float[np.ndarray, " 3"]) -> str:
     """The axis that a mean direction lies along; "" where directions differ, or lie along none."""
-    length, k = float(np.linalg.norm(mean)), int(np.abs(mean).argmax())
+    length = float(np.linalg.norm(mean))
+    k = int(np.abs(mean).argmax())
     clear = length > _ALIKE and abs(mean[k]) > np.cos(_NEAR) * length
     return f"{'-' if mean[k] < 0 else '+'}{'xyz'[k]}" if clear else ""
 
 
-def _holes(registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Finding]:
-    holes = {registrations.name[k]: measures[k].holes for k in np.flatnonzero(sound).tolist() if measures[k].holes}
+def _holes(
+    registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]
+) -> list[Finding]:
+    holes = {
+        registrations.name[k]: measures[k].holes
+        for k in np.flatnonzero(sound).tolist()
+        if measures[k].holes
+    }
     if not holes:
         return []
     most = max(holes, key=lambda name: holes[name])
     share = np.array([*holes.values()]) / registrations.num_vertices
     many = f"{len(holes)} registrations have" if len(holes) > 1 else "1 registration has"
-    message = f"{many} holes: {share.mean():.1%} of the vertices on average, most {most} ({share.max():.1%})"
+    message = (
+        f"{many} holes: {share.mean():.1%} of the vertices on average, most {most} "
+        f"({share.max():.1%})"
+    )
     return [Finding("warning", "the registrations", message)]

@@ -12,7 +12,9 @@ from habitus.parallel.workers import Workers, in_blocks
 
 @dataclass(frozen=True)
 class Energy:
-    """Weighted terms of eq. 14 (m^2): data E_D, symmetry E_Y, joints E_J, pose_shapes E_P, skinning E_W."""
+    """Weighted terms of eq. 14 (m^2): data E_D, symmetry E_Y, joints E_J, pose_shapes E_P, skinning
+    E_W.
+    """
 
     terms: Mapping[str, float]
 

@@ -22,7 +22,8 @@ class Anatomy:
 
 @dataclass(frozen=True, eq=False)
 class PosedTarget:
-    """A registration (m), its pose (rotation vectors, rad), its translation (m), and its vertices' weights, 0 to 1.
+    """A registration (m), its pose (rotation vectors, rad), its translation (m), and its vertices'
+    weights, 0 to 1.
 
     Without ``weight`` all are 1. Where it is 0, ``vertices`` are any numbers.
     """
@@ -35,10 +36,12 @@ class PosedTarget:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data of training: multi-pose registrations, the template's anatomy, initial skinning weights, options.
+    """Data of training: multi-pose registrations, the template's anatomy, initial skinning weights,
+    options.
 
-    ``initial_weights`` (V,J) is W_I of eq. 14; ``candidates`` (V,C) are the joints that may move each vertex.
-    ``weighted`` is False where all vertices of all registrations are known to count alike.
+    ``initial_weights`` (V,J) is W_I of eq. 14; ``candidates`` (V,C) are the joints that may move
+    each vertex. ``weighted`` is False where all vertices of all registrations are known to count
+    alike.
     """
 
     registrations: Registrations
@@ -65,8 +68,8 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Every unknown of eq. 14: the rig {W, P}, the subjects' rest surfaces and joints (m), poses (rad) and
-    translations (m).
+    """Every unknown of eq. 14: the rig {W, P}, the subjects' rest surfaces and joints (m), poses
+    (rad) and translations (m).
 
     ``descriptors`` (S,s) hold what shape-dependent blend shapes go by, none for the paper's model.
     """
@@ -93,6 +96,8 @@ def posed_targets(
         yield person, PosedTarget(vertices, estimate.pose[row], estimate.trans[row], weight)
 
 
-def weighted(rows: Float[np.ndarray, "V ..."], weight: Float[np.ndarray, " V"] | None) -> Float[np.ndarray, "V ..."]:
+def weighted(
+    rows: Float[np.ndarray, "V ..."], weight: Float[np.ndarray, " V"] | None
+) -> Float[np.ndarray, "V ..."]:
     """Rows of vertices times their weights; the rows themselves where there are none."""
     return rows if weight is None else weight.reshape(-1, *(1,) * (rows.ndim - 1)) * rows

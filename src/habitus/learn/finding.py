@@ -9,8 +9,8 @@ _MOST_NAMED = 3
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong: an "error" keeps from learning, a "warning" does not. ``name``: a registration, a
-    subject, a joint, several of them, or "the registrations".
+    """One thing that is wrong: an "error" keeps from learning, a "warning" does not. ``name``: a
+    registration, a subject, a joint, several of them, or "the registrations".
     """
 
     kind: Literal["error", "warning"]

@@ -14,8 +14,10 @@ POSE_SHAPES = ("full", "sparse", "local", "low_rank", "l1", "none")
 STARTS = ("parts", "body")
 REGRESSORS = ("auto", "convex", "signed")
 FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs", "people", "poses")
-"""What can be held fixed: of a body by the names of its arrays, "shapedirs" with the mean, ``v_template``; of the
-registrations what is known of them: rest surfaces of the "people", "poses" and places."""
+"""What can be held fixed: of a body by the names of its arrays, "shapedirs" with the mean,
+``v_template``; of the registrations what is known of them: rest surfaces of the "people", "poses"
+and places.
+"""
 HELD = {"people": ("templates", "joints"), "poses": ("pose", "trans")}
 """The unknowns of eq. 14 that those of `FIXED` hold, where these are not of the same name."""
 STOPPING = ("rounds", "tolerance", "least_effect")
@@ -24,9 +26,10 @@ STOPPING = ("rounds", "tolerance", "least_effect")
 
 @dataclass(frozen=True)
 class EnergyWeights:
-    """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints lambda_J, pose_shapes
-    lambda_P, and skinning. The last is 1 in the paper and alone depends on the unit of length: like MoSh's weights it
-    is taken against square centimetres. Against square metres the weights could hardly leave their start.
+    """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints
+    lambda_J, pose_shapes lambda_P, and skinning. The last is 1 in the paper and alone depends on
+    the unit of length: like MoSh's weights it is taken against square centimetres. Against square
+    metres the weights could hardly leave their start.
     """
 
     symmetry: float = 100.0
@@ -43,16 +46,25 @@ class EnergyWeights:
 class TrainOptions:
     """Kind of model and stopping criteria. Raises HabitusError for values that do not make sense.
 
-    skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that move a vertex, S
-    5.2), "local" (by the joints near it that matter: a joint lets go of a vertex where that costs people left out less
-    than ``least_effect``, m, root mean square over the registrations), "low_rank" (of ``rank``), "l1" (with weight
+    skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that
+    move a vertex, S
+    5.2), "local" (by the joints near it that matter: a joint lets go of a vertex where that costs
+    people left out less
+    than ``least_effect``, m, root mean square over the registrations), "low_rank" (of ``rank``),
+    "l1" (with weight
     ``l1`` in place of lambda_P), "none" (plain skinning).
-    pose_features: what drives them (``body.features``). shape_features: how many shape coefficients they depend on
-    (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at most; they end
-    earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the template's "parts" (S 4.1),
-    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend shapes, and what is
-    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex" (S 4.1),
-    "signed" (weights below zero allowed), "auto" (for the joints where these pay on people left out).
+    pose_features: what drives them (``body.features``). shape_features: how many shape coefficients
+    they depend on
+    (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at
+    most; they end
+    earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the
+    template's "parts" (S 4.1),
+    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend
+    shapes, and what is
+    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor:
+    "convex" (S 4.1),
+    "signed" (weights below zero allowed), "auto" (for the joints where these pay on people left
+    out).
     """
 
     skinning: str = "lbs"
@@ -80,19 +92,35 @@ class TrainOptions:
             ("regressor", REGRESSORS),
         ):
             if getattr(self, key) not in allowed:
-                raise HabitusError(f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}")
-        object.__setattr__(self, "fixed", (self.fixed,) if isinstance(self.fixed, str) else tuple(self.fixed))
+                raise HabitusError(
+                    f"{key} is {getattr(self, key)!r}; expected one of {', '.join(allowed)}"
+                )
+        object.__setattr__(
+            self, "fixed", (self.fixed,) if isinstance(self.fixed, str) else tuple(self.fixed)
+        )
         self._check_fixed()
         _check_sizes({key: getattr(self, key) for key in ("l1", "least_effect", "tolerance")})
         if self.influences > CANDIDATES:
-            raise HabitusError(f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex")
-        for key, least in (("rank", 1), ("influences", 1), ("num_betas", 1), ("rounds", 1), ("shape_features", 0)):
+            raise HabitusError(
+                f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex"
+            )
+        for key, least in (
+            ("rank", 1),
+            ("influences", 1),
+            ("num_betas", 1),
+            ("rounds", 1),
+            ("shape_features", 0),
+        ):
             if getattr(self, key) < least:
                 raise HabitusError(f"{key} is {getattr(self, key)}; expected {least} or more")
-        if self.shape_features > self.num_betas or (self.shape_features and self.pose_shapes == "none"):
+        if self.shape_features > self.num_betas or (
+            self.shape_features and self.pose_shapes == "none"
+        ):
             raise HabitusError(
-                f"shape_features is {self.shape_features} with {self.num_betas} num_betas and pose_shapes "
-                f"{self.pose_shapes!r}; expected pose blend shapes that depend on some of the shape coefficients"
+                f"shape_features is {self.shape_features} with {self.num_betas} num_betas and "
+                "pose_shapes "
+                f"{self.pose_shapes!r}; expected pose blend shapes that depend on some of the "
+                "shape coefficients"
             )
 
     def _check_fixed(self) -> None:
@@ -101,12 +129,18 @@ class TrainOptions:
             raise HabitusError(f"fixed names {unknown[0]!r}; expected some of {', '.join(FIXED)}")
         if self.fixed and self.start != "body":
             raise HabitusError(
-                f"{', '.join(self.fixed)} fixed, with a start from {self.start!r}; expected start 'body', a training "
+                f"{', '.join(self.fixed)} fixed, with a start from {self.start!r}; expected start "
+                "'body', a training "
                 "that begins with a body's own arrays"
             )
-        for name, key, without in (("posedirs", "pose_shapes", "none"), ("shapedirs", "shape_features", 0)):
+        for name, key, without in (
+            ("posedirs", "pose_shapes", "none"),
+            ("shapedirs", "shape_features", 0),
+        ):
             if name in self.fixed and (getattr(self, key) == without) == (name == "posedirs"):
-                raise HabitusError(f"{name} fixed with {key} {getattr(self, key)!r}; these exclude each other")
+                raise HabitusError(
+                    f"{name} fixed with {key} {getattr(self, key)!r}; these exclude each other"
+                )
 
 
 def _check_sizes(numbers: Mapping[str, float]) -> None:

@@ -1,7 +1,8 @@
 """Over-relaxation: extrapolate the last round's update while the energy decreases.
 
-Block coordinate descent converges slowly where blocks are coupled: pose blend shapes can compensate for joints, weights
-and poses that are slightly off. The update of a round then points in a good direction but is too short.
+Block coordinate descent converges slowly where blocks are coupled: pose blend shapes can compensate
+for joints, weights and poses that are slightly off. The update of a round then points in a good
+direction but is too short.
 """
 
 from dataclasses import replace
@@ -14,26 +15,32 @@ from habitus.learn.posing.rig import Rig
 from habitus.parallel.workers import Workers
 
 _FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0)  # times the change
-_BOUND_IN_RANK = ("low_rank",)  # pose blend shapes that would leave what they are bound to along a line
+_BOUND_IN_RANK = (
+    "low_rank",
+)  # pose blend shapes that would leave what they are bound to along a line
 
 
 def over_relax(
     problem: Problem, before: Estimate, after: Estimate, energy: Energy, workers: Workers
 ) -> tuple[Estimate, Energy]:
-    """The estimate of lowest energy on the line from ``before`` through ``after`` and beyond, and its energy."""
+    """The estimate of lowest energy on the line from ``before`` through ``after`` and beyond, and
+    its energy.
+    """
     best = after
     for factor in _FACTORS:
         trial = _beyond(problem, before, after, factor)
         trial_energy = measure_energy(problem, trial, workers)
         if trial_energy.total >= energy.total:
             break
-        best, energy = trial, trial_energy
+        best = trial
+        energy = trial_energy
     return best, energy
 
 
 def _beyond(problem: Problem, before: Estimate, after: Estimate, factor: float) -> Estimate:
     def moved(name: str) -> np.ndarray:
-        first, last = getattr(before, name), getattr(after, name)
+        first = getattr(before, name)
+        last = getattr(after, name)
         return last + factor * (last - first)
 
     free = problem.options.pose_shapes not in _BOUND_IN_RANK
@@ -46,7 +53,9 @@ def _beyond(problem: Problem, before: Estimate, after: Estimate, factor: float) 
 
 
 def _rig_beyond(before: Rig, after: Rig, factor: float, free: bool, moves: bool) -> Rig:
-    """Weights that move are extrapolated on their joints and kept convex; pose blend shapes where they are ``free``."""
+    """Weights that move are extrapolated on their joints and kept convex; pose blend shapes where
+    they are ``free``.
+    """
     value = after.value
     if moves:
         first = np.take_along_axis(before.weights, after.index, 1)

@@ -11,7 +11,8 @@ from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template
 
-LEAST_POSES, BENT = 5, np.deg2rad(15.0)
+LEAST_POSES = 5
+BENT = np.deg2rad(15.0)
 _SAME = 2e-5  # of edges' lengths: what copies in single precision that stand metres apart differ by
 
 
@@ -27,9 +28,14 @@ def subject_findings(registrations: Registrations) -> list[Finding]:
             poses[subject] = poses.get(subject, 0) + 1
     for subject, told in sexes.items():
         if len(told) > 1:
-            counts = sorted(((len(names), sex or "not told", names[0]) for sex, names in told.items()), reverse=True)
+            counts = sorted(
+                ((len(names), sex or "not told", names[0]) for sex, names in told.items()),
+                reverse=True,
+            )
             words = " and ".join(f"{sex} in {count} (first {name})" for count, sex, name in counts)
-            findings.append(Finding("error", subject, f"the sex of this subject is {words}; expected one"))
+            findings.append(
+                Finding("error", subject, f"the sex of this subject is {words}; expected one")
+            )
     single = [subject for subject, count in poses.items() if count == 1]
     if single:
         message = "one pose only; expected several of a subject of the pose set, or the set 'shape'"
@@ -37,12 +43,14 @@ def subject_findings(registrations: Registrations) -> list[Finding]:
     return findings
 
 
-def mislabelled(registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Finding]:
+def mislabelled(
+    registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]
+) -> list[Finding]:
     """Registrations far from their own subject's build and near another's.
 
-    A build is compared with the median of its subject's others, and with other subjects' medians, in spreads within
-    subjects. Far and near are meant so that two alike people who are mixed up go unnoticed rather than one person in
-    an odd pose is blamed.
+    A build is compared with the median of its subject's others, and with other subjects' medians,
+    in spreads within subjects. Far and near are meant so that two alike people who are mixed up go
+    unnoticed rather than one person in an odd pose is blamed.
     """
     rows = np.flatnonzero(sound)
     if not len(rows):
@@ -64,16 +72,20 @@ def mislabelled(registrations: Registrations, measures: Sequence[Any], sound: Bo
         others[subject[k]] = np.inf
         nearest = int(np.nanargmin(others))
         if others[nearest] < 0.6 * mine[i]:
-            name, alike = registrations.subjects[subject[k]], registrations.subjects[nearest]
+            name = registrations.subjects[subject[k]]
+            alike = registrations.subjects[nearest]
             message = (
-                f"it is said to be {name} but is built like {alike} ({others[nearest]:.2f} spreads away, "
+                f"it is said to be {name} but is built like {alike} ({others[nearest]:.2f} "
+                "spreads away, "
                 f"{mine[i]:.2f} from {name}); check its subject"
             )
             findings.append(Finding("error", registrations.name[rows[k]], message))
     return findings
 
 
-def _distance(gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"]) -> Float[np.ndarray, " n"]:
+def _distance(
+    gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"]
+) -> Float[np.ndarray, " n"]:
     """The mean gap in spreads, none of them counting for more than ten."""
     return np.minimum(gaps / spread, 10.0).mean(axis=1)
 
@@ -81,51 +93,90 @@ def _distance(gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"]) -
 def _medians(
     builds: Float[np.ndarray, "n L"], subject: Int[np.ndarray, " n"], subjects: int
 ) -> tuple[Float[np.ndarray, "S L"], Float[np.ndarray, "n L"]]:
-    """Each subject's median, and for each row that of its subject's other rows; NaN where there are none."""
-    middle, own = np.full((subjects, builds.shape[1]), np.nan), np.full(builds.shape, np.nan)
+    """Each subject's median, and for each row that of its subject's other rows; NaN where there are
+    none.
+    """
+    middle = np.full((subjects, builds.shape[1]), np.nan)
+    own = np.full(builds.shape, np.nan)
     order = np.argsort(subject, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(subject[order])) + 1):
         middle[subject[rows[0]]] = np.median(builds[rows], axis=0)
         if len(rows) > 20:
             own[rows] = middle[subject[rows[0]]]
         elif len(rows) > 1:
-            own[rows] = [_usual(builds[row], builds[np.delete(rows, i)]) for i, row in enumerate(rows)]
+            own[rows] = [
+                _usual(builds[row], builds[np.delete(rows, i)]) for i, row in enumerate(rows)
+            ]
     return middle, own
 
 
-def _usual(build: Float[np.ndarray, " L"], others: Float[np.ndarray, "n L"]) -> Float[np.ndarray, " L"]:
+def _usual(
+    build: Float[np.ndarray, " L"], others: Float[np.ndarray, "n L"]
+) -> Float[np.ndarray, " L"]:
     """The median of a subject's other builds; of two, whose middle is nobody's, the nearer one."""
-    return np.median(others, axis=0) if len(others) > 2 else others[np.abs(others - build).sum(axis=1).argmin()]
+    return (
+        np.median(others, axis=0)
+        if len(others) > 2
+        else others[np.abs(others - build).sum(axis=1).argmin()]
+    )
 
 
 def unposed(
-    registrations: Registrations, template: Template, ruler: Ruler, measures: Sequence[Any], sound: np.ndarray
+    registrations: Registrations,
+    template: Template,
+    ruler: Ruler,
+    measures: Sequence[Any],
+    sound: np.ndarray,
 ) -> list[Finding]:
-    """Joints that fewer than `LEAST_POSES` registrations of the pose set bend by 15 degrees from their mean."""
-    posed = np.flatnonzero(sound & np.array([which == "pose" for which in registrations.set], dtype=bool))
+    """Joints that fewer than `LEAST_POSES` registrations of the pose set bend by 15 degrees from
+    their mean.
+    """
+    posed = np.flatnonzero(
+        sound & np.array([which == "pose" for which in registrations.set], dtype=bool)
+    )
     if len(posed) < LEAST_POSES:
-        message = f"{len(posed)} in the set 'pose'; expected {LEAST_POSES} and more, for every joint to bend"
+        message = (
+            f"{len(posed)} in the set 'pose'; expected {LEAST_POSES} and more, for every "
+            "joint to bend"
+        )
         return [Finding("warning", "the registrations", message)]
     turns = np.stack([measures[k].turns for k in posed.tolist()])
     u, _, vt = np.linalg.svd(np.nan_to_num(np.nanmean(turns, axis=0, dtype=np.float64)))
     u[..., 2] *= np.linalg.det(u @ vt)[:, None]
     cosine = (np.einsum("njab,jab->nj", turns, u @ vt) - 1) / 2
     bent = (cosine < np.cos(BENT)).sum(axis=0)
-    stiff = [joint for joint in range(1, template.num_joints) if ruler.rigid[joint] and bent[joint] < LEAST_POSES]
+    stiff = [
+        joint
+        for joint in range(1, template.num_joints)
+        if ruler.rigid[joint] and bent[joint] < LEAST_POSES
+    ]
     stiff.sort(key=lambda joint: bent[joint])
     if not stiff:
         return []
-    these, least = ("this joint", bent[stiff[0]]) if len(stiff) == 1 else ("each of these joints", bent[stiff].min())
+    these, least = (
+        ("this joint", bent[stiff[0]])
+        if len(stiff) == 1
+        else ("each of these joints", bent[stiff].min())
+    )
     message = (
-        f"fewer than {LEAST_POSES} poses bend {these} more than 15 degrees ({least} of {len(posed)} do"
+        f"fewer than {LEAST_POSES} poses bend {these} more than 15 degrees ({least} of "
+        f"{len(posed)} do"
         f"{' at the least' if len(stiff) > 1 else ''}); add poses that do, or expect little of "
         f"{'it' if len(stiff) == 1 else 'them'}"
     )
-    return [Finding("warning", _many([template.joint_names[joint] for joint in stiff], "joints"), message)]
+    return [
+        Finding(
+            "warning", _many([template.joint_names[joint] for joint in stiff], "joints"), message
+        )
+    ]
 
 
-def duplicates(registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Finding]:
-    """Meshes that are there twice, wherever they stand: all their parts are built and turned alike."""
+def duplicates(
+    registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]
+) -> list[Finding]:
+    """Meshes that are there twice, wherever they stand: all their parts are built and turned
+    alike.
+    """
     rows = np.flatnonzero(sound)
     order = rows[np.argsort([measures[k].strain for k in rows.tolist()], kind="stable")].tolist()
     same: dict[int, int] = {}
@@ -137,9 +188,14 @@ def duplicates(registrations: Registrations, measures: Sequence[Any], sound: Boo
                 same[other] = k
     if not same:
         return []
-    pairs = [f"{registrations.name[max(pair)]} is {registrations.name[min(pair)]}" for pair in sorted(same.items())]
+    pairs = [
+        f"{registrations.name[max(pair)]} is {registrations.name[min(pair)]}"
+        for pair in sorted(same.items())
+    ]
     count = "1 mesh is" if len(same) == 1 else f"{len(same)} meshes are"
-    message = f"{count} there twice ({named(pairs)}); leave copies out: they tell nothing and count again"
+    message = (
+        f"{count} there twice ({named(pairs)}); leave copies out: they tell nothing and count again"
+    )
     return [Finding("warning", "the registrations", message)]
 
 

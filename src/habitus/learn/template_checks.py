@@ -1,4 +1,6 @@
-"""Checks of a template before training: joints without vertices, scattered parts, left taken for right."""
+"""Checks of a template before training: joints without vertices, scattered parts, left taken for
+right.
+"""
 
 import numpy as np
 from jaxtyping import Int
@@ -9,18 +11,22 @@ from habitus.learn.finding import Finding, named
 from habitus.learn.posing.rig import kinship
 from habitus.mesh.template import Template
 
-_SCATTERED = 0.1  # pieces beyond one a part, as a share of the vertices: no segmentation of a body has as many
+# pieces beyond one a part, as a share of the vertices: no segmentation of a body has as many
+_SCATTERED = 0.1
 _STRAY = 3  # vertices of a part among parts far from it that are worth a note
 _KIN = 2  # bones between joints whose parts may touch
 
 
 def check_template(template: Template) -> list[Finding]:
-    """What is odd about a template. Errors: parts that are scattered over the mesh. Warnings: joints without vertices;
-    pieces of parts that lie among parts far from theirs; joints called left on the right side.
+    """What is odd about a template. Errors: parts that are scattered over the mesh. Warnings:
+    joints without vertices; pieces of parts that lie among parts far from theirs; joints called
+    left on the right side.
     """
     findings = []
     if template.empty_joints:
-        message = "no vertex belongs to this joint; expected a part of the mesh, or a tree without it"
+        message = (
+            "no vertex belongs to this joint; expected a part of the mesh, or a tree without it"
+        )
         findings.append(Finding("warning", named(template.empty_joints, 5), message))
     return [*findings, *_scattered(template), *_sides(template)]
 
@@ -29,7 +35,8 @@ def _scattered(template: Template) -> list[Finding]:
     pieces, stray = scattered(template)
     if pieces - len(np.unique(template.part)) > _SCATTERED * template.num_vertices:
         message = (
-            f"its {template.num_joints} parts lie in {pieces} pieces; expected parts of connected vertices, one around "
+            f"its {template.num_joints} parts lie in {pieces} pieces; expected parts of connected "
+            "vertices, one around "
             "each bone: check the order of the array 'part'"
         )
         return [Finding("error", "the template", message)]
@@ -37,15 +44,18 @@ def _scattered(template: Template) -> list[Finding]:
     if not lost:
         return []
     message = (
-        f"{stray[lost].sum()} vertices lie among parts of joints that are far from theirs in the tree; expected "
+        f"{stray[lost].sum()} vertices lie among parts of joints that are far from theirs in the "
+        "tree; expected "
         "parts of connected vertices, one around each bone"
     )
-    return [Finding("warning", f"parts of {named([template.joint_names[k] for k in lost])}", message)]
+    return [
+        Finding("warning", f"parts of {named([template.joint_names[k] for k in lost])}", message)
+    ]
 
 
 def scattered(template: Template) -> tuple[int, Int[np.ndarray, " J"]]:
-    """How many connected pieces all parts are of, and how many vertices of each part lie in pieces that touch only
-    parts more than two bones away.
+    """How many connected pieces all parts are of, and how many vertices of each part lie in pieces
+    that touch only parts more than two bones away.
 
     Pieces that touch nothing do not count: eyes and teeth are pieces of the mesh of their own.
     """
@@ -53,11 +63,16 @@ def scattered(template: Template) -> tuple[int, Int[np.ndarray, " J"]]:
     parts = template.part[pairs]
     within = parts[:, 0] == parts[:, 1]
     ends = pairs[within]
-    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=2 * (template.num_vertices,))
+    joined = coo_array(
+        (np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=2 * (template.num_vertices,)
+    )
     count, piece = connected_components(joined, directed=False)
     across = np.concatenate([pairs[~within], pairs[~within][:, ::-1]])
-    near = kinship(template.parents)[template.part[across[:, 0]], template.part[across[:, 1]]] <= _KIN
-    touches, related = np.zeros(count, bool), np.zeros(count, bool)
+    near = (
+        kinship(template.parents)[template.part[across[:, 0]], template.part[across[:, 1]]] <= _KIN
+    )
+    touches = np.zeros(count, bool)
+    related = np.zeros(count, bool)
     touches[piece[across[:, 0]]] = True
     related[piece[across[near, 0]]] = True
     lost = (touches & ~related)[piece]
@@ -71,10 +86,13 @@ def _sides(template: Template) -> list[Finding]:
         for side, places in across.items():
             if side in word and len(rows := template.part_vertices(joint)):
                 places.append(template.vertices[rows, 0].mean())
-    if not (across["left"] and across["right"]) or np.mean(across["left"]) >= np.mean(across["right"]):
+    if not (across["left"] and across["right"]) or np.mean(across["left"]) >= np.mean(
+        across["right"]
+    ):
         return []
     message = (
-        "parts of joints called left have smaller x than those called right; expected x to the body's left: turn the "
+        "parts of joints called left have smaller x than those called right; expected x to the "
+        "body's left: turn the "
         "template so that it faces +z, or exchange the names"
     )
     return [Finding("warning", "the template", message)]

@@ -2,9 +2,10 @@
 
     E = E_D + lambda_Y E_Y + lambda_J E_J + lambda_P E_P + lambda_W E_W
 
-A term costs 1/2 weight |residual|^2: weights here are twice the paper's lambdas, and the costs sum to E (m^2).
-Unknowns: ``templates`` (S,V,3; m) and ``joints`` (S,J,3; m), the subjects' rest surfaces and joints; ``pose`` (N,J,3;
-rad) and ``trans`` (N,3; m) of the registrations; ``skinning_weights`` (V,J); ``posedirs`` (V,3,F; m), if there are any.
+A term costs 1/2 weight |residual|^2: weights here are twice the paper's lambdas, and the costs sum
+to E (m^2). Unknowns: ``templates`` (S,V,3; m) and ``joints`` (S,J,3; m), the subjects' rest
+surfaces and joints; ``pose`` (N,J,3; rad) and ``trans`` (N,3; m) of the registrations;
+``skinning_weights`` (V,J); ``posedirs`` (V,3,F; m), if there are any.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,8 +31,13 @@ Jacobians = Callable[[], dict[str, Sparse]]
 
 
 def energy_terms(problem: Problem, estimate: Estimate) -> dict[str, Term]:
-    """Eq. 14, every term. ``estimate`` gives what is no unknown: skinning, pose features, subjects' descriptors."""
-    return {"data": data_term(problem, estimate), **regularizer_terms(problem, estimate.rig.posedirs is not None)}
+    """Eq. 14, every term. ``estimate`` gives what is no unknown: skinning, pose features, subjects'
+    descriptors.
+    """
+    return {
+        "data": data_term(problem, estimate),
+        **regularizer_terms(problem, estimate.rig.posedirs is not None),
+    }
 
 
 def regularizer_terms(problem: Problem, pose_shapes: bool = True) -> dict[str, Term]:
@@ -60,17 +66,21 @@ def costs(terms: Mapping[str, Term], values: Mapping[str, Any]) -> dict[str, flo
     return {name: term.weight * float(term(values).cost) for name, term in terms.items()}
 
 
-# -- E_D --------------------------------------------------------------------------------------------------------------
+# -- E_D -------------------------------------------------------------------------------------------
 
 
 def data_residual(rig: Rig, person: RestPerson, target: PosedTarget) -> Float[np.ndarray, "V 3"]:
-    """E_D of one registration: the posed person minus the registration (m), times the root of vertices' weights."""
+    """E_D of one registration: the posed person minus the registration (m), times the root of
+    vertices' weights.
+    """
     away = surface(rig, person, target.pose) + (target.trans - target.vertices)
     return away if target.weight is None else weighted(away, np.sqrt(target.weight))
 
 
 def data_term(problem: Problem, estimate: Estimate) -> Term:
-    """E_D over all registrations. `measure_energy` sums the same residuals a block of registrations at a time."""
+    """E_D over all registrations. `measure_energy` sums the same residuals a block of registrations
+    at a time.
+    """
 
     def residual(**values: np.ndarray) -> np.ndarray:
         here = _with_unknowns(estimate, **values)
@@ -94,7 +104,7 @@ def _with_unknowns(
     return replace(estimate, rig=rig, templates=templates, joints=joints, pose=pose, trans=trans)
 
 
-# -- E_Y and E_J ------------------------------------------------------------------------------------------------------
+# -- E_Y and E_J -----------------------------------------------------------------------------------
 
 
 def subject_terms(anatomy: Anatomy, weights: EnergyWeights) -> dict[str, Term]:
@@ -111,7 +121,9 @@ def symmetry_term(
     weights: EnergyWeights,
     count: Float[np.ndarray, " V"] | None = None,
 ) -> Term:
-    """E_Y: |T - U(T)|^2 + lambda_U |J - U(J)|^2; each vertex counts ``count`` times; zero without mirrors."""
+    """E_Y: |T - U(T)|^2 + lambda_U |J - U(J)|^2; each vertex counts ``count`` times; zero without
+    mirrors.
+    """
     parts: dict[str, tuple[np.ndarray, np.ndarray | float]] = {}
     if mirror is not None:
         parts["templates"] = mirror, 1.0 if count is None else np.sqrt(count)[:, None]
@@ -147,7 +159,9 @@ def joints_term(
         }
 
     def of_ring(joints: np.ndarray) -> tuple[np.ndarray, Jacobians]:
-        return (ring - joints).ravel(), lambda: {"joints": -sparse.eye_array(joints.size, format="csr")}
+        return (ring - joints).ravel(), lambda: {
+            "joints": -sparse.eye_array(joints.size, format="csr")
+        }
 
     if ring is not None:
         return Term(of_ring, 2.0 * weights.joints, name="joints")
@@ -166,7 +180,9 @@ def asymmetry(partner: Int[np.ndarray, " n"], scale: np.ndarray | float = 1.0) -
 def _repeated(matrix: Sparse, points: Float[np.ndarray, "*S n 3"]) -> Sparse:
     """The block-diagonal matrix for all subjects."""
     subjects = points.size // matrix.shape[1]
-    return matrix if subjects == 1 else sparse.kron(sparse.eye_array(subjects), matrix, format="csr")
+    return (
+        matrix if subjects == 1 else sparse.kron(sparse.eye_array(subjects), matrix, format="csr")
+    )
 
 
 def _stacked(parts: dict[str, Sparse]) -> dict[str, Sparse]:
@@ -174,16 +190,20 @@ def _stacked(parts: dict[str, Sparse]) -> dict[str, Sparse]:
     rows = [part.shape[0] for part in parts.values()]
     found = {}
     for k, (name, part) in enumerate(parts.items()):
-        blocks = [part if i == k else sparse.csr_array((n, part.shape[1])) for i, n in enumerate(rows)]
+        blocks = [
+            part if i == k else sparse.csr_array((n, part.shape[1])) for i, n in enumerate(rows)
+        ]
         found[name] = sparse.vstack(blocks, format="csr")
     return found
 
 
-# -- E_P and E_W ------------------------------------------------------------------------------------------------------
+# -- E_P and E_W -----------------------------------------------------------------------------------
 
 
 def pose_shape_term(weight: float, *, absolute: bool = False) -> Term:
-    """E_P: |P|^2, or with ``absolute`` the sum of absolute values |P|_1 = |sqrt|P||^2 (S 4.1's remark)."""
+    """E_P: |P|^2, or with ``absolute`` the sum of absolute values |P|_1 = |sqrt|P||^2 (S 4.1's
+    remark).
+    """
 
     def residual(posedirs: np.ndarray) -> np.ndarray:
         return np.sqrt(np.abs(posedirs)) if absolute else posedirs
@@ -196,20 +216,27 @@ def skinning_term(weight: float, initial: Float[np.ndarray, "V J"]) -> Term:
     return Term(lambda skinning_weights: skinning_weights - initial, 2.0 * weight, name="skinning")
 
 
-# -- normal equations -------------------------------------------------------------------------------------------------
+# -- normal equations ------------------------------------------------------------------------------
 
 
 def normal_equations(
     terms: Mapping[str, Term], values: Mapping[str, Any]
 ) -> tuple[Float[np.ndarray, "C C"], Float[np.ndarray, " C"]]:
-    """Gauss-Newton matrix and gradient of the costs over all ``values``, one after the other, from sparse Jacobians."""
+    """Gauss-Newton matrix and gradient of the costs over all ``values``, one after the other, from
+    sparse Jacobians.
+    """
     ends = np.cumsum([value.size for value in values.values()])
-    columns = {name: slice(end - value.size, end) for end, (name, value) in zip(ends, values.items(), strict=True)}
-    matrix, gradient = np.zeros((ends[-1], ends[-1]), order="F"), np.zeros(ends[-1])
+    columns = {
+        name: slice(end - value.size, end)
+        for end, (name, value) in zip(ends, values.items(), strict=True)
+    }
+    matrix = np.zeros((ends[-1], ends[-1]), order="F")
+    gradient = np.zeros(ends[-1])
     for term in terms.values():
         outcome = term(values)
         assert callable(outcome.jacobians)
-        jacobians, residual = outcome.jacobians(), np.asarray(outcome.value)
+        jacobians = outcome.jacobians()
+        residual = np.asarray(outcome.value)
         for name, one in jacobians.items():
             gradient[columns[name]] += term.weight * (one.T @ residual)
             for other, two in jacobians.items():

@@ -1,8 +1,9 @@
 """Training a body model: the recipe of S 4.3 (T 5.4.3).
 
-Poses are initialised by edges (eq. 15). Rounds of block coordinate descent on eq. 14 follow: subjects, skinning
-weights, pose blend shapes, poses; after each round its update is extrapolated while the energy decreases. The joint
-regressor is fitted to the subjects, the shape space to the multi-shape registrations brought to the rest pose.
+Poses are initialised by edges (eq. 15). Rounds of block coordinate descent on eq. 14 follow:
+subjects, skinning weights, pose blend shapes, poses; after each round its update is extrapolated
+while the energy decreases. The joint regressor is fitted to the subjects, the shape space to the
+multi-shape registrations brought to the rest pose.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +25,12 @@ from habitus.learn.shape.imputation import shapes_with_holes
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
 from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
 from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes, shape_space_of
-from habitus.learn.start.first_estimate import edge_pose, edge_poses, initial_estimate, state_problem
+from habitus.learn.start.first_estimate import (
+    edge_pose,
+    edge_poses,
+    initial_estimate,
+    state_problem,
+)
 from habitus.learn.start.known import told_poses
 from habitus.learn.steps.alternation import STEPS, Step
 from habitus.learn.steps.pose_shapes import let_go
@@ -36,7 +42,9 @@ from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
 
 _BLOCK = 8
-DEFAULTS, ALONE, NO_CALLBACK = TrainOptions(), Threads(1), NoCallback()
+DEFAULTS = TrainOptions()
+ALONE = Threads(1)
+NO_CALLBACK = NoCallback()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +70,19 @@ def train_body(
 ) -> TrainedBody:
     """Learn a body model from registrations (m) in the template's topology.
 
-    Registrations of the set "pose" give {J, W, P}, those of the set "shape" the shape space; where there are none of
-    the latter, the subjects of the former serve. ``body`` is the model that the template is of, if it is of any: its
-    pose prior and sex direction are carried over, and with ``options.start`` "body" training starts from its {J, W, P}.
-    Raises HabitusError where there is nothing to learn from.
+    Registrations of the set "pose" give {J, W, P}, those of the set "shape" the shape space; where
+    there are none of the latter, the subjects of the former serve. ``body`` is the model that the
+    template is of, if it is of any: its pose prior and sex direction are carried over, and with
+    ``options.start`` "body" training starts from its {J, W, P}. Raises HabitusError where there is
+    nothing to learn from.
     """
-    posed, shaped = registrations.where(set="pose"), registrations.where(set="shape")
+    posed = registrations.where(set="pose")
+    shaped = registrations.where(set="shape")
     if not len(posed):
-        raise HabitusError("no registration belongs to the set 'pose'; expected several poses each of several subjects")
+        raise HabitusError(
+            "no registration belongs to the set 'pose'; expected several poses each of several "
+            "subjects"
+        )
     problem = state_problem(posed, template, replace(options, shape_features=0), body)
     state = alternate(problem, template, workers, callback, resume, body)
     state = replace(state, estimate=with_holes_filled(problem, state.estimate, template))
@@ -81,10 +94,14 @@ def train_body(
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)
         shape = shapes_of(surfaces, shaped, options.num_betas)
     else:
-        surfaces = at_one_root(estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0])
+        surfaces = at_one_root(
+            estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0]
+        )
         shape = principal_shapes(surfaces, options.num_betas)
     if options.shape_features:
-        state = depend_on_shape(replace(problem, options=options), state, shape, regressor, workers, callback)
+        state = depend_on_shape(
+            replace(problem, options=options), state, shape, regressor, workers, callback
+        )
     state = _settled(replace(problem, options=options), state, workers, callback)
     trained = assemble(name, template, state.estimate.rig, regressor, shape, body)
     return TrainedBody(trained, state.history, state.estimate, shape)
@@ -120,17 +137,25 @@ def depend_on_shape(
     workers: Workers,
     callback: TrainingCallback,
 ) -> TrainingState:
-    """Alternate on with blend shapes that depend on shape (T 5.6). A run that is stopped here begins this part anew."""
+    """Alternate on with blend shapes that depend on shape (T 5.6). A run that is stopped here
+    begins this part anew.
+    """
     estimate = with_shape_features(state.estimate, shape, regressor, problem.options.shape_features)
-    longer = replace(problem, options=replace(problem.options, rounds=state.rounds + problem.options.rounds))
+    longer = replace(
+        problem, options=replace(problem.options, rounds=state.rounds + problem.options.rounds)
+    )
     state = TrainingState(estimate, state.history, False)
     while not state.finished:
         state = _round(longer, state, workers, callback, keep=False)
     return state
 
 
-def _settled(problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback) -> TrainingState:
-    """Local pose blend shapes without the joints that matter little; what was learned before is in the checkpoint."""
+def _settled(
+    problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback
+) -> TrainingState:
+    """Local pose blend shapes without the joints that matter little; what was learned before is in
+    the checkpoint.
+    """
     estimate = let_go(problem, state.estimate, workers)
     if estimate is state.estimate:
         return state
@@ -140,20 +165,35 @@ def _settled(problem: Problem, state: TrainingState, workers: Workers, callback:
 
 
 def _begin(
-    problem: Problem, template: Template, workers: Workers, callback: TrainingCallback, body: BodyModel | None
+    problem: Problem,
+    template: Template,
+    workers: Workers,
+    callback: TrainingCallback,
+    body: BodyModel | None,
 ) -> TrainingState:
     estimate = initial_estimate(problem, template, workers, body)
     known = told_poses(problem).all()
-    record = Record(0, "poses as known" if known else "poses by edges", measure_energy(problem, estimate, workers))
+    record = Record(
+        0,
+        "poses as known" if known else "poses by edges",
+        measure_energy(problem, estimate, workers),
+    )
     callback.on_step_end(record)
     return TrainingState(estimate, (record,), False)
 
 
 def _round(
-    problem: Problem, state: TrainingState, workers: Workers, callback: TrainingCallback, keep: bool = True
+    problem: Problem,
+    state: TrainingState,
+    workers: Workers,
+    callback: TrainingCallback,
+    keep: bool = True,
 ) -> TrainingState:
-    """One round, or what is left of one; with ``keep`` the callback is given the state after each of its steps."""
-    number, began = state.rounds + 1, state.estimate if state.before is None else state.before
+    """One round, or what is left of one; with ``keep`` the callback is given the state after each
+    of its steps.
+    """
+    number = state.rounds + 1
+    began = state.estimate if state.before is None else state.before
 
     def stepped(step: str, estimate: Estimate, energy: Energy) -> TrainingState:
         record = Record(number, step, energy)
@@ -166,7 +206,9 @@ def _round(
             state = stepped(step, estimate, measure_energy(problem, estimate, workers))
             if keep:
                 callback.on_state(state)
-    state = stepped("further", *over_relax(problem, began, state.estimate, state.history[-1].energy, workers))
+    state = stepped(
+        "further", *over_relax(problem, began, state.estimate, state.history[-1].energy, workers)
+    )
     return _judged(problem, replace(state, before=None))
 
 
@@ -177,16 +219,24 @@ def steps_of(problem: Problem, rig: Rig) -> dict[str, Step]:
 
 
 def _judged(problem: Problem, state: TrainingState) -> TrainingState:
-    """Whether the state is the last one, by the present options: ``rounds`` and ``tolerance`` may be others by now."""
+    """Whether the state is the last one, by the present options: ``rounds`` and ``tolerance`` may
+    be others by now.
+    """
     if state.before is not None or state.rounds == 0:
         return replace(state, finished=False)
-    before, after = ([r for r in state.history if r.round == state.rounds - k][-1].energy.total for k in (1, 0))
+    before, after = (
+        [r for r in state.history if r.round == state.rounds - k][-1].energy.total for k in (1, 0)
+    )
     brings_little = before - after < problem.options.tolerance * before
     return replace(state, finished=state.rounds >= problem.options.rounds or brings_little)
 
 
-def learn_regressor(problem: Problem, template: Template, estimate: Estimate) -> Float[np.ndarray, "J V"]:
-    """Joints from surfaces, by least squares over the subjects (S 4.1); the one started from, where that is fixed."""
+def learn_regressor(
+    problem: Problem, template: Template, estimate: Estimate
+) -> Float[np.ndarray, "J V"]:
+    """Joints from surfaces, by least squares over the subjects (S 4.1); the one started from, where
+    that is fixed.
+    """
     if "joint_regressor" in problem.options.fixed:
         return problem.anatomy.regressor
     return fit_joint_regressor(
@@ -200,7 +250,9 @@ def learn_regressor(problem: Problem, template: Template, estimate: Estimate) ->
 
 
 def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) -> Estimate:
-    """What a person's rest surface differs by from the template, carried on to where no registration shows it."""
+    """What a person's rest surface differs by from the template, carried on to where no
+    registration shows it.
+    """
     if not problem.weighted:
         return estimate
     seen = np.zeros(estimate.templates.shape[:2])
@@ -209,11 +261,15 @@ def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) 
         seen[subject] += 1.0 if weight is None else weight
     laplacian = edge_distance(template.faces, template.num_vertices).laplacian
     away = estimate.templates - template.vertices
-    filled = [fill_holes(laplacian, one >= HOLD, values) for one, values in zip(seen, away, strict=True)]
+    filled = [
+        fill_holes(laplacian, one >= HOLD, values) for one, values in zip(seen, away, strict=True)
+    ]
     templates = template.vertices + np.stack(filled)
     held = "joint_regressor" in problem.options.fixed
     return replace(
-        estimate, templates=templates, joints=problem.anatomy.regressor @ templates if held else estimate.joints
+        estimate,
+        templates=templates,
+        joints=problem.anatomy.regressor @ templates if held else estimate.joints,
     )
 
 
@@ -237,7 +293,9 @@ def normalize_shapes(
     surfaces, done = callback.surface_store((len(registrations), *surface.shape))
     distance = edge_distance(registrations.faces, registrations.num_vertices)
     shared = (estimate.rig, regressor, general, template.part, registrations, distance)
-    blocks = [range(done + b.start, done + b.stop) for b in in_blocks(len(registrations) - done, _BLOCK)]
+    blocks = [
+        range(done + b.start, done + b.stop) for b in in_blocks(len(registrations) - done, _BLOCK)
+    ]
     for rows, found in zip(blocks, workers.map(_normalized, shared, blocks), strict=True):
         surfaces[rows.start : rows.stop] = found
         callback.on_surfaces_stored(rows.stop)
@@ -249,7 +307,9 @@ def shapes_of(surfaces: np.ndarray, registrations: Registrations, count: int) ->
     if not registrations.weighted:
         return principal_shapes(surfaces, count)
     weights = (registrations.read_seen(k)[1] for k in range(len(registrations)))
-    seen = np.stack([np.full(surfaces.shape[1], True) if weight is None else weight > 0 for weight in weights])
+    seen = np.stack(
+        [np.full(surfaces.shape[1], True) if weight is None else weight > 0 for weight in weights]
+    )
     return shapes_with_holes(surfaces, seen, count)[1]
 
 
@@ -269,8 +329,11 @@ def _normalized(
 def poses_of(
     trained: TrainedBody, template: Template, registrations: Registrations, workers: Workers = ALONE
 ) -> Float[np.ndarray, "N J 3"]:
-    """Poses (rotation vectors, rad) of the registrations trained on: of the set "pose" as found, others by edges."""
-    estimate, regressor = trained.estimate, trained.body.joint_regressor
+    """Poses (rotation vectors, rad) of the registrations trained on: of the set "pose" as found,
+    others by edges.
+    """
+    estimate = trained.estimate
+    regressor = trained.body.joint_regressor
     posed = np.array(registrations.set) == "pose"
     poses = np.zeros((len(registrations), template.num_joints, 3))
     poses[posed] = estimate.pose

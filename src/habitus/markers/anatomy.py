@@ -1,13 +1,15 @@
 """Just enough of what labels mean to tell up from down and left from right.
 
-Where markers sit exactly is the marker layouts' business; here a name only has to say "high up, left, in front".
+Where markers sit exactly is the marker layouts' business; here a name only has to say "high up,
+left, in front".
 """
 
 import re
 from dataclasses import dataclass
 from functools import cache
 
-# Height from the sole 0 to the crown 6; depth 1 in front, -1 behind, 0 neither; the names without their side.
+# Height from the sole 0 to the crown 6; depth 1 in front, -1 behind, 0 neither; the names without
+# their side.
 _PLACES: tuple[tuple[float, int, str], ...] = (
     (6.0, 1, "FHD FRONTHEAD HDF SEL SGL GLAB HEADFRONT FHEAD FHEA AH CHEECK NOSE FOREHEAD HEADF"),
     (6.0, 0, "ARIEL HV HEADTOP TOPHEAD THEAD THEA HEAD TEMP HEADTAMP TET HEADSIDE HEADTEMP EAR"),
@@ -20,10 +22,20 @@ _PLACES: tuple[tuple[float, int, str], ...] = (
     (3.0, 1, "ASI ASIS IAS FWT EAS"),
     (3.0, -1, "PSI PSIS IPS BWT WAISTBACK BACKASIS EPS SACR VSAC SACRUM WAISTCBACK SACRAL VSACRAL"),
     (2.6, 0, "GT GTRO FTC TROCHANTER TRO"),
-    (1.6, 0, "KNE KNEE FLE FME LFE MFE KNEEOUT KNEEIN KNI KNEELAT KNEEMED MKNEE LEK MEK LFC MFC KNEEEXT KNEEINT"),
+    (
+        1.6,
+        0,
+        "KNE KNEE FLE FME LFE MFE KNEEOUT KNEEIN KNI KNEELAT KNEEMED MKNEE LEK MEK LFC MFC "
+        "KNEEEXT KNEEINT",
+    ),
     (0.4, 0, "ANK ANKLE FAL TAM LM SPH LMAL MMAL ANKLEOUT ANKLEIN ANKLELAT ANKLEMED MANKLE MED"),
     (0.2, -1, "HEE HEL HEEL FCC CAL CALC CA HEELBACK"),
-    (0.1, 1, "TOE MT1 MT5 MT2 FM1 FM2 FM5 TOEIN TOEOUT TOETIP TOE1 TOE5 5META D1M D5M MFH1 MFH5 TT2 P1MT P5MT HLX"),
+    (
+        0.1,
+        1,
+        "TOE MT1 MT5 MT2 FM1 FM2 FM5 TOEIN TOEOUT TOETIP TOE1 TOE5 5META D1M D5M MFH1 MFH5 TT2 "
+        "P1MT P5MT HLX",
+    ),
     (0.1, 1, "FMH SMH VMH FOREFOOT2 FOREFOOT5 FOREFOOTOUT FOREFOOTIN"),
 )
 _TABLE = {name: (height, depth) for height, depth, names in _PLACES for name in names.split()}
@@ -34,7 +46,9 @@ _INNER_SIDE = re.compile(
 
 @dataclass(frozen=True)
 class Place:
-    """Height (0 sole to 6 crown), side (1 left, -1 right, 0 middle or unknown), depth (1 front, -1 back)."""
+    """Height (0 sole to 6 crown), side (1 left, -1 right, 0 middle or unknown), depth (1 front, -1
+    back).
+    """
 
     height: float
     side: int
@@ -43,7 +57,9 @@ class Place:
 
 @cache
 def place_of(label: str) -> Place | None:
-    """Roughly where a label is; None where it says too little. Of ``C_7__IOR_CV7`` the first known part counts."""
+    """Roughly where a label is; None where it says too little. Of ``C_7__IOR_CV7`` the first known
+    part counts.
+    """
     for part in label.removesuffix("_study").split("__"):
         found = _place(re.sub(r"[^A-Z0-9]", "", re.sub("^(CGM|IOR|CAST)_", "", part.upper())))
         if found:

@@ -1,7 +1,9 @@
-"""Small checks of a layout against the geometry of a capture; each says what it found and what it changes.
+"""Small checks of a layout against the geometry of a capture; each says what it found and what it
+changes.
 
-A wrong correction is worse than none: a check changes a layout only where the evidence is strong and plentiful, and
-every change is reported. The numbers were measured on real captures of many laboratories.
+A wrong correction is worse than none: a check changes a layout only where the evidence is strong
+and plentiful, and every change is reported. The numbers were measured on real captures of many
+laboratories.
 """
 
 from __future__ import annotations
@@ -31,43 +33,64 @@ _KNUCKLE = 0.085  # from the middle of the wrist to the knuckles
 _FINGER = 0.112  # a hand marker farther than this from the wrist is on a finger
 
 
-def checked(layout: MarkerLayout, markers: Float[np.ndarray, "T M 3"]) -> tuple[MarkerLayout, tuple[Correction, ...]]:
-    """The layout corrected by all checks in turn, and what they found. ``markers``: metres, NaN missing, its order."""
+def checked(
+    layout: MarkerLayout, markers: Float[np.ndarray, "T M 3"]
+) -> tuple[MarkerLayout, tuple[Correction, ...]]:
+    """The layout corrected by all checks in turn, and what they found. ``markers``: metres, NaN
+    missing, its order.
+    """
     corrections: list[Correction] = []
     markers = mapped(lambda part: np.array(part, dtype=float), markers)
     for check in CHECKS:
         for correction in check(Scene.of(layout, markers), layout):
             corrections.append(correction)
             changed = {marker.label: marker for marker in correction.markers}
-            layout = replace(layout, markers=tuple(changed.get(marker.label, marker) for marker in layout.markers))
+            layout = replace(
+                layout,
+                markers=tuple(changed.get(marker.label, marker) for marker in layout.markers),
+            )
             if correction.exchange is not None:
                 exchange_columns(markers, correction.exchange)
         release(markers)
     return layout, tuple(corrections)
 
 
-# -- left and right ---------------------------------------------------------------------------------------------------
+# -- left and right --------------------------------------------------------------------------------
 
 
 def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
-    """Left and right labels are exchanged throughout, or the capture is mirrored: front contradicts left and up."""
+    """Left and right labels are exchanged throughout, or the capture is mirrored: front contradicts
+    left and up.
+    """
     front = trunk_front(scene)
     pairs = [
-        (scene.middle("left_psis", "right_psis", "sacrum", "waist_back"), scene.middle("left_asis", "right_asis")),
+        (
+            scene.middle("left_psis", "right_psis", "sacrum", "waist_back"),
+            scene.middle("left_asis", "right_asis"),
+        ),
         (scene.at("c7"), scene.at("jugular_notch")),
         (scene.at("t10"), scene.at("xiphoid")),
-        (scene.middle("left_back_head", "right_back_head"), scene.middle("left_temple", "right_temple")),
+        (
+            scene.middle("left_back_head", "right_back_head"),
+            scene.middle("left_temple", "right_temple"),
+        ),
         *(
-            (scene.at(f"{s}_heel"), scene.middle(f"{s}_mt2_head", f"{s}_toe_tip", f"{s}_mt5_head", f"{s}_little_toe"))
+            (
+                scene.at(f"{s}_heel"),
+                scene.middle(f"{s}_mt2_head", f"{s}_toe_tip", f"{s}_mt5_head", f"{s}_little_toe"),
+            )
             for s in SIDES
         ),
     ]
-    cosines = [values for pair in pairs if np.isfinite(values := along(toward(*pair), front)).sum() >= 5]
+    cosines = [
+        values for pair in pairs if np.isfinite(values := along(toward(*pair), front)).sum() >= 5
+    ]
     if len(cosines) < 3 or any(np.nanmedian(values) > -0.3 for values in cosines):
         return
     yield Correction(
         "mirrored capture",
-        "left and right labels are exchanged throughout (or the capture is mirrored): all places changed sides",
+        "left and right labels are exchanged throughout (or the capture is mirrored): all places "
+        "changed sides",
         tuple(other_side(marker) for marker in layout.markers),
     )
 
@@ -82,7 +105,11 @@ def other_side(marker: Marker) -> Marker:
         return name
 
     landmark = None if marker.landmark is None else flip(marker.landmark)
-    between = None if marker.between is None else (flip(marker.between[0]), flip(marker.between[1]), marker.between[2])
+    between = (
+        None
+        if marker.between is None
+        else (flip(marker.between[0]), flip(marker.between[1]), marker.between[2])
+    )
     direction = None if marker.direction is None else (-marker.direction[0], *marker.direction[1:])
     shift = None if marker.shift is None else (-marker.shift[0], *marker.shift[1:])
     return replace(marker, landmark=landmark, between=between, shift=shift, direction=direction)
@@ -96,23 +123,33 @@ def single_marker_side(scene: Scene, layout: MarkerLayout) -> Iterator[Correctio
         origin = scene.middle(*middle)
         if len(here) != 1 or left is None or origin is None:
             continue
-        side, other = here[0], SIDES[1 - SIDES.index(here[0])]
-        offset = np.sum((scene.markers[:, scene.columns[f"{side}_{name}"]] - origin) * left, axis=-1)
+        side = here[0]
+        other = SIDES[1 - SIDES.index(here[0])]
+        offset = np.sum(
+            (scene.markers[:, scene.columns[f"{side}_{name}"]] - origin) * left, axis=-1
+        )
         offset = offset[np.isfinite(offset)] * (1.0 if side == "left" else -1.0)
         if len(offset) >= 10 and np.median(offset) < -0.03 and np.mean(offset < 0) > 0.9:
             marker = layout.markers[scene.columns[f"{side}_{name}"]]
-            text = f"{marker.label} sits {-np.median(offset) * 1e3:.0f} mm on the {other} side: placed there"
+            text = (
+                f"{marker.label} sits {-np.median(offset) * 1e3:.0f} mm on the {other} side: "
+                "placed there"
+            )
             yield Correction("side of a single marker", text, (other_side(marker),))
 
 
-# -- distances from the skin ------------------------------------------------------------------------------------------
+# -- distances from the skin -----------------------------------------------------------------------
 
 
 def wands(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
-    """Shank (and with it thigh) markers of unsure distance: on the skin or on wands, by the shank marker's distance."""
+    """Shank (and with it thigh) markers of unsure distance: on the skin or on wands, by the shank
+    marker's distance.
+    """
     for side in SIDES:
         knee = scene.at(f"{side}_knee_lateral")
-        shank = _unsure(scene, layout, f"{side}_shank_lateral", knee, scene.at(f"{side}_ankle_lateral"))
+        shank = _unsure(
+            scene, layout, f"{side}_shank_lateral", knee, scene.at(f"{side}_ankle_lateral")
+        )
         thigh = _unsure(scene, layout, f"{side}_thigh_lateral", scene.at(f"{side}_asis"), knee)
         if shank is None:
             continue
@@ -121,7 +158,9 @@ def wands(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
             if found is None:
                 continue
             marker, offset = found
-            distance, spread = (max(0.02, offset - skin), 0.015) if on_wand else (Marker.distance, 0.003)
+            distance, spread = (
+                (max(0.02, offset - skin), 0.015) if on_wand else (Marker.distance, 0.003)
+            )
             kind = f"stands on a wand, {distance * 1e3:.0f} mm off" if on_wand else "is on the skin"
             change = replace(marker, distance=round(distance, 4), distance_spread=spread)
             yield Correction("wand or skin", f"{marker.label} {kind}", (change,), quiet=True)
@@ -130,7 +169,9 @@ def wands(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
 def _unsure(
     scene: Scene, layout: MarkerLayout, name: str, top: Points | None, bottom: Points | None
 ) -> tuple[Marker, float] | None:
-    """The marker at a landmark and its distance from a line, where the layout is unsure of its distance from skin."""
+    """The marker at a landmark and its distance from a line, where the layout is unsure of its
+    distance from skin.
+    """
     column = scene.columns.get(name)
     if column is None or layout.markers[column].distance_spread < 0.02:
         return None
@@ -148,26 +189,42 @@ def wrist_width(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
         if np.isfinite(gap).sum() < 5 or not 0.02 < (width := float(np.nanmedian(gap))) < 0.3:
             continue
         if width > 0.085:
-            kind, distance, spread, place = "on a bar", (width - 0.060) / 2, 0.012, 0.03
+            kind = "on a bar"
+            distance = (width - 0.060) / 2
+            spread = 0.012
+            place = 0.03
         elif width > 0.062:
-            kind, distance, spread, place = "on a band", 0.012, 0.005, 0.02
+            kind = "on a band"
+            distance = 0.012
+            spread = 0.005
+            place = 0.02
         else:
-            kind, distance, spread, place = "on the skin", Marker.distance, 0.003, 0.02
+            kind = "on the skin"
+            distance = Marker.distance
+            spread = 0.003
+            place = 0.02
         pair = [layout.markers[column] for column in columns if column is not None]
         if all(abs(m.distance - distance) < 0.004 and m.distance_spread <= spread for m in pair):
             continue
         text = f"{pair[0].label} and {pair[1].label} are {kind} ({width * 1e3:.0f} mm apart)"
-        changed = (replace(m, distance=round(distance, 4), distance_spread=spread, place_spread=place) for m in pair)
+        changed = (
+            replace(m, distance=round(distance, 4), distance_spread=spread, place_spread=place)
+            for m in pair
+        )
         yield Correction("wrist width", text, tuple(changed), quiet=True)
 
 
-# -- places -----------------------------------------------------------------------------------------------------------
+# -- places ----------------------------------------------------------------------------------------
 
 
 def waist_middle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     """A pair named left and right middle of the waist that is really its front and back middle."""
     starts = [marker.landmarks[:1] for marker in layout.markers]
-    sides = [starts.index((name,)) for name in ("left_iliac_crest", "right_iliac_crest") if (name,) in starts]
+    sides = [
+        starts.index((name,))
+        for name in ("left_iliac_crest", "right_iliac_crest")
+        if (name,) in starts
+    ]
     left = toward(scene.at("right_asis"), scene.at("left_asis"))
     front = trunk_front(scene)
     if len(sides) < 2 or left is None or front is None:
@@ -175,13 +232,20 @@ def waist_middle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     across = scene.markers[:, sides[0]] - scene.markers[:, sides[1]]
     if not np.isfinite(across).any():
         return
-    apart, ahead = np.nanmedian(np.abs(along(across, left))), np.nanmedian(along(across, front))
+    apart = np.nanmedian(np.abs(along(across, left)))
+    ahead = np.nanmedian(along(across, front))
     if not (apart < 0.06 and abs(ahead) > 0.12):
         return
     names = ("waist_front", "waist_back") if ahead > 0 else ("waist_back", "waist_front")
     markers = [layout.markers[column] for column in sides]
-    text = f"{markers[0].label} and {markers[1].label} are the {names[0][6:]} and {names[1][6:]} middle of the waist"
-    changed = (marker.measured_at(landmark=name, between=None) for marker, name in zip(markers, names, strict=True))
+    text = (
+        f"{markers[0].label} and {markers[1].label} are the {names[0][6:]} and {names[1][6:]} "
+        "middle of the waist"
+    )
+    changed = (
+        marker.measured_at(landmark=name, between=None)
+        for marker, name in zip(markers, names, strict=True)
+    )
     yield Correction("middle of the waist", text, tuple(changed))
 
 
@@ -204,9 +268,11 @@ def finger_not_knuckle(scene: Scene, layout: MarkerLayout) -> Iterator[Correctio
 
 
 def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
-    """Markers that are placed freely along a limb: how far along they are is measured, and so is their start place.
+    """Markers that are placed freely along a limb: how far along they are is measured, and so is
+    their start place.
 
-    Left and right differ by up to 0.4 of the segment in real laboratories, so the middle is a poor guess.
+    Left and right differ by up to 0.4 of the segment in real laboratories, so the middle is a poor
+    guess.
     """
     found = []
     for column, marker in enumerate(layout.markers):
@@ -219,8 +285,12 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
                 found.append(marker.measured_at(landmark=None, between=place, place_spread=FREE))
     if found:
-        text = ", ".join(f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between)
-        yield Correction("places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True)
+        text = ", ".join(
+            f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between
+        )
+        yield Correction(
+            "places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True
+        )
 
 
 def _first_known(scene: Scene, side: str, groups: tuple[tuple[str, ...], ...]) -> Points | None:
@@ -231,12 +301,20 @@ def _first_known(scene: Scene, side: str, groups: tuple[tuple[str, ...], ...]) -
 
 _SHOULDER = (("acromion",), ("shoulder_front", "shoulder_back"))
 _WRIST = (("wrist_radial", "wrist_ulnar"), ("wrist_dorsal",))
-_ELBOW, _ASIS, _KNEE, _ANKLE = ((("elbow_lateral",),), (("asis",),), (("knee_lateral",),), (("ankle_lateral",),))
+_ELBOW = (("elbow_lateral",),)
+_ASIS = (("asis",),)
+_KNEE = (("knee_lateral",),)
+_ANKLE = (("ankle_lateral",),)
 
-# limb: its measured ends, the landmarks that the place lies between, and how far down the first of these lies
+# limb: its measured ends, the landmarks that the place lies between, and how far down the first of
+# these lies
 _ARM = ((_SHOULDER, _ELBOW), ("acromion", "elbow_lateral"), 0.0)
 _FOREARM = ((_ELBOW, _WRIST), ("elbow_lateral", "wrist_dorsal"), 0.0)
-_THIGH = ((_ASIS, _KNEE), ("trochanter", "knee_lateral"), 0.18)  # the trochanter lies 18 % down from the ASIS
+_THIGH = (
+    (_ASIS, _KNEE),
+    ("trochanter", "knee_lateral"),
+    0.18,
+)  # the trochanter lies 18 % down from the ASIS
 _SHANK = ((_KNEE, _ANKLE), ("knee_lateral", "ankle_lateral"), 0.0)
 _SEGMENTS = {
     "upper_arm": _ARM,
@@ -250,8 +328,11 @@ _SEGMENTS = {
 }
 
 
-def _beside(marker: Points, top: Points | None, bottom: Points | None) -> tuple[float, float] | None:
-    """(share of the way from top to bottom, distance from that line), over the frames in which the limb is longest.
+def _beside(
+    marker: Points, top: Points | None, bottom: Points | None
+) -> tuple[float, float] | None:
+    """(share of the way from top to bottom, distance from that line), over the frames in which the
+    limb is longest.
 
     Those frames have the hip extended and the shoulder low, so that the line follows the bone.
     """

@@ -1,7 +1,8 @@
 """Pairs of markers whose labels laboratories exchange, throughout a capture or for a while.
 
-Anatomy tells which is which: elbows and knees bend one way only, the thumb stays on its side of the forearm, and front
-and back follow from left and up. Time tells when: a pair that reverses from one frame to the next has changed labels.
+Anatomy tells which is which: elbows and knees bend one way only, the thumb stays on its side of the
+forearm, and front and back follow from left and up. Time tells when: a pair that reverses from one
+frame to the next has changed labels.
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from habitus.markers.layouts import Marker, MarkerLayout
 
 @dataclass(frozen=True)
 class Exchange:
-    """Two markers whose labels change places for a while: their columns and the frames (T,) in which they do."""
+    """Two markers whose labels change places for a while: their columns and the frames (T,) in
+    which they do.
+    """
 
     first: int
     second: int
@@ -41,7 +44,8 @@ class Exchange:
 
 @dataclass(frozen=True)
 class Correction:
-    """What one check found: its name, what to tell a person, the markers it changes, frames whose labels are exchanged.
+    """What one check found: its name, what to tell a person, the markers it changes, frames whose
+    labels are exchanged.
 
     ``quiet`` marks a refinement (a distance or a place measured) that needs no warning.
     """
@@ -57,8 +61,12 @@ Check = Callable[[Scene, MarkerLayout], Iterator[Correction]]
 
 
 def exchange_columns(markers: Float[np.ndarray, "T M 3"], exchange: Exchange) -> None:
-    """Put two markers back in their own columns, in place, in the frames in which they are exchanged."""
-    frames, first, second = exchange.frames, exchange.first, exchange.second
+    """Put two markers back in their own columns, in place, in the frames in which they are
+    exchanged.
+    """
+    frames = exchange.frames
+    first = exchange.first
+    second = exchange.second
     held = markers[frames, first]
     markers[frames, first] = markers[frames, second]
     markers[frames, second] = held
@@ -66,8 +74,13 @@ def exchange_columns(markers: Float[np.ndarray, "T M 3"], exchange: Exchange) ->
 
 def exchange_text(first: str, second: str, frames: np.ndarray) -> str:
     """What to tell a person of two labels that change places in some frames (T,)."""
-    count, start = int(frames.sum()), int(np.argmax(frames)) + 1
-    which = "all frames" if count == len(frames) else f"{count} of {len(frames)} frames (from frame {start})"
+    count = int(frames.sum())
+    start = int(np.argmax(frames)) + 1
+    which = (
+        "all frames"
+        if count == len(frames)
+        else f"{count} of {len(frames)} frames (from frame {start})"
+    )
     return f"{first} and {second} change places in {which}: put back"
 
 
@@ -80,7 +93,8 @@ def _knee(scene: Scene, side: str) -> list[Points | None]:
     return [flexion_axis(scene, side, "knee"), leg_outward(scene, side) if ankle is None else ankle]
 
 
-# (first place, second place, directions in which the first lies from the second); ankles before the knees they judge
+# (first place, second place, directions in which the first lies from the second); ankles before the
+# knees they judge
 PAIRS: tuple[tuple[str, str, Callable[[Scene, str], list[Points | None]]], ...] = (
     ("ankle_lateral", "ankle_medial", lambda scene, side: [foot_outward(scene, side)]),
     ("mt5_head", "mt1_head", lambda scene, side: [foot_outward(scene, side)]),
@@ -95,29 +109,43 @@ PAIRS: tuple[tuple[str, str, Callable[[Scene, str], list[Points | None]]], ...] 
 
 
 def _exchanged(
-    scene: Scene, layout: MarkerLayout, first: str, second: str, expect: Callable[[Scene, str], list[Points | None]]
+    scene: Scene,
+    layout: MarkerLayout,
+    first: str,
+    second: str,
+    expect: Callable[[Scene, str], list[Points | None]],
 ) -> Iterator[Correction]:
     for side in SIDES:
-        a, b = scene.columns.get(f"{side}_{first}"), scene.columns.get(f"{side}_{second}")
+        a = scene.columns.get(f"{side}_{first}")
+        b = scene.columns.get(f"{side}_{second}")
         if a is None or b is None:
             continue
         expected = [direction for direction in expect(scene, side) if direction is not None]
         order = pair_order(scene.markers[:, a], scene.markers[:, b], expected)
-        one, two = layout.markers[a], layout.markers[b]
+        one = layout.markers[a]
+        two = layout.markers[b]
         if order.swapped:
-            text = f"{one.label} and {two.label} are exchanged ({one.label} is at {two.place}): so are their places"
+            text = (
+                f"{one.label} and {two.label} are exchanged ({one.label} is at {two.place}): "
+                "so are their places"
+            )
             yield Correction("exchanged pair", text, (one.moved_to(two), two.moved_to(one)))
         if order.odd_frames.any():
             text = exchange_text(one.label, two.label, order.odd_frames)
             yield Correction("pair changes places", text, exchange=Exchange(a, b, order.odd_frames))
 
 
-PAIR_CHECKS = tuple(partial(_exchanged, first=first, second=second, expect=expect) for first, second, expect in PAIRS)
+PAIR_CHECKS = tuple(
+    partial(_exchanged, first=first, second=second, expect=expect)
+    for first, second, expect in PAIRS
+)
 
 
 @dataclass(frozen=True)
 class PairOrder:
-    """Whether a pair is ``swapped`` in all frames that tell, and the frames (T,) that are against the rest."""
+    """Whether a pair is ``swapped`` in all frames that tell, and the frames (T,) that are against
+    the rest.
+    """
 
     swapped: bool
     odd_frames: np.ndarray
@@ -128,9 +156,10 @@ def pair_order(
 ) -> PairOrder:
     """Whether two markers are exchanged, throughout or for a while.
 
-    ``expected``: directions that point from the second to the first marker where the labels are right. Between
-    neighbouring frames the pair can only turn a little: a sudden reversal is a change of labels, and what gaps leave
-    connected is judged as one run. A run is judged wrong only where its evidence is strong, plentiful and agrees.
+    ``expected``: directions that point from the second to the first marker where the labels are
+    right. Between neighbouring frames the pair can only turn a little: a sudden reversal is a
+    change of labels, and what gaps leave connected is judged as one run. A run is judged wrong only
+    where its evidence is strong, plentiful and agrees.
     """
     order = unit(first - second)
     seen = np.nonzero(np.isfinite(order[:, 0]))[0]
@@ -175,10 +204,16 @@ def _verdict(evidence: Cosines, fewest: int, surely: float) -> float:
 def _runs(
     first: Points, second: Points, order: Points, gaps: Int[np.ndarray, " S"]
 ) -> tuple[Int[np.ndarray, " S"], Cosines]:
-    """Run number of each seen frame, and +1 or -1: how its order relates to the start of its run."""
+    """Run number of each seen frame, and +1 or -1: how its order relates to the start of its
+    run.
+    """
     turn = np.sum(order[1:] * order[:-1], axis=-1)
-    stay = np.linalg.norm(first[1:] - first[:-1], axis=-1) + np.linalg.norm(second[1:] - second[:-1], axis=-1)
-    cross = np.linalg.norm(first[1:] - second[:-1], axis=-1) + np.linalg.norm(second[1:] - first[:-1], axis=-1)
+    stay = np.linalg.norm(first[1:] - first[:-1], axis=-1) + np.linalg.norm(
+        second[1:] - second[:-1], axis=-1
+    )
+    cross = np.linalg.norm(first[1:] - second[:-1], axis=-1) + np.linalg.norm(
+        second[1:] - first[:-1], axis=-1
+    )
     flips = (turn < -0.7) & (cross < 0.5 * stay) & (gaps <= 5)
     broken = ~flips & (((gaps > 1) & (turn < 0.5)) | (gaps > 25) | (turn < -0.7))
     run = np.concatenate([[0], np.cumsum(broken)])

@@ -14,18 +14,22 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
 from habitus.parallel.blocks import blocks, release, room
 
-GAP = 30  # frames of nothing between captures, so that none is taken for the continuation of another
+GAP = (
+    30  # frames of nothing between captures, so that none is taken for the continuation of another
+)
 
 Key = tuple[str, int]
 
 
 def match_together(
-    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]], candidates: Sequence[MarkerLayout]
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]],
+    candidates: Sequence[MarkerLayout],
 ) -> tuple[LayoutMatch, ...]:
-    """One match for each of several captures of the same person in the same session: same places and distances in all.
+    """One match for each of several captures of the same person in the same session: same places
+    and distances in all.
 
-    What one capture cannot tell (a standing trial bends no elbow), another can; a pair that is exchanged in some
-    captures only is put back in those.
+    What one capture cannot tell (a standing trial bends no elbow), another can; a pair that is
+    exchanged in some captures only is put back in those.
     """
     keys = [_unique_keys(labels) for labels, _ in captures]
     union = {
@@ -64,23 +68,34 @@ def _unique_keys(labels: Sequence[str]) -> list[Key]:
 def _part_of(
     joint: LayoutMatch, names: Sequence[Key], labels: Sequence[str], own: Sequence[Key], part: slice
 ) -> LayoutMatch:
-    """One capture's share of a joint match: its labels and columns, and the frames that are its own."""
+    """One capture's share of a joint match: its labels and columns, and the frames that are its
+    own.
+    """
     here = {names.index(key): column for column, key in enumerate(own)}
     kept = [index for index, column in enumerate(joint.columns) if int(column) in here]
     columns = np.array([here[int(joint.columns[index])] for index in kept], dtype=np.int64)
     pairs = list(zip(kept, columns, strict=True))
-    markers = tuple(replace(joint.layout.markers[index], label=labels[column]) for index, column in pairs)
+    markers = tuple(
+        replace(joint.layout.markers[index], label=labels[column]) for index, column in pairs
+    )
     matched: tuple[str, ...] = tuple(labels[int(column)] for column in columns)
-    cut = (_cut(one, {index: k for k, index in enumerate(kept)}, matched, part) for one in joint.corrections)
+    cut = (
+        _cut(one, {index: k for k, index in enumerate(kept)}, matched, part)
+        for one in joint.corrections
+    )
     corrections = tuple(one for one in cut if one is not None)
     told = {correction.text for correction in joint.corrections}
-    lacking = [m for index, m in enumerate(joint.layout.markers) if index not in kept and not m.optional]
+    lacking = [
+        m for index, m in enumerate(joint.layout.markers) if index not in kept and not m.optional
+    ]
     return replace(
         joint,
         layout=replace(joint.layout, markers=markers),
         columns=columns,
         matched=matched,
-        unmatched_labels=tuple(label for column, label in enumerate(labels) if column not in columns),
+        unmatched_labels=tuple(
+            label for column, label in enumerate(labels) if column not in columns
+        ),
         missing_labels=(*joint.missing_labels, *(marker.aliases[0] for marker in lacking)),
         left_out={label: why for label, why in joint.left_out.items() if label in labels},
         corrections=corrections,
@@ -91,7 +106,9 @@ def _part_of(
     )
 
 
-def _cut(correction: Correction, places: Mapping[int, int], labels: Sequence[str], part: slice) -> Correction | None:
+def _cut(
+    correction: Correction, places: Mapping[int, int], labels: Sequence[str], part: slice
+) -> Correction | None:
     """A correction as far as it concerns one capture, or None."""
     exchange = correction.exchange
     if exchange is None:
@@ -99,6 +116,9 @@ def _cut(correction: Correction, places: Mapping[int, int], labels: Sequence[str
     frames = exchange.frames[part]
     if exchange.first not in places or exchange.second not in places or not frames.any():
         return None
-    first, second = places[exchange.first], places[exchange.second]
+    first = places[exchange.first]
+    second = places[exchange.second]
     text = exchange_text(labels[first], labels[second], frames)
-    return replace(correction, text=text, exchange=replace(exchange, first=first, second=second, frames=frames))
+    return replace(
+        correction, text=text, exchange=replace(exchange, first=first, second=second, frames=frames)
+    )

@@ -11,12 +11,15 @@ _SIDE_WORD = re.compile(r"^(left|right)[ _.\-]*(?=\w)", re.IGNORECASE)
 _SIDE_SUFFIX = re.compile(r"^(.+)[ _.\-](left|right|l|r)$", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[ _.\-]+")
 _PROTOCOL = re.compile(r"^(IOR|CGM\d?|CAST|SPORTS|PIG)_", re.IGNORECASE)
-_NEARLY_ALL, _LONGEST = 0.8, 64  # share of the labels; characters
+_NEARLY_ALL = 0.8
+_LONGEST = 64  # share of the labels; characters
 _FRAGMENT = re.compile(r"^(.*\D)-\d{1,2}$")
 
 
 def normalised(label: str) -> str:
-    """A label without case, separators and prefixes, its side as a leading L or R (``Left IAS`` -> ``LIAS``)."""
+    """A label without case, separators and prefixes, its side as a leading L or R (``Left IAS`` ->
+    ``LIAS``).
+    """
     text = label.rsplit(":", 1)[-1].strip()
     text = re.sub(r"^Q_(?=\w)", "", text, flags=re.IGNORECASE)
     text = _SIDE_WORD.sub(lambda found: found[1][0], text)
@@ -26,7 +29,8 @@ def normalised(label: str) -> str:
 def spellings(label: str) -> tuple[str, ...]:
     """The normalised forms to look a label up by, best first.
 
-    A combined label (``A__IOR_B__CGM_C``) gives each of its parts; a trailing side (``IAS_L``) is also tried in front.
+    A combined label (``A__IOR_B__CGM_C``) gives each of its parts; a trailing side (``IAS_L``) is
+    also tried in front.
     """
     text = label.rsplit(":", 1)[-1].strip()
     forms: list[str] = []
@@ -46,19 +50,30 @@ def fragment_of(label: str) -> str | None:
 
 
 def without_shared(labels: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Readings of labels that nearly all begin or end alike: what they share ("X…", "…_1") and the labels without it.
+    """Readings of labels that nearly all begin or end alike: what they share ("X…", "…_1") and the
+    labels without it.
 
-    The longest shared beginnings come first; a label that lacks what the others share stays as it is.
+    The longest shared beginnings come first; a label that lacks what the others share stays as it
+    is.
     """
     for end in (False, True):
         turned = [label[::-1] if end else label for label in labels]
         for part in _shared(turned):
             plain = tuple(text[len(part) :] if text.startswith(part) else text for text in turned)
-            yield (f"…{part[::-1]}", tuple(text[::-1] for text in plain)) if end else (f"{part}…", plain)
+            yield (
+                (f"…{part[::-1]}", tuple(text[::-1] for text in plain))
+                if end
+                else (f"{part}…", plain)
+            )
 
 
 def _shared(labels: Sequence[str]) -> list[str]:
     """Beginnings that `_NEARLY_ALL` labels share, the longest first; none of them a whole label."""
-    counts = [Counter(label[:length] for label in labels if len(label) > length) for length in range(1, _LONGEST)]
+    counts = [
+        Counter(label[:length] for label in labels if len(label) > length)
+        for length in range(1, _LONGEST)
+    ]
     best = [count.most_common(1)[0] for count in counts if count]
-    return [part for part, count in takewhile(lambda one: one[1] >= _NEARLY_ALL * len(labels), best)][::-1]
+    return [
+        part for part, count in takewhile(lambda one: one[1] >= _NEARLY_ALL * len(labels), best)
+    ][::-1]

@@ -1,7 +1,9 @@
-"""Marker layouts: which label sits where on a body, and how far off the skin (MoSh paper, sections 4.1 and 7).
+"""Marker layouts: which label sits where on a body, and how far off the skin (MoSh paper, sections
+4.1 and 7).
 
-A place is a landmark of the body (``body.landmarks``), the surface point nearest to a blend of two landmarks, or, for
-one named body only, a vertex id. Everything here is data; files are read by ``habitus.io.layouts.files``.
+A place is a landmark of the body (``body.landmarks``), the surface point nearest to a blend of two
+landmarks, or, for one named body only, a vertex id. Everything here is data; files are read by
+``habitus.io.layouts.files``.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ MIDLINE = 1e-3
 
 
 class PlacedBody(Protocol):
-    """What a layout needs of a body: its name, its landmarks (name -> vertex) and its template (V, 3), metres."""
+    """What a layout needs of a body: its name, its landmarks (name -> vertex) and its template (V,
+    3), metres.
+    """
 
     @property
     def name(self) -> str: ...  # noqa: D102
@@ -40,15 +44,16 @@ class PlacedBody(Protocol):
 class Marker:
     """One marker of a layout.
 
-    label, aliases: how capture files spell it. One place: ``landmark`` (a name in ``body.landmarks``), ``between`` (two
-    landmarks and the share of the way from the first to the second) or ``vertex`` (an id of one body, see
-    ``MarkerLayout.num_vertices``; a landmark beside it is the fallback for other bodies). ``shift``: from there along
-    the skin of the template, metres in body space: where people put this marker. ``distance``: marker centre from the
-    skin along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
-    ``place_spread``: standard deviations in metres of the distance and of the place on the skin; the paper's weights
-    100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that a capture may lack without remark;
-    those ``on_finger`` tell how fingers bend. ``confidence``: of a place that was found by fitting, how likely the
-    marker sits within 5 cm of it (0..1).
+    label, aliases: how capture files spell it. One place: ``landmark`` (a name in
+    ``body.landmarks``), ``between`` (two landmarks and the share of the way from the first to the
+    second) or ``vertex`` (an id of one body, see ``MarkerLayout.num_vertices``; a landmark beside
+    it is the fallback for other bodies). ``shift``: from there along the skin of the template,
+    metres in body space: where people put this marker. ``distance``: marker centre from the skin
+    along the vertex normal (or along ``direction`` in body space), metres. ``distance_spread`` and
+    ``place_spread``: standard deviations in metres of the distance and of the place on the skin;
+    the paper's weights 100/cm² and 0.25/cm² are 1 mm and 2 cm. ``optional`` markers are extras that
+    a capture may lack without remark; those ``on_finger`` tell how fingers bend. ``confidence``: of
+    a place that was found by fitting, how likely the marker sits within 5 cm of it (0..1).
     """
 
     label: str
@@ -81,7 +86,9 @@ class Marker:
         return () if self.landmark is None else (self.landmark,)
 
     def measured_at(self, **changes: Any) -> Marker:
-        """This marker with what the geometry of a capture says of its place, which no ``shift`` betters."""
+        """This marker with what the geometry of a capture says of its place, which no ``shift``
+        betters.
+        """
         return replace(self, shift=None, **changes)
 
     def moved_to(self, other: Marker) -> Marker:
@@ -93,10 +100,10 @@ class Marker:
 class MarkerLayout:
     """A named set of markers. Labels are unique.
 
-    ``fingerprint``: labels that tell this set from others. ``left_out``: known labels that are no markers on the skin,
-    with the reason. ``fingers``: markers on fingers, left out but of a layout `with_fingers`. ``num_vertices``: the
-    vertex count of the body that vertex ids belong to, None where none are used.
-    ``also_known_as``: other names of the same layout.
+    ``fingerprint``: labels that tell this set from others. ``left_out``: known labels that are no
+    markers on the skin, with the reason. ``fingers``: markers on fingers, left out but of a layout
+    `with_fingers`. ``num_vertices``: the vertex count of the body that vertex ids belong to, None
+    where none are used. ``also_known_as``: other names of the same layout.
     """
 
     name: str
@@ -114,7 +121,10 @@ class MarkerLayout:
         seen: set[str] = set()
         for marker in self.markers:
             if marker.label in seen:
-                raise HabitusError(f"layout {self.name}: label {marker.label!r} occurs twice; expected unique labels")
+                raise HabitusError(
+                    f"layout {self.name}: label {marker.label!r} occurs twice; expected unique "
+                    "labels"
+                )
             seen.add(marker.label)
 
     @property
@@ -134,24 +144,42 @@ class MarkerLayout:
     def vertices(self, body: PlacedBody) -> Int[np.ndarray, " M"]:
         """(M,) vertex id of each marker's place on this body.
 
-        Raises HabitusError naming the landmarks that the body lacks, or when vertex ids belong to another body.
+        Raises HabitusError naming the landmarks that the body lacks, or when vertex ids belong to
+        another body.
         """
-        missing = sorted({name for marker in self.markers for name in marker.landmarks if name not in body.landmarks})
+        missing = sorted(
+            {
+                name
+                for marker in self.markers
+                for name in marker.landmarks
+                if name not in body.landmarks
+            }
+        )
         count = len(body.v_template)
         own_ids = count == self.num_vertices
-        foreign = [m.label for m in self.markers if m.vertex is not None and not m.landmarks and not own_ids]
+        foreign = [
+            m.label
+            for m in self.markers
+            if m.vertex is not None and not m.landmarks and not own_ids
+        ]
         if foreign:
             raise HabitusError(
                 f"layout {self.name} places {_some(foreign)} by vertex ids of a body with "
-                f"{self.num_vertices or 'an unnamed number of'} vertices, but body {body.name} has {count}; "
-                "use that body (num_vertices in the layout file says which), or give landmark names instead"
+                f"{self.num_vertices or 'an unnamed number of'} vertices, but body {body.name} "
+                f"has {count}; "
+                "use that body (num_vertices in the layout file says which), or give landmark "
+                "names instead"
             )
         if missing and not (own_ids and all(marker.vertex is not None for marker in self.markers)):
             raise HabitusError(
                 f"layout {self.name}: body {body.name} has no landmark {_some(missing)}; "
-                f"it knows {len(body.landmarks)} landmarks; correct the layout or place these markers elsewhere"
+                f"it knows {len(body.landmarks)} landmarks; correct the layout or place these "
+                "markers elsewhere"
             )
-        return np.array([_shifted(marker, _vertex(marker, body, own_ids), body) for marker in self.markers], np.int64)
+        return np.array(
+            [_shifted(marker, _vertex(marker, body, own_ids), body) for marker in self.markers],
+            np.int64,
+        )
 
     def distances(self) -> np.ndarray:
         """(M,) distance of each marker centre from the skin, metres."""
@@ -166,7 +194,9 @@ class MarkerLayout:
         return np.array([marker.place_spread for marker in self.markers])
 
     def with_fingers(self) -> MarkerLayout:
-        """The same layout with its markers on fingers among the others, for a body that has finger joints."""
+        """The same layout with its markers on fingers among the others, for a body that has finger
+        joints.
+        """
         own = {marker.label for marker in self.fingers}
         left_out = {label: why for label, why in self.left_out.items() if label not in own}
         return replace(self, markers=(*self.markers, *self.fingers), left_out=left_out, fingers=())
@@ -177,7 +207,9 @@ class MarkerLayout:
 
 
 def _shifted(marker: Marker, vertex: int, body: PlacedBody) -> int:
-    """The vertex nearest to a marker's shifted place; what lies on the middle of the body stays there."""
+    """The vertex nearest to a marker's shifted place; what lies on the middle of the body stays
+    there.
+    """
     if marker.shift is None:
         return vertex
     template = np.asarray(body.v_template)
@@ -193,7 +225,8 @@ def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:
     if marker.between is not None:
         first, second, share = marker.between
         template = np.asarray(body.v_template)
-        a, b = template[int(body.landmarks[first])], template[int(body.landmarks[second])]
+        a = template[int(body.landmarks[first])]
+        b = template[int(body.landmarks[second])]
         away = np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)
         if max(abs(a[0]), abs(b[0])) < MIDLINE:  # what lies between them lies on it too
             away[np.abs(template[:, 0]) > MIDLINE] = np.inf
@@ -206,7 +239,10 @@ def _checked_id(marker: Marker, body: PlacedBody) -> int:
     assert marker.vertex is not None
     if not 0 <= marker.vertex < len(body.v_template):
         count = len(body.v_template)
-        raise HabitusError(f"marker {marker.label} names vertex {marker.vertex}; body {body.name} has {count} vertices")
+        raise HabitusError(
+            f"marker {marker.label} names vertex {marker.vertex}; body {body.name} has {count} "
+            "vertices"
+        )
     return marker.vertex
 
 

@@ -1,7 +1,9 @@
-"""Which layout do a capture's labels belong to? Decided by the whole set of labels, since one label means many places.
+"""Which layout do a capture's labels belong to? Decided by the whole set of labels, since one label
+means many places.
 
-``SHN`` is the outer shank in one set and the front of the shin in another, so no label is looked up alone: each
-candidate layout explains a share of the capture's labels, is itself complete to some share, and has its own labels.
+``SHN`` is the outer shank in one set and the front of the shin in another, so no label is looked up
+alone: each candidate layout explains a share of the capture's labels, is itself complete to some
+share, and has its own labels.
 """
 
 from __future__ import annotations
@@ -30,11 +32,12 @@ _RIVAL = 0.3  # a layout whose score is this much lower is no rival
 class LayoutMatch:
     """What `match_layout` found.
 
-    layout: the chosen layout restricted to the M' labels found, in capture order, spelled as the capture spells them.
-    columns: (M',) their indices into the capture's labels. matched, unmatched_labels: the capture's labels that are
-    used and that are not; left_out: of these, label -> why. missing_labels: labels of the layout that the capture lacks
-    (extras aside). confidence: 0..1, how sure the choice is. corrections: what the geometry changed in the layout.
-    warnings: what a person should know, corrections among it. runner_up: name of the next best layout.
+    layout: the chosen layout restricted to the M' labels found, in capture order, spelled as the
+    capture spells them. columns: (M',) their indices into the capture's labels. matched,
+    unmatched_labels: the capture's labels that are used and that are not; left_out: of these, label
+    -> why. missing_labels: labels of the layout that the capture lacks (extras aside). confidence:
+    0..1, how sure the choice is. corrections: what the geometry changed in the layout. warnings:
+    what a person should know, corrections among it. runner_up: name of the next best layout.
     """
 
     layout: MarkerLayout
@@ -49,7 +52,9 @@ class LayoutMatch:
     runner_up: str | None = None
 
     def select(self, markers: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T N 3"]:
-        """A copy of the capture's markers in the layout's order, exchanged labels put back where the geometry told."""
+        """A copy of the capture's markers in the layout's order, exchanged labels put back where
+        the geometry told.
+        """
         chosen = mapped(lambda part: np.array(part[:, self.columns]), markers)
         for correction in self.corrections:
             if correction.exchange is not None:
@@ -72,7 +77,9 @@ def best_match(
     candidates: Sequence[MarkerLayout],
     markers: Float[np.ndarray, "T M 3"] | None = None,
 ) -> LayoutMatch:
-    """The candidate that explains the labels best (see ``habitus.io.layouts.files.match_layout``)."""
+    """The candidate that explains the labels best (see
+    ``habitus.io.layouts.files.match_layout``).
+    """
     meaning = interpreted(labels, candidates)
     named = [label for label in labels if label not in meaning.left_out]
     confidence = _confidence(meaning, len(meaning.found) / max(1, len(named)))
@@ -82,14 +89,20 @@ def best_match(
 
 
 def _against_geometry(match: LayoutMatch, markers: Float[np.ndarray, "T M 3"]) -> LayoutMatch:
-    chosen = mapped(lambda part: np.asarray(part, dtype=float)[:, match.columns], np.asarray(markers))
+    chosen = mapped(
+        lambda part: np.asarray(part, dtype=float)[:, match.columns], np.asarray(markers)
+    )
     layout, corrections = checked(match.layout, chosen)
     warnings = tuple(correction.text for correction in corrections if not correction.quiet)
-    return replace(match, layout=layout, corrections=corrections, warnings=match.warnings + warnings)
+    return replace(
+        match, layout=layout, corrections=corrections, warnings=match.warnings + warnings
+    )
 
 
 def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:
-    """How well one layout explains the labels: which column is which marker, and a score to rank layouts by."""
+    """How well one layout explains the labels: which column is which marker, and a score to rank
+    layouts by.
+    """
     found = assigned(labels, layout)
     known = {normalised(label) for label in layout.left_out}
     named = [label for label in labels if not known & set(spellings(label))]
@@ -100,11 +113,18 @@ def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:
     special = [label in own for label in layout.fingerprint]
     marked = sum(special) / len(special) if special else complete
     explained = sum(quality for _, quality in found.values()) / max(1, len(named))
-    return _Explained(layout, found, explained + 0.5 * complete + 0.5 * marked, 0.4 + 0.4 * marked + 0.2 * complete)
+    return _Explained(
+        layout,
+        found,
+        explained + 0.5 * complete + 0.5 * marked,
+        0.4 + 0.4 * marked + 0.2 * complete,
+    )
 
 
 def assigned(labels: Sequence[str], layout: MarkerLayout) -> dict[int, tuple[Marker, float]]:
-    """Column -> (marker, quality) for the labels that this layout knows; a marker is used once, by its best label."""
+    """Column -> (marker, quality) for the labels that this layout knows; a marker is used once, by
+    its best label.
+    """
     lookup = _lookup(layout)
     bases = {normalised(label) for label in labels}
     offers: dict[str, tuple[int, int, Marker]] = {}
@@ -118,7 +138,9 @@ def assigned(labels: Sequence[str], layout: MarkerLayout) -> dict[int, tuple[Mar
             marker, rank = hit
             if marker.label not in offers or rank < offers[marker.label][0]:
                 offers[marker.label] = (rank, column, marker)
-    pairs = {column: (marker, 1.0 if rank == 0 else _ALIAS) for rank, column, marker in offers.values()}
+    pairs = {
+        column: (marker, 1.0 if rank == 0 else _ALIAS) for rank, column, marker in offers.values()
+    }
     return dict(sorted(pairs.items()))
 
 
@@ -135,9 +157,11 @@ def _lookup(layout: MarkerLayout) -> dict[str, tuple[Marker, int]]:
 
 @dataclass(frozen=True)
 class _Meaning:
-    """The best layout, its rivals, each column's marker, labels that are no markers, and why others are not used.
+    """The best layout, its rivals, each column's marker, labels that are no markers, and why others
+    are not used.
 
-    shared: what nearly all labels begin or end with and what was left off to read them, "" for nothing.
+    shared: what nearly all labels begin or end with and what was left off to read them, "" for
+    nothing.
     """
 
     best: _Explained
@@ -149,9 +173,11 @@ class _Meaning:
 
 
 def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
-    """What each label means, sure or not: by the layout that explains the labels best, the rest by the others.
+    """What each label means, sure or not: by the layout that explains the labels best, the rest by
+    the others.
 
-    Where few mean anything, a letter or word that nearly all share (``XLFHD``, ``XRFHD``) is left off, if that helps.
+    Where few mean anything, a letter or word that nearly all share (``XLFHD``, ``XRFHD``) is left
+    off, if that helps.
     """
     if not candidates:
         raise HabitusError("no layout to match against; expected at least one")
@@ -169,8 +195,12 @@ def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _M
 
 
 def _interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _Meaning:
-    ranked = sorted((explain(labels, layout) for layout in candidates), key=lambda one: (-one.score, one.layout.name))
-    best, rivals = ranked[0], ranked[1:]
+    ranked = sorted(
+        (explain(labels, layout) for layout in candidates),
+        key=lambda one: (-one.score, one.layout.name),
+    )
+    best = ranked[0]
+    rivals = ranked[1:]
     left_out = _left_out(labels, best)
     extras, doubts = _extras(labels, best, rivals, left_out)
     found = {column: marker for column, (marker, _) in best.found.items()} | extras
@@ -188,9 +218,14 @@ def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
 
 
 def _extras(
-    labels: Sequence[str], best: _Explained, rivals: Sequence[_Explained], left_out: Mapping[str, str]
+    labels: Sequence[str],
+    best: _Explained,
+    rivals: Sequence[_Explained],
+    left_out: Mapping[str, str],
 ) -> tuple[dict[int, Marker], dict[str, str]]:
-    """Labels that the best layout lacks but all others that know them place alike; and why the rest is not used."""
+    """Labels that the best layout lacks but all others that know them place alike; and why the rest
+    is not used.
+    """
     tables = [(rival.layout.name, _lookup(rival.layout)) for rival in rivals]
     taken = {marker.place for marker, _ in best.found.values() if marker.place_spread < 0.03}
     extras: dict[int, Marker] = {}
@@ -206,14 +241,20 @@ def _extras(
         elif len(places) == 1:
             doubts[label] = f"another marker is already at {places.pop()}"
         elif places:
-            doubts[label] = f"means different places in {listed(sorted({name for _, name in meanings}), 2)}"
+            doubts[label] = (
+                f"means different places in {listed(sorted({name for _, name in meanings}), 2)}"
+            )
         else:
             doubts[label] = "unknown label"
     return extras, doubts
 
 
-def _meanings(label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker, int]]]]) -> list[tuple[Marker, str]]:
-    """(marker, layout name) of every layout that knows a label; those that spell it so themselves go before aliases."""
+def _meanings(
+    label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker, int]]]]
+) -> list[tuple[Marker, str]]:
+    """(marker, layout name) of every layout that knows a label; those that spell it so themselves
+    go before aliases.
+    """
     hits = []
     for name, table in tables:
         hit = next((table[form] for form in spellings(label) if form in table), None)
@@ -224,7 +265,9 @@ def _meanings(label: str, tables: Sequence[tuple[str, Mapping[str, tuple[Marker,
 
 
 def _confidence(meaning: _Meaning, used: float) -> float:
-    """Share of labels used, times how much of the set is there, less where a near rival says other places."""
+    """Share of labels used, times how much of the set is there, less where a near rival says other
+    places.
+    """
     best = meaning.best
     doubt = 0.0
     for rival in meaning.rivals:
@@ -238,15 +281,22 @@ def _confidence(meaning: _Meaning, used: float) -> float:
 
 
 def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: float) -> None:
-    name, count, single = meaning.best.layout.name, len(meaning.found), not meaning.rivals
+    name = meaning.best.layout.name
+    count = len(meaning.found)
+    single = not meaning.rivals
     arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
     alike = next((shared for shared, _ in without_shared(labels)), "")
-    help_ = f"nearly all labels read {alike}: rename them if that is no part of their names; " if alike else ""
+    help_ = (
+        f"nearly all labels read {alike}: rename them if that is no part of their names; "
+        if alike
+        else ""
+    )
     help_ += "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
     if count < FEWEST_MARKERS:
         raise HabitusError(
             f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known to "
-            f"{f'layout {name}' if single else 'any layout'}; expected at least {FEWEST_MARKERS}; {help_}"
+            f"{f'layout {name}' if single else 'any layout'}; expected at least {FEWEST_MARKERS}; "
+            f"{help_}"
         )
     if confidence < LEAST_CONFIDENCE and not single:
         raise HabitusError(
@@ -256,9 +306,14 @@ def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: floa
 
 
 def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> LayoutMatch:
-    best, found, left_out = meaning.best, meaning.found, {**meaning.left_out, **meaning.doubts}
+    best = meaning.best
+    found = meaning.found
+    left_out = {**meaning.left_out, **meaning.doubts}
     columns = sorted(found)
-    used = tuple(replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases)) for c in columns)
+    used = tuple(
+        replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases))
+        for c in columns
+    )
     present = {marker.label for marker, _ in best.found.values()}
     unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
     borrowed = [labels[column] for column in columns if column not in best.found]
@@ -266,15 +321,22 @@ def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> La
     if meaning.shared:
         warnings.append(f"labels read without what they share: {meaning.shared}")
     if borrowed:
-        warnings.append(f"labels that {best.layout.name} lacks, taken from other sets: {listed(borrowed)}")
+        warnings.append(
+            f"labels that {best.layout.name} lacks, taken from other sets: {listed(borrowed)}"
+        )
     if left_out:
-        warnings.append("labels left out: " + listed([f"{label} ({why})" for label, why in left_out.items()], 4, "; "))
+        warnings.append(
+            "labels left out: "
+            + listed([f"{label} ({why})" for label, why in left_out.items()], 4, "; ")
+        )
     return LayoutMatch(
         layout=replace(best.layout, markers=used),
         columns=np.array(columns, dtype=np.int64),
         matched=tuple(labels[column] for column in columns),
         unmatched_labels=unmatched,
-        missing_labels=tuple(m.label for m in best.layout.markers if not m.optional and m.label not in present),
+        missing_labels=tuple(
+            m.label for m in best.layout.markers if not m.optional and m.label not in present
+        ),
         confidence=confidence,
         warnings=tuple(warnings),
         left_out=left_out,

@@ -1,4 +1,6 @@
-"""Places in words: the landmark, or the point between two landmarks, that is nearest to a vertex."""
+"""Places in words: the landmark, or the point between two landmarks, that is nearest to a
+vertex.
+"""
 
 from collections.abc import Sequence
 
@@ -11,13 +13,14 @@ AT = 0.012
 """Metres: a vertex this near to a landmark is the landmark."""
 _SHARES = np.round(np.linspace(0.05, 0.95, 19), 2)
 _MIDDLE = 0.03  # metres: nearer to x = 0 than this, landmarks of both sides may be meant
-_LONGEST, _TRIED = 0.45, 24  # metres between two landmarks; pairs looked at
+_LONGEST = 0.45
+_TRIED = 24  # metres between two landmarks; pairs looked at
 _LENGTH = 0.04  # so much nearer must a point be for each metre that its landmarks are further apart
 
 
 def place_in_words(body: PlacedBody, vertex: int) -> Marker:
-    """A marker without a label at a vertex, said by landmarks, so that people can read and correct it; by the vertex
-    where the body has no landmarks.
+    """A marker without a label at a vertex, said by landmarks, so that people can read and correct
+    it; by the vertex where the body has no landmarks.
     """
     template = np.asarray(body.v_template, dtype=float)
     names = [name for name in body.landmarks if _sided_as(name, template[vertex])]
@@ -35,17 +38,23 @@ def place_in_words(body: PlacedBody, vertex: int) -> Marker:
     return found[int(np.argmin(off + _LENGTH * far))]
 
 
-def _between(names: Sequence[str], points: Float[np.ndarray, "L 3"], target: Float[np.ndarray, " 3"]) -> list[Marker]:
+def _between(
+    names: Sequence[str], points: Float[np.ndarray, "L 3"], target: Float[np.ndarray, " 3"]
+) -> list[Marker]:
     """Points between two landmarks that are near to a target, the nearest first."""
     first, second = np.triu_indices(len(names), 1)
     near = np.linalg.norm(points[first] - points[second], axis=1) < _LONGEST
-    first, second = first[near], second[near]
+    first = first[near]
+    second = second[near]
     way = points[second] - points[first]
     at = points[first][:, None] + _SHARES[None, :, None] * way[:, None]
     off = np.linalg.norm(at - target, axis=2) + _LENGTH * np.linalg.norm(way, axis=1)[:, None]
     best = np.argmin(off, axis=1)
     order = np.argsort(off[np.arange(len(best)), best], kind="stable")[:_TRIED]
-    return [Marker("", between=(names[first[k]], names[second[k]], float(_SHARES[best[k]]))) for k in order]
+    return [
+        Marker("", between=(names[first[k]], names[second[k]], float(_SHARES[best[k]])))
+        for k in order
+    ]
 
 
 def _apart(marker: Marker, body: PlacedBody) -> float:

@@ -1,4 +1,6 @@
-"""Normals of triangles and vertices in array operations, NumPy's or torch's; `normals` is what to call."""
+"""Normals of triangles and vertices in array operations, NumPy's or torch's; `normals` is what to
+call.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,14 +9,20 @@ from habitus.arrays import cross, flatten, is_tensor, namespace, take, to_numpy,
 from habitus.types import Array
 
 
-def face_normals(vertices: Float[Array, "*batch V 3"], faces: Int[Array, "T 3"]) -> Float[Array, "*batch T 3"]:
-    """Normals of triangles, twice as long as their area (m^2), to the side from where they run counter-clockwise."""
+def face_normals(
+    vertices: Float[Array, "*batch V 3"], faces: Int[Array, "T 3"]
+) -> Float[Array, "*batch T 3"]:
+    """Normals of triangles, twice as long as their area (m^2), to the side from where they run
+    counter-clockwise.
+    """
     a, b, c = (take(vertices, corner, -2) for corner in unbind(as_index(faces, vertices)))
     return cross(b - a, c - a)
 
 
 def unit_sums(
-    vertices: Float[Array, "*batch V 3"], faces: Int[Array, "T 3"], which: Int[np.ndarray, " N"] | None = None
+    vertices: Float[Array, "*batch V 3"],
+    faces: Int[Array, "T 3"],
+    which: Int[np.ndarray, " N"] | None = None,
 ) -> Float[Array, "*batch N 3"]:
     """`vertex_normals` in array operations: the reference of `normal_kernels`."""
     xp = namespace(vertices)
@@ -42,6 +50,11 @@ def summed_at_corners(values: Array, faces: Array, like: Array) -> Array:
         for corner in unbind(as_index(faces, like)):
             total = total.index_add(-2, corner, values)
         return total
-    surfaces, corners, count = flatten(values[None], 0, -3), faces.T.ravel(), like.shape[-2]
-    sums = [[np.bincount(corners, np.tile(axis, 3), count) for axis in surface.T] for surface in surfaces]
+    surfaces = flatten(values[None], 0, -3)
+    corners = faces.T.ravel()
+    count = like.shape[-2]
+    sums = [
+        [np.bincount(corners, np.tile(axis, 3), count) for axis in surface.T]
+        for surface in surfaces
+    ]
     return np.asarray(sums, like.dtype).reshape(-1, 3, count).swapaxes(1, 2).reshape(like.shape)

@@ -1,4 +1,6 @@
-"""`normals.vertex_normals` of one mesh of torch tensors on the CPU, compiled, with derivatives of every kind."""
+"""`normals.vertex_normals` of one mesh of torch tensors on the CPU, compiled, with derivatives of
+every kind.
+"""
 
 from typing import Any
 
@@ -13,11 +15,17 @@ from habitus.mesh.array_normals import summed_at_corners, unit_sums
 
 def is_compiled(vertices: Tensor, faces: Tensor) -> bool:
     """Whether the kernels take them: one mesh on the CPU whose faces name vertices that exist."""
-    fits = vertices.ndim == 2 and vertices.dtype in (torch.float32, torch.float64) and vertices.device.type == "cpu"
+    fits = (
+        vertices.ndim == 2
+        and vertices.dtype in (torch.float32, torch.float64)
+        and vertices.device.type == "cpu"
+    )
     return fits and len(faces) > 0 and int(faces.min()) >= 0 and int(faces.max()) < len(vertices)
 
 
-def vertex_normals(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]) -> Float[Tensor, "V 3"]:
+def vertex_normals(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "T 3"]
+) -> Float[Tensor, "V 3"]:
     """Unit normals of vertices, of which `is_compiled` holds."""
     return _VertexNormals.apply(vertices, faces)
 
@@ -39,11 +47,15 @@ class _VertexNormals(torch.autograd.Function):
     def backward(ctx: Any, cotangent: Tensor) -> Any:
         vertices, faces = ctx.saved_tensors
         if torch.is_grad_enabled():  # to be derived once more
-            return torch.func.vjp(lambda moved: unit_sums(moved, faces), vertices)[1](cotangent)[0], None
+            return torch.func.vjp(lambda moved: unit_sums(moved, faces), vertices)[1](cotangent)[
+                0
+            ], None
         points = _array(vertices)
         found = np.zeros(points.shape, points.dtype)
         totals = _totals(points, faces)
-        normal_kernels.vertex_normals_vjp(points, _array(faces), totals, _tiny(points), _array(cotangent), found)
+        normal_kernels.vertex_normals_vjp(
+            points, _array(faces), totals, _tiny(points), _array(cotangent), found
+        )
         return torch.from_numpy(found), None
 
     @staticmethod
@@ -57,12 +69,16 @@ class _VertexNormals(torch.autograd.Function):
         squared = (total * total).sum(-1, keepdim=True)
         seen = squared > torch.finfo(vertices.dtype).tiny
         squared = torch.where(seen, squared, 1.0)
-        return (step - total * (total * step).sum(-1, keepdim=True) / squared) * seen / squared.sqrt()
+        return (
+            (step - total * (total * step).sum(-1, keepdim=True) / squared) * seen / squared.sqrt()
+        )
 
     @staticmethod
     def vmap(info: Any, in_dims: Any, vertices: Tensor, faces: Tensor) -> tuple[Tensor, int]:
         if in_dims[1] is not None:
-            raise RuntimeError("vmap over faces is not supported: meshes of one batch share their faces")
+            raise RuntimeError(
+                "vmap over faces is not supported: meshes of one batch share their faces"
+            )
         return unit_sums(vertices.movedim(in_dims[0], 0), faces), 0
 
 

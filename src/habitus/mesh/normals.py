@@ -11,9 +11,12 @@ __all__ = ["face_normals", "vertex_normals"]
 
 
 def vertex_normals(
-    vertices: Float[Array, "*batch V 3"], faces: Int[Array, "T 3"], which: Int[np.ndarray, " N"] | None = None
+    vertices: Float[Array, "*batch V 3"],
+    faces: Int[Array, "T 3"],
+    which: Int[np.ndarray, " N"] | None = None,
 ) -> Float[Array, "*batch N 3"]:
-    """Unit normals of vertices, or of those numbered ``which``: the mean of the triangles around, weighted by area.
+    """Unit normals of vertices, or of those numbered ``which``: the mean of the triangles around,
+    weighted by area.
 
     A vertex without triangles, or whose triangles cancel out, gets a zero; its gradient is finite.
     """

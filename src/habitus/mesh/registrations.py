@@ -17,7 +17,9 @@ SEXES = ("female", "male", "")
 
 @runtime_checkable
 class Vertices(Protocol):
-    """Vertices (N, V, 3) that are fetched when asked for: an array, a mapped file, a zarr array, a reader of files."""
+    """Vertices (N, V, 3) that are fetched when asked for: an array, a mapped file, a zarr array, a
+    reader of files.
+    """
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -25,7 +27,9 @@ class Vertices(Protocol):
         ...
 
     def __getitem__(self, rows: Any, /) -> Any:
-        """The registrations (np.ndarray) of some rows (a whole number, a slice, or an array of numbers)."""
+        """The registrations (np.ndarray) of some rows (a whole number, a slice, or an array of
+        numbers).
+        """
         ...
 
 
@@ -33,12 +37,13 @@ class Vertices(Protocol):
 class Registrations:
     """N registrations in one topology, read one by one: their vertices may lie on disk.
 
-    ``vertices`` (N, V, 3) are in metres, in the frame of the template (y up, facing +z). ``subject``, ``sex``
-    ("female", "male" or "" where it is not told), ``set`` ("pose": one of many poses of its subject, "shape": one of
-    many subjects in about one pose, "test": kept out of the training) and ``name`` (for messages) have one word a
-    registration. A vertex that is not a number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how
-    far vertices are trusted, (V,) in all registrations or (N, V) in each. ``known`` is what is known of them besides.
-    Raises HabitusError where these do not fit together.
+    ``vertices`` (N, V, 3) are in metres, in the frame of the template (y up, facing +z).
+    ``subject``, ``sex`` ("female", "male" or "" where it is not told), ``set`` ("pose": one of many
+    poses of its subject, "shape": one of many subjects in about one pose, "test": kept out of the
+    training) and ``name`` (for messages) have one word a registration. A vertex that is not a
+    number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how far vertices are
+    trusted, (V,) in all registrations or (N, V) in each. ``known`` is what is known of them
+    besides. Raises HabitusError where these do not fit together.
     """
 
     vertices: Vertices
@@ -53,11 +58,15 @@ class Registrations:
     def __post_init__(self):
         shape = tuple(self.vertices.shape)
         if len(shape) != 3 or shape[2] != 3 or shape[1] == 0:
-            raise HabitusError(f"the registrations' vertices have shape {shape}; expected (N, V, 3)")
+            raise HabitusError(
+                f"the registrations' vertices have shape {shape}; expected (N, V, 3)"
+            )
         for key in ("subject", "sex", "set", "name"):
             words = getattr(self, key)
             if len(words) != shape[0]:
-                raise HabitusError(f"{len(words)} words of {key!r} for {shape[0]} registrations; expected one each")
+                raise HabitusError(
+                    f"{len(words)} words of {key!r} for {shape[0]} registrations; expected one each"
+                )
         _check_words("sex", self.sex, SEXES, self.name)
         _check_words("set", self.set, SETS, self.name)
         check_faces(self.faces, shape[1], "the registrations'")
@@ -99,7 +108,8 @@ class Registrations:
         return np.array(self.vertices[k], dtype=np.float64)
 
     def read_seen(self, k: int) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, " V"] | None]:
-        """Vertices (m) of registration ``k``, zero where there are holes, and their weights; None where all are 1.
+        """Vertices (m) of registration ``k``, zero where there are holes, and their weights; None
+        where all are 1.
 
         Raises HabitusError for weights that are not from 0 to 1.
         """
@@ -114,17 +124,24 @@ class Registrations:
 
     def _weight(self, k: int) -> Float[np.ndarray, " V"]:
         assert self.weights is not None
-        weight = np.array(self.weights[k] if len(self.weights.shape) == 2 else self.weights, dtype=np.float64)
+        weight = np.array(
+            self.weights[k] if len(self.weights.shape) == 2 else self.weights, dtype=np.float64
+        )
         if not ((weight >= 0) & (weight <= 1)).all():
             raise HabitusError(
-                f"{self.name[k]}: its weights run from {weight.min():.3g} to {weight.max():.3g}; expected 0 to 1"
+                f"{self.name[k]}: its weights run from {weight.min():.3g} to {weight.max():.3g}; "
+                "expected 0 to 1"
             )
         return weight
 
     @cached_property
     def weighted(self) -> bool:
-        """Whether any vertex counts less than others, or is a hole; reads all registrations where nothing is told."""
-        return self.weights is not None or any(np.isnan(self.read(k)).any() for k in range(len(self)))
+        """Whether any vertex counts less than others, or is a hole; reads all registrations where
+        nothing is told.
+        """
+        return self.weights is not None or any(
+            np.isnan(self.read(k)).any() for k in range(len(self))
+        )
 
     @cached_property
     def made(self) -> Bool[np.ndarray, " N"]:
@@ -138,7 +155,9 @@ class Registrations:
         sex: str | Collection[str] | None = None,
         subject: str | Collection[str] | None = None,
     ) -> "Registrations":
-        """The registrations of a set, a sex, a subject (or of several), in their order; nothing is read or copied."""
+        """The registrations of a set, a sex, a subject (or of several), in their order; nothing is
+        read or copied.
+        """
         kept = np.ones(len(self), dtype=bool)
         for words, wanted in ((self.set, set), (self.sex, sex), (self.subject, subject)):
             if wanted is not None:
@@ -147,18 +166,26 @@ class Registrations:
         return self.take(np.flatnonzero(kept))
 
     def take(self, rows: Int[np.ndarray, " n"]) -> "Registrations":
-        """These registrations, in this order; nothing is read or copied. Raises HabitusError for rows out of range."""
+        """These registrations, in this order; nothing is read or copied. Raises HabitusError for
+        rows out of range.
+        """
         rows = np.asarray(rows, dtype=np.int64).reshape(-1)
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(self)):
             raise HabitusError(
-                f"registrations {rows.min()} to {rows.max()} asked for; expected 0 to {len(self) - 1}, or none"
+                f"registrations {rows.min()} to {rows.max()} asked for; expected 0 to "
+                f"{len(self) - 1}, or none"
             )
-        words = {key: tuple(getattr(self, key)[k] for k in rows) for key in ("subject", "sex", "set", "name")}
+        words = {
+            key: tuple(getattr(self, key)[k] for k in rows)
+            for key in ("subject", "sex", "set", "name")
+        }
         weights = self.weights
         if weights is not None and len(weights.shape) == 2:
             weights = _Rows(*_base(weights, rows))
         known = None if self.known is None else self.known.take(rows)
-        return replace(self, vertices=_Rows(*_base(self.vertices, rows)), weights=weights, known=known, **words)
+        return replace(
+            self, vertices=_Rows(*_base(self.vertices, rows)), weights=weights, known=known, **words
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,21 +206,35 @@ class _Rows:
         return np.asarray(self.source[int(chosen)])
 
 
-def _base(vertices: Vertices, rows: Int[np.ndarray, " n"]) -> tuple[Vertices, Int[np.ndarray, " n"]]:
+def _base(
+    vertices: Vertices, rows: Int[np.ndarray, " n"]
+) -> tuple[Vertices, Int[np.ndarray, " n"]]:
     """The vertices that a choice of a choice comes down to."""
-    return (vertices.source, vertices.rows[rows]) if isinstance(vertices, _Rows) else (vertices, rows)
+    return (
+        (vertices.source, vertices.rows[rows]) if isinstance(vertices, _Rows) else (vertices, rows)
+    )
 
 
-def _check_words(key: str, words: tuple[str, ...], allowed: tuple[str, ...], names: tuple[str, ...]) -> None:
+def _check_words(
+    key: str, words: tuple[str, ...], allowed: tuple[str, ...], names: tuple[str, ...]
+) -> None:
     for word, name in zip(words, names, strict=True):
         if word not in allowed:
-            raise HabitusError(f"{name}: its {key} is {word!r}; expected one of {', '.join(map(repr, allowed))}")
+            raise HabitusError(
+                f"{name}: its {key} is {word!r}; expected one of {', '.join(map(repr, allowed))}"
+            )
 
 
 def check_faces(faces: Int[np.ndarray, "F 3"], vertices: int, whose: str) -> None:
     """Raise HabitusError unless faces are triangles (F, 3) of vertex numbers below ``vertices``."""
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) == 0 or faces.dtype.kind not in "iu":
-        raise HabitusError(f"{whose} faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, 3)")
+        raise HabitusError(
+            f"{whose} faces are {faces.dtype} of shape {faces.shape}; expected vertex numbers (F, "
+            "3)"
+        )
     if faces.min() < 0 or faces.max() >= vertices:
-        raise HabitusError(f"{whose} faces name vertices {faces.min()} to {faces.max()}; expected 0 to {vertices - 1}")
+        raise HabitusError(
+            f"{whose} faces name vertices {faces.min()} to {faces.max()}; expected 0 to "
+            f"{vertices - 1}"
+        )

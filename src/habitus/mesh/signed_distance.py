@@ -12,8 +12,8 @@ from habitus.mesh.closest import closest_points
 class SurfacePoints:
     """Where each of N points lies relative to a closed, outward oriented mesh (metres).
 
-    distance: (N,) positive outside. triangle: (N,) closest face. barycentric: (N, 3) of the closest point in it.
-    direction: (N, 3) unit gradient of the signed distance with respect to the point.
+    distance: (N,) positive outside. triangle: (N,) closest face. barycentric: (N, 3) of the closest
+    point in it. direction: (N, 3) unit gradient of the signed distance with respect to the point.
     """
 
     distance: np.ndarray
@@ -23,11 +23,14 @@ class SurfacePoints:
 
 
 def signed_distance(
-    points: Float[np.ndarray, "N 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    points: Float[np.ndarray, "N 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
 ) -> SurfacePoints:
     """Signed distance of ``points`` to the surface, r(x, S) of MoSh eq. 4.
 
-    The sign comes from the angle-weighted pseudonormal at the closest point, interpolated between corners.
+    The sign comes from the angle-weighted pseudonormal at the closest point, interpolated between
+    corners.
     """
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     triangle, closest = closest_points(points, vertices, faces)
@@ -38,27 +41,40 @@ def signed_distance(
     face_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face_normal /= np.linalg.norm(face_normal, axis=1, keepdims=True) + 1e-300
     inside_face = barycentric.min(axis=1) > 1e-9
-    normal = np.where(inside_face[:, None], face_normal, np.einsum("nk,nkd->nd", barycentric, pseudonormals))
+    normal = np.where(
+        inside_face[:, None], face_normal, np.einsum("nk,nkd->nd", barycentric, pseudonormals)
+    )
     offset = points - closest
     sign = np.where(np.einsum("nd,nd->n", offset, normal) < 0, -1.0, 1.0)
     distance = sign * np.linalg.norm(offset, axis=1)
     touching = np.abs(distance) < 1e-9
-    direction = np.where(touching[:, None], face_normal, offset / np.where(touching, 1.0, distance)[:, None])
+    direction = np.where(
+        touching[:, None], face_normal, offset / np.where(touching, 1.0, distance)[:, None]
+    )
     return SurfacePoints(distance, triangle, barycentric, direction)
 
 
 def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    e, f, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    ee, ef, ff = (e * e).sum(1), (e * f).sum(1), (f * f).sum(1)
-    pe, pf = (p * e).sum(1), (p * f).sum(1)
+    e = corners[:, 1] - corners[:, 0]
+    f = corners[:, 2] - corners[:, 0]
+    p = points - corners[:, 0]
+    ee = (e * e).sum(1)
+    ef = (e * f).sum(1)
+    ff = (f * f).sum(1)
+    pe = (p * e).sum(1)
+    pf = (p * f).sum(1)
     determinant = ee * ff - ef * ef + 1e-300
     b = (ff * pe - ef * pf) / determinant
     c = (ee * pf - ef * pe) / determinant
     return np.stack([1 - b - c, b, c], axis=1)
 
 
-def _angle_weighted_normals(vertices: np.ndarray, faces: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Angle-weighted pseudonormals of the vertices ``used`` (sorted): (len(used), 3), not normalised."""
+def _angle_weighted_normals(
+    vertices: np.ndarray, faces: np.ndarray, used: np.ndarray
+) -> np.ndarray:
+    """Angle-weighted pseudonormals of the vertices ``used`` (sorted): (len(used), 3), not
+    normalised.
+    """
     marked = np.zeros(len(vertices), dtype=bool)
     marked[used] = True
     touching = faces[marked[faces].any(axis=1)]

@@ -1,4 +1,6 @@
-"""The template that registrations are aligned to: a mesh, its parts and the tree of joints between them (S 4.1)."""
+"""The template that registrations are aligned to: a mesh, its parts and the tree of joints between
+them (S 4.1).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,10 +18,10 @@ from habitus.mesh.registrations import check_faces
 class Template:
     """A mesh in its rest pose, segmented into the parts of a kinematic tree.
 
-    ``vertices`` (V, 3) are in metres, y up, facing +z; ``part`` (V,) gives each vertex the joint it belongs to;
-    ``parents`` is a tree with its root first. ``mirror`` (V,) gives each vertex its partner across x = 0 and
-    ``joint_mirror`` (J,) each joint its own; either may be absent. ``landmarks`` name vertices. Raises HabitusError
-    where these do not fit together.
+    ``vertices`` (V, 3) are in metres, y up, facing +z; ``part`` (V,) gives each vertex the joint it
+    belongs to; ``parents`` is a tree with its root first. ``mirror`` (V,) gives each vertex its
+    partner across x = 0 and ``joint_mirror`` (J,) each joint its own; either may be absent.
+    ``landmarks`` name vertices. Raises HabitusError where these do not fit together.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -34,10 +36,13 @@ class Template:
     def __post_init__(self):
         check_parents(self.parents)
         _check_vertices(self.vertices)
-        v, j = len(self.vertices), len(self.parents)
+        v = len(self.vertices)
+        j = len(self.parents)
         check_faces(self.faces, v, "the template's")
         if len(self.joint_names) != j or len(set(self.joint_names)) != j:
-            raise HabitusError(f"the template has joint names {list(self.joint_names)}; expected {j} distinct ones")
+            raise HabitusError(
+                f"the template has joint names {list(self.joint_names)}; expected {j} distinct ones"
+            )
         _check_numbers("part", self.part, v, j)
         for key, count in (("mirror", v), ("joint_mirror", j)):
             partner = getattr(self, key)
@@ -46,7 +51,8 @@ class Template:
         off = [name for name, vertex in self.landmarks.items() if not 0 <= vertex < v]
         if off:
             raise HabitusError(
-                f"the template's landmark {off[0]!r} is vertex {self.landmarks[off[0]]}; expected 0 to {v - 1}"
+                f"the template's landmark {off[0]!r} is vertex {self.landmarks[off[0]]}; expected "
+                f"0 to {v - 1}"
             )
 
     @property
@@ -71,21 +77,34 @@ class Template:
 
 
 def _check_vertices(vertices: Float[np.ndarray, "V 3"]) -> None:
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind != "f" or len(vertices) == 0:
-        raise HabitusError(f"the template's vertices are {vertices.dtype} {vertices.shape}; expected numbers (V, 3)")
+    if (
+        vertices.ndim != 2
+        or vertices.shape[1] != 3
+        or vertices.dtype.kind != "f"
+        or len(vertices) == 0
+    ):
+        raise HabitusError(
+            f"the template's vertices are {vertices.dtype} {vertices.shape}; expected numbers (V, "
+            "3)"
+        )
     off = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(off):
-        raise HabitusError(f"{len(off)} of the template's vertices (first {off[0]}) are not finite; repair the mesh")
+        raise HabitusError(
+            f"{len(off)} of the template's vertices (first {off[0]}) are not finite; repair the "
+            "mesh"
+        )
 
 
 def _check_numbers(key: str, numbers: Int[np.ndarray, " n"], count: int, below: int) -> None:
     if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
         raise HabitusError(
-            f"the template's {key} is {numbers.dtype} of shape {numbers.shape}; expected {count} whole numbers"
+            f"the template's {key} is {numbers.dtype} of shape {numbers.shape}; expected {count} "
+            "whole numbers"
         )
     if numbers.min() < 0 or numbers.max() >= below:
         raise HabitusError(
-            f"the template's {key} runs from {numbers.min()} to {numbers.max()}; expected 0 to {below - 1}"
+            f"the template's {key} runs from {numbers.min()} to {numbers.max()}; expected 0 to "
+            f"{below - 1}"
         )
 
 
@@ -94,6 +113,7 @@ def _check_partners(key: str, partner: Int[np.ndarray, " n"], count: int) -> Non
     off: Sequence[int] = np.flatnonzero(partner[partner] != np.arange(count)).tolist()
     if len(off):
         raise HabitusError(
-            f"the template's {key} pairs {off[0]} with {partner[off[0]]} but {partner[off[0]]} with another; "
+            f"the template's {key} pairs {off[0]} with {partner[off[0]]} but {partner[off[0]]} "
+            "with another; "
             "expected partners of each other"
         )

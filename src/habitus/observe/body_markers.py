@@ -1,7 +1,7 @@
 """Markers on any body of fixed shape, by the body's own functions in batches of frames.
 
-The compiled kernels (`habitus.observe.marker_rig`) know bodies that are skinned linearly with SMPL's pose blend shapes;
-this path takes dual quaternions and other pose features as well.
+The compiled kernels (`habitus.observe.marker_rig`) know bodies that are skinned linearly with
+SMPL's pose blend shapes; this path takes dual quaternions and other pose features as well.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.observe.marker_jacobian import MarkerJacobian, marker_jacobian, predict_on_body, rest_joints
+from habitus.observe.marker_jacobian import (
+    MarkerJacobian,
+    marker_jacobian,
+    predict_on_body,
+    rest_joints,
+)
 from habitus.observe.markers import MarkerAttachment
 from habitus.observe.soft_space import SPACES, parted, soft_count
 
@@ -20,7 +25,8 @@ BATCH = 16
 
 @dataclass(frozen=True, eq=False)
 class BodyMarkers:
-    """A body of shape `betas` (B,) and the markers on it; the counterpart of `MarkerRig` for bodies of every kind.
+    """A body of shape `betas` (B,) and the markers on it; the counterpart of `MarkerRig` for bodies
+    of every kind.
 
     `space` (`habitus.observe.soft_space`): what the S coefficients of soft tissue are.
     """
@@ -59,7 +65,14 @@ class BodyMarkers:
         """Markers of T frames; `soft_tissue` adds to the betas, or is of another `space`."""
         shapes, moving = self._shapes(len(pose), soft_tissue)
         found = [
-            predict_on_body(self.body, self.attachment, shapes[part], pose[part], trans[part], _part(moving, part))
+            predict_on_body(
+                self.body,
+                self.attachment,
+                shapes[part],
+                pose[part],
+                trans[part],
+                _part(moving, part),
+            )
             for part in _batches(len(pose))
         ]
         return np.concatenate(found) if found else np.zeros((0, self.num_markers, 3))
@@ -70,10 +83,19 @@ class BodyMarkers:
         trans: Float[np.ndarray, "T 3"],
         soft_tissue: Float[np.ndarray, "T S"] | None = None,
     ) -> MarkerJacobian:
-        """The same with derivatives, by betas those of soft tissue, coefficients held; memory: 3 T M (3 J + S)."""
+        """The same with derivatives, by betas those of soft tissue, coefficients held; memory: 3 T
+        M (3 J + S).
+        """
         shapes, moving = self._shapes(len(pose), soft_tissue)
         found = [
-            marker_jacobian(self.body, self.attachment, shapes[part], pose[part], trans[part], _part(moving, part))
+            marker_jacobian(
+                self.body,
+                self.attachment,
+                shapes[part],
+                pose[part],
+                trans[part],
+                _part(moving, part),
+            )
             for part in _batches(len(pose))
         ]
         joined = MarkerJacobian(*(np.concatenate(parts) for parts in zip(*found, strict=True)))

@@ -1,11 +1,12 @@
-"""Pinhole cameras with lens distortion: OpenCV's model (T 4.3, T 4.4.2), differentiable in everything.
+"""Pinhole cameras with lens distortion: OpenCV's model (T 4.3, T 4.4.2), differentiable in
+everything.
 
-The camera's frame is OpenCV's: x right, y down, z forward. A point X of the world is R X + t in it. Its first two
-coordinates over the third, bent by the lens (`habitus.observe.lens`), times focal length, plus principal point, are its
-pixel (u, v).
+The camera's frame is OpenCV's: x right, y down, z forward. A point X of the world is R X + t in it.
+Its first two coordinates over the third, bent by the lens (`habitus.observe.lens`), times focal
+length, plus principal point, are its pixel (u, v).
 
-Pixel (row r, column c) has its centre at (u, v) = (c + 0.5, r + 0.5). OpenCV gives that centre the number (c, r): its
-principal points and pixels are half a pixel less.
+Pixel (row r, column c) has its centre at (u, v) = (c + 0.5, r + 0.5). OpenCV gives that centre the
+number (c, r): its principal points and pixels are half a pixel less.
 """
 
 import dataclasses
@@ -31,11 +32,13 @@ _SIZES = {"focal_length": 2, "principal_point": 2, "rotation": 3, "translation":
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One camera, or a batch of cameras of one image size; leading axes broadcast against each other and the points'.
+    """One camera, or a batch of cameras of one image size; leading axes broadcast against each
+    other and the points'.
 
-    ``focal_length`` and ``principal_point`` are (x, y) in pixels, ``rotation`` is a rotation vector from world to
-    camera, ``translation`` is in metres. ``distortion`` is OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or None for a lens without
-    any, which is faster; pass zeros to differentiate with respect to them. Nothing nearer than ``near`` metres shows.
+    ``focal_length`` and ``principal_point`` are (x, y) in pixels, ``rotation`` is a rotation vector
+    from world to camera, ``translation`` is in metres. ``distortion`` is OpenCV's k1 k2 p1 p2 k3 k4
+    k5 k6, or None for a lens without any, which is faster; pass zeros to differentiate with respect
+    to them. Nothing nearer than ``near`` metres shows.
     """
 
     width: int
@@ -51,9 +54,13 @@ class Camera:
         for name in ("width", "height"):
             size = getattr(self, name)
             if not isinstance(size, int | np.integer) or size < 1:
-                raise HabitusError(f"camera: {name} is {size!r}; expected a whole number of pixels, at least 1")
+                raise HabitusError(
+                    f"camera: {name} is {size!r}; expected a whole number of pixels, at least 1"
+                )
         if not 0.0 < self.near < math.inf:
-            raise HabitusError(f"camera: near is {self.near!r}; expected a distance in metres greater than 0")
+            raise HabitusError(
+                f"camera: near is {self.near!r}; expected a distance in metres greater than 0"
+            )
         fields = {name: getattr(self, name) for name in _SIZES if getattr(self, name) is not None}
         for name, value in fields.items():
             _check_field(name, value, self.focal_length)
@@ -61,12 +68,18 @@ class Camera:
             broadcast_shapes(*(value.shape[:-1] for value in fields.values()))
         except ValueError:
             shapes = ", ".join(f"{name} {tuple(value.shape)}" for name, value in fields.items())
-            raise HabitusError(f"camera: leading axes do not fit each other: {shapes}; make them equal or 1") from None
+            raise HabitusError(
+                f"camera: leading axes do not fit each other: {shapes}; make them equal or 1"
+            ) from None
         for name, value in fields.items():
             if not _all(value.isfinite()):
-                raise HabitusError(f"camera: {name} has NaN or infinite numbers; expected finite ones")
+                raise HabitusError(
+                    f"camera: {name} has NaN or infinite numbers; expected finite ones"
+                )
         if not _all(self.focal_length > 0):
-            raise HabitusError("camera: focal_length is not greater than 0; expected pixels, x and y")
+            raise HabitusError(
+                "camera: focal_length is not greater than 0; expected pixels, x and y"
+            )
 
     @staticmethod
     def of(
@@ -82,8 +95,9 @@ class Camera:
     ) -> "Camera":
         """A camera from plain numbers or tensors (which stay in the graph and give the device).
 
-        ``focal_length`` is one number, (*batch, 2), or None for the longer side of the image (53 degrees of view);
-        ``principal_point`` is the image's middle if None; ``distortion`` is (*batch, 4), (*batch, 5) or (*batch, 8).
+        ``focal_length`` is one number, (*batch, 2), or None for the longer side of the image (53
+        degrees of view); ``principal_point`` is the image's middle if None; ``distortion`` is
+        (*batch, 4), (*batch, 5) or (*batch, 8).
         """
         given = (focal_length, principal_point, rotation, translation, distortion)
         device = next((value.device for value in given if isinstance(value, Tensor)), None)
@@ -92,14 +106,19 @@ class Camera:
             try:
                 return torch.as_tensor(value, dtype=dtype, device=device)
             except (TypeError, ValueError, RuntimeError):
-                raise HabitusError(f"camera: {name} is {value!r}; expected numbers, {_SIZES[name]} of them") from None
+                raise HabitusError(
+                    f"camera: {name} is {value!r}; expected numbers, {_SIZES[name]} of them"
+                ) from None
 
         focal = tensor(max(width, height) if focal_length is None else focal_length, "focal_length")
         return Camera(
             width,
             height,
             focal[..., None].expand(2) if focal.ndim == 0 else focal,
-            tensor((width / 2, height / 2) if principal_point is None else principal_point, "principal_point"),
+            tensor(
+                (width / 2, height / 2) if principal_point is None else principal_point,
+                "principal_point",
+            ),
             tensor(rotation, "rotation"),
             tensor(translation, "translation"),
             None if distortion is None else _eight(tensor(distortion, "distortion")),
@@ -117,24 +136,35 @@ class Camera:
         near: float = 0.01,
         dtype: torch.dtype = torch.float64,
     ) -> "Camera":
-        """A camera from what OpenCV's calibration returns; its pixel centres are integers, so 0.5 is added.
+        """A camera from what OpenCV's calibration returns; its pixel centres are integers, so 0.5
+        is added.
 
-        ``matrix`` is (3, 3) without skew, ``rotation`` a rotation vector or a matrix, ``translation`` in metres. Of 12
-        or 14 distortion coefficients, those of the thin prism and the tilted sensor must be zero.
+        ``matrix`` is (3, 3) without skew, ``rotation`` a rotation vector or a matrix,
+        ``translation`` in metres. Of 12 or 14 distortion coefficients, those of the thin prism and
+        the tilted sensor must be zero.
         """
         k = torch.as_tensor(matrix, dtype=dtype)
-        if k.shape != (3, 3) or not _all(k[[0, 1, 2, 2], [1, 0, 0, 1]] == 0) or not _all(k[2, 2] == 1):
-            raise HabitusError(f"camera matrix is {k.tolist()}; expected (3, 3): fx 0 cx, 0 fy cy, 0 0 1")
+        if (
+            k.shape != (3, 3)
+            or not _all(k[[0, 1, 2, 2], [1, 0, 0, 1]] == 0)
+            or not _all(k[2, 2] == 1)
+        ):
+            raise HabitusError(
+                f"camera matrix is {k.tolist()}; expected (3, 3): fx 0 cx, 0 fy cy, 0 0 1"
+            )
         r = torch.as_tensor(rotation, dtype=dtype).squeeze()
         if r.shape == (3, 3):
-            if not _all((r @ r.mT - torch.eye(3, dtype=dtype, device=r.device)).abs() < 1e-4) or not _all(r.det() > 0):
+            if not _all(
+                (r @ r.mT - torch.eye(3, dtype=dtype, device=r.device)).abs() < 1e-4
+            ) or not _all(r.det() > 0):
                 raise HabitusError(f"camera rotation is {r.tolist()}; expected a rotation matrix")
             r = rotvec_from_matrix(r)
         d = None if distortion is None else torch.as_tensor(distortion, dtype=dtype).flatten()
         if d is not None and len(d) > 8:
             if not _all(d[8:] == 0):
                 raise HabitusError(
-                    "camera: thin prism and tilt coefficients are not zero; calibrate with 4, 5 or 8 coefficients"
+                    "camera: thin prism and tilt coefficients are not zero; calibrate with 4, 5 "
+                    "or 8 coefficients"
                 )
             d = d[:8]
         d = None if d is None or len(d) == 0 else d
@@ -157,11 +187,13 @@ class Camera:
         _check_points(points, 3, self.rotation)
         return (points - self.translation[..., None, :]) @ matrix_from_rotvec(self.rotation)
 
-    def project_camera_points(self, points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*out V 2"]:
+    def project_camera_points(
+        self, points: Float[Tensor, "*batch V 3"]
+    ) -> Float[Tensor, "*out V 2"]:
         """Pixels (u, v) of points in the camera's frame.
 
-        A point behind the camera, or nearer than half of ``near``, is projected as if its depth were half of ``near``:
-        it has no true pixel, and this one is finite with finite derivatives.
+        A point behind the camera, or nearer than half of ``near``, is projected as if its depth
+        were half of ``near``: it has no true pixel, and this one is finite with finite derivatives.
         """
         _check_points(points, 3, self.focal_length)
         plane = points[..., :2] / points[..., 2:].clamp(min=self.near / 2)
@@ -169,7 +201,9 @@ class Camera:
             plane = distorted(plane, self.distortion)
         return plane * self.focal_length[..., None, :] + self.principal_point[..., None, :]
 
-    def project(self, points: Float[Tensor, "*batch V 3"]) -> tuple[Float[Tensor, "*out V 2"], Float[Tensor, "*out V"]]:
+    def project(
+        self, points: Float[Tensor, "*batch V 3"]
+    ) -> tuple[Float[Tensor, "*out V 2"], Float[Tensor, "*out V"]]:
         """Pixels (u, v) and depths (z in the camera's frame, metres) of points of the world."""
         moved = self.to_camera(points)
         return self.project_camera_points(moved), moved[..., 2]
@@ -177,10 +211,13 @@ class Camera:
     def screen(self, points: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*out V 3"]:
         """Points of the world as (u, v, z): what the renderer draws."""
         moved = self.to_camera(points)
-        return torch.cat([self.project_camera_points(moved), moved[..., 2:].expand(*moved.shape[:-1], 1)], -1)
+        return torch.cat(
+            [self.project_camera_points(moved), moved[..., 2:].expand(*moved.shape[:-1], 1)], -1
+        )
 
     def rays(self, pixels: Float[Tensor, "*batch N 2"]) -> Float[Tensor, "*out N 3"]:
-        """Directions (x', y', 1) in the camera's frame that project to ``pixels``; first derivatives are exact.
+        """Directions (x', y', 1) in the camera's frame that project to ``pixels``; first
+        derivatives are exact.
 
         NaN where the lens shows no direction inside ``valid_radius_squared``.
         """
@@ -191,75 +228,107 @@ class Camera:
         return torch.cat([plane, torch.ones_like(plane[..., :1])], -1)
 
     def valid_radius_squared(self) -> Float[Tensor, "*batch"]:
-        """x'^2 + y'^2 up to which a growing radius grows in the image too (without p1, p2); infinite if it always does.
+        """x'^2 + y'^2 up to which a growing radius grows in the image too (without p1, p2);
+        infinite if it always does.
 
-        Beyond it the polynomials fold the picture back, or divide by zero. A constant: it has no derivative.
+        Beyond it the polynomials fold the picture back, or divide by zero. A constant: it has no
+        derivative.
         """
         if self.distortion is None:
-            return torch.full((), math.inf, dtype=self.focal_length.dtype, device=self.focal_length.device)
+            return torch.full(
+                (), math.inf, dtype=self.focal_length.dtype, device=self.focal_length.device
+            )
         return first_turn(self.distortion)
 
     def scaled(self, factor: float) -> "Camera":
-        """The same camera with ``factor`` times as many pixels a side, rounded at the right and at the bottom."""
+        """The same camera with ``factor`` times as many pixels a side, rounded at the right and at
+        the bottom.
+        """
         if not 0.0 < factor < math.inf:
             raise HabitusError(f"camera: factor is {factor!r}; expected a number greater than 0")
         width, height = (max(1, round(size * factor)) for size in (self.width, self.height))
-        focal, middle = self.focal_length * factor, self.principal_point * factor
+        focal = self.focal_length * factor
+        middle = self.principal_point * factor
         return self.replace(width=width, height=height, focal_length=focal, principal_point=middle)
 
     def replace(self, **fields: Any) -> "Camera":
         """The same camera with other values in the named fields."""
         unknown = fields.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
-            raise HabitusError(f"camera has no field {', '.join(sorted(unknown))}; see Camera for its fields")
+            raise HabitusError(
+                f"camera has no field {', '.join(sorted(unknown))}; see Camera for its fields"
+            )
         return dataclasses.replace(self, **fields)
 
     def to(self, target: torch.dtype | torch.device | str) -> "Camera":
         """The same camera with its tensors in another floating type or on another device."""
-        moved = {name: getattr(self, name).to(target) for name in _SIZES if getattr(self, name) is not None}
+        moved = {
+            name: getattr(self, name).to(target)
+            for name in _SIZES
+            if getattr(self, name) is not None
+        }
         return dataclasses.replace(self, **moved)
 
 
 def look_at(
-    eye: Float[Tensor, "*#batch 3"], target: Float[Tensor, "*#batch 3"], up: Float[Tensor, "*#batch 3"] | None = None
+    eye: Float[Tensor, "*#batch 3"],
+    target: Float[Tensor, "*#batch 3"],
+    up: Float[Tensor, "*#batch 3"] | None = None,
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
-    """Rotation vector and translation of a camera at ``eye`` with ``target`` in its middle; ``up`` is y if None."""
+    """Rotation vector and translation of a camera at ``eye`` with ``target`` in its middle; ``up``
+    is y if None.
+    """
     up = eye.new_tensor([0.0, 1.0, 0.0]) if up is None else up
     eye, target, up = torch.broadcast_tensors(eye, target, up)
     forward = target - eye
     right = torch.linalg.cross(forward, up)
     lengths = torch.linalg.norm(forward, dim=-1) * torch.linalg.norm(up, dim=-1)
     if not _all(torch.linalg.norm(right, dim=-1) > 1e-6 * lengths):
-        raise HabitusError("look_at: eye is target, or up points along the view; choose another target or up")
+        raise HabitusError(
+            "look_at: eye is target, or up points along the view; choose another target or up"
+        )
     down = torch.linalg.cross(forward, right)
-    rotation = torch.stack([torch.nn.functional.normalize(row, dim=-1, eps=0.0) for row in (right, down, forward)], -2)
+    rotation = torch.stack(
+        [torch.nn.functional.normalize(row, dim=-1, eps=0.0) for row in (right, down, forward)], -2
+    )
     return rotvec_from_matrix(rotation), -(rotation @ eye[..., None]).squeeze(-1)
 
 
 def _check_field(name: str, value: Any, like: Any) -> None:
     if not isinstance(value, Tensor) or not value.is_floating_point():
         kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
-        raise HabitusError(f"camera: {name} is {kind}; expected a tensor of floating numbers (Camera.of takes others)")
+        raise HabitusError(
+            f"camera: {name} is {kind}; expected a tensor of floating numbers (Camera.of takes "
+            "others)"
+        )
     if value.ndim < 1 or value.shape[-1] != _SIZES[name]:
-        raise HabitusError(f"camera: {name} is {tuple(value.shape)}; expected (*batch, {_SIZES[name]})")
+        raise HabitusError(
+            f"camera: {name} is {tuple(value.shape)}; expected (*batch, {_SIZES[name]})"
+        )
     if value.dtype != like.dtype or value.device != like.device:
         raise HabitusError(
-            f"camera: {name} is {value.dtype} on {value.device}, focal_length is {like.dtype} on {like.device}; "
+            f"camera: {name} is {value.dtype} on {value.device}, focal_length is {like.dtype} on "
+            f"{like.device}; "
             "make them equal"
         )
 
 
 def _check_points(points: Tensor, size: int, like: Tensor) -> None:
     if points.ndim < 2 or points.shape[-1] != size:
-        raise HabitusError(f"points are {tuple(points.shape)}; expected (*batch, number of points, {size})")
+        raise HabitusError(
+            f"points are {tuple(points.shape)}; expected (*batch, number of points, {size})"
+        )
     if points.dtype != like.dtype:
-        raise HabitusError(f"points are {points.dtype}, the camera is {like.dtype}; convert one (camera.to)")
+        raise HabitusError(
+            f"points are {points.dtype}, the camera is {like.dtype}; convert one (camera.to)"
+        )
 
 
 def _eight(distortion: Tensor) -> Tensor:
     if distortion.ndim < 1 or distortion.shape[-1] not in (4, 5, 8):
         raise HabitusError(
-            f"distortion is {tuple(distortion.shape)}; expected 4, 5 or 8 coefficients: k1 k2 p1 p2 k3 k4 k5 k6"
+            f"distortion is {tuple(distortion.shape)}; expected 4, 5 or 8 coefficients: k1 k2 p1 "
+            "p2 k3 k4 k5 k6"
         )
     return torch.nn.functional.pad(distortion, (0, 8 - distortion.shape[-1]))
 

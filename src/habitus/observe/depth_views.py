@@ -1,4 +1,6 @@
-"""What depth cameras saw of one person: views of depth, colour, an empty room, masks and keypoints (T 4.6.1)."""
+"""What depth cameras saw of one person: views of depth, colour, an empty room, masks and keypoints
+(T 4.6.1).
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,11 +20,13 @@ FARTHEST = 12.0
 class DepthView:
     """One shot of a person.
 
-    depth (H, W): metres along the camera's axis, 0 where nothing was measured. ``camera`` takes points of the sensor's
-    frame (x right, y down, z forward, metres; that of the depth camera) to depth pixels, ``colour_camera`` the same
-    points to colour pixels: its rotation and translation are the way from the depth to the colour camera. background:
-    depth of the same room without the person, as is ``background_colour``. mask: where the person is, in depth pixels.
-    keypoints: pixels (u, v) in the colour image and confidence by name, as `habitus.body.keypoints` calls them.
+    depth (H, W): metres along the camera's axis, 0 where nothing was measured. ``camera`` takes
+    points of the sensor's frame (x right, y down, z forward, metres; that of the depth camera) to
+    depth pixels, ``colour_camera`` the same points to colour pixels: its rotation and translation
+    are the way from the depth to the colour camera. background: depth of the same room without the
+    person, as is ``background_colour``. mask: where the person is, in depth pixels. keypoints:
+    pixels (u, v) in the colour image and confidence by name, as `habitus.body.keypoints` calls
+    them.
     """
 
     depth: Float[np.ndarray, "H W"]
@@ -41,18 +45,23 @@ class DepthView:
             image = getattr(self, name)
             if image is not None and image.shape != size:
                 raise HabitusError(
-                    f"{self.name or 'a view'}: {name} has {_pixels(image.shape)}, the depth camera {_pixels(size)}; "
+                    f"{self.name or 'a view'}: {name} has {_pixels(image.shape)}, the depth "
+                    f"camera {_pixels(size)}; "
                     "give the intrinsics of this resolution"
                 )
         if (self.colour is None) != (self.colour_camera is None):
-            raise HabitusError(f"{self.name or 'a view'}: colour and its camera come together; give both or neither")
+            raise HabitusError(
+                f"{self.name or 'a view'}: colour and its camera come together; give both or "
+                "neither"
+            )
         if self.colour_camera is not None:
             size = (self.colour_camera.height, self.colour_camera.width)
             for name in ("colour", "background_colour"):
                 image = getattr(self, name)
                 if image is not None and image.shape != (*size, 3):
                     raise HabitusError(
-                        f"{self.name or 'a view'}: {name} has {_pixels(image.shape)}, the colour camera "
+                        f"{self.name or 'a view'}: {name} has {_pixels(image.shape)}, the colour "
+                        "camera "
                         f"{_pixels(size)}; give the intrinsics of this resolution"
                     )
         with np.errstate(invalid="ignore"):
@@ -61,18 +70,24 @@ class DepthView:
 
     @property
     def rays(self) -> Float[np.ndarray, "H W 3"]:
-        """The direction of every depth pixel in the sensor's frame, z = 1; NaN where the lens shows none."""
+        """The direction of every depth pixel in the sensor's frame, z = 1; NaN where the lens shows
+        none.
+        """
         rows, columns = np.mgrid[: self.camera.height, : self.camera.width]
         pixels = np.stack([columns + 0.5, rows + 0.5], -1).reshape(-1, 2)
         found = self.camera.rays(torch.from_numpy(pixels).to(self.camera.focal_length.dtype))
         return found.numpy().reshape(self.camera.height, self.camera.width, 3)
 
     def points(self) -> Float[np.ndarray, "H W 3"]:
-        """The points (m) that depth shows, in the sensor's frame; zero where nothing was measured."""
+        """The points (m) that depth shows, in the sensor's frame; zero where nothing was
+        measured.
+        """
         return np.nan_to_num(self.rays) * self.depth[..., None]
 
     def without(self, *names: str) -> "DepthView":
-        """The same view without what these fields hold: "background" (both), "colour", "mask", "keypoints"."""
+        """The same view without what these fields hold: "background" (both), "colour", "mask",
+        "keypoints".
+        """
         empty: dict[str, object] = {
             "background": {"background": None, "background_colour": None},
             "colour": {"colour": None, "colour_camera": None, "background_colour": None},
@@ -87,7 +102,9 @@ class DepthView:
 
 @dataclass(frozen=True, eq=False)
 class RgbdCapture:
-    """Views of one person, each turned otherwise, and what must be known of how they were read (``notes``)."""
+    """Views of one person, each turned otherwise, and what must be known of how they were read
+    (``notes``).
+    """
 
     name: str
     views: tuple[DepthView, ...]

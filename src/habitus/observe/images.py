@@ -1,7 +1,9 @@
-"""What a fit may compare instead of pixels (T 4.5): pyramids, edges, moments, masked and robust differences.
+"""What a fit may compare instead of pixels (T 4.5): pyramids, edges, moments, masked and robust
+differences.
 
-Images are (*batch, H, W, C), row 0 on top; give a depth image or a silhouette one channel (``image[..., None]``). Pixel
-(row r, column c) has its centre at (u, v) = (c + 0.5, r + 0.5). All is plain torch: differentiable, on any device.
+Images are (*batch, H, W, C), row 0 on top; give a depth image or a silhouette one channel
+(``image[..., None]``). Pixel (row r, column c) has its centre at (u, v) = (c + 0.5, r + 0.5). All
+is plain torch: differentiable, on any device.
 """
 
 import math
@@ -25,16 +27,18 @@ def gaussian_pyramid(
     normalization: Normalization = None,
     reference: Float[Tensor, "*#batch H W C"] | None = None,
 ) -> Levels:
-    """The image and ``num_levels`` smaller ones, each blurred and halved (Burt and Adelson 1983); a linear function.
+    """The image and ``num_levels`` smaller ones, each blurred and halved (Burt and Adelson 1983); a
+    linear function.
 
-    The blur is (1, 4, 6, 4, 1)/16 along both axes, mirrored at the border; of its pixels 0, 2, 4, ... stay, so that H
-    becomes (H + 1) // 2, and 1 stays 1.
+    The blur is (1, 4, 6, 4, 1)/16 along both axes, mirrored at the border; of its pixels 0, 2, 4,
+    ... stay, so that H becomes (H + 1) // 2, and 1 stays 1.
 
-    ``normalization`` weighs the levels, as OpenDR does for a pyramid of a difference image: None leaves them; "size"
-    divides each by its number of values; "SSE" divides each by the root of the sum of squares of that level of
-    ``reference``, so that all levels count alike where the image is the reference. The reference is taken as constant:
-    OpenDR's is the difference at the start of a fit; the observed image is another good choice. A level of it that is
-    zero everywhere divides nothing. (OpenDR blurs with 3 x 3 pixels and loses the border.)
+    ``normalization`` weighs the levels, as OpenDR does for a pyramid of a difference image: None
+    leaves them; "size" divides each by its number of values; "SSE" divides each by the root of the
+    sum of squares of that level of ``reference``, so that all levels count alike where the image is
+    the reference. The reference is taken as constant: OpenDR's is the difference at the start of a
+    fit; the observed image is another good choice. A level of it that is zero everywhere divides
+    nothing. (OpenDR blurs with 3 x 3 pixels and loses the border.)
     """
     _check(image, num_levels)
     levels = [image]
@@ -49,10 +53,11 @@ def laplacian_pyramid(
     normalization: Normalization = None,
     reference: Float[Tensor, "*#batch H W C"] | None = None,
 ) -> Levels:
-    """What each level of the Gaussian pyramid has more than the next one enlarged, and last its smallest level.
+    """What each level of the Gaussian pyramid has more than the next one enlarged, and last its
+    smallest level.
 
-    ``num_levels`` bands and the rest, ``num_levels`` + 1 images; ``normalization`` as in ``gaussian_pyramid``. Without
-    it ``from_laplacian_pyramid`` gives the image back.
+    ``num_levels`` bands and the rest, ``num_levels`` + 1 images; ``normalization`` as in
+    ``gaussian_pyramid``. Without it ``from_laplacian_pyramid`` gives the image back.
     """
     levels = gaussian_pyramid(image, num_levels)
     bands = [fine - _enlarged(coarse, fine) for fine, coarse in pairwise(levels)]
@@ -81,13 +86,16 @@ def edges(
 
 
 def moments(image: Float[Tensor, "*batch H W C"]) -> Float[Tensor, "*batch 6 C"]:
-    """m00, m10, m01, m20, m11, m02 of each channel: sums of value u^p v^q over pixel centres, in pixels."""
+    """m00, m10, m01, m20, m11, m02 of each channel: sums of value u^p v^q over pixel centres, in
+    pixels.
+    """
     _check(image)
     return _moments(image, *_centres(image))
 
 
 def central_moments(image: Float[Tensor, "*batch H W C"]) -> Float[Tensor, "*batch 6 C"]:
-    """m00, the centroid's u and v, and mu20, mu11, mu02: sums of value (u - u0)^p (v - v0)^q, in pixels.
+    """m00, the centroid's u and v, and mu20, mu11, mu02: sums of value (u - u0)^p (v - v0)^q, in
+    pixels.
 
     A channel whose sum is exactly zero has no centroid: all six are 0, with finite derivatives.
     """
@@ -101,16 +109,22 @@ def central_moments(image: Float[Tensor, "*batch H W C"]) -> Float[Tensor, "*bat
 
 
 def normalized_moments(image: Float[Tensor, "*batch H W C"]) -> Float[Tensor, "*batch 3 C"]:
-    """eta20, eta11, eta02 = mu / m00^2, unchanged when a shape moves or (up to pixels) grows; 0 where m00 is 0."""
+    """eta20, eta11, eta02 = mu / m00^2, unchanged when a shape moves or (up to pixels) grows; 0
+    where m00 is 0.
+    """
     central = central_moments(image)
     m00 = central[..., :1, :]
     return central[..., 3:, :] / m00.where(m00 != 0, 1.0) ** 2
 
 
 def masked_difference(
-    image: Float[Tensor, "*#batch H W C"], observed: Float[Tensor, "*#batch H W C"], mask: Bool[Tensor, "*#batch H W"]
+    image: Float[Tensor, "*#batch H W C"],
+    observed: Float[Tensor, "*#batch H W C"],
+    mask: Bool[Tensor, "*#batch H W"],
 ) -> Float[Tensor, "*batch H W C"]:
-    """``image`` - ``observed`` where ``mask`` is true, else 0, even where an image is NaN or infinite."""
+    """``image`` - ``observed`` where ``mask`` is true, else 0, even where an image is NaN or
+    infinite.
+    """
     _check(image)
     _check(observed)
     if (
@@ -119,14 +133,19 @@ def masked_difference(
         or not (mask.shape[-2:] == image.shape[-3:-1] == observed.shape[-3:-1])
     ):
         raise HabitusError(
-            f"mask is {mask.dtype} {tuple(mask.shape)}, images {tuple(image.shape)} and {tuple(observed.shape)}; "
+            f"mask is {mask.dtype} {tuple(mask.shape)}, images {tuple(image.shape)} and "
+            f"{tuple(observed.shape)}; "
             "expected a bool mask (*batch, H, W) and images (*batch, H, W, C) of one size"
         )
     return (image - observed).where(mask[..., None], 0.0)
 
 
-def geman_mcclure(difference: Float[Tensor, "*any"], scale: float | Tensor) -> Float[Tensor, "*any"]:
-    """A residual whose square is Geman and McClure's loss s^2 d^2 / (s^2 + d^2) of each value d, with s the scale."""
+def geman_mcclure(
+    difference: Float[Tensor, "*any"], scale: float | Tensor
+) -> Float[Tensor, "*any"]:
+    """A residual whose square is Geman and McClure's loss s^2 d^2 / (s^2 + d^2) of each value d,
+    with s the scale.
+    """
     _check_scale(scale)
     return difference * (1 + (difference / scale) ** 2).rsqrt()
 
@@ -138,11 +157,14 @@ def huber(difference: Float[Tensor, "*any"], scale: float | Tensor) -> Float[Ten
     return difference * (share * (2 - share)).sqrt()
 
 
-def power_law(difference: Float[Tensor, "*any"], scale: float | Tensor, power: float) -> Float[Tensor, "*any"]:
-    """A residual whose square grows as |d|^power beyond the scale s: the robust norm of T equation 4.5, made smooth.
+def power_law(
+    difference: Float[Tensor, "*any"], scale: float | Tensor, power: float
+) -> Float[Tensor, "*any"]:
+    """A residual whose square grows as |d|^power beyond the scale s: the robust norm of T equation
+    4.5, made smooth.
 
-    The loss is (2 s^2 / power) ((1 + d^2 / s^2)^(power / 2) - 1): d^2 near zero, and everywhere for power 2. The thesis
-    goes from 2 to 1 over the course of a fit.
+    The loss is (2 s^2 / power) ((1 + d^2 / s^2)^(power / 2) - 1): d^2 near zero, and everywhere for
+    power 2. The thesis goes from 2 to 1 over the course of a fit.
     """
     _check_scale(scale)
     if not 0.0 < power <= 2.0:
@@ -155,10 +177,16 @@ def power_law(difference: Float[Tensor, "*any"], scale: float | Tensor, power: f
 
 
 def _halved(image: Tensor, axis: int) -> Tensor:
-    """Blurred by (1, 4, 6, 4, 1)/16 along an axis, then every other pixel; mirrored about the outermost pixels."""
+    """Blurred by (1, 4, 6, 4, 1)/16 along an axis, then every other pixel; mirrored about the
+    outermost pixels.
+    """
     size = image.shape[axis]
-    new, period = (size + 1) // 2, max(2 * (size - 1), 1)
-    before, after = ([min(k % period, -k % period) for k in range(*ends)] for ends in ((-2, 0), (size, 2 * new + 2)))
+    new = (size + 1) // 2
+    period = max(2 * (size - 1), 1)
+    before, after = (
+        [min(k % period, -k % period) for k in range(*ends)]
+        for ends in ((-2, 0), (size, 2 * new + 2))
+    )
     even, odd = _lengthened(image, axis, before, after).unflatten(axis, (new + 2, 2)).unbind(axis)
     a, c, e = (even.narrow(axis, k, new) for k in range(3))
     b, d = (odd.narrow(axis, k, new) for k in range(2))
@@ -166,24 +194,35 @@ def _halved(image: Tensor, axis: int) -> Tensor:
 
 
 def _enlarged(image: Tensor, like: Tensor) -> Tensor:
-    """As large as ``like``: zeros between the pixels, blurred by (1, 4, 6, 4, 1)/8 along both axes."""
+    """As large as ``like``: zeros between the pixels, blurred by (1, 4, 6, 4, 1)/8 along both
+    axes.
+    """
     for axis in (-2, -3):
-        size, new = image.shape[axis], like.shape[axis]
-        before, after = min(1, size - 1), size - 1 if new % 2 == 0 else max(size - 2, 0)
+        size = image.shape[axis]
+        new = like.shape[axis]
+        before = min(1, size - 1)
+        after = size - 1 if new % 2 == 0 else max(size - 2, 0)
         wide = _lengthened(image, axis, [before], [after])
         a, b, c = (wide.narrow(axis, k, size) for k in range(3))
-        even, odd = (a + c) * 0.125 + b * 0.75, (b + c) * 0.5
+        even = (a + c) * 0.125 + b * 0.75
+        odd = (b + c) * 0.5
         image = torch.stack([even, odd], axis).flatten(axis - 1, axis).narrow(axis, 0, new)
     return image
 
 
 def _lengthened(image: Tensor, axis: int, before: list[int], after: list[int]) -> Tensor:
-    """Copies of the pixels at the places ``before`` put in front along an axis, and of those at ``after`` behind."""
-    head, tail = (image.index_select(axis, torch.tensor(k, device=image.device)) for k in (before, after))
+    """Copies of the pixels at the places ``before`` put in front along an axis, and of those at
+    ``after`` behind.
+    """
+    head, tail = (
+        image.index_select(axis, torch.tensor(k, device=image.device)) for k in (before, after)
+    )
     return torch.cat([head, image, tail], axis)
 
 
-def _normalized(pyramid, levels: list[Tensor], normalization: Normalization, reference: Tensor | None) -> Levels:
+def _normalized(
+    pyramid, levels: list[Tensor], normalization: Normalization, reference: Tensor | None
+) -> Levels:
     if normalization is None:
         return tuple(levels)
     if normalization == "size":
@@ -193,24 +232,35 @@ def _normalized(pyramid, levels: list[Tensor], normalization: Normalization, ref
     if reference is None or reference.shape[-3:] != levels[0].shape[-3:]:
         shape = None if reference is None else tuple(reference.shape)
         raise HabitusError(
-            f"reference is {shape}; normalization 'SSE' needs an image {tuple(levels[0].shape[-3:])}, such as the "
+            f"reference is {shape}; normalization 'SSE' needs an image "
+            f"{tuple(levels[0].shape[-3:])}, such as the "
             "observed one or the difference at the start"
         )
     with torch.no_grad():
-        norms = [level.square().sum((-3, -2, -1), keepdim=True).sqrt() for level in pyramid(reference, len(levels) - 1)]
-    return tuple(level / norm.where(norm > 0, 1.0) for level, norm in zip(levels, norms, strict=True))
+        norms = [
+            level.square().sum((-3, -2, -1), keepdim=True).sqrt()
+            for level in pyramid(reference, len(levels) - 1)
+        ]
+    return tuple(
+        level / norm.where(norm > 0, 1.0) for level, norm in zip(levels, norms, strict=True)
+    )
 
 
 def _centres(image: Tensor) -> tuple[Float[Tensor, "W 1"], Float[Tensor, "H 1"]]:
     """u of the columns' and v of the rows' centres."""
     height, width = image.shape[-3:-1]
-    u, v = (torch.arange(size, dtype=image.dtype, device=image.device)[:, None] + 0.5 for size in (width, height))
+    u, v = (
+        torch.arange(size, dtype=image.dtype, device=image.device)[:, None] + 0.5
+        for size in (width, height)
+    )
     return u, v
 
 
 def _moments(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Six moments (*batch, 6, C) with ``u`` (*batch, W, 1 or C) and ``v`` (*batch, H, 1 or C)."""
-    columns, rows, turned = image.sum(-3), image.sum(-2), (image * u[..., None, :, :]).sum(-2)
+    columns = image.sum(-3)
+    rows = image.sum(-2)
+    turned = (image * u[..., None, :, :]).sum(-2)
     sums = (columns, columns * u, rows * v, columns * u * u, turned * v, rows * v * v)
     return torch.stack([values.sum(-2) for values in sums], -2)
 
@@ -218,14 +268,19 @@ def _moments(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
 def _check(image: Tensor, num_levels: int = 0) -> None:
     if image.ndim < 3 or 0 in image.shape[-3:-1]:
         raise HabitusError(
-            f"image is {tuple(image.shape)}; expected (*batch, H, W, C); for one channel take [..., None]"
+            f"image is {tuple(image.shape)}; expected (*batch, H, W, C); for one channel take "
+            "[..., None]"
         )
     if not image.is_floating_point():
-        raise HabitusError(f"image is {image.dtype}; expected floating numbers, such as image.float() / 255")
+        raise HabitusError(
+            f"image is {image.dtype}; expected floating numbers, such as image.float() / 255"
+        )
     if not isinstance(num_levels, int) or num_levels < 0:
         raise HabitusError(f"num_levels is {num_levels!r}; expected a whole number, 0 or more")
 
 
 def _check_scale(scale: float | Tensor) -> None:
     if not isinstance(scale, Tensor) and not 0.0 < scale < math.inf:
-        raise HabitusError(f"scale is {scale!r}; expected a number greater than 0, in the units of the difference")
+        raise HabitusError(
+            f"scale is {scale!r}; expected a number greater than 0, in the units of the difference"
+        )

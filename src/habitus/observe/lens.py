@@ -1,11 +1,12 @@
-"""Lens distortion: OpenCV's radial, tangential and rational terms (T 4.3), their inverse, and how far they are of use.
+"""Lens distortion: OpenCV's radial, tangential and rational terms (T 4.3), their inverse, and how
+far they are of use.
 
-``plane`` is (x', y') = (x / z, y / z) of the camera's frame; ``distortion`` is OpenCV's k1 k2 p1 p2 k3 k4 k5 k6. With
-s = x'^2 + y'^2:
+``plane`` is (x', y') = (x / z, y / z) of the camera's frame; ``distortion`` is OpenCV's k1 k2 p1 p2
+k3 k4 k5 k6. With s = x'^2 + y'^2:
 
     radial = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3)
     x'' = x' radial + 2 p1 x' y' + p2 (s + 2 x'^2),    y'' = y' radial + p1 (s + 2 y'^2) + 2 p2 x' y'
-"""
+"""  # noqa: E501
 
 import math
 from typing import Any
@@ -19,17 +20,25 @@ from habitus.arrays import broadcast_shapes
 _NEWTON_STEPS = 30
 
 
-def distorted(plane: Float[Tensor, "*batch N 2"], distortion: Float[Tensor, "*camera 8"]) -> Float[Tensor, "*out N 2"]:
+def distorted(
+    plane: Float[Tensor, "*batch N 2"], distortion: Float[Tensor, "*camera 8"]
+) -> Float[Tensor, "*out N 2"]:
     """(x'', y'') of (x', y')."""
     k1, k2, p1, p2, k3, k4, k5, k6 = distortion[..., None, :].unbind(-1)
     x, y = plane.unbind(-1)
-    s, xy = x * x + y * y, 2 * x * y
+    s = x * x + y * y
+    xy = 2 * x * y
     radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
-    return torch.stack([x * radial + p1 * xy + p2 * (s + 2 * x * x), y * radial + p1 * (s + 2 * y * y) + p2 * xy], -1)
+    return torch.stack(
+        [x * radial + p1 * xy + p2 * (s + 2 * x * x), y * radial + p1 * (s + 2 * y * y) + p2 * xy],
+        -1,
+    )
 
 
 def _newton_step(plane: Tensor, wrong: Tensor, distortion: Tensor) -> Tensor:
-    """The inverse of the 2 x 2 (symmetric) derivative of ``distorted`` at ``plane``, times ``wrong``."""
+    """The inverse of the 2 x 2 (symmetric) derivative of ``distorted`` at ``plane``, times
+    ``wrong``.
+    """
     k1, k2, p1, p2, k3, k4, k5, k6 = distortion[..., None, :].unbind(-1)
     x, y = plane.unbind(-1)
     s = x * x + y * y
@@ -48,12 +57,16 @@ def _newton_step(plane: Tensor, wrong: Tensor, distortion: Tensor) -> Tensor:
 def undistorted(
     target: Float[Tensor, "*batch N 2"], distortion: Float[Tensor, "*camera 8"]
 ) -> Float[Tensor, "*out N 2"]:
-    """(x', y') of (x'', y''), NaN where no place inside ``first_turn`` has that picture; first derivatives are exact.
+    """(x', y') of (x'', y''), NaN where no place inside ``first_turn`` has that picture; first
+    derivatives are exact.
 
-    Newton's method from the middle on all points at once; a step that does not help, or leaves the valid circle, is
-    halved. One more step at the root carries the derivatives (implicit function theorem).
+    Newton's method from the middle on all points at once; a step that does not help, or leaves the
+    valid circle, is halved. One more step at the root carries the derivatives (implicit function
+    theorem).
     """
-    wanted, k, limit = target.detach(), distortion.detach(), first_turn(distortion)
+    wanted = target.detach()
+    k = distortion.detach()
+    limit = first_turn(distortion)
     plane = torch.zeros_like(wanted).expand(broadcast_shapes(wanted.shape, (*k.shape[:-1], 1, 2)))
     wrong = -wanted.expand(plane.shape)
     size = torch.ones_like(wrong[..., :1])
@@ -62,7 +75,8 @@ def undistorted(
         trial_wrong = distorted(trial, k) - wanted
         better = trial_wrong.norm(dim=-1, keepdim=True) < wrong.norm(dim=-1, keepdim=True)
         better = better & ((trial * trial).sum(-1, keepdim=True) <= limit[..., None, None])
-        plane, wrong = trial.where(better, plane), trial_wrong.where(better, wrong)
+        plane = trial.where(better, plane)
+        wrong = trial_wrong.where(better, wrong)
         size = torch.where(better, 1.0, size / 2)
     tolerance = 100 * torch.finfo(wanted.dtype).eps * (1 + wanted.norm(dim=-1, keepdim=True))
     found = wrong.norm(dim=-1, keepdim=True) < tolerance
@@ -72,22 +86,30 @@ def undistorted(
 
 
 def first_turn(distortion: Float[Tensor, "*camera 8"]) -> Float[Tensor, "*camera"]:
-    """The s up to which a growing radius grows in the picture too (without p1 and p2); infinite if it always does.
+    """The s up to which a growing radius grows in the picture too (without p1 and p2); infinite if
+    it always does.
 
-    It is the least positive s where the derivative of sqrt(s) radial(s), or the denominator of radial, is zero. Beyond
-    it the polynomials fold the picture back, or divide by zero. A constant: it has no derivative.
+    It is the least positive s where the derivative of sqrt(s) radial(s), or the denominator of
+    radial, is zero. Beyond it the polynomials fold the picture back, or divide by zero. A constant:
+    it has no derivative.
     """
     k1, k2, _, _, k3, k4, k5, k6 = distortion.detach().double().cpu().unbind(-1)
     one = torch.ones_like(k1)
-    above, below = (one, k1, k2, k3), (one, k4, k5, k6)
+    above = (one, k1, k2, k3)
+    below = (one, k4, k5, k6)
     turn = [
-        sum(above[i] * below[m - i] * (1 + 2 * (2 * i - m)) for i in range(4) if 0 <= m - i < 4) for m in range(1, 7)
+        sum(above[i] * below[m - i] * (1 + 2 * (2 * i - m)) for i in range(4) if 0 <= m - i < 4)
+        for m in range(1, 7)
     ]
-    return torch.minimum(_least_positive_root(turn), _least_positive_root([k4, k5, k6])).to(distortion)
+    return torch.minimum(_least_positive_root(turn), _least_positive_root([k4, k5, k6])).to(
+        distortion
+    )
 
 
 def _least_positive_root(coefficients: list[Any]) -> Tensor:
-    """The least s > 0 with 1 + c1 s + c2 s^2 + ... = 0, else infinity: 1 / s are eigenvalues of a companion matrix."""
+    """The least s > 0 with 1 + c1 s + c2 s^2 + ... = 0, else infinity: 1 / s are eigenvalues of a
+    companion matrix.
+    """
     first = -torch.stack(coefficients, -1)[..., None, :]
     shift = torch.eye(len(coefficients), dtype=first.dtype)[:-1].expand(*first.shape[:-2], -1, -1)
     inverse = torch.linalg.eigvals(torch.cat([first, shift], -2))

@@ -1,12 +1,15 @@
-"""Brightness of vertices under light (T 4.3): spherical harmonics, Lambertian point lights, ambient light.
+"""Brightness of vertices under light (T 4.3): spherical harmonics, Lambertian point lights, ambient
+light.
 
-Each function gives brightness (*batch, V, C) from unit normals (`habitus.mesh.normals.vertex_normals`). Lights add, and
-what is drawn is their sum times the albedo:
+Each function gives brightness (*batch, V, C) from unit normals
+(`habitus.mesh.normals.vertex_normals`). Lights add, and what is drawn is their sum times the
+albedo:
 
-    values = albedo * (spherical_harmonics(normals, coefficients) + point_light(points, normals, position, colour))
+    values = albedo * (spherical_harmonics(normals, coefficients) + point_light(points, normals,
+    position, colour))
 
-Anything else that gives (*batch, V, C) may stand in their place. Nothing casts a shadow, and no light comes back from
-other surfaces.
+Anything else that gives (*batch, V, C) may stand in their place. Nothing casts a shadow, and no
+light comes back from other surfaces.
 """
 
 import math
@@ -19,14 +22,18 @@ from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
 
 # One number for each term below: the harmonic's own factor times pi, 2 pi/3 or pi/4.
-_FACTORS = [math.sqrt(math.pi * scale) for scale in (1 / 4, *3 * [1 / 3], 15 / 64, 15 / 64, 5 / 256, 15 / 64, 15 / 256)]
+_FACTORS = [
+    math.sqrt(math.pi * scale)
+    for scale in (1 / 4, *3 * [1 / 3], 15 / 64, 15 / 64, 5 / 256, 15 / 64, 15 / 256)
+]
 
 
 def harmonics(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 9"]:
-    """What each of the nine lights of ``spherical_harmonics`` gives to unit normals: brightness is this times them.
+    """What each of the nine lights of ``spherical_harmonics`` gives to unit normals: brightness is
+    this times them.
 
-    The real spherical harmonics of orders 0, 1 and 2, each times what a Lambertian surface keeps of its order: pi,
-    2 pi/3, pi/4 (Ramamoorthi and Hanrahan 2001).
+    The real spherical harmonics of orders 0, 1 and 2, each times what a Lambertian surface keeps of
+    its order: pi, 2 pi/3, pi/4 (Ramamoorthi and Hanrahan 2001).
     """
     _check("normals", normals)
     x, y, z = normals.unbind(-1)
@@ -39,30 +46,45 @@ def harmonics_slope(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*bat
     """The derivative of `harmonics` to normals, as if these were free in all three directions."""
     _check("normals", normals)
     x, y, z = normals.unbind(-1)
-    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    zero = torch.zeros_like(x)
+    one = torch.ones_like(x)
     rows = [
-        (zero, zero, zero), (zero, one, zero), (zero, zero, one), (one, zero, zero), (y, x, zero), (zero, z, y),
-        (zero, zero, 6 * z), (z, zero, x), (2 * x, -2 * y, zero),
-    ]  # fmt: skip
+        (zero, zero, zero),
+        (zero, one, zero),
+        (zero, zero, one),
+        (one, zero, zero),
+        (y, x, zero),
+        (zero, z, y),
+        (zero, zero, 6 * z),
+        (z, zero, x),
+        (2 * x, -2 * y, zero),
+    ]
     terms = torch.stack([torch.stack(row, -1) for row in rows], -2)
     return terms * terms.new_tensor(_FACTORS)[:, None]
 
 
 def spherical_harmonics(
-    normals: Float[Tensor, "*#batch V 3"], coefficients: Float[Tensor, "*#batch 9 C"] | Float[Tensor, "9"]
+    normals: Float[Tensor, "*#batch V 3"],
+    coefficients: Float[Tensor, "*#batch 9 C"] | Float[Tensor, "9"],
 ) -> Float[Tensor, "*batch V C"]:
-    """Brightness from light that depends only on its direction (Ramamoorthi and Hanrahan 2001, T 4.3).
+    """Brightness from light that depends only on its direction (Ramamoorthi and Hanrahan 2001, T
+    4.3).
 
-    ``coefficients`` are the nine of the incoming light, in the order (l, m) = (0, 0), (1, -1), (1, 0), (1, 1), (2, -2),
-    (2, -1), (2, 0), (2, 1), (2, 2), which vary over directions as 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2; a plain
-    (9,) is one grey light, C = 1. (1, 0, ..., 0) gives sqrt(pi)/2 = 0.886 everywhere. Brightness is linear in them and
-    not cut off at zero: dark sides may come out a little negative. (OpenDR has x, z, y instead of y, z, x, no factors
-    of a Lambertian surface, and cuts off.)
+    ``coefficients`` are the nine of the incoming light, in the order (l, m) = (0, 0), (1, -1), (1,
+    0), (1, 1), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2), which vary over directions as 1, y, z, x,
+    xy, yz, 3 z^2 - 1, xz, x^2 - y^2; a plain (9,) is one grey light, C = 1. (1, 0, ..., 0) gives
+    sqrt(pi)/2 = 0.886 everywhere. Brightness is linear in them and not cut off at zero: dark sides
+    may come out a little negative. (OpenDR has x, z, y instead of y, z, x, no factors of a
+    Lambertian surface, and cuts off.)
     """
     if coefficients.ndim < 1 or coefficients.shape[0 if coefficients.ndim == 1 else -2] != 9:
-        raise HabitusError(f"coefficients are {tuple(coefficients.shape)}; expected (9,) or (*batch, 9, channels)")
+        raise HabitusError(
+            f"coefficients are {tuple(coefficients.shape)}; expected (9,) or (*batch, 9, channels)"
+        )
     if coefficients.dtype != normals.dtype:
-        raise HabitusError(f"coefficients are {coefficients.dtype}, normals {normals.dtype}; convert one")
+        raise HabitusError(
+            f"coefficients are {coefficients.dtype}, normals {normals.dtype}; convert one"
+        )
     return harmonics(normals) @ (coefficients[:, None] if coefficients.ndim == 1 else coefficients)
 
 
@@ -72,7 +94,8 @@ def point_light(
     position: Float[Tensor, "*#batch 3"],
     colour: Float[Tensor, "*#batch C"],
 ) -> Float[Tensor, "*batch V C"]:
-    """Brightness of a Lambertian surface under a lamp at ``position``: colour times the cosine, zero from behind.
+    """Brightness of a Lambertian surface under a lamp at ``position``: colour times the cosine,
+    zero from behind.
 
     The lamp does not fade with distance. A point exactly at the lamp gets none.
     """
@@ -88,7 +111,9 @@ def point_light(
     return cosine.clamp(min=0.0)[..., None] * colour[..., None, :]
 
 
-def ambient(points: Float[Tensor, "*#batch V 3"], colour: Float[Tensor, "*#batch C"]) -> Float[Tensor, "*batch V C"]:
+def ambient(
+    points: Float[Tensor, "*#batch V 3"], colour: Float[Tensor, "*#batch C"]
+) -> Float[Tensor, "*batch V C"]:
     """The same brightness ``colour`` for each of ``points`` (of which only the number counts)."""
     _check("points", points)
     _check_colour(colour)
@@ -103,4 +128,6 @@ def _check(name: str, values: Tensor) -> None:
 
 def _check_colour(colour: Tensor) -> None:
     if colour.ndim < 1:
-        raise HabitusError("a light's colour is one number; expected (*batch, channels), such as (1,) or (3,)")
+        raise HabitusError(
+            "a light's colour is one number; expected (*batch, channels), such as (1,) or (3,)"
+        )

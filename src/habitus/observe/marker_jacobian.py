@@ -1,7 +1,8 @@
-"""How markers move with betas and pose: the body's surface Jacobian, carried on by the triangles' bases (M equation 2).
+"""How markers move with betas and pose: the body's surface Jacobian, carried on by the triangles'
+bases (M equation 2).
 
-For any body, whatever its skinning and pose blend shapes, and for a few frames at once: memory is 9 M (3 J + B)
-numbers a frame.
+For any body, whatever its skinning and pose blend shapes, and for a few frames at once: memory is 9
+M (3 J + B) numbers a frame.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +16,9 @@ from habitus.observe.markers import MarkerAttachment, predict_markers, triangle_
 
 
 class MarkerJacobian(NamedTuple):
-    """Predicted markers (m) and their derivatives, coefficients held; with `trans` they move one to one."""
+    """Predicted markers (m) and their derivatives, coefficients held; with `trans` they move one to
+    one.
+    """
 
     markers: Float[np.ndarray, "F M 3"]
     by_betas: Float[np.ndarray, "F M 3 B"]
@@ -48,7 +51,9 @@ def marker_jacobian(
     dynamics: Float[np.ndarray, "F D"] | None = None,
 ) -> MarkerJacobian:
     """The markers of F frames and how they move; betas are (B,) or one shape a frame (F, B)."""
-    corners, by_betas, by_pose = _corner_jacobian(body, attachment.triangles, betas, pose, trans, dynamics)
+    corners, by_betas, by_pose = _corner_jacobian(
+        body, attachment.triangles, betas, pose, trans, dynamics
+    )
     attachment = _in_turn(attachment)
     change = corner_weights(corners, attachment)
     return MarkerJacobian(
@@ -59,10 +64,14 @@ def marker_jacobian(
     )
 
 
-def corner_weights(corners: Float[np.ndarray, "*F N 3"], attachment: MarkerAttachment) -> Float[np.ndarray, "*F M 3 9"]:
-    """K (3 x 9) of each marker: dx = K (da, db, dc), coefficients held. With e = b - a, f = c - a, q = [n t s] c:
+def corner_weights(
+    corners: Float[np.ndarray, "*F N 3"], attachment: MarkerAttachment
+) -> Float[np.ndarray, "*F M 3 9"]:
+    """K (3 x 9) of each marker: dx = K (da, db, dc), coefficients held. With e = b - a, f = c - a,
+    q = [n t s] c:
 
-    dx = da + (n x q)(s . de) / |e| + (t x q)(n . df - (f_t / |e|) n . de) / f_s - (s x q)(n . de) / |e|.
+    dx = da + (n x q)(s . de) / |e| + (t x q)(n . df - (f_t / |e|) n . de) / f_s - (s x q)(n . de) /
+    |e|.
     """
     a, b, c = (corners[..., attachment.triangles[:, k], :] for k in range(3))
     basis = triangle_bases(corners, attachment.triangles).basis
@@ -71,7 +80,10 @@ def corner_weights(corners: Float[np.ndarray, "*F N 3"], attachment: MarkerAttac
     length = np.linalg.norm(b - a, axis=-1)[..., None, None]
     along, across = (np.sum((c - a) * axis, axis=-1)[..., None, None] for axis in (t, s))
     lift = np.cross(t, q)[..., :, None] * n[..., None, :] / across
-    by_e = (np.cross(n, q)[..., :, None] * s[..., None, :] - np.cross(s, q)[..., :, None] * n[..., None, :]) / length
+    by_e = (
+        np.cross(n, q)[..., :, None] * s[..., None, :]
+        - np.cross(s, q)[..., :, None] * n[..., None, :]
+    ) / length
     by_e -= lift * along / length
     return np.concatenate([np.eye(3) - by_e - lift, by_e, lift], axis=-1)
 
@@ -104,8 +116,12 @@ def rest_joints(body: BodyModel, betas: Float[np.ndarray, " B"]) -> Float[np.nda
 def _corner_jacobian(
     body: BodyModel, triangles: np.ndarray, betas: Any, pose: Any, trans: Any, dynamics: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners (F, N, 3) and their derivatives to betas, and dynamics, (F, N, 3, B + D) and pose (F, N, 3, 3 J)."""
-    found = surface_jacobian(body, betas, pose, trans, vertices=triangles.ravel(), dynamics=dynamics)
+    """Corners (F, N, 3) and their derivatives to betas, and dynamics, (F, N, 3, B + D) and pose (F,
+    N, 3, 3 J).
+    """
+    found = surface_jacobian(
+        body, betas, pose, trans, vertices=triangles.ravel(), dynamics=dynamics
+    )
     by_pose = np.asarray(found.vertices_pose)
     by_betas = np.asarray(found.vertices_betas)
     if found.vertices_dynamics is not None:

@@ -1,8 +1,8 @@
 """How predicted markers change with pose, trans and betas, for LANES frames at once (see
 `habitus.observe.marker_kernels`).
 
-Columns are kept for a marker's slots only (`habitus.observe.marker_slots`). A triangle that turns rigidly about joint j
-needs no corners: dx = m x (x - p_j) for each column m of M_j.
+Columns are kept for a marker's slots only (`habitus.observe.marker_slots`). A triangle that turns
+rigidly about joint j needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
 from habitus.kernels.jit import jit_inline
@@ -26,8 +26,8 @@ from habitus.observe.marker_kernels import marker_frame
 
 @jit_inline
 def marker_carriage(frame):
-    """n, s, p, u, v: how a marker follows its corner a and sides e, f, dx = da + p (s . de) + u (n . df) - v (n . de)
-    (`habitus.observe.marker_jacobian.corner_weights`).
+    """n, s, p, u, v: how a marker follows its corner a and sides e, f, dx = da + p (s . de) + u (n
+    . df) - v (n . de) (`habitus.observe.marker_jacobian.corner_weights`).
     """
     _, q, n, t, s, inverse, along, across = frame
     u = scale3(1.0 / across, cross3(t, q))
@@ -57,7 +57,8 @@ def carried_change(carriage, da, de, df):
 def write_columns(rig, slots, offsets, workspace, i, weight):
     """Columns (3 x 3) of all slots of marker i, times `weight`."""
     carriage = marker_carriage(marker_frame(rig, offsets, workspace, i))
-    marker, blends = load3(workspace, offsets.marker + 3 * i), marker_blends(rig, offsets, workspace, i, carriage)
+    marker = load3(workspace, offsets.marker + 3 * i)
+    blends = marker_blends(rig, offsets, workspace, i, carriage)
     joints = len(rig.parents)
     for s in range(slots.start[i], slots.start[i + 1]):
         block = slots.block[s]
@@ -67,17 +68,28 @@ def write_columns(rig, slots, offsets, workspace, i, weight):
             x, y, z = turn_columns(slots, offsets, workspace, s, carriage, marker)
             if slots.bent[s] == 1:
                 dx, dy, dz = pose_shape_columns(rig, slots, offsets, workspace, s, carriage, blends)
-                x, y, z = add3(x, dx), add3(y, dy), add3(z, dz)
-        x, y, z = scale3(weight, x), scale3(weight, y), scale3(weight, z)
-        store9(workspace, offsets.columns + 9 * s, (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
+                x = add3(x, dx)
+                y = add3(y, dy)
+                z = add3(z, dz)
+        x = scale3(weight, x)
+        y = scale3(weight, y)
+        z = scale3(weight, z)
+        store9(
+            workspace,
+            offsets.columns + 9 * s,
+            (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]),
+        )
 
 
 @jit_inline
 def turn_columns(slots, offsets, workspace, s, carriage, marker):
     """Columns of a joint's three rotations by the turning of what hangs on it."""
     joint = slots.block[s] - 1
-    axes, place = load9(workspace, offsets.axes + 9 * joint), load3(workspace, offsets.place + 3 * joint)
-    p, q, r = (axes[0], axes[3], axes[6]), (axes[1], axes[4], axes[7]), (axes[2], axes[5], axes[8])
+    axes = load9(workspace, offsets.axes + 9 * joint)
+    place = load3(workspace, offsets.place + 3 * joint)
+    p = (axes[0], axes[3], axes[6])
+    q = (axes[1], axes[4], axes[7])
+    r = (axes[2], axes[5], axes[8])
     if slots.rigid[s] == 1:
         arm = sub3(marker, place)
         return cross3(p, arm), cross3(q, arm), cross3(r, arm)
@@ -86,7 +98,11 @@ def turn_columns(slots, offsets, workspace, s, carriage, marker):
     f = sub3(corner_arm(slots, offsets, workspace, 3 * s + 2, place), a)
     n = carriage[0]
     arms = (a, cross3(e, carriage[1]), cross3(f, n), cross3(e, n))  # s . (m x e) = m . (e x s)
-    return turned_change(carriage, p, arms), turned_change(carriage, q, arms), turned_change(carriage, r, arms)
+    return (
+        turned_change(carriage, p, arms),
+        turned_change(carriage, q, arms),
+        turned_change(carriage, r, arms),
+    )
 
 
 @jit_inline
@@ -98,11 +114,18 @@ def turned_change(carriage, axis, arms):
 
 @jit_inline
 def marker_blends(rig, offsets, workspace, i, carriage):
-    """How a marker follows its corners where these move at rest: of corner a all, of b along s and n, of c along n."""
+    """How a marker follows its corners where these move at rest: of corner a all, of b along s and
+    n, of c along n.
+    """
     n, s, _, _, _ = carriage
-    a, b, c = rig.triangles[i, 0], rig.triangles[i, 1], rig.triangles[i, 2]
-    m, second = load9(workspace, offsets.blend + 9 * a), load9(workspace, offsets.blend + 9 * b)
-    x, y, z = (m[0], m[3], m[6]), (m[1], m[4], m[7]), (m[2], m[5], m[8])
+    a = rig.triangles[i, 0]
+    b = rig.triangles[i, 1]
+    c = rig.triangles[i, 2]
+    m = load9(workspace, offsets.blend + 9 * a)
+    second = load9(workspace, offsets.blend + 9 * b)
+    x = (m[0], m[3], m[6])
+    y = (m[1], m[4], m[7])
+    z = (m[2], m[5], m[8])
     first = (alone_change(carriage, x), alone_change(carriage, y), alone_change(carriage, z))
     third = turn_back3(load9(workspace, offsets.blend + 9 * c), n)
     return first, turn_back3(second, s), turn_back3(second, n), third
@@ -120,12 +143,15 @@ def alone_change(carriage, da):
 def pose_shape_columns(rig, slots, offsets, workspace, s, carriage, blends):
     """What the pose blend shapes add: each corner moves by (sum_k w_ik G_k) P_ij dvec(R_j)."""
     joint = slots.block[s] - 1
-    turned, left = load9(workspace, offsets.local + 9 * joint), load9(workspace, offsets.left + 9 * joint)
+    turned = load9(workspace, offsets.local + 9 * joint)
+    left = load9(workspace, offsets.left + 9 * joint)
     first, by_s, by_n, by_f = blends
     a = rest_slopes(rig, slots.posedir[3 * s], turned)
     b = rest_slopes(rig, slots.posedir[3 * s + 1], turned)
     c = rest_slopes(rig, slots.posedir[3 * s + 2], turned)
-    bs, bn, cn = mixed3(by_s, b), mixed3(by_n, b), mixed3(by_f, c)
+    bs = mixed3(by_s, b)
+    bn = mixed3(by_n, b)
+    cn = mixed3(by_f, c)
     x = carried(carriage, mixed3((a[0][0], a[1][0], a[2][0]), first), bs[0], cn[0], bn[0])
     y = carried(carriage, mixed3((a[0][1], a[1][1], a[2][1]), first), bs[1], cn[1], bn[1])
     z = carried(carriage, mixed3((a[0][2], a[1][2], a[2][2]), first), bs[2], cn[2], bn[2])
@@ -150,10 +176,12 @@ def mixed3(shares, vectors):
 
 @jit_inline
 def rest_slopes(rig, d, turned):
-    """How x, y and z of a corner at rest change by pose blend shape d (none if -1) as R_j is turned from the left:
-    sum_c R_c x P_c over the columns c.
+    """How x, y and z of a corner at rest change by pose blend shape d (none if -1) as R_j is turned
+    from the left: sum_c R_c x P_c over the columns c.
     """
-    x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
+    x = spread3(0.0, 0.0, 0.0)
+    y = spread3(0.0, 0.0, 0.0)
+    z = spread3(0.0, 0.0, 0.0)
     if d >= 0:
         x = slope(rig.posedirs, d, 0, turned)
         y = slope(rig.posedirs, d, 1, turned)
@@ -164,7 +192,9 @@ def rest_slopes(rig, d, turned):
 @jit_inline
 def slope(posedirs, d, k, turned):
     """The same of one coordinate."""
-    total = plus_crossed(spread3(0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0)
+    total = plus_crossed(
+        spread3(0.0, 0.0, 0.0), (turned[0], turned[3], turned[6]), posedirs, d, k, 0
+    )
     total = plus_crossed(total, (turned[1], turned[4], turned[7]), posedirs, d, k, 1)
     return plus_crossed(total, (turned[2], turned[5], turned[8]), posedirs, d, k, 2)
 
@@ -172,7 +202,9 @@ def slope(posedirs, d, k, turned):
 @jit_inline
 def plus_crossed(total, v, posedirs, d, k, c):
     """total + v x (column c of a pose blend shape's 3 x 3 numbers for coordinate k)."""
-    x, y, z = posedirs[d, k, c], posedirs[d, k, 3 + c], posedirs[d, k, 6 + c]
+    x = posedirs[d, k, c]
+    y = posedirs[d, k, 3 + c]
+    z = posedirs[d, k, 6 + c]
     return (
         total[0] + v[1] * z - v[2] * y,
         total[1] + v[2] * x - v[0] * z,
@@ -184,13 +216,18 @@ def plus_crossed(total, v, posedirs, d, k, c):
 def write_blends(rig, offsets, workspace):
     """sum_k w_ik G_k of every corner."""
     for u in range(len(rig.rest_corners)):
-        x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
+        x = spread3(0.0, 0.0, 0.0)
+        y = spread3(0.0, 0.0, 0.0)
+        z = spread3(0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
-            m, w = load9(workspace, offsets.world + 9 * rig.influence_joint[k]), rig.influence_weight[k]
+            m = load9(workspace, offsets.world + 9 * rig.influence_joint[k])
+            w = rig.influence_weight[k]
             x = add3(x, scale3(w, (m[0], m[1], m[2])))
             y = add3(y, scale3(w, (m[3], m[4], m[5])))
             z = add3(z, scale3(w, (m[6], m[7], m[8])))
-        store9(workspace, offsets.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
+        store9(
+            workspace, offsets.blend + 9 * u, (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2])
+        )
 
 
 @jit_inline
@@ -223,7 +260,8 @@ def beta_column(rig, offsets, workspace, i, carriage, b):
 @jit_inline
 def write_shape_jacobian(rig, offsets, workspace):
     """How joints' offsets and then corners change with each beta."""
-    dirs, count = rig.corner_shapedirs, rig.corner_shapedirs.shape[2]
+    dirs = rig.corner_shapedirs
+    count = rig.corner_shapedirs.shape[2]
     if count + len(rig.posedir_joint) > 0:
         write_blends(rig, offsets, workspace)
     for b in range(count):
@@ -233,7 +271,9 @@ def write_shape_jacobian(rig, offsets, workspace):
         for b in range(count):
             total = turn3(blend, (dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
             for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
-                by_shape = load3(workspace, offsets.joint_by_shape + 3 * (rig.influence_joint[k] * count + b))
+                by_shape = load3(
+                    workspace, offsets.joint_by_shape + 3 * (rig.influence_joint[k] * count + b)
+                )
                 total = add3(total, scale3(spread(rig.influence_weight[k]), by_shape))
             store3(workspace, offsets.corner_by_shape + 3 * (u * count + b), total)
 
@@ -241,7 +281,8 @@ def write_shape_jacobian(rig, offsets, workspace):
 @jit_inline
 def write_joint_slopes(rig, offsets, workspace, b):
     """dp_j - G_j dJ_j of every joint for beta b; dp_j = dp_parent + G_parent d(J_j - J_parent)."""
-    dirs, count = rig.joint_shapedirs, rig.joint_shapedirs.shape[2]
+    dirs = rig.joint_shapedirs
+    count = rig.joint_shapedirs.shape[2]
     for j in range(len(rig.parents)):
         parent = rig.parents[j]
         change = spread3(dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b])

@@ -54,27 +54,35 @@ def place_markers(rig, offsets, workspace, state):
 @jit_inline
 def shape_joints(rig, offsets, workspace, state):
     """Rest places of the joints, moved by the betas of each lane."""
-    betas, dirs = state + 3 + 3 * len(rig.parents), rig.joint_shapedirs
+    betas = state + 3 + 3 * len(rig.parents)
+    dirs = rig.joint_shapedirs
     for j in range(len(rig.parents)):
         rest = spread3(rig.rest_joints[j, 0], rig.rest_joints[j, 1], rig.rest_joints[j, 2])
         for b in range(dirs.shape[2]):
-            rest = add3(rest, along3(load(workspace, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]))
+            rest = add3(
+                rest,
+                along3(load(workspace, betas + b), dirs[j, 0, b], dirs[j, 1, b], dirs[j, 2, b]),
+            )
         store3(workspace, offsets.rest_joint + 3 * j, rest)
 
 
 @jit_inline
 def move_joints(rig, offsets, workspace, state):
-    """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and its left Jacobian."""
+    """World rotations G, places p, offsets p - G J and turning axes M of the joints; local R and
+    its left Jacobian.
+    """
     for j in range(len(rig.parents)):
         rotation, left = rotation_and_jacobian9(load3(workspace, state + 3 + 3 * j))
         store9(workspace, offsets.local + 9 * j, rotation)
         store9(workspace, offsets.left + 9 * j, left)
-        rest, parent = load3(workspace, offsets.rest_joint + 3 * j), rig.parents[j]
+        rest = load3(workspace, offsets.rest_joint + 3 * j)
+        parent = rig.parents[j]
         if parent < 0:
             place = add3(rest, load3(workspace, state))
         else:
             above = load9(workspace, offsets.world + 9 * parent)
-            rotation, left = product9(above, rotation), product9(above, left)
+            rotation = product9(above, rotation)
+            left = product9(above, left)
             bone = sub3(rest, load3(workspace, offsets.rest_joint + 3 * parent))
             place = add3(load3(workspace, offsets.place + 3 * parent), turn3(above, bone))
         store9(workspace, offsets.world + 9 * j, rotation)
@@ -86,16 +94,23 @@ def move_joints(rig, offsets, workspace, state):
 @jit_inline
 def shape_corners(rig, offsets, workspace, state):
     """Rest places of the corners with betas and pose blend shapes added."""
-    betas, dirs, posedirs = state + 3 + 3 * len(rig.parents), rig.corner_shapedirs, rig.posedirs
+    betas = state + 3 + 3 * len(rig.parents)
+    dirs = rig.corner_shapedirs
+    posedirs = rig.posedirs
     for u in range(len(rig.rest_corners)):
         rest = spread3(rig.rest_corners[u, 0], rig.rest_corners[u, 1], rig.rest_corners[u, 2])
         for b in range(dirs.shape[2]):
-            rest = add3(rest, along3(load(workspace, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]))
+            rest = add3(
+                rest,
+                along3(load(workspace, betas + b), dirs[u, 0, b], dirs[u, 1, b], dirs[u, 2, b]),
+            )
         for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
             local = offsets.local + 9 * rig.posedir_joint[d]
             for e in range(9):
                 change = load(workspace, local + e) - (1.0 if e % 4 == 0 else 0.0)
-                rest = add3(rest, along3(change, posedirs[d, 0, e], posedirs[d, 1, e], posedirs[d, 2, e]))
+                rest = add3(
+                    rest, along3(change, posedirs[d, 0, e], posedirs[d, 1, e], posedirs[d, 2, e])
+                )
         store3(workspace, offsets.rest + 3 * u, rest)
 
 
@@ -103,10 +118,14 @@ def shape_corners(rig, offsets, workspace, state):
 def move_corners(rig, offsets, workspace):
     """Corners in the world, and the share u_ik of each influence in them."""
     for u in range(len(rig.rest_corners)):
-        rest, total = load3(workspace, offsets.rest + 3 * u), spread3(0.0, 0.0, 0.0)
+        rest = load3(workspace, offsets.rest + 3 * u)
+        total = spread3(0.0, 0.0, 0.0)
         for k in range(rig.influence_start[u], rig.influence_start[u + 1]):
             j = rig.influence_joint[k]
-            moved = add3(turn3(load9(workspace, offsets.world + 9 * j), rest), load3(workspace, offsets.offset + 3 * j))
+            moved = add3(
+                turn3(load9(workspace, offsets.world + 9 * j), rest),
+                load3(workspace, offsets.offset + 3 * j),
+            )
             moved = scale3(spread(rig.influence_weight[k]), moved)
             store3(workspace, offsets.carried + 3 * k, moved)
             total = add3(total, moved)
@@ -115,14 +134,19 @@ def move_corners(rig, offsets, workspace):
 
 @jit_inline
 def marker_frame(rig, offsets, workspace, i):
-    """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f . s."""
+    """Corner a, q (the marker stands at a + q), the basis n, t, s, then 1 / |e|, f . t and f .
+    s.
+    """
     a = load3(workspace, offsets.corner + 3 * rig.triangles[i, 0])
     e = sub3(load3(workspace, offsets.corner + 3 * rig.triangles[i, 1]), a)
     f = sub3(load3(workspace, offsets.corner + 3 * rig.triangles[i, 2]), a)
     inverse = 1.0 / root(dot3(e, e))
-    t, n = scale3(inverse, e), unit3(cross3(e, f))
+    t = scale3(inverse, e)
+    n = unit3(cross3(e, f))
     s = cross3(n, t)
-    up, along, across = rig.coefficients[i, 0], rig.coefficients[i, 1], rig.coefficients[i, 2]
+    up = rig.coefficients[i, 0]
+    along = rig.coefficients[i, 1]
+    across = rig.coefficients[i, 2]
     q = (
         up * n[0] + along * t[0] + across * s[0],
         up * n[1] + along * t[1] + across * s[1],

@@ -1,4 +1,5 @@
-"""Predicted markers of many frames (M equation 2): by compiled kernels where they know the body, else by the body.
+"""Predicted markers of many frames (M equation 2): by compiled kernels where they know the body,
+else by the body.
 
 `habitus.observe.markers` states the marker function itself, for NumPy and torch.
 """
@@ -17,15 +18,21 @@ from habitus.observe.soft_space import soft_directions
 from habitus.parallel.blocks import mapped
 
 MarkedBody = MarkerRig | BodyMarkers
-"""A body of fixed shape with markers on it: as arrays for the compiled kernels, or as the body itself."""
+"""A body of fixed shape with markers on it: as arrays for the compiled kernels, or as the body
+itself.
+"""
 
 
 def marked_body(
-    body: BodyModel, betas: Float[np.ndarray, " B"], attachment: MarkerAttachment, space: str = "shape"
+    body: BodyModel,
+    betas: Float[np.ndarray, " B"],
+    attachment: MarkerAttachment,
+    space: str = "shape",
 ) -> MarkedBody:
     """A body of shape `betas` with markers on it, for the compiled kernels where they cover it.
 
-    `space` (`habitus.observe.soft_space`): what its soft tissue is. The kernels know directions, whatever these are of.
+    `space` (`habitus.observe.soft_space`): what its soft tissue is. The kernels know directions,
+    whatever these are of.
     """
     if not kernels_cover(body):
         return BodyMarkers(body, betas, attachment, space)
@@ -42,9 +49,13 @@ def predict(
     trans: Float[np.ndarray, "T 3"],
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
 ) -> Float[np.ndarray, "T M 3"]:
-    """Markers predicted for T frames (M equation 2) in metres and the world; `soft_tissue` is of `marked`'s space."""
+    """Markers predicted for T frames (M equation 2) in metres and the world; `soft_tissue` is of
+    `marked`'s space.
+    """
     soft = () if soft_tissue is None else (np.asarray(soft_tissue),)
-    return mapped(lambda *frames: _predict(marked, *frames), np.asarray(pose), np.asarray(trans), *soft)
+    return mapped(
+        lambda *frames: _predict(marked, *frames), np.asarray(pose), np.asarray(trans), *soft
+    )
 
 
 def _predict(
@@ -54,9 +65,15 @@ def _predict(
     trans = np.ascontiguousarray(trans, dtype=np.float64).reshape(len(pose), 3)
     if isinstance(marked, BodyMarkers):
         return marked.predict(pose, trans, soft_tissue)
-    soft_tissue = np.zeros((len(pose), 0)) if soft_tissue is None else np.asarray(soft_tissue, dtype=np.float64)
+    soft_tissue = (
+        np.zeros((len(pose), 0))
+        if soft_tissue is None
+        else np.asarray(soft_tissue, dtype=np.float64)
+    )
     rig = simd_rig(marked, soft_tissue.shape[1])
     offsets = workspace_offsets(rig)
     markers = np.empty((len(pose), marked.num_markers, 3))
-    predict_frames(rig, offsets, lane_array(offsets.end), pack_states(rig, trans, pose, soft_tissue), markers)
+    predict_frames(
+        rig, offsets, lane_array(offsets.end), pack_states(rig, trans, pose, soft_tissue), markers
+    )
     return markers

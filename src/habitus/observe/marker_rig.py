@@ -1,6 +1,8 @@
-"""The part of a body that its markers need: corners of triangles, joints, and how shape and pose move both.
+"""The part of a body that its markers need: corners of triangles, joints, and how shape and pose
+move both.
 
-Markers touch about 200 of some 7,000 vertices; `MarkerRig` keeps only those, as arrays that compiled kernels take.
+Markers touch about 200 of some 7,000 vertices; `MarkerRig` keeps only those, as arrays that
+compiled kernels take.
 """
 
 from typing import NamedTuple
@@ -17,10 +19,11 @@ from habitus.types import Array
 
 
 class MarkerRig(NamedTuple):
-    """Arrays of a body of fixed shape for the U corners under M markers (metres; all float64 and int64, C order).
+    """Arrays of a body of fixed shape for the U corners under M markers (metres; all float64 and
+    int64, C order).
 
-    J joints, K influences a corner, B shape directions, P = 9 (J - 1), or 0 for a body without pose blend shapes.
-    Build it with `marker_rig`; treat the arrays as read-only.
+    J joints, K influences a corner, B shape directions, P = 9 (J - 1), or 0 for a body without pose
+    blend shapes. Build it with `marker_rig`; treat the arrays as read-only.
     """
 
     parents: Int[np.ndarray, " J"]
@@ -55,22 +58,30 @@ class MarkerRig(NamedTuple):
         return self.corner_shapedirs.shape[2]
 
 
-def marker_rig(body: BodyModel, betas: Float[Array, " B"], attachment: MarkerAttachment) -> MarkerRig:
+def marker_rig(
+    body: BodyModel, betas: Float[Array, " B"], attachment: MarkerAttachment
+) -> MarkerRig:
     """The rig of a body of shape `betas` under the markers of `attachment`.
 
-    `betas` may be shorter than the body's: only that many shape directions are kept. Raises HabitusError for a body
-    that is not skinned linearly (S 3) or whose pose blend shapes are not linear in vec(R - I) alone, and for an
-    attachment to vertices that it does not have.
+    `betas` may be shorter than the body's: only that many shape directions are kept. Raises
+    HabitusError for a body that is not skinned linearly (S 3) or whose pose blend shapes are not
+    linear in vec(R - I) alone, and for an attachment to vertices that it does not have.
     """
     corners, triangles = np.unique(attachment.triangles, return_inverse=True)
     _check(body, betas, corners)
-    shape, directions = to_numpy(betas, np.float64), to_numpy(body.shapedirs, np.float64)[:, :, : len(betas)]
-    regressor, template = to_numpy(body.joint_regressor, np.float64), to_numpy(body.v_template, np.float64)
+    shape = to_numpy(betas, np.float64)
+    directions = to_numpy(body.shapedirs, np.float64)[:, :, : len(betas)]
+    regressor = to_numpy(body.joint_regressor, np.float64)
+    template = to_numpy(body.v_template, np.float64)
     joints = regressor @ template
-    joint_directions = (regressor @ directions.reshape(len(directions), -1)).reshape(len(joints), 3, -1)
-    rest, corner_directions = template[corners], np.ascontiguousarray(directions[corners])
+    joint_directions = (regressor @ directions.reshape(len(directions), -1)).reshape(
+        len(joints), 3, -1
+    )
+    rest = template[corners]
+    corner_directions = np.ascontiguousarray(directions[corners])
     influences, weights = _trim(
-        to_numpy(body.skinning_index[corners], np.int64), to_numpy(body.skinning_value[corners], np.float64)
+        to_numpy(body.skinning_index[corners], np.int64),
+        to_numpy(body.skinning_value[corners], np.float64),
     )
     posedirs = body.smpl_posedirs(corners)
     return MarkerRig(
@@ -88,7 +99,8 @@ def marker_rig(body: BodyModel, betas: Float[Array, " B"], attachment: MarkerAtt
 
 
 def kernels_cover(body: BodyModel) -> bool:
-    """Whether the compiled kernels know a body of this kind: skinned linearly, pose blend shapes linear in vec(R - I).
+    """Whether the compiled kernels know a body of this kind: skinned linearly, pose blend shapes
+    linear in vec(R - I).
 
     Other bodies are fitted by `habitus.observe.body_markers.BodyMarkers`.
     """
@@ -98,27 +110,37 @@ def kernels_cover(body: BodyModel) -> bool:
 
 def _check(body: BodyModel, betas: Array, corners: np.ndarray) -> None:
     if body.skinning != "lbs":
-        raise HabitusError(f"marker kernels skin linearly (lbs), this body wants {body.skinning!r}; take an lbs body")
+        raise HabitusError(
+            f"marker kernels skin linearly (lbs), this body wants {body.skinning!r}; take an lbs "
+            "body"
+        )
     if not kernels_cover(body):
         check_driven_by_rotations(body, "marker fits")
     if len(corners) == 0:
         raise HabitusError("the attachment has no marker; give at least one")
     if corners[0] < 0 or corners[-1] >= len(body.v_template):
         raise HabitusError(
-            f"markers sit on vertex {corners[-1]}, but the body has {len(body.v_template)}; attach them to this body"
+            f"markers sit on vertex {corners[-1]}, but the body has {len(body.v_template)}; "
+            "attach them to this body"
         )
     if len(betas) > body.shapedirs.shape[2]:
         raise HabitusError(
-            f"got {len(betas)} betas, the body has {body.shapedirs.shape[2]}; use the body of these betas"
+            f"got {len(betas)} betas, the body has {body.shapedirs.shape[2]}; use the body of "
+            "these betas"
         )
     if any(parent >= joint for joint, parent in enumerate(body.parents)) or body.parents[0] >= 0:
-        raise HabitusError("joints must come after their parents and the root first; reorder the body's joints")
+        raise HabitusError(
+            "joints must come after their parents and the root first; reorder the body's joints"
+        )
 
 
 def _trim(influences: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Move each corner's non-zero weights to the front and cut the columns that none of them uses."""
+    """Move each corner's non-zero weights to the front and cut the columns that none of them
+    uses.
+    """
     order = np.argsort(-np.abs(weights), axis=1, kind="stable")
-    influences, weights = np.take_along_axis(influences, order, 1), np.take_along_axis(weights, order, 1)
+    influences = np.take_along_axis(influences, order, 1)
+    weights = np.take_along_axis(weights, order, 1)
     used = max(1, int((weights != 0).sum(axis=1).max()))
     influences = np.where(weights != 0, influences, influences[:, :1])
     return np.ascontiguousarray(influences[:, :used]), np.ascontiguousarray(weights[:, :used])

@@ -1,8 +1,10 @@
-"""What the SIMD kernels need to know of a rig beforehand: which unknowns move which marker, and how.
+"""What the SIMD kernels need to know of a rig beforehand: which unknowns move which marker, and
+how.
 
-Unknowns come in blocks of three: block 0 is trans, block 1 + j is joint j, and the betas follow, padded to full
-blocks. A slot is a pair of a marker and a block that moves it. Where every weight of a marker's triangle descends
-from a joint, the triangle turns rigidly about it; elsewhere (a few slots near that joint) its corners move apart.
+Unknowns come in blocks of three: block 0 is trans, block 1 + j is joint j, and the betas follow,
+padded to full blocks. A slot is a pair of a marker and a block that moves it. Where every weight of
+a marker's triangle descends from a joint, the triangle turns rigidly about it; elsewhere (a few
+slots near that joint) its corners move apart.
 """
 
 from itertools import pairwise
@@ -15,7 +17,8 @@ from habitus.observe.marker_rig import MarkerRig
 
 
 class SimdRig(NamedTuple):
-    """A `MarkerRig` whose lists of influences and pose blend shapes hold what is not zero; Z = 3 ceil(B / 3) betas.
+    """A `MarkerRig` whose lists of influences and pose blend shapes hold what is not zero; Z = 3
+    ceil(B / 3) betas.
 
     The run of corner u in a list is start[u] : start[u + 1].
     """
@@ -36,14 +39,14 @@ class SimdRig(NamedTuple):
 
 
 class Slots(NamedTuple):
-    """S slots; those of marker i are start[i] : start[i + 1]. Q pairs of slots of the same marker, by block of the
-    matrix.
+    """S slots; those of marker i are start[i] : start[i + 1]. Q pairs of slots of the same marker,
+    by block of the matrix.
 
-    part_influence lists, for corner c of slot s, the influences that descend from its joint, from part_start[3 s +
-    c] on, and part_weight sums them; rigid slots and betas have none. posedir holds the pose blend shape of the
-    slot's joint at each corner (an index into `SimdRig.posedirs`, -1 for none), bent whether there is any. The
-    pairs of the matrix' block (r, c), 1 <= c <= r, are pair_start[k] : pair_start[k + 1], the k's counting such
-    blocks row by row.
+    part_influence lists, for corner c of slot s, the influences that descend from its joint, from
+    part_start[3 s + c] on, and part_weight sums them; rigid slots and betas have none. posedir
+    holds the pose blend shape of the slot's joint at each corner (an index into `SimdRig.posedirs`,
+    -1 for none), bent whether there is any. The pairs of the matrix' block (r, c), 1 <= c <= r, are
+    pair_start[k] : pair_start[k + 1], the k's counting such blocks row by row.
     """
 
     start: Int[np.ndarray, " M1"]
@@ -60,7 +63,9 @@ class Slots(NamedTuple):
 
 
 class Offsets(NamedTuple):
-    """Where things lie in the workspace (end, LANES) of one group of frames: the first row of each."""
+    """Where things lie in the workspace (end, LANES) of one group of frames: the first row of
+    each.
+    """
 
     state: int
     trial: int
@@ -93,7 +98,8 @@ class Offsets(NamedTuple):
 
 def simd_rig(rig: MarkerRig, betas: int) -> SimdRig:
     """The rig with its first `betas` shape directions as soft tissue (0 for none)."""
-    used, pad = rig.weights != 0, ((0, 0), (0, 0), (0, -betas % 3))
+    used = rig.weights != 0
+    pad = ((0, 0), (0, 0), (0, -betas % 3))
     return SimdRig(
         parents=rig.parents,
         rest_joints=rig.rest_joints,
@@ -131,7 +137,8 @@ def pack_states(
 
 def marker_slots(rig: SimdRig) -> Slots:
     """Find the slots of every marker and pair them."""
-    below, blocks = descends(rig.parents), block_count(rig)
+    below = descends(rig.parents)
+    blocks = block_count(rig)
     per_marker = [_slots_of(rig, below, corners, blocks) for corners in rig.triangles]
     flat = [slot for slots in per_marker for slot in slots]
     start = _starts([len(slots) for slots in per_marker])
@@ -162,8 +169,12 @@ def descends(parents: Int[np.ndarray, " J"]) -> np.ndarray:
     return below
 
 
-def _slots_of(rig: SimdRig, below: np.ndarray, corners: np.ndarray, blocks: int) -> list[tuple[int, bool, list, list]]:
-    """Slots of one marker: block, rigid or not, influences below the joint and pose blend shape at each corner."""
+def _slots_of(
+    rig: SimdRig, below: np.ndarray, corners: np.ndarray, blocks: int
+) -> list[tuple[int, bool, list, list]]:
+    """Slots of one marker: block, rigid or not, influences below the joint and pose blend shape at
+    each corner.
+    """
     runs = [slice(rig.influence_start[u], rig.influence_start[u + 1]) for u in corners]
     under = [below[:, rig.influence_joint[run]] for run in runs]
     whole = np.all([each.all(axis=1) for each in under], axis=0)
@@ -176,14 +187,24 @@ def _slots_of(rig: SimdRig, below: np.ndarray, corners: np.ndarray, blocks: int)
     slots: list[tuple[int, bool, list, list]] = []
     for j in np.flatnonzero(moving):
         parts = [run.start + np.flatnonzero(each[j]) for run, each in zip(runs, under, strict=True)]
-        slots.append((1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(features[:, j])))
-    return slots + [(block, False, [none] * 3, [-1] * 3) for block in range(1 + len(rig.parents), blocks)]
+        slots.append(
+            (1 + int(j), bool(whole[j]), [none] * 3 if whole[j] else parts, list(features[:, j]))
+        )
+    return slots + [
+        (block, False, [none] * 3, [-1] * 3) for block in range(1 + len(rig.parents), blocks)
+    ]
 
 
 def _pairs(start: np.ndarray, block: np.ndarray, blocks: int) -> dict[str, np.ndarray]:
-    pairs = [(a, b) for begin, end in pairwise(start) for a in range(begin, end) for b in range(begin, a + 1)]
+    pairs = [
+        (a, b)
+        for begin, end in pairwise(start)
+        for a in range(begin, end)
+        for b in range(begin, a + 1)
+    ]
     left, right = np.array(pairs, dtype=np.int64).T
-    r, c = block[left] - 1, block[right] - 1
+    r = block[left] - 1
+    c = block[right] - 1
     place = r * (r + 1) // 2 + c
     order = np.argsort(place, kind="stable")
     counts = np.bincount(place, minlength=blocks * (blocks - 1) // 2)
@@ -206,8 +227,11 @@ def _starts(counts) -> np.ndarray:
 
 def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
     """Lay out a workspace; without slots there is none for columns and matrix."""
-    joints, corners, markers = len(rig.parents), len(rig.rest_corners), len(rig.triangles)
-    blocks, betas = block_count(rig), rig.corner_shapedirs.shape[2]
+    joints = len(rig.parents)
+    corners = len(rig.rest_corners)
+    markers = len(rig.triangles)
+    blocks = block_count(rig)
+    betas = rig.corner_shapedirs.shape[2]
     slot_count = 0 if slots is None else len(slots.block)
     sizes = {
         **dict.fromkeys(("state", "trial", "gradient", "step", "pull", "stiffness"), 3 * blocks),
@@ -227,4 +251,6 @@ def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
     }
     assert tuple(sizes) == Offsets._fields[:-2]
     first = np.concatenate([[0], np.cumsum(list(sizes.values()))])
-    return Offsets(**{name: int(row) for name, row in zip(Offsets._fields, first, strict=False)}, blocks=blocks)
+    return Offsets(
+        **{name: int(row) for name, row in zip(Offsets._fields, first, strict=False)}, blocks=blocks
+    )

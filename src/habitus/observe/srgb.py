@@ -6,7 +6,9 @@ from jaxtyping import Float, UInt8
 
 def linear_from_srgb(value: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     """Linear light, 0 to 1, of values of sRGB, 0 to 1."""
-    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        value <= 0.04045, value / 12.92, ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4
+    )
 
 
 def srgb_bytes(linear: Float[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:

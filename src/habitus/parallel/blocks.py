@@ -1,8 +1,10 @@
-"""Arrays of a million frames in bounded memory: where they lie, and how to go through them a few frames at a time.
+"""Arrays of a million frames in bounded memory: where they lie, and how to go through them a few
+frames at a time.
 
-Arrays up to `IN_MEMORY` bytes are plain NumPy arrays and are worked on at once. Larger ones are NumPy arrays over a
-file that has no name, vanishes with them, and is read and written by the operating system as they are used: in the
-folder that TMPDIR names, else /var/tmp, else where temporary files go.
+Arrays up to `IN_MEMORY` bytes are plain NumPy arrays and are worked on at once. Larger ones are
+NumPy arrays over a file that has no name, vanishes with them, and is read and written by the
+operating system as they are used: in the folder that TMPDIR names, else /var/tmp, else where
+temporary files go.
 """
 
 import mmap
@@ -42,7 +44,9 @@ def room(shape: Sequence[int], dtype: Any = np.float64) -> np.ndarray:
 
 
 def _reserve(file: int, size: int) -> None:
-    """Take the room now: a disk that turns out to be full when a mapped page is written would end the process."""
+    """Take the room now: a disk that turns out to be full when a mapped page is written would end
+    the process.
+    """
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file, 0, size)
     else:
@@ -89,7 +93,8 @@ def is_large(*arrays: np.ndarray) -> bool:
 
 
 def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
-    """``function(*arrays)`` where each frame (first axis) of the result depends on that frame of the arrays alone.
+    """``function(*arrays)`` where each frame (first axis) of the result depends on that frame of
+    the arrays alone.
 
     Long arrays are handed to it a block at a time, and what comes out may lie over a file.
     """
@@ -143,21 +148,30 @@ def thinned(array: np.ndarray, stride: int) -> np.ndarray:
 
 
 def by_column(function: Callable[[np.ndarray], np.ndarray], array: np.ndarray) -> np.ndarray:
-    """``function`` of each column (T, …) of an array (T, M, …) by itself, stacked (M, …): one column fits in memory."""
+    """``function`` of each column (T, …) of an array (T, M, …) by itself, stacked (M, …): one
+    column fits in memory.
+    """
     return np.stack([function(column) for column in columns(array)])
 
 
 def columns(array: np.ndarray, together: int = 4) -> Iterator[np.ndarray]:
-    """Each column (T, …) of an array (T, M, …), contiguous; of large arrays a few are read together."""
+    """Each column (T, …) of an array (T, M, …), contiguous; of large arrays a few are read
+    together.
+    """
     step = together if is_large(array) else array.shape[1]
     for first in range(0, array.shape[1], max(step, 1)):
         yield from _read_columns(array, range(first, min(first + step, array.shape[1])))
 
 
 def with_columns(
-    array: np.ndarray, chosen: Sequence[int], function: Callable[[np.ndarray, int], np.ndarray], together: int = 4
+    array: np.ndarray,
+    chosen: Sequence[int],
+    function: Callable[[np.ndarray, int], np.ndarray],
+    together: int = 4,
 ) -> np.ndarray:
-    """A copy of an array (T, M, …) with ``function(column, k)`` in place of each of the columns ``chosen``."""
+    """A copy of an array (T, M, …) with ``function(column, k)`` in place of each of the columns
+    ``chosen``.
+    """
     out = mapped(np.array, array)
     if not is_large(array):
         for k in chosen:
@@ -165,7 +179,9 @@ def with_columns(
         return out
     for first in range(0, len(chosen), together):
         some = chosen[first : first + together]
-        changed = [function(column, k) for column, k in zip(_read_columns(array, some), some, strict=True)]
+        changed = [
+            function(column, k) for column, k in zip(_read_columns(array, some), some, strict=True)
+        ]
         for part in blocks(len(array)):
             for k, column in zip(some, changed, strict=True):
                 out[part, k] = column[part]

@@ -1,4 +1,6 @@
-"""Workers from what a caller names: a number of threads, the address of a Dask scheduler, or workers themselves."""
+"""Workers from what a caller names: a number of threads, the address of a Dask scheduler, or
+workers themselves.
+"""
 
 import os
 from collections.abc import Iterator
@@ -9,7 +11,9 @@ from habitus.parallel.cluster import connect
 from habitus.parallel.workers import Threads, Workers
 
 WorkersLike = int | str | Workers | None
-"""Number of threads, address of a Dask scheduler ("tcp://host:8786"), workers, or None: as many threads as cores."""
+"""Number of threads, address of a Dask scheduler ("tcp://host:8786"), workers, or None: as many
+threads as cores.
+"""
 
 
 @contextmanager
@@ -28,7 +32,9 @@ def open_workers(workers: WorkersLike = None) -> Iterator[Workers]:
 
 
 def thread_count(threads: int | None) -> int:
-    """The number asked for, or that of the cores this process may use. Raises HabitusError for fewer than one."""
+    """The number asked for, or that of the cores this process may use. Raises HabitusError for
+    fewer than one.
+    """
     count = len(os.sched_getaffinity(0)) if threads is None else threads
     if count < 1:
         raise HabitusError(f"{count} threads asked for; expected 1 or more")

@@ -16,34 +16,45 @@ TIMEOUT = "10s"  # for a scheduler to answer
 
 @dataclass(frozen=True)
 class Cluster:
-    """The workers of a Dask ``distributed`` client (any that has its methods scatter, submit and nthreads).
+    """The workers of a Dask ``distributed`` client (any that has its methods scatter, submit and
+    nthreads).
 
-    What items share is sent to every machine once a call. ``ahead`` results a thread wait to be taken; a task whose
-    machine is lost is tried ``retries`` times more. Arrays travel with what holds them; readers of files travel without
-    data and open the files anew, so that machines must see them under the same path.
+    What items share is sent to every machine once a call. ``ahead`` results a thread wait to be
+    taken; a task whose machine is lost is tried ``retries`` times more. Arrays travel with what
+    holds them; readers of files travel without data and open the files anew, so that machines must
+    see them under the same path.
     """
 
     client: Any
     ahead: int = 2
     retries: int = 3
 
-    def map(self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]) -> Iterator[Result]:
+    def map(
+        self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
+    ) -> Iterator[Result]:
         """Results in the items' order; no more than a few are held at once.
 
         Raises HabitusError where there are no machines, or they are lost.
         """
         distributed = require_extra("distributed", "clusters")
-        lost = (distributed.comm.CommClosedError, distributed.scheduler.KilledWorker, CancelledError)
+        lost = (
+            distributed.comm.CommClosedError,
+            distributed.scheduler.KilledWorker,
+            CancelledError,
+        )
         try:
             yield from self._results(function, shared, items)
         except lost as error:
-            raise HabitusError(f"the cluster was lost ({error}); the same command goes on once it is back") from error
+            raise HabitusError(
+                f"the cluster was lost ({error}); the same command goes on once it is back"
+            ) from error
 
     def _results(self, function: Callable, shared: Any, items: Sequence[Any]) -> Iterator[Any]:
         threads = sum(self.client.nthreads().values())
         if not threads:
             raise HabitusError("the cluster has no workers; start some, then give the same command")
-        submit, waiting = self._submitting(function, shared), []
+        submit = self._submitting(function, shared)
+        waiting = []
         try:
             for item in items[: threads * self.ahead]:
                 waiting.append(submit(item))
@@ -53,7 +64,9 @@ class Cluster:
                     waiting.append(submit(items[len(waiting)]))
                 yield result
         finally:
-            self.client.cancel([future for future in waiting if future is not None], reason="no longer wanted")
+            self.client.cancel(
+                [future for future in waiting if future is not None], reason="no longer wanted"
+            )
 
     def _submitting(self, function: Callable, shared: Any) -> Callable[[Any], Any]:
         """What sends one item after what all share is there."""
@@ -61,7 +74,9 @@ class Cluster:
         return partial(self.client.submit, function, there, pure=False, retries=self.retries)
 
     def _result(self, future: Any, item: Any, function: Callable, shared: Any) -> Any:
-        """The result of a future. A scheduler may forget a task when a machine dies: it is sent again."""
+        """The result of a future. A scheduler may forget a task when a machine dies: it is sent
+        again.
+        """
         for _ in range(self.retries):
             try:
                 return future.result()
@@ -77,11 +92,14 @@ def connect(address: str) -> Iterator[Cluster]:
     """The cluster whose Dask scheduler has this address. Raises HabitusError where none answers."""
     distributed = require_extra("distributed", "clusters")
     try:
-        distributed.comm.get_address_host_port(address)  # a client would try for long, and complain when collected
+        distributed.comm.get_address_host_port(
+            address
+        )  # a client would try for long, and complain when collected
         client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise HabitusError(
-            f"no Dask scheduler at {address!r} ({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
+            f"no Dask scheduler at {address!r} "
+            f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
             "expected an address such as tcp://host:8786"
         ) from error
     with client:

@@ -1,4 +1,6 @@
-"""Work of which some can only begin when other work has ended: items are done in whatever order they end."""
+"""Work of which some can only begin when other work has ended: items are done in whatever order
+they end.
+"""
 
 import os
 import signal
@@ -27,13 +29,15 @@ class Lost(Exception):
 
 
 class Queue(Protocol):
-    """Does items as they come; ``function`` stands in a module, and an exception that it raises is raised here."""
+    """Does items as they come; ``function`` stands in a module, and an exception that it raises is
+    raised here.
+    """
 
     def done(
         self, function: Callable[[Any, Item], Result], shared: Any, take: Callable[[], Item | None]
     ) -> Iterator[tuple[Item, Result | Lost]]:
-        """Each item with ``function(shared, item)`` as it ends; ``take`` gives the next one, None where there is none
-        before another ends. An item whose processes die comes back as `Lost`.
+        """Each item with ``function(shared, item)`` as it ends; ``take`` gives the next one, None
+        where there is none before another ends. An item whose processes die comes back as `Lost`.
         """
         ...
 
@@ -42,7 +46,9 @@ class Queue(Protocol):
 class Here:
     """One item after another in this process."""
 
-    def done(self, function: Callable, shared: Any, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:
+    def done(
+        self, function: Callable, shared: Any, take: Callable[[], Any]
+    ) -> Iterator[tuple[Any, Any]]:
         """See `Queue`."""
         while (item := take()) is not None:
             yield item, function(shared, item)
@@ -50,7 +56,9 @@ class Here:
 
 @dataclass(frozen=True)
 class Spread:
-    """Processes of a Dask cluster: no more than `AHEAD` items a process are sent, so that little is held at once."""
+    """Processes of a Dask cluster: no more than `AHEAD` items a process are sent, so that little is
+    held at once.
+    """
 
     cluster: Cluster
 
@@ -59,10 +67,16 @@ class Spread:
         """How many items are worked on at once."""
         return sum(self.cluster.client.nthreads().values())
 
-    def done(self, function: Callable, shared: Any, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:
-        """See `Queue`. Raises HabitusError where there are no processes, or the scheduler is lost."""
+    def done(
+        self, function: Callable, shared: Any, take: Callable[[], Any]
+    ) -> Iterator[tuple[Any, Any]]:
+        """See `Queue`. Raises HabitusError where there are no processes, or the scheduler is
+        lost.
+        """
         distributed = require_extra("distributed", "clusters", "archive")
-        client, waiting, ended = self.cluster.client, {}, SimpleQueue()
+        client = self.cluster.client
+        waiting = {}
+        ended = SimpleQueue()
         if not self.count:
             raise HabitusError("the cluster has no workers; start some, then give the same command")
 
@@ -93,13 +107,15 @@ def _outcome(future: Any, distributed: Any) -> Any:
     except distributed.scheduler.KilledWorker:
         return Lost("every process that tried it died; there may be too little memory for it")
     except (distributed.comm.CommClosedError, CancelledError) as error:
-        raise HabitusError(f"the cluster was lost ({error}); the same command goes on once it is back") from error
+        raise HabitusError(
+            f"the cluster was lost ({error}); the same command goes on once it is back"
+        ) from error
 
 
 @contextmanager
 def open_queue(workers: int | str | None = None) -> Iterator[Queue]:
-    """Processes of one thread each: so many on this machine, as many as it has cores, or those of a Dask scheduler's
-    address. One is this process itself.
+    """Processes of one thread each: so many on this machine, as many as it has cores, or those of a
+    Dask scheduler's address. One is this process itself.
 
     Raises HabitusError for fewer than one, and where no scheduler answers.
     """
@@ -117,16 +133,25 @@ def open_queue(workers: int | str | None = None) -> Iterator[Queue]:
 
 @contextmanager
 def local_cluster(count: int) -> Iterator[Cluster]:
-    """A Dask cluster of processes on this machine, which end with this one. Raises HabitusError where none starts."""
+    """A Dask cluster of processes on this machine, which end with this one. Raises HabitusError
+    where none starts.
+    """
     distributed = require_extra("distributed", "several processes", "archive")
-    options: dict[str, Any] = {"dashboard_address": None, "silence_logs": 50, "env": _ONE_THREAD | _path()}
+    options: dict[str, Any] = {
+        "dashboard_address": None,
+        "silence_logs": 50,
+        "env": _ONE_THREAD | _path(),
+    }
     with ExitStack() as stack:
         try:
             with _deaf_to_ctrl_c():
-                started = distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options)
+                started = distributed.LocalCluster(
+                    n_workers=count, threads_per_worker=1, processes=True, **options
+                )
         except RuntimeError as error:
             raise HabitusError(
-                f"{count} processes could not be started ({error}); a script that asks for them does so below "
+                f"{count} processes could not be started ({error}); a script that asks for them "
+                "does so below "
                 "if __name__ == '__main__':, since they read it too; or ask for one worker"
             ) from error
         stack.enter_context(started)

@@ -1,4 +1,6 @@
-"""Parallel map over independent items: this process or its threads (a Dask cluster: ``cluster``)."""
+"""Parallel map over independent items: this process or its threads (a Dask cluster:
+``cluster``).
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,29 +14,46 @@ Result = TypeVar("Result")
 
 
 class Workers(Protocol):
-    """Calls a function for many items, given what all of them share; results come in the items' order."""
+    """Calls a function for many items, given what all of them share; results come in the items'
+    order.
+    """
 
-    def map(self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]) -> Iterator[Result]:
-        """Results of ``function(shared, item)``; ``function`` stands in a module and changes nothing."""
+    def map(
+        self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Results of ``function(shared, item)``; ``function`` stands in a module and changes
+        nothing.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Threads:
-    """Threads of this process, each with linear algebra on one core; ``ahead`` results a thread wait to be taken."""
+    """Threads of this process, each with linear algebra on one core; ``ahead`` results a thread
+    wait to be taken.
+    """
 
     count: int
     ahead: int = 2
 
-    def map(self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]) -> Iterator[Result]:
+    def map(
+        self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
+    ) -> Iterator[Result]:
         """Results in order; no more than a few are held at once."""
         with threadpool_limits(limits=1):
             if self.count == 1:
                 yield from (function(shared, item) for item in items)
                 return
-            one_core = {"initializer": threadpool_limits, "initargs": (1,)}  # OpenMP's limit is each thread's own
-            with ThreadPoolExecutor(self.count, thread_name_prefix="habitus-learn", **one_core) as pool:
-                waiting = [pool.submit(function, shared, item) for item in items[: self.count * self.ahead]]
+            one_core = {
+                "initializer": threadpool_limits,
+                "initargs": (1,),
+            }  # OpenMP's limit is each thread's own
+            with ThreadPoolExecutor(
+                self.count, thread_name_prefix="habitus-learn", **one_core
+            ) as pool:
+                waiting = [
+                    pool.submit(function, shared, item) for item in items[: self.count * self.ahead]
+                ]
                 try:
                     for k in range(len(items)):
                         result = waiting[k].result()
@@ -55,7 +74,9 @@ class ReportingWorkers:
     workers: Workers
     on_item: Callable[[int, int], None]
 
-    def map(self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]) -> Iterator[Result]:
+    def map(
+        self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
+    ) -> Iterator[Result]:
         """The results of the workers' own map."""
         for done, result in enumerate(self.workers.map(function, shared, items), 1):
             self.on_item(done, len(items))

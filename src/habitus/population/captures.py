@@ -1,4 +1,6 @@
-"""Synthetic captures: what a marker system would record of a known body, with the faults that real captures have."""
+"""Synthetic captures: what a marker system would record of a known body, with the faults that real
+captures have.
+"""
 
 from dataclasses import dataclass
 
@@ -12,7 +14,8 @@ from habitus.observe.markers import attach, default_markers, predict_markers
 
 @dataclass(frozen=True)
 class Faults:
-    """Faults of a capture: placement and noise (sd, metres), share of samples lost in gaps of ``gap`` frames.
+    """Faults of a capture: placement and noise (sd, metres), share of samples lost in gaps of
+    ``gap`` frames.
 
     swapped: two markers whose labels are exchanged, from which frame, up to which.
     """
@@ -36,25 +39,46 @@ class SyntheticCapture:
 
 
 def smooth_motion(
-    mean: Float[np.ndarray, " n"], sd: Float[np.ndarray, " n"], frames: int, rate_hz: float, rng: np.random.Generator
+    mean: Float[np.ndarray, " n"],
+    sd: Float[np.ndarray, " n"],
+    frames: int,
+    rate_hz: float,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A band-limited random motion about a mean pose: pose (T, J, 3) with a turning root, and trans (T, 3), y up."""
+    """A band-limited random motion about a mean pose: pose (T, J, 3) with a turning root, and trans
+    (T, 3), y up.
+    """
     seconds = np.arange(frames) / rate_hz
-    frequency, phase = rng.uniform(0.1, 0.6, size=(3, len(mean))), rng.uniform(0, 2 * np.pi, size=(3, len(mean)))
-    waves = np.sin(2 * np.pi * frequency[:, :, None] * seconds + phase[..., None]).sum(axis=0).T / np.sqrt(1.5)
+    frequency = rng.uniform(0.1, 0.6, size=(3, len(mean)))
+    phase = rng.uniform(0, 2 * np.pi, size=(3, len(mean)))
+    waves = np.sin(2 * np.pi * frequency[:, :, None] * seconds + phase[..., None]).sum(
+        axis=0
+    ).T / np.sqrt(1.5)
     joints = (mean + 0.7 * sd * waves).reshape(frames, -1, 3)
-    turn, sway = 0.4 * seconds, np.sin(2 * np.pi * 0.3 * seconds)
+    turn = 0.4 * seconds
+    sway = np.sin(2 * np.pi * 0.3 * seconds)
     root = np.stack([0.1 * sway, turn, 0.05 * sway], axis=1)
-    trans = np.stack([0.8 * np.sin(0.4 * seconds), 1.0 + 0.03 * sway, 0.8 * np.cos(0.4 * seconds)], axis=1)
+    trans = np.stack(
+        [0.8 * np.sin(0.4 * seconds), 1.0 + 0.03 * sway, 0.8 * np.cos(0.4 * seconds)], axis=1
+    )
     return np.concatenate([root[:, None], joints], axis=1), trans
 
 
 def misplace(
-    body: BodyModel, betas: np.ndarray, places: np.ndarray, distance: np.ndarray, error: float, rng: np.random.Generator
+    body: BodyModel,
+    betas: np.ndarray,
+    places: np.ndarray,
+    distance: np.ndarray,
+    error: float,
+    rng: np.random.Generator,
 ) -> Float[np.ndarray, "M 3"]:
-    """Latent markers put on by hand: default places moved along the skin by ``error`` (sd), at their distance."""
+    """Latent markers put on by hand: default places moved along the skin by ``error`` (sd), at
+    their distance.
+    """
     vertices = body.rest_vertices(betas)
-    moved = default_markers(body, betas, places, distance) + rng.normal(scale=error, size=(len(places), 3))
+    moved = default_markers(body, betas, places, distance) + rng.normal(
+        scale=error, size=(len(places), 3)
+    )
     for _ in range(3):
         near = signed_distance(moved, vertices, body.faces)
         moved = moved + (distance - near.distance)[:, None] * near.direction
@@ -86,10 +110,13 @@ def simulate_capture(
     return SyntheticCapture(observed, latent, betas, pose, trans)
 
 
-def lost_samples(shape: tuple[int, int], faults: Faults, rng: np.random.Generator) -> Bool[np.ndarray, "T M"]:
+def lost_samples(
+    shape: tuple[int, int], faults: Faults, rng: np.random.Generator
+) -> Bool[np.ndarray, "T M"]:
     """Which samples (T, M) are lost, in gaps."""
     lost = np.zeros(shape, dtype=bool)
     for _ in range(int(faults.missing * shape[0] * shape[1] / max(faults.gap, 1))):
-        start, marker = rng.integers(shape[0]), rng.integers(shape[1])
+        start = rng.integers(shape[0])
+        marker = rng.integers(shape[1])
         lost[start : start + faults.gap, marker] = True
     return lost

@@ -1,7 +1,9 @@
-"""Coarse bodies for toy-sized training: some of a body's own vertices, so that all its arrays carry over by number.
+"""Coarse bodies for toy-sized training: some of a body's own vertices, so that all its arrays carry
+over by number.
 
-Vertices of the left half are moved onto neighbours, those first that change the surface least, and the result is
-mirrored: closed and exactly symmetric. Garland, Heckbert 1997 ("Surface simplification using quadric error metrics").
+Vertices of the left half are moved onto neighbours, those first that change the surface least, and
+the result is mirrored: closed and exactly symmetric. Garland, Heckbert 1997 ("Surface
+simplification using quadric error metrics").
 """
 
 import heapq
@@ -17,24 +19,28 @@ from scipy.sparse.csgraph import connected_components
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 
-LENGTH_COST = 0.02  # share of squared edge length (times area) in the cost: it keeps flat regions from emptying
+# share of squared edge length (times area) in the cost: it keeps flat regions from emptying
+LENGTH_COST = 0.02
 TURN = 0.2  # smallest cosine between a triangle's normals before and after a collapse
-SHARPEST = np.cos(np.radians(12.0))  # no collapse may leave a sharper corner, unless it was there before
+SHARPEST = np.cos(
+    np.radians(12.0)
+)  # no collapse may leave a sharper corner, unless it was there before
 NEAREST = 200  # vertices that a coarse body's joint may be regressed from
 
 
 def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
     """``body`` (closed, symmetric, its ``mirror`` known) with about ``vertices`` of its vertices.
 
-    Template, shape directions and weights are those of the vertices kept; joints are regressed anew from the vertices
-    near them: within 1 mm of the template's own, further off for unusual people. Eyes and other parts apart from the
-    skin are left out, as are landmarks whose vertex is gone, pose blend shapes (for others to be planted), ages,
-    expressions and dynamics. Raises HabitusError where the body has no exact mirror image or so few vertices cannot be
-    reached.
+    Template, shape directions and weights are those of the vertices kept; joints are regressed anew
+    from the vertices near them: within 1 mm of the template's own, further off for unusual people.
+    Eyes and other parts apart from the skin are left out, as are landmarks whose vertex is gone,
+    pose blend shapes (for others to be planted), ages, expressions and dynamics. Raises
+    HabitusError where the body has no exact mirror image or so few vertices cannot be reached.
     """
     if body.mirror is None:
         raise HabitusError(f"{body.name} cannot be made coarse: expected one that knows its mirror")
-    mirror, points = body.mirror, body.v_template
+    mirror = body.mirror
+    points = body.v_template
     half = _left_half(_skin(body.faces), mirror, points, body.name)
     left = collapse_half(points, half, mirror == np.arange(len(mirror)), vertices)
     faces = np.concatenate([left, mirror[left][:, ::-1]])
@@ -53,7 +59,9 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         skinning_index=body.skinning_index[keep],
         skinning_value=body.skinning_value[keep],
         faces=place[faces],
-        landmarks=MappingProxyType({k: int(place[v]) for k, v in body.landmarks.items() if place[v] >= 0}),
+        landmarks=MappingProxyType(
+            {k: int(place[v]) for k, v in body.landmarks.items() if place[v] >= 0}
+        ),
         part=None if body.part is None else body.part[keep],
         mirror=partner,
         expressiondirs=None,
@@ -68,7 +76,10 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
 def _skin(faces: np.ndarray) -> np.ndarray:
     """The faces of the largest part that hangs together."""
     size = int(faces.max()) + 1
-    edges = coo_array((np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), (size, size))
+    edges = coo_array(
+        (np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
+        (size, size),
+    )
     part = connected_components(edges, directed=False)[1][faces[:, 0]]
     return faces[part == np.bincount(part).argmax()]
 
@@ -76,25 +87,35 @@ def _skin(faces: np.ndarray) -> np.ndarray:
 def _left_half(faces: np.ndarray, mirror: np.ndarray, points: np.ndarray, name: str) -> np.ndarray:
     left = np.all((points[faces][..., 0] > 0) | (mirror[faces] == faces), axis=1)
     whole = np.concatenate([faces[left], mirror[faces[left]]])
-    if {tuple(sorted(face)) for face in whole.tolist()} != {tuple(sorted(face)) for face in faces.tolist()}:
-        raise HabitusError(f"{name} cannot be made coarse: its faces are no two mirror images that meet at x = 0")
+    if {tuple(sorted(face)) for face in whole.tolist()} != {
+        tuple(sorted(face)) for face in faces.tolist()
+    }:
+        raise HabitusError(
+            f"{name} cannot be made coarse: its faces are no two mirror images that meet at x = 0"
+        )
     return faces[left]
 
 
 def _regress_joints(
     body: BodyModel, rows: Int[np.ndarray, " K"], partner: Int[np.ndarray, " K"]
 ) -> Float[np.ndarray, "J K"]:
-    """Convex weights of near vertices that give the body's joints in its template and along its shape directions."""
+    """Convex weights of near vertices that give the body's joints in its template and along its
+    shape directions.
+    """
     vertices = body.v_template[rows]
     moved = body.shapedirs[rows].swapaxes(1, 2)  # (K, B, 3)
-    surfaces = np.concatenate([vertices[:, None], vertices[:, None] + moved], 1).reshape(len(rows), -1)
+    surfaces = np.concatenate([vertices[:, None], vertices[:, None] + moved], 1).reshape(
+        len(rows), -1
+    )
     template = body.joint_template
     joints = template[:, None] + body.joint_shapedirs.swapaxes(1, 2)
     joints = np.concatenate([template[:, None], joints], 1).reshape(body.num_joints, -1)
     regressor = np.zeros((body.num_joints, len(rows)))
     for row, target, joint in zip(regressor, joints, template, strict=True):
         near = np.argsort(np.linalg.norm(vertices - joint, axis=1), kind="stable")[:NEAREST]
-        row[near] = nnls(np.vstack([surfaces[near].T, np.full(len(near), 10.0)]), np.append(target, 10.0))[0]
+        row[near] = nnls(
+            np.vstack([surfaces[near].T, np.full(len(near), 10.0)]), np.append(target, 10.0)
+        )[0]
         row /= row.sum()
     regressor = (regressor + regressor[mirrored_names(body.joint_names)][:, partner]) / 2
     return regressor / regressor.sum(1, keepdims=True)
@@ -104,13 +125,20 @@ def mirrored_names(joint_names: tuple[str, ...]) -> Int[np.ndarray, " J"]:
     """The joint on the other side, by the names left_ and right_; itself in the middle."""
     other = {"left": "right", "right": "left"}
     names = ["_".join(other.get(word, word) for word in name.split("_")) for name in joint_names]
-    return np.array([joint_names.index(name) if name in joint_names else k for k, name in enumerate(names)])
+    return np.array(
+        [joint_names.index(name) if name in joint_names else k for k, name in enumerate(names)]
+    )
 
 
 def collapse_half(
-    points: Float[np.ndarray, "V 3"], half: Int[np.ndarray, "F 3"], middle: np.ndarray, vertices: int
+    points: Float[np.ndarray, "V 3"],
+    half: Int[np.ndarray, "F 3"],
+    middle: np.ndarray,
+    vertices: int,
 ) -> Int[np.ndarray, "G 3"]:
-    """Faces left of a half body (m), its border the ``middle`` vertices, when both halves have about ``vertices``."""
+    """Faces left of a half body (m), its border the ``middle`` vertices, when both halves have
+    about ``vertices``.
+    """
     mesh = _Half(points, half, middle)
     count = sum(1 if middle[v] else 2 for v in mesh.around)
     queue = [(mesh.cost(u, v), u, v) for u in mesh.around for v in mesh.neighbours(u)]
@@ -129,7 +157,8 @@ def collapse_half(
                 heapq.heappush(queue, (mesh.cost(v, w), v, w))
     if count > vertices:
         raise HabitusError(
-            f"{vertices} vertices asked of a coarse body; {count} is as few as stay closed and well shaped"
+            f"{vertices} vertices asked of a coarse body; {count} is as few as stay closed and "
+            "well shaped"
         )
     return np.array(list(mesh.faces.values()))
 
@@ -138,7 +167,8 @@ class _Half:
     """A triangle mesh with an open border, under collapses of one vertex onto another."""
 
     def __init__(self, points: np.ndarray, half: np.ndarray, middle: np.ndarray):
-        self.points, self.middle = points, middle
+        self.points = points
+        self.middle = middle
         self.faces = {k: tuple(face) for k, face in enumerate(half.tolist())}
         self.around: dict[int, set[int]] = {}
         for k, face in self.faces.items():
@@ -148,13 +178,19 @@ class _Half:
         area = np.linalg.norm(normals, axis=1, keepdims=True)
         plane = normals / np.maximum(area, 1e-30)
         plane = np.concatenate([plane, -(plane * points[half[:, 0]]).sum(1, keepdims=True)], 1)
-        self.quadrics = np.zeros((len(points), 4, 4))  # squared distances to the planes that meet at a vertex
+        self.quadrics = np.zeros(
+            (len(points), 4, 4)
+        )  # squared distances to the planes that meet at a vertex
         for corner in half.T:
-            np.add.at(self.quadrics, corner, plane[:, :, None] * plane[:, None, :] * area[:, :, None])
+            np.add.at(
+                self.quadrics, corner, plane[:, :, None] * plane[:, None, :] * area[:, :, None]
+            )
         self.areas = np.trace(self.quadrics[:, :3, :3], axis1=1, axis2=2)
 
     def cost(self, u: int, v: int) -> float:
-        """Cost of collapsing u onto v: distance of v from the planes at either, plus a little for long edges."""
+        """Cost of collapsing u onto v: distance of v from the planes at either, plus a little for
+        long edges.
+        """
         place = np.append(self.points[v], 1.0)
         edge = self.points[u] - self.points[v]
         off = place @ (self.quadrics[u] + self.quadrics[v]) @ place
@@ -165,17 +201,24 @@ class _Half:
         return {u for k in self.around[v] for u in self.faces[k]} - {v}
 
     def allowed(self, u: int, v: int) -> bool:
-        """True if the half and its mirror image stay one closed manifold of well shaped triangles."""
+        """True if the half and its mirror image stay one closed manifold of well shaped
+        triangles.
+        """
         shared = self.around[u] & self.around[v]
         if self.middle[u] and (not self.middle[v] or len(shared) != 1):
             return False
-        around_u, around_v = self.neighbours(u), self.neighbours(v)
+        around_u = self.neighbours(u)
+        around_v = self.neighbours(v)
         opposite = {w for k in shared for w in self.faces[k]} - {u, v}
         if around_u & around_v != opposite:
             return False
         if any(len(self.around[w]) <= (2 if self.middle[w] else 3) for w in opposite):
             return False
-        if self.middle[v] and not self.middle[u] and any(self.middle[w] for w in around_u - around_v - {v}):
+        if (
+            self.middle[v]
+            and not self.middle[u]
+            and any(self.middle[w] for w in around_u - around_v - {v})
+        ):
             return False
         return self._keeps_shape(u, v, shared)
 
@@ -183,9 +226,13 @@ class _Half:
         before = np.array([self.faces[k] for k in self.around[u] - shared])
         if not len(before):
             return False
-        old, new = self.points[before], self.points[np.where(before == u, v, before)]
-        was, now = _normals(old), _normals(new)
-        turned = (was * now).sum(1) < TURN * np.linalg.norm(was, axis=1) * np.linalg.norm(now, axis=1)
+        old = self.points[before]
+        new = self.points[np.where(before == u, v, before)]
+        was = _normals(old)
+        now = _normals(new)
+        turned = (was * now).sum(1) < TURN * np.linalg.norm(was, axis=1) * np.linalg.norm(
+            now, axis=1
+        )
         return not turned.any() and _sharpest(new) <= max(SHARPEST, _sharpest(old))
 
     def collapse(self, u: int, v: int) -> None:

@@ -1,11 +1,12 @@
 """Depth cameras as the literature measured them: what they make of a true depth image.
 
-Structured light (Kinect v1): depth is quantised disparity (Khoshelham and Elberink 2012: z = f b / d in steps of 1/8
-pixel), its noise grows with z², pixels are laterally off by 0.8 and more at slanted surfaces (Nguyen, Izadi and Lovell
-2012), surfaces that the projector beside the camera does not reach have no depth, nor have grazing ones; noise is alike
-over the window in which patterns are compared, and part of it stays where it is from shot to shot. Time of flight
-(Azure Kinect): millimetres of noise that grow slowly (Tölgyessy, Dekan, Chovanec and Hubinský 2021), mixed depths at
-borders ("flying pixels"), holes at grazing angles.
+Structured light (Kinect v1): depth is quantised disparity (Khoshelham and Elberink 2012: z = f b /
+d in steps of 1/8 pixel), its noise grows with z², pixels are laterally off by 0.8 and more at
+slanted surfaces (Nguyen, Izadi and Lovell 2012), surfaces that the projector beside the camera does
+not reach have no depth, nor have grazing ones; noise is alike over the window in which patterns are
+compared, and part of it stays where it is from shot to shot. Time of flight (Azure Kinect):
+millimetres of noise that grow slowly (Tölgyessy, Dekan, Chovanec and Hubinský 2021), mixed depths
+at borders ("flying pixels"), holes at grazing angles.
 """
 
 from dataclasses import dataclass, replace
@@ -21,10 +22,11 @@ from habitus.errors import HabitusError
 class DepthSensor:
     """A kind of depth camera. Pixels and metres; angles in degrees.
 
-    ``axial`` (a, b, c): sd of depth a + b (z - c)². ``window``: pixels over which noise is alike. ``fixed``: sd of the
-    part (pixels of disparity) that stays from shot to shot. ``lateral``: pixels (sd) that a value comes from beside its
-    own. ``disparity_step`` 0: not quantised. ``flying``: pixels around a border whose depths mix. ``grazing``: cosine
-    below which a surface sends nothing back, and half of the time at twice that.
+    ``axial`` (a, b, c): sd of depth a + b (z - c)². ``window``: pixels over which noise is alike.
+    ``fixed``: sd of the part (pixels of disparity) that stays from shot to shot. ``lateral``:
+    pixels (sd) that a value comes from beside its own. ``disparity_step`` 0: not quantised.
+    ``flying``: pixels around a border whose depths mix. ``grazing``: cosine below which a surface
+    sends nothing back, and half of the time at twice that.
     """
 
     name: str
@@ -58,7 +60,9 @@ SENSORS = {
 
 
 def smaller(sensor: DepthSensor, scale: float) -> DepthSensor:
-    """The same with images whose sides are ``scale`` times as long; what is in pixels follows, depth stays as fine."""
+    """The same with images whose sides are ``scale`` times as long; what is in pixels follows,
+    depth stays as fine.
+    """
     return replace(
         sensor,
         width=round(sensor.width * scale),
@@ -76,14 +80,17 @@ def sense(
     rng: np.random.Generator,
     pattern: int = 0,
 ) -> Float[np.ndarray, "H W"]:
-    """What the sensor reports (m; 0: nothing) of a true depth image (m; infinite where there is nothing).
+    """What the sensor reports (m; 0: nothing) of a true depth image (m; infinite where there is
+    nothing).
 
-    cosine: of the angle between view and surface, per pixel. pattern: which unit of the sensor, whose fixed noise it
-    has. HabitusError: images of another size than the sensor's.
+    cosine: of the angle between view and surface, per pixel. pattern: which unit of the sensor,
+    whose fixed noise it has. HabitusError: images of another size than the sensor's.
     """
     size = (sensor.height, sensor.width)
     if depth.shape != size or cosine.shape != size:
-        raise HabitusError(f"depth is {depth.shape}, cosine {cosine.shape}; {sensor.name} has {size}")
+        raise HabitusError(
+            f"depth is {depth.shape}, cosine {cosine.shape}; {sensor.name} has {size}"
+        )
     hit = np.isfinite(depth)
     seen = hit & (depth > sensor.near) & (depth < sensor.far)
     if sensor.baseline:
@@ -102,8 +109,12 @@ def sense(
     return np.where(seen & (step > sensor.near) & (step < sensor.far), step, 0.0)
 
 
-def _quantised(sensor: DepthSensor, depth: np.ndarray, noise: np.ndarray, spread: np.ndarray, pattern: int):
-    """Depth out of disparity in steps: what rounding adds is part of the spread that was measured."""
+def _quantised(
+    sensor: DepthSensor, depth: np.ndarray, noise: np.ndarray, spread: np.ndarray, pattern: int
+):
+    """Depth out of disparity in steps: what rounding adds is part of the spread that was
+    measured.
+    """
     scale = sensor.focal * sensor.baseline
     rounding = depth**2 / scale * sensor.disparity_step / np.sqrt(12.0)
     noise = noise * np.sqrt(np.maximum(1.0 - (rounding / spread) ** 2, 0.05))
@@ -113,8 +124,8 @@ def _quantised(sensor: DepthSensor, depth: np.ndarray, noise: np.ndarray, spread
 
 
 def shadow(depth: Float[np.ndarray, "H W"], focal: float, baseline: float) -> np.ndarray:
-    """Pixels that a projector ``baseline`` metres to the right of the camera does not reach: something nearer is in
-    its way. A row is looked at as the projector sees it.
+    """Pixels that a projector ``baseline`` metres to the right of the camera does not reach:
+    something nearer is in its way. A row is looked at as the projector sees it.
     """
     columns = np.arange(depth.shape[1])[None]
     near = np.where(np.isfinite(depth), depth, 1e6)
@@ -143,4 +154,6 @@ def _blended(depth: np.ndarray, reach: float, rng: np.random.Generator) -> np.nd
     if not reach:
         return depth
     mixed = gaussian_filter(depth, reach / 2)
-    return np.where(np.abs(mixed - depth) > 0.02, depth + (mixed - depth) * rng.random(depth.shape), depth)
+    return np.where(
+        np.abs(mixed - depth) > 0.02, depth + (mixed - depth) * rng.random(depth.shape), depth
+    )

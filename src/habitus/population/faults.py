@@ -64,14 +64,16 @@ FAULTS = (*CHANGES, "mislabelled", "unposed")
 def spoil(planted: Planted, kind: str, index: int) -> Planted:
     """The data set with a fault.
 
-    ``kind`` "hole" (a vertex that is not a number), "torn" (a tenth of the vertices far off), "shuffled" (vertices in
-    another order), "millimetres" and "mislabelled" (said to be the next person of its set) are about registration
-    ``index``; "unposed" keeps joint ``index`` at rest throughout. Raises HabitusError for another kind, or where there
-    is no such registration, joint or next person.
+    ``kind`` "hole" (a vertex that is not a number), "torn" (a tenth of the vertices far off),
+    "shuffled" (vertices in another order), "millimetres" and "mislabelled" (said to be the next
+    person of its set) are about registration ``index``; "unposed" keeps joint ``index`` at rest
+    throughout. Raises HabitusError for another kind, or where there is no such registration, joint
+    or next person.
     """
     if kind not in FAULTS:
         raise HabitusError(f"fault {kind!r} asked for; expected one of {', '.join(FAULTS)}")
-    data, most = planted.registrations, planted.pose.shape[1] if kind == "unposed" else len(planted.pose)
+    data = planted.registrations
+    most = planted.pose.shape[1] if kind == "unposed" else len(planted.pose)
     if not 0 <= index < most:
         raise HabitusError(f"fault {kind!r} asked for at {index}; expected 0 to {most - 1}")
     if kind == "unposed":
@@ -83,7 +85,9 @@ def spoil(planted: Planted, kind: str, index: int) -> Planted:
     if kind == "mislabelled":
         others = data.where(set=data.set[index]).subjects
         if len(others) < 2:
-            raise HabitusError(f"{data.name[index]} cannot be mislabelled: its set has no other person")
+            raise HabitusError(
+                f"{data.name[index]} cannot be mislabelled: its set has no other person"
+            )
         wrong = others[(others.index(data.subject[index]) + 1) % len(others)]
         subject = (*data.subject[:index], wrong, *data.subject[index + 1 :])
         return replace(planted, registrations=replace(data, subject=subject))

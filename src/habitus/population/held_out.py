@@ -10,16 +10,20 @@ from habitus.body.prior import PosePrior
 from habitus.fit.selection.problem import Posed
 
 FLESH, REACH, WAVES = 0.004, 0.08, 60
-"""Metres: how far skin is where no body model puts it (sd), and over what distance alike; waves that make it up."""
+"""Metres: how far skin is where no body model puts it (sd), and over what distance alike; waves
+that make it up.
+"""
 
 
 def held_out_people(
     models: Sequence[BodyModel], prior: PosePrior, count: int, seed: int, flesh: float = FLESH
 ) -> tuple[Posed, ...]:
-    """People drawn from ``models`` in turn, in poses drawn from the prior: their surfaces (V, 3), m.
+    """People drawn from ``models`` in turn, in poses drawn from the prior: their surfaces (V, 3),
+    m.
 
-    On each skin lies a smooth random offset of ``flesh`` (m, sd): what no model knows of a person. The state that comes
-    with a surface is the one that made it; betas of other models are no start, so those are zero.
+    On each skin lies a smooth random offset of ``flesh`` (m, sd): what no model knows of a person.
+    The state that comes with a surface is the one that made it; betas of other models are no start,
+    so those are zero.
     """
     rng = np.random.default_rng(seed)
     return tuple(_person(models[k % len(models)], prior, rng, flesh) for k in range(count))
@@ -35,7 +39,12 @@ def _person(model: BodyModel, prior: PosePrior, rng: np.random.Generator, flesh:
     return Posed(np.zeros(model.num_betas), pose, np.zeros(3), surface + flesh * off)
 
 
-def smooth_field(points: Float[np.ndarray, "V 3"], rng: np.random.Generator) -> Float[np.ndarray, "V 3"]:
-    """A random field of variance 1 in every coordinate, alike over some `REACH` metres (random Fourier features)."""
-    waves, phases = rng.normal(size=(3, WAVES)) / REACH, rng.uniform(0, 2 * np.pi, WAVES)
+def smooth_field(
+    points: Float[np.ndarray, "V 3"], rng: np.random.Generator
+) -> Float[np.ndarray, "V 3"]:
+    """A random field of variance 1 in every coordinate, alike over some `REACH` metres (random
+    Fourier features).
+    """
+    waves = rng.normal(size=(3, WAVES)) / REACH
+    phases = rng.uniform(0, 2 * np.pi, WAVES)
     return np.sqrt(2.0 / WAVES) * np.cos(points @ waves + phases) @ rng.normal(size=(WAVES, 3))

@@ -1,14 +1,17 @@
-"""Muscle bulges driven by human joint angles: surfaces that no model of SMPL's form can reproduce."""
+"""Muscle bulges driven by human joint angles: surfaces that no model of SMPL's form can
+reproduce.
+"""
 
 from typing import NamedTuple
 
 
 class Muscle(NamedTuple):
-    """A patch of skin that rises as a joint turns: on the left or in the middle; the right is its mirror image.
+    """A patch of skin that rises as a joint turns: on the left or in the middle; the right is its
+    mirror image.
 
-    The joint's rotation vector along ``axis``, from ``start`` to ``end`` (degrees), raises the patch by ``height``
-    (mm, negative sinks). Its centre lies ``along`` the bone from one joint to another, on its side ``towards``;
-    ``width`` is a standard deviation in mm.
+    The joint's rotation vector along ``axis``, from ``start`` to ``end`` (degrees), raises the
+    patch by ``height`` (mm, negative sinks). Its centre lies ``along`` the bone from one joint to
+    another, on its side ``towards``; ``width`` is a standard deviation in mm.
     """
 
     joint: str
@@ -22,12 +25,22 @@ class Muscle(NamedTuple):
     width: float
 
 
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-LESS_X, LESS_Y, LESS_Z = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
-_ARM, _FOREARM = ("left_shoulder", "left_elbow"), ("left_elbow", "left_wrist")
-_THIGH, _SHANK, _HAND = ("left_hip", "left_knee"), ("left_knee", "left_ankle"), ("left_wrist", "left_hand")
-_CHEST, _TOP = ("spine3", "left_shoulder"), ("neck", "left_shoulder")
-_WAIST, _RIBS, _NECK = ("spine1", "spine2"), ("spine2", "spine3"), ("neck", "head")
+X = (1.0, 0.0, 0.0)
+Y = (0.0, 1.0, 0.0)
+Z = (0.0, 0.0, 1.0)
+LESS_X = (-1.0, 0.0, 0.0)
+LESS_Y = (0.0, -1.0, 0.0)
+LESS_Z = (0.0, 0.0, -1.0)
+_ARM = ("left_shoulder", "left_elbow")
+_FOREARM = ("left_elbow", "left_wrist")
+_THIGH = ("left_hip", "left_knee")
+_SHANK = ("left_knee", "left_ankle")
+_HAND = ("left_wrist", "left_hand")
+_CHEST = ("spine3", "left_shoulder")
+_TOP = ("neck", "left_shoulder")
+_WAIST = ("spine1", "spine2")
+_RIBS = ("spine2", "spine3")
+_NECK = ("neck", "head")
 
 MUSCLES = (
     Muscle("left_elbow", LESS_Y, 5, 120, _ARM, 0.55, Z, 25, 55),  # biceps
@@ -39,7 +52,9 @@ MUSCLES = (
     Muscle("left_wrist", Z, 5, 50, _FOREARM, 0.3, Y, 8, 45),
     Muscle("left_hand", LESS_Z, 5, 65, _HAND, 0.9, Y, 7, 30),  # knuckles
     Muscle("left_shoulder", Z, 0, 50, _ARM, 0.12, Y, 21, 55),  # deltoid, arm raised
-    Muscle("left_shoulder", LESS_Z, 5, 80, _ARM, 0.08, Y, 16, 50),  # round of the shoulder, arm down
+    Muscle(
+        "left_shoulder", LESS_Z, 5, 80, _ARM, 0.08, Y, 16, 50
+    ),  # round of the shoulder, arm down
     Muscle("left_shoulder", LESS_Z, 5, 80, _ARM, 0.1, LESS_Y, 17, 55),  # armpit
     Muscle("left_shoulder", LESS_Y, 5, 90, _CHEST, 0.65, Z, 25, 70),  # chest
     Muscle("left_shoulder", LESS_Y, 5, 90, _CHEST, 0.6, LESS_Z, -15, 70),  # shoulder blade
@@ -62,7 +77,9 @@ MUSCLES = (
     Muscle("spine2", X, 0, 25, _RIBS, 0.2, Z, 18, 75),
     Muscle("spine2", LESS_Z, 0, 12, _RIBS, 0.2, X, 15, 60),
     Muscle("spine3", Y, 0, 18, _RIBS, 0.7, (0.8, 0.0, 0.6), 12, 70),
-    Muscle("neck", LESS_Y, 0, 40, _NECK, 0.3, (0.7, 0.0, 0.7), 14, 35),  # the side of the neck that turns forward
+    Muscle(
+        "neck", LESS_Y, 0, 40, _NECK, 0.3, (0.7, 0.0, 0.7), 14, 35
+    ),  # the side of the neck that turns forward
     Muscle("neck", X, 0, 35, _NECK, 0.4, LESS_Z, 10, 45),
     Muscle("head", X, 0, 25, _NECK, 0.7, Z, 10, 40),  # throat
     Muscle("head", LESS_Y, 0, 40, _NECK, 0.5, (0.8, 0.0, -0.5), 9, 35),

@@ -1,7 +1,8 @@
-"""Skin in colour, as finely as is asked for: of any place on a body, told at rest, the linear albedo there.
+"""Skin in colour, as finely as is asked for: of any place on a body, told at rest, the linear
+albedo there.
 
-Natural skin has patches, moles and freckles, a cap of hair, a striped shirt and shorts. Painted people, as those of
-FAUST, carry stamps all over, so that no place of the skin looks like another.
+Natural skin has patches, moles and freckles, a cap of hair, a striped shirt and shorts. Painted
+people, as those of FAUST, carry stamps all over, so that no place of the skin looks like another.
 """
 
 from dataclasses import dataclass
@@ -13,18 +14,24 @@ from scipy.spatial import cKDTree
 from habitus.body.model import BodyModel
 from habitus.population.held_out import REACH, smooth_field
 
-FRECKLES, MOLES, STAMPS = 1500, 120, 5000
+FRECKLES = 1500
+MOLES = 120
+STAMPS = 5000
 FRECKLE, MOLE, STAMP = (0.001, 0.002), (0.0015, 0.004), (0.004, 0.012)
 """Metres: least and largest radius."""
 SOFT = 0.001
-"""Metres over which a spot's edge goes from one colour to the other: what a pixel of the camera sees."""
+"""Metres over which a spot's edge goes from one colour to the other: what a pixel of the camera
+sees.
+"""
 PATCHES, MOTTLED, MOTTLES = 0.15, 0.04, 0.012
 """Spread of log albedo over some 8 cm and over `MOTTLES` metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Round spots: centres (S, 3) at rest and radii (S,), m, colours (S, 3), linear, and how well they cover (S,)."""
+    """Round spots: centres (S, 3) at rest and radii (S,), m, colours (S, 3), linear, and how well
+    they cover (S,).
+    """
 
     centre: Float[np.ndarray, "S 3"]
     radius: Float[np.ndarray, " S"]
@@ -40,14 +47,21 @@ class Spots:
         cover: tuple[float, float],
     ) -> "Spots":
         """Spots evenly all over a body, one for each colour; radius and cover from and to."""
-        corners, count = body.v_template[body.faces], len(colour)
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        corners = body.v_template[body.faces]
+        count = len(colour)
+        area = np.linalg.norm(
+            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+        )
         face = rng.choice(len(area), count, p=area / area.sum())
         centre = np.einsum("sk,skc->sc", rng.dirichlet((1.0, 1.0, 1.0), count), corners[face])
         return Spots(centre, rng.uniform(*radius, count), colour, rng.uniform(*cover, count))
 
-    def over(self, points: Float[np.ndarray, "N 3"], colour: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """Colours of places once they have these spots on them; where some overlap, the one that reaches furthest."""
+    def over(
+        self, points: Float[np.ndarray, "N 3"], colour: Float[np.ndarray, "N 3"]
+    ) -> Float[np.ndarray, "N 3"]:
+        """Colours of places once they have these spots on them; where some overlap, the one that
+        reaches furthest.
+        """
         away, which = cKDTree(self.centre).query(points, k=6)
         inside = np.clip(0.5 + (self.radius[which] - away) / SOFT, 0.0, 1.0)
         best = inside.argmax(1)[:, None]
@@ -58,7 +72,8 @@ class Spots:
 
 @dataclass(frozen=True, eq=False)
 class PaintedSkin:
-    """The skin of one person on a body's vertices at rest; ``cover`` (V, 3) is 1 under hair, shirt and shorts.
+    """The skin of one person on a body's vertices at rest; ``cover`` (V, 3) is 1 under hair, shirt
+    and shorts.
 
     ``colours`` (5, 3), linear: of skin, hair, shirt, its stripes (``stripe`` rad / m) and shorts.
     """
@@ -78,22 +93,35 @@ class PaintedSkin:
         hair = np.array([0.10, 0.07, 0.05]) * rng.uniform(0.5, 4.0)
         colours = np.clip(np.stack([skin, hair, *rng.uniform(0.06, 0.7, (3, 3))]), 0.02, 0.95)
         on_skin = (
-            Spots.strewn(body, rng, FRECKLE, np.tile(skin * (0.7, 0.55, 0.5), (FRECKLES, 1)), (0.2, 0.6)),
-            Spots.strewn(body, rng, MOLE, np.tile(skin * (0.35, 0.25, 0.22), (MOLES, 1)), (0.6, 0.95)),
+            Spots.strewn(
+                body, rng, FRECKLE, np.tile(skin * (0.7, 0.55, 0.5), (FRECKLES, 1)), (0.2, 0.6)
+            ),
+            Spots.strewn(
+                body, rng, MOLE, np.tile(skin * (0.35, 0.25, 0.22), (MOLES, 1)), (0.6, 0.95)
+            ),
         )
-        stamps = Spots.strewn(body, rng, STAMP, rng.uniform(0.03, 0.7, (STAMPS, 3)), (0.9, 1.0)) if painted else None
+        stamps = (
+            Spots.strewn(body, rng, STAMP, rng.uniform(0.03, 0.7, (STAMPS, 3)), (0.9, 1.0))
+            if painted
+            else None
+        )
         cover = np.stack(dressed(body), 1).astype(float)
-        stripe, seed = float(rng.uniform(60.0, 120.0)), int(rng.integers(1 << 30))
+        stripe = float(rng.uniform(60.0, 120.0))
+        seed = int(rng.integers(1 << 30))
         on_all = () if stamps is None else (stamps,)
         return PaintedSkin(body.v_template, cover, colours, stripe, on_skin, on_all, seed)
 
     def albedo(
-        self, corners: Int[np.ndarray, "N 3"], share: Float[np.ndarray, "N 3"], shift: float = 0.0, look: int = 0
+        self,
+        corners: Int[np.ndarray, "N 3"],
+        share: Float[np.ndarray, "N 3"],
+        shift: float = 0.0,
+        look: int = 0,
     ) -> Float[np.ndarray, "N 3"]:
         """Linear albedo of N places: the vertices of their triangles, and the weights of these.
 
-        shift: metres (sd) that colours come from beside, alike over some 8 cm and in each ``look`` another way, as of
-        cameras whose calibration is off by a pixel.
+        shift: metres (sd) that colours come from beside, alike over some 8 cm and in each ``look``
+        another way, as of cameras whose calibration is off by a pixel.
         """
         points = np.einsum("nk,nkc->nc", share, self.rest[corners])
         if shift > 0.0:
@@ -113,12 +141,20 @@ class PaintedSkin:
         return np.clip(colour, 0.01, 0.95)
 
 
-def dressed(body: BodyModel) -> tuple[Bool[np.ndarray, " V"], Bool[np.ndarray, " V"], Bool[np.ndarray, " V"]]:
+def dressed(
+    body: BodyModel,
+) -> tuple[Bool[np.ndarray, " V"], Bool[np.ndarray, " V"], Bool[np.ndarray, " V"]]:
     """Which vertices hair, shirt and shorts cover."""
-    names, places = body.joint_names, body.joint_template
-    at = {name: places[names.index(name)] for name in ("head", "neck", "pelvis", "left_knee", "left_hip")}
+    names = body.joint_names
+    places = body.joint_template
+    at = {
+        name: places[names.index(name)]
+        for name in ("head", "neck", "pelvis", "left_knee", "left_hip")
+    }
     points = body.v_template
-    part = np.array(names)[body.skinning_index[np.arange(len(points)), body.skinning_value.argmax(1)]]
+    part = np.array(names)[
+        body.skinning_index[np.arange(len(points)), body.skinning_value.argmax(1)]
+    ]
     top = points[:, 1].max()
     brow = at["head"][1] + 0.55 * (top - at["head"][1])
     hair = (part == "head") & (points[:, 1] > brow - 0.9 * np.maximum(0.02 - points[:, 2], 0.0))
@@ -130,7 +166,9 @@ def dressed(body: BodyModel) -> tuple[Bool[np.ndarray, " V"], Bool[np.ndarray, "
 
 
 def soft_light(rng: np.random.Generator) -> Float[np.ndarray, "9 3"]:
-    """Light in a world with y up, over the nine `low_orders`: much from everywhere, more from above and a side."""
+    """Light in a world with y up, over the nine `low_orders`: much from everywhere, more from above
+    and a side.
+    """
     light = np.zeros((9, 3))
     light[0], light[1] = rng.uniform(0.7, 0.9), rng.uniform(0.1, 0.25)
     light[2:4], light[4:] = 0.12 * rng.normal(size=(2, 1)), 0.04 * rng.normal(size=(5, 1))

@@ -19,7 +19,8 @@ SPAN = 1.75  # m: longest side of the box around a person at rest
 WIDTH = 0.06  # m: standard deviation of a bump, in a person of SPAN
 REACH = 0.16  # m: how far from the joint bumps lie
 ALONG_NORMAL = 0.8  # share of a bump's direction that is along the surface's normal
-BEND = 1.0  # rad: the bend at which a joint's greatest shift has the size asked for, over many directions
+# rad: the bend at which a joint's greatest shift has the size asked for, over many directions
+BEND = 1.0
 
 
 def planted_truth(
@@ -32,21 +33,27 @@ def planted_truth(
 ) -> BodyModel:
     """``template_body`` with ``num_betas`` of its shape directions and pose blend shapes planted.
 
-    Joint by joint, the nine entries of R - I move a few smooth patches of the surface near the joint, by
-    ``pose_shape_size`` (m) where it moves most, on average over bends of 1 rad; nothing further away. They hold nothing
-    that a shift of joints would do as well, since nobody could tell which of the two was planted. Where the body
-    knows its mirror, the mirrored pose gives the mirrored surface. Weights, shape directions and, unless a regressor is
-    given, joints are the body's own. Raises HabitusError where the body has pose blend shapes already.
+    Joint by joint, the nine entries of R - I move a few smooth patches of the surface near the
+    joint, by ``pose_shape_size`` (m) where it moves most, on average over bends of 1 rad; nothing
+    further away. They hold nothing that a shift of joints would do as well, since nobody could tell
+    which of the two was planted. Where the body knows its mirror, the mirrored pose gives the
+    mirrored surface. Weights, shape directions and, unless a regressor is given, joints are the
+    body's own. Raises HabitusError where the body has pose blend shapes already.
     """
     if template_body.posedirs is not None:
-        raise HabitusError(f"{template_body.name} has pose blend shapes; expected none, to plant some: posedirs=None")
+        raise HabitusError(
+            f"{template_body.name} has pose blend shapes; expected none, to plant some: "
+            "posedirs=None"
+        )
     body = template_body.with_betas(num_betas)
     if joint_regressor is not None:
         body = replace(body, joint_regressor=joint_regressor)
     rng = np.random.default_rng(seed)
     joints = body.joint_template
     normals = vertex_normals(body.v_template, body.faces)
-    posedirs = np.stack([_near_joint(rng, body, normals, joints, k) for k in range(1, body.num_joints)], 2)
+    posedirs = np.stack(
+        [_near_joint(rng, body, normals, joints, k) for k in range(1, body.num_joints)], 2
+    )
     if body.mirror is not None:
         posedirs = (posedirs + _mirrored(posedirs, body)) / 2
     posedirs = _without_joint_shifts(posedirs, body)
@@ -69,23 +76,32 @@ def _near_joint(
     scale = np.ptp(vertices, axis=0).max() / SPAN
     near = patch_mask(body, joint)
     distance = np.linalg.norm(vertices - joints[joint], axis=1)
-    inside = np.flatnonzero((near > 0.3) & (distance < max(REACH * scale, np.sort(distance[near > 0.3])[:8].max())))
+    inside = np.flatnonzero(
+        (near > 0.3) & (distance < max(REACH * scale, np.sort(distance[near > 0.3])[:8].max()))
+    )
     shifts = np.zeros((len(vertices), 3, 9))
     for centre in rng.choice(inside, BUMPS):
-        bump = near * np.exp(-0.5 * ((vertices - vertices[centre]) ** 2).sum(1) / (WIDTH * scale) ** 2)
+        bump = near * np.exp(
+            -0.5 * ((vertices - vertices[centre]) ** 2).sum(1) / (WIDTH * scale) ** 2
+        )
         random = rng.standard_normal(3)
         direction = ALONG_NORMAL * normals + (1 - ALONG_NORMAL) * random / np.linalg.norm(random)
         shifts += (bump[:, None] * direction)[..., None] * rng.standard_normal(9)
     return shifts
 
 
-def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[np.ndarray, "V 3 K 9"]:
-    """Without what moving a joint would do as well: what it is driven by is found at one place only.
+def _without_joint_shifts(
+    posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel
+) -> Float[np.ndarray, "V 3 K 9"]:
+    """Without what moving a joint would do as well: what it is driven by is found at one place
+    only.
 
-    Moving joint k by d moves everything below it by -(R_k - I) d, which pose blend shapes can do too. Of the two, the
-    penalty E_P on their size leaves the joint's move. It is taken away near the joint, where the planted ones are.
+    Moving joint k by d moves everything below it by -(R_k - I) d, which pose blend shapes can do
+    too. Of the two, the penalty E_P on their size leaves the joint's move. It is taken away near
+    the joint, where the planted ones are.
     """
-    weights, chains = body.skinning_weights, ancestors(body.parents)
+    weights = body.skinning_weights
+    chains = ancestors(body.parents)
     out = posedirs.copy().reshape(*posedirs.shape[:3], 3, 3)
     for k in range(posedirs.shape[2]):
         below = weights[:, [k + 1 in chain for chain in chains]].sum(1)
@@ -99,13 +115,21 @@ def _without_joint_shifts(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyMode
 
 
 def patch_mask(body: BodyModel, joint: int) -> Float[np.ndarray, " V"]:
-    """Membership of each vertex in a joint, its parent or its children: 1 there, 0 beyond, smooth between."""
-    family = [k for k, parent in enumerate(body.parents) if k == joint or parent == joint or k == body.parents[joint]]
+    """Membership of each vertex in a joint, its parent or its children: 1 there, 0 beyond, smooth
+    between.
+    """
+    family = [
+        k
+        for k, parent in enumerate(body.parents)
+        if k == joint or parent == joint or k == body.parents[joint]
+    ]
     share = body.skinning_weights[:, family].sum(1)
     return share * share * (3 - 2 * share)
 
 
-def _mirrored(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[np.ndarray, "V 3 K 9"]:
+def _mirrored(
+    posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel
+) -> Float[np.ndarray, "V 3 K 9"]:
     """The mirrored effect of the mirrored pose: R -> S R S with S = diag(-1, 1, 1)."""
     assert body.mirror is not None
     side = np.array([-1.0, 1.0, 1.0])
@@ -113,11 +137,14 @@ def _mirrored(posedirs: Float[np.ndarray, "V 3 K 9"], body: BodyModel) -> Float[
     return posedirs[body.mirror][:, :, joints] * side[:, None, None] * np.outer(side, side).ravel()
 
 
-def joints_near_rings(template: Template, *, seed: int = 0, offset: float = 0.01) -> Float[np.ndarray, "J V"]:
-    """A joint regressor that is about ``offset`` (m) away from the rings that training starts from (S 4.1).
+def joints_near_rings(
+    template: Template, *, seed: int = 0, offset: float = 0.01
+) -> Float[np.ndarray, "J V"]:
+    """A joint regressor that is about ``offset`` (m) away from the rings that training starts from
+    (S 4.1).
 
-    Each ring's mean is moved along a random direction towards a few vertices near it; left and right alike where the
-    template has its mirrors.
+    Each ring's mean is moved along a random direction towards a few vertices near it; left and
+    right alike where the template has its mirrors.
     """
     rng = np.random.default_rng(seed)
     rings = ring_regressor(template)

@@ -1,7 +1,8 @@
 """Synthetic registrations with known truth: random people in random poses, to test training on.
 
-Their surface is a model of SMPL's form (`planted_truth`) or none (`out_of_class_surface`). Registrations are computed
-when they are read, from seeds, so that a data set of the papers' size (S 4) needs no room.
+Their surface is a model of SMPL's form (`planted_truth`) or none (`out_of_class_surface`).
+Registrations are computed when they are read, from seeds, so that a data set of the papers' size (S
+4) needs no room.
 """
 
 import os
@@ -21,7 +22,11 @@ from habitus.population.bulging_flesh import FleshySurface
 from habitus.population.poses import joint_limits, resting_poses, sample_poses
 
 Surface = BodyModel | FleshySurface
-PAPERS_SIZE = {"subjects": 40, "poses_per_subject": (45,) * 26 + (44,) * 14, "shape_people": 3800}  # 1,786 poses (S 4)
+PAPERS_SIZE = {
+    "subjects": 40,
+    "poses_per_subject": (45,) * 26 + (44,) * 14,
+    "shape_people": 3800,
+}  # 1,786 poses (S 4)
 FURTHEST_BETA = 2.5  # standard deviations: nobody is more unusual than this along a shape direction
 PLACE = 0.1  # m: standard deviation of where people stand, along each axis
 AT_ONCE = 16  # registrations made together
@@ -29,10 +34,11 @@ AT_ONCE = 16  # registrations made together
 
 @dataclass(frozen=True, eq=False)
 class PlantedVertices:
-    """Vertices (N, V, 3; m) of a surface, made when asked for, with noise of ``sigma`` (m) a coordinate.
+    """Vertices (N, V, 3; m) of a surface, made when asked for, with noise of ``sigma`` (m) a
+    coordinate.
 
-    The noise of registration k depends on the seed and k alone. Whether read alone or among others, a registration is
-    the same to rounding in the last place.
+    The noise of registration k depends on the seed and k alone. Whether read alone or among others,
+    a registration is the same to rounding in the last place.
     """
 
     surface: Surface
@@ -58,7 +64,10 @@ class PlantedVertices:
         return made
 
     def _made(self, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n V 3"]:
-        state = (torch.as_tensor(values[ids], dtype=torch.float64) for values in (self.betas, self.pose, self.trans))
+        state = (
+            torch.as_tensor(values[ids], dtype=torch.float64)
+            for values in (self.betas, self.pose, self.trans)
+        )
         vertices = self.surface(*state).vertices.numpy()
         if self.sigma:
             for k, surface in zip(ids, vertices, strict=True):
@@ -71,9 +80,10 @@ class PlantedVertices:
 class Planted:
     """Registrations and their ground truth.
 
-    ``clean`` are their vertices without noise, exactly ``surface(betas, pose, trans)``. ``betas``, ``pose`` (rad) and
-    ``trans`` (m) have a row a registration; ``joints`` (m) a row a subject, in the order of ``registrations.subjects``:
-    where the joints are at rest. ``sigma`` (m) is the noise of a coordinate.
+    ``clean`` are their vertices without noise, exactly ``surface(betas, pose, trans)``. ``betas``,
+    ``pose`` (rad) and ``trans`` (m) have a row a registration; ``joints`` (m) a row a subject, in
+    the order of ``registrations.subjects``: where the joints are at rest. ``sigma`` (m) is the
+    noise of a coordinate.
     """
 
     registrations: Registrations
@@ -107,22 +117,38 @@ def planted_registrations(
 ) -> Planted:
     """A data set of people with this surface: three sets, no person in two of them.
 
-    "pose": ``subjects`` people in ``poses_per_subject`` poses each (or one number for each), the first near rest;
-    "shape": ``shape_people`` in one pose near rest; "test": ``test_subjects`` in ``test_poses`` poses. ``noise_rms``
-    (m) is the root mean square distance of vertices from the clean surface. Poses are drawn within the limits of human
-    joints, or are those of ``motions`` (rad, see `motion_poses`), each used once, with a root drawn. ``out``: a folder
-    for ``vertices.npy``, which is then read instead of computed. Raises HabitusError where a number makes no sense or
-    there are too few motions.
+    "pose": ``subjects`` people in ``poses_per_subject`` poses each (or one number for each), the
+    first near rest; "shape": ``shape_people`` in one pose near rest; "test": ``test_subjects`` in
+    ``test_poses`` poses. ``noise_rms`` (m) is the root mean square distance of vertices from the
+    clean surface. Poses are drawn within the limits of human joints, or are those of ``motions``
+    (rad, see `motion_poses`), each used once, with a root drawn. ``out``: a folder for
+    ``vertices.npy``, which is then read instead of computed. Raises HabitusError where a number
+    makes no sense or there are too few motions.
     """
     body = body_of(surface)
-    each = [poses_per_subject] * subjects if isinstance(poses_per_subject, int) else list(poses_per_subject)
+    each = (
+        [poses_per_subject] * subjects
+        if isinstance(poses_per_subject, int)
+        else list(poses_per_subject)
+    )
     counts = {"pose": each, "shape": [1] * shape_people, "test": [test_poses] * test_subjects}
-    if len(each) != subjects or min([0, *each, shape_people, test_subjects, test_poses]) < 0 or not sum(each):
-        raise HabitusError(f"{subjects} subjects with {poses_per_subject} poses each asked for; expected at least one")
+    if (
+        len(each) != subjects
+        or min([0, *each, shape_people, test_subjects, test_poses]) < 0
+        or not sum(each)
+    ):
+        raise HabitusError(
+            f"{subjects} subjects with {poses_per_subject} poses each asked for; expected at "
+            "least one"
+        )
     words = _words(counts)
-    person = np.repeat(np.arange(sum(map(len, counts.values()))), [n for c in counts.values() for n in c])
+    person = np.repeat(
+        np.arange(sum(map(len, counts.values()))), [n for c in counts.values() for n in c]
+    )
     random = np.random.default_rng([seed, 1])
-    people = np.clip(random.standard_normal((person[-1] + 1, body.num_betas)), -FURTHEST_BETA, FURTHEST_BETA)
+    people = np.clip(
+        random.standard_normal((person[-1] + 1, body.num_betas)), -FURTHEST_BETA, FURTHEST_BETA
+    )
     betas = people[person]
     pose = _poses(np.random.default_rng([seed, 2]), counts, body.joint_names, motions)
     trans = PLACE * random.standard_normal((len(person), 3))
@@ -138,7 +164,9 @@ def planted_registrations(
         name=words["name"],
     )
     joints = body.rest_joints(people)
-    return Planted(registrations, surface, clean, betas, pose, trans, joints[np.unique(person)], sigma)
+    return Planted(
+        registrations, surface, clean, betas, pose, trans, joints[np.unique(person)], sigma
+    )
 
 
 def _words(counts: dict[str, list[int]]) -> dict[str, tuple[str, ...]]:
@@ -159,7 +187,10 @@ def _sexes(body: BodyModel, people: Float[np.ndarray, "S B"]) -> np.ndarray:
 
 
 def _poses(
-    rng: np.random.Generator, counts: dict[str, list[int]], joint_names: tuple[str, ...], motions: np.ndarray | None
+    rng: np.random.Generator,
+    counts: dict[str, list[int]],
+    joint_names: tuple[str, ...],
+    motions: np.ndarray | None,
 ) -> Float[np.ndarray, "N J 3"]:
     """Poses of all sets in order: near rest for a person's first, free for the others."""
     limits = joint_limits(joint_names)
@@ -169,7 +200,8 @@ def _poses(
     if motions is not None:
         if len(motions) < free or motions.shape[1:] != (len(joint_names), 3):
             raise HabitusError(
-                f"motions have shape {motions.shape}; expected at least {free} poses of {len(joint_names)} joints"
+                f"motions have shape {motions.shape}; expected at least {free} poses of "
+                f"{len(joint_names)} joints"
             )
         poses[~first, 1:] = motions[rng.permutation(len(motions))[:free], 1:]
     poses[first] = resting_poses(rng, int(first.sum()), limits)
@@ -187,5 +219,7 @@ def _written(vertices: Vertices, path: Path, dtype: Any) -> np.ndarray:
         stored.flush()
         os.replace(part, path)
     except OSError as error:
-        raise HabitusError(f"cannot write {path}: {error.strerror or error}; choose a folder with room") from error
+        raise HabitusError(
+            f"cannot write {path}: {error.strerror or error}; choose a folder with room"
+        ) from error
     return np.load(path, mmap_mode="r")

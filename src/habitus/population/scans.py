@@ -1,4 +1,6 @@
-"""Scans of people that a body model does not know: what a structured-light scanner would leave of a surface."""
+"""Scans of people that a body model does not know: what a structured-light scanner would leave of a
+surface.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,34 +20,59 @@ from habitus.population.painted_skin import PaintedSkin, soft_light
 PATCH = 0.05
 """Metres: radius of a hole."""
 CELL, BEHIND = 0.004, 0.01
-"""Metres: what a camera tells apart across, and how far behind the nearest surface it still sees in a cell."""
+"""Metres: what a camera tells apart across, and how far behind the nearest surface it still sees in
+a cell.
+"""
 STANCES: Mapping[str, Mapping[str, tuple[float, float, float]]] = MappingProxyType(
     {
         "A": {"shoulder": (0.0, 0.0, -0.8)},
         "T": {},
-        "arms up": {"shoulder": (0.0, -0.1, 0.7), "collar": (0.0, 0.0, 0.4), "elbow": (0.0, -0.3, 0.0)},
+        "arms up": {
+            "shoulder": (0.0, -0.1, 0.7),
+            "collar": (0.0, 0.0, 0.4),
+            "elbow": (0.0, -0.3, 0.0),
+        },
         "arms forward": {"shoulder": (0.0, -1.3, -0.1), "elbow": (0.0, -0.2, 0.0)},
         "elbows bent": {"shoulder": (0.0, -0.3, -0.7), "elbow": (0.0, -1.6, 0.0)},
         "step": {
-            "shoulder": (0.0, 0.0, -1.0), "left_hip": (-0.5, 0.0, 0.05), "right_hip": (0.3, 0.0, -0.05),
-            "left_knee": (0.3, 0.0, 0.0), "right_knee": (0.3, 0.0, 0.0),
+            "shoulder": (0.0, 0.0, -1.0),
+            "left_hip": (-0.5, 0.0, 0.05),
+            "right_hip": (0.3, 0.0, -0.05),
+            "left_knee": (0.3, 0.0, 0.0),
+            "right_knee": (0.3, 0.0, 0.0),
         },
-        "knee up": {"shoulder": (0.0, 0.0, -0.7), "left_hip": (-1.2, 0.0, 0.1), "left_knee": (1.4, 0.0, 0.0)},
+        "knee up": {
+            "shoulder": (0.0, 0.0, -0.7),
+            "left_hip": (-1.2, 0.0, 0.1),
+            "left_knee": (1.4, 0.0, 0.0),
+        },
         "squat": {
-            "hip": (-1.0, 0.0, 0.25), "knee": (1.3, 0.0, 0.0), "ankle": (-0.3, 0.0, 0.0), "spine1": (0.2, 0.0, 0.0),
+            "hip": (-1.0, 0.0, 0.25),
+            "knee": (1.3, 0.0, 0.0),
+            "ankle": (-0.3, 0.0, 0.0),
+            "spine1": (0.2, 0.0, 0.0),
             "shoulder": (0.0, -1.2, -0.1),
         },
         "twisted": {
-            "spine1": (0.0, 0.25, 0.0), "spine2": (0.0, 0.25, 0.0), "spine3": (0.0, 0.2, 0.0),
-            "head": (0.0, 0.4, 0.0), "left_shoulder": (0.0, -0.6, 0.0), "right_shoulder": (0.0, 0.0, 0.9),
+            "spine1": (0.0, 0.25, 0.0),
+            "spine2": (0.0, 0.25, 0.0),
+            "spine3": (0.0, 0.2, 0.0),
+            "head": (0.0, 0.4, 0.0),
+            "left_shoulder": (0.0, -0.6, 0.0),
+            "right_shoulder": (0.0, 0.0, 0.9),
         },
         "bent": {
-            "spine1": (0.3, 0.0, 0.0), "spine2": (0.3, 0.0, 0.0), "hip": (-0.4, 0.0, 0.15),
-            "shoulder": (0.0, -0.4, -0.9), "neck": (-0.2, 0.0, 0.0),
+            "spine1": (0.3, 0.0, 0.0),
+            "spine2": (0.3, 0.0, 0.0),
+            "hip": (-0.4, 0.0, 0.15),
+            "shoulder": (0.0, -0.4, -0.9),
+            "neck": (-0.2, 0.0, 0.0),
         },
     }
-)  # fmt: skip
-"""Ten poses that people are scanned in: joint (of both sides, or of one) to rotation vector, rad, of the left side."""
+)
+"""Ten poses that people are scanned in: joint (of both sides, or of one) to rotation vector, rad,
+of the left side.
+"""
 PIXEL, COLOUR_NOISE = 0.0003, 0.006
 """Metres (sd) that colours are beside where they belong, and their noise (sd, of linear light)."""
 GRAZING = 0.15
@@ -54,11 +81,12 @@ GRAZING = 0.15
 
 @dataclass(frozen=True)
 class Scanner:
-    """How a scan is made: how many points, noise along every axis (m, sd), the share that holes take, and from where.
+    """How a scan is made: how many points, noise along every axis (m, sd), the share that holes
+    take, and from where.
 
-    ``sides`` are directions (unit, from the person to the camera) of which a point has to be seen from one; none:
-    everything is seen. ``colours`` are the places of which a scan that has colours has them: pictures show more of a
-    surface than points do (1 to 3 mm a pixel).
+    ``sides`` are directions (unit, from the person to the camera) of which a point has to be seen
+    from one; none: everything is seen. ``colours`` are the places of which a scan that has colours
+    has them: pictures show more of a surface than points do (1 to 3 mm a pixel).
     """
 
     points: int = 100_000
@@ -73,12 +101,17 @@ JITTER = 0.08
 """Radians (sd) that joints are off a stance."""
 
 
-def stance(name: str, joint_names: Sequence[str], rng: np.random.Generator) -> Float[np.ndarray, "J 3"]:
+def stance(
+    name: str, joint_names: Sequence[str], rng: np.random.Generator
+) -> Float[np.ndarray, "J 3"]:
     """A pose (rad) near one of `STANCES`, looking anywhere."""
-    pose, off = np.zeros((len(joint_names), 3)), JITTER * rng.normal(size=(len(joint_names), 3))
+    pose = np.zeros((len(joint_names), 3))
+    off = JITTER * rng.normal(size=(len(joint_names), 3))
     for k, joint in enumerate(joint_names):
         side, _, part = joint.rpartition("_")
-        angles = STANCES[name].get(joint, STANCES[name].get(part if side else joint, (0.0, 0.0, 0.0)))
+        angles = STANCES[name].get(
+            joint, STANCES[name].get(part if side else joint, (0.0, 0.0, 0.0))
+        )
         mirrored = side == "right" and joint not in STANCES[name]
         pose[k] = np.array(angles) * ((1.0, -1.0, -1.0) if mirrored else (1.0, 1.0, 1.0)) + off[k]
     pose[0] = 0.0, rng.uniform(-np.pi, np.pi), 0.0
@@ -88,15 +121,18 @@ def stance(name: str, joint_names: Sequence[str], rng: np.random.Generator) -> F
 def person(
     body: BodyModel, pose: Float[np.ndarray, "J 3"], rng: np.random.Generator, flesh: float = FLESH
 ) -> Float[np.ndarray, "V 3"]:
-    """The surface (m) of a random person in a pose, off what the model knows by ``flesh`` (m, sd) along its normals.
+    """The surface (m) of a random person in a pose, off what the model knows by ``flesh`` (m, sd)
+    along its normals.
 
-    The offset is smooth over some 8 cm (`habitus.population.held_out.smooth_field`), and a quarter as large on hands,
-    feet and head.
+    The offset is smooth over some 8 cm (`habitus.population.held_out.smooth_field`), and a quarter
+    as large on hands, feet and head.
     """
     betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
     surface = np.asarray(body(betas, pose).vertices)
     bony = [k for k, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
-    off = smooth_field(body.v_template, rng)[:, 0] * (1.0 - 0.75 * body.skinning_weights[:, bony].sum(1))
+    off = smooth_field(body.v_template, rng)[:, 0] * (
+        1.0 - 0.75 * body.skinning_weights[:, bony].sum(1)
+    )
     return surface + flesh * off[:, None] * vertex_normals(surface, body.faces)
 
 
@@ -108,12 +144,15 @@ def scanned(
     name: str = "scan",
     skin: PaintedSkin | None = None,
 ) -> Scan:
-    """A cloud of points (m) drawn evenly from a surface, with noise and holes, in no order and without normals.
+    """A cloud of points (m) drawn evenly from a surface, with noise and holes, in no order and
+    without normals.
 
-    skin: of that surface's mesh; gives the scan colours, as a camera in soft light sees them that is off by a pixel.
+    skin: of that surface's mesh; gives the scan colours, as a camera in soft light sees them that
+    is off by a pixel.
     """
     normals = face_normals(vertices, faces)
-    area, wanted = np.linalg.norm(normals, axis=1), scanner.points if skin is None else scanner.colours
+    area = np.linalg.norm(normals, axis=1)
+    wanted = scanner.points if skin is None else scanner.colours
     face = rng.choice(len(faces), int(wanted * 1.02 / (1.0 - scanner.holes)), p=area / area.sum())
     share = rng.dirichlet((1.0, 1.0, 1.0), len(face))
     points = np.einsum("pk,pkc->pc", share, vertices[faces[face]])
@@ -126,20 +165,27 @@ def scanned(
     points = points[rows] + scanner.noise * rng.normal(size=(len(rows), 3))
     if skin is None:
         return Scan(name, points)
-    corners, share = faces[face[rows]], share[rows]
+    corners = faces[face[rows]]
+    share = share[rows]
     looking = np.einsum("pk,pkc->pc", share, vertex_normals(vertices, faces)[corners])
     looking /= np.maximum(np.linalg.norm(looking, axis=1, keepdims=True), 1e-12)
     albedo = skin.albedo(corners, share, PIXEL, int(rng.integers(1 << 30)))
     bright = albedo * (low_orders(looking) @ soft_light(rng)).clip(0.05)
     seen = srgb_bytes(bright + COLOUR_NOISE * rng.normal(size=bright.shape))
-    return Scan(name, points[: scanner.points], colours=linear_from_srgb(seen / 255.0), colour_places=points)
+    return Scan(
+        name, points[: scanner.points], colours=linear_from_srgb(seen / 255.0), colour_places=points
+    )
 
 
 def _holes(points: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """Which points lie in holes: balls around points of the surface, as many as make up the share."""
+    """Which points lie in holes: balls around points of the surface, as many as make up the
+    share.
+    """
     gone = np.zeros(len(points), dtype=bool)
     while len(points) and gone.mean() < share:
-        gone |= ((points - points[rng.integers(len(points))]) ** 2).sum(1) < (PATCH * rng.uniform(0.5, 1.2)) ** 2
+        gone |= ((points - points[rng.integers(len(points))]) ** 2).sum(1) < (
+            PATCH * rng.uniform(0.5, 1.2)
+        ) ** 2
     return gone
 
 

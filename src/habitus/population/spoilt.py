@@ -1,7 +1,8 @@
-"""Captures spoilt as wholes, as bad exports and wrong choices spoil them: what a verdict must never call good.
+"""Captures spoilt as wholes, as bad exports and wrong choices spoil them: what a verdict must never
+call good.
 
-Each kind takes markers (T, M, 3) in metres, NaN where missing, with the layout's columns, and gives a copy. The axis
-that is up is z in what is said below.
+Each kind takes markers (T, M, 3) in metres, NaN where missing, with the layout's columns, and gives
+a copy. The axis that is up is z in what is said below.
 """
 
 from collections.abc import Callable, Mapping
@@ -44,7 +45,9 @@ def _two_people(markers: Markers, rng: np.random.Generator) -> Markers:
 
 
 def _columns_shifted(markers: Markers, rng: np.random.Generator) -> Markers:
-    """Every coordinate read two columns late, as from a table whose labels do not stand above their columns."""
+    """Every coordinate read two columns late, as from a table whose labels do not stand above their
+    columns.
+    """
     return np.roll(markers.reshape(len(markers), -1), -2, axis=1).reshape(markers.shape)
 
 

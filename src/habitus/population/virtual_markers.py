@@ -1,4 +1,6 @@
-"""Virtual markers: what a marker system would record of a body in motion, with any layout (M 10)."""
+"""Virtual markers: what a marker system would record of a body in motion, with any layout (M
+10).
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,13 +32,19 @@ def layout_attachment(
 def carried_markers(moving: Moving, attachment: MarkerAttachment) -> Float[np.ndarray, "T M 3"]:
     """Markers (m) that ride on the skin in every frame, soft tissue included (M equation 2)."""
     used, corners = np.unique(attachment.triangles, return_inverse=True)
-    return predict_markers(moving.points(used), MarkerAttachment(corners.reshape(-1, 3), attachment.coefficients))
+    return predict_markers(
+        moving.points(used), MarkerAttachment(corners.reshape(-1, 3), attachment.coefficients)
+    )
 
 
 def recorded(
     markers: Float[np.ndarray, "T M 3"], faults: Faults, rng: np.random.Generator
 ) -> Float[np.ndarray, "T M 3"]:
     """The same with noise on every sample, and gaps (NaN)."""
-    found = markers + rng.normal(scale=faults.noise, size=markers.shape) if faults.noise else markers.copy()
+    found = (
+        markers + rng.normal(scale=faults.noise, size=markers.shape)
+        if faults.noise
+        else markers.copy()
+    )
     found[lost_samples(found.shape[:2], faults, rng)] = np.nan
     return found

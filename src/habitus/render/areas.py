@@ -1,4 +1,6 @@
-"""What shows in pixels that several faces share: areas and centroids, as fragments beside those of edges."""
+"""What shows in pixels that several faces share: areas and centroids, as fragments beside those of
+edges.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -6,7 +8,14 @@ from jaxtyping import Bool, Float, Int
 from habitus.kernels.threads import run_chunks
 from habitus.render.kernels import areas as area_kernels
 from habitus.render.kernels.areas import CORNERS, PIECES
-from habitus.render.kernels.structs import AreaRoom, FoundAreas, FoundFragments, FragmentSides, ScreenFaces, Tiles
+from habitus.render.kernels.structs import (
+    AreaRoom,
+    FoundAreas,
+    FoundFragments,
+    FragmentSides,
+    ScreenFaces,
+    Tiles,
+)
 
 ROWS = 4096
 """Rows that are made room for at a time."""
@@ -21,16 +30,21 @@ def find_areas(
     inverse: Float[np.ndarray, "H W"],
     fragments: Int[np.ndarray, " S"],
 ) -> tuple[FoundAreas, Bool[np.ndarray, "H W"]]:
-    """The areas of the faces in each pixel that shows several, pixels ascending; where surfaces cross each other.
+    """The areas of the faces in each pixel that shows several, pixels ascending; where surfaces
+    cross each other.
 
-    inverse: 1 / depth at pixels' centres. fragments: the pixels of edge fragments. Areas of a pixel add up to 1, the
-    background's (face -1) among them.
+    inverse: 1 / depth at pixels' centres. fragments: the pixels of edge fragments. Areas of a pixel
+    add up to 1, the background's (face -1) among them.
     """
     crossed = np.zeros(ids.shape, bool)
     crossed.reshape(-1)[fragments] = True
-    chosen, crossing = np.empty(ids.shape, bool), np.zeros(ids.size, bool)
+    chosen = np.empty(ids.shape, bool)
+    crossing = np.zeros(ids.size, bool)
     run_chunks(
-        lambda _, begin, end: area_kernels.choose_pixels(ids, crossed, begin, end, chosen), len(ids), least=16, pieces=4
+        lambda _, begin, end: area_kernels.choose_pixels(ids, crossed, begin, end, chosen),
+        len(ids),
+        least=16,
+        pieces=4,
     )
     pixels = np.flatnonzero(chosen)
     parts: dict[int, list[FoundAreas]] = {}
@@ -40,16 +54,23 @@ def find_areas(
 
     run_chunks(work, len(pixels), least=256, pieces=4)
     found = [part for chunk in sorted(parts) for part in parts[chunk]]
-    return FoundAreas(*(np.concatenate(field) for field in zip(*found, strict=True))), crossing.reshape(ids.shape)
+    return FoundAreas(
+        *(np.concatenate(field) for field in zip(*found, strict=True))
+    ), crossing.reshape(ids.shape)
 
 
-def _areas_of(where: tuple, begin: int, end: int, crossing: Bool[np.ndarray, " N"]) -> list[FoundAreas]:
+def _areas_of(
+    where: tuple, begin: int, end: int, crossing: Bool[np.ndarray, " N"]
+) -> list[FoundAreas]:
     """The areas of pixels begin..end, in pieces."""
     longest = int(np.diff(where[1].starts).max(initial=0))
-    room, parts = _room(longest), []
+    room = _room(longest)
+    parts = []
     while True:
         size = max(ROWS, longest + 1)
-        found = FoundAreas(*(np.empty(size, kind) for kind in (np.int64, np.int64, float)), np.empty((size, 2)))
+        found = FoundAreas(
+            *(np.empty(size, kind) for kind in (np.int64, np.int64, float)), np.empty((size, 2))
+        )
         begin, count = area_kernels.find_areas(*where, begin, end, room, found, crossing)
         parts.append(FoundAreas(*(field[:count] for field in found)))
         if begin >= end:
@@ -57,10 +78,20 @@ def _areas_of(where: tuple, begin: int, end: int, crossing: Bool[np.ndarray, " N
 
 
 def _room(count: int) -> AreaRoom:
-    whole, real = (np.empty(count, np.int64) for _ in range(3)), (np.empty(count) for _ in range(3))
-    polygons = np.empty((count, 4, 3)), np.empty((count, CORNERS, 2)), np.empty((PIECES, CORNERS, 2))
+    whole = (np.empty(count, np.int64) for _ in range(3))
+    real = (np.empty(count) for _ in range(3))
+    polygons = (
+        np.empty((count, 4, 3)),
+        np.empty((count, CORNERS, 2)),
+        np.empty((PIECES, CORNERS, 2)),
+    )
     return AreaRoom(
-        *whole, *real, *polygons, np.empty(PIECES, np.int64), np.empty((CORNERS, 2)), np.empty((CORNERS, 2))
+        *whole,
+        *real,
+        *polygons,
+        np.empty(PIECES, np.int64),
+        np.empty((CORNERS, 2)),
+        np.empty((CORNERS, 2)),
     )
 
 
@@ -78,18 +109,31 @@ def parted(found: FoundFragments, screen: Float[np.ndarray, "V 3"]) -> FoundFrag
 def with_areas(
     found: FoundFragments, sides: FragmentSides, areas: FoundAreas, ids: Int[np.ndarray, "H W"]
 ) -> tuple[np.ndarray, ...]:
-    """The fields of `EdgeFragments`: edges that only move, their weights 0, and areas that only weigh.
+    """The fields of `EdgeFragments`: edges that only move, their weights 0, and areas that only
+    weigh.
 
-    An area's weight is held, as its border's motion is the edges': it has no extent on an edge (start = end = 0). Its
-    inside is the pixel's centre, so that the sum of `render/README.md` leaves the areas' mean and nothing else.
+    An area's weight is held, as its border's motion is the edges': it has no extent on an edge
+    (start = end = 0). Its inside is the pixel's centre, so that the sum of `render/README.md`
+    leaves the areas' mean and nothing else.
     """
     row, column = np.divmod(areas.pixel, ids.shape[1])
-    nowhere, none = np.zeros(len(areas.pixel), np.int64), np.zeros(len(areas.pixel))
+    nowhere = np.zeros(len(areas.pixel), np.int64)
+    none = np.zeros(len(areas.pixel))
     centre = np.stack([column, row], 1) + 0.5
     start, end = found.span.T
     edge = (*found[:5], start, end, found.outward, np.zeros_like(found.weight), *sides)
     at_centre = ids.reshape(-1)[areas.pixel].astype(np.int64)
-    area = (areas.pixel, nowhere, nowhere, nowhere, np.ones(len(none), bool), none, none, none, areas.area)
+    area = (
+        areas.pixel,
+        nowhere,
+        nowhere,
+        nowhere,
+        np.ones(len(none), bool),
+        none,
+        none,
+        none,
+        areas.area,
+    )
     sampled = (at_centre, areas.face, centre, areas.point)
     joined = [np.concatenate(pair) for pair in zip(edge, (*area, *sampled), strict=True)]
     order = np.argsort(joined[0], kind="stable")

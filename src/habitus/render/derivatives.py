@@ -1,7 +1,8 @@
-"""Derivatives of the operators: Jacobian-vector products (jvp) in torch, vector-Jacobian products (vjp) in kernels.
+"""Derivatives of the operators: Jacobian-vector products (jvp) in torch, vector-Jacobian products
+(vjp) in kernels.
 
-A vjp takes the cotangent of an output, the derivative of some number to it, and gives those of the inputs.
-`render/README.md` has the formulas.
+A vjp takes the cotangent of an output, the derivative of some number to it, and gives those of the
+inputs. `render/README.md` has the formulas.
 """
 
 from collections.abc import Sequence
@@ -20,9 +21,15 @@ from habitus.render.visibility import Visibility
 
 
 def interpolate_jvp(
-    values: Tensor, corners: Tensor, coordinates: Tensor, values_tangent: Tensor | None, tangent: Tensor | None
+    values: Tensor,
+    corners: Tensor,
+    coordinates: Tensor,
+    values_tangent: Tensor | None,
+    tangent: Tensor | None,
 ) -> Tensor:
-    """The derivative of interpolated values along tangents of the values and of barycentric coordinates."""
+    """The derivative of interpolated values along tangents of the values and of barycentric
+    coordinates.
+    """
     total = torch.zeros((), dtype=values.dtype)
     if values_tangent is not None:
         total = total + (coordinates[:, :, None] * values_tangent[corners]).sum(1)
@@ -40,17 +47,23 @@ def compose_jvp(
     inner: Tensor,
     outer: Tensor,
 ) -> Tensor:
-    """The derivative of an image along tangents of values at samples, the background and the weights of fragments."""
+    """The derivative of an image along tangents of values at samples, the background and the
+    weights of fragments.
+    """
     values, background, weights = given
     values_tangent, background_tangent, weights_tangent = (
-        torch.zeros_like(at) if tangent is None else tangent for at, tangent in zip(given, tangents, strict=True)
+        torch.zeros_like(at) if tangent is None else tangent
+        for at, tangent in zip(given, tangents, strict=True)
     )
-    behind, behind_tangent = background.expand(count, -1), background_tangent.expand(count, -1)
+    behind = background.expand(count, -1)
+    behind_tangent = background_tangent.expand(count, -1)
     jump = _rows(values, outer, behind[pixel]) - _rows(values, inner, behind[pixel])
     outer_tangent = _rows(values_tangent, outer, behind_tangent[pixel])
     jump_tangent = outer_tangent - _rows(values_tangent, inner, behind_tangent[pixel])
     change = weights_tangent[:, None] * jump + weights[:, None] * jump_tangent
-    image = behind_tangent.index_copy(0, pixels, values_tangent.expand(len(values), -1)[: len(pixels)])
+    image = behind_tangent.index_copy(
+        0, pixels, values_tangent.expand(len(values), -1)[: len(pixels)]
+    )
     return image.index_add(0, pixel, torch.where(jump.isfinite(), change, 0.0))
 
 
@@ -65,7 +78,8 @@ def fragment_arrays(visibility: Visibility, weights: Tensor) -> tuple[np.ndarray
     """What kernels need of fragments, with their weights."""
     fragments = visibility.fragments
     if fragments is None:
-        none, nowhere = np.zeros(0, np.int64), np.zeros((0, 2))
+        none = np.zeros(0, np.int64)
+        nowhere = np.zeros((0, 2))
         return none, as_array(weights), none, nowhere, none, nowhere
     lists = (
         fragments.pixel,
@@ -91,23 +105,27 @@ def rows_of_chunk(ids: np.ndarray) -> int:
     return 1 + 20_000 // ids.shape[1]
 
 
-def image_vjp(*tensors: Tensor, visibility: Visibility, to_background: bool) -> tuple[Tensor | None, ...]:
-    """Cotangents of screen, values, background and weights from that of an image of `kernels.surfaces.draw_values`.
+def image_vjp(
+    *tensors: Tensor, visibility: Visibility, to_background: bool
+) -> tuple[Tensor | None, ...]:
+    """Cotangents of screen, values, background and weights from that of an image of
+    `kernels.surfaces.draw_values`.
 
-    tensors: screen, values, background, weights, faces, and the cotangent of the image. to_background: whether the
-    background's is wanted; None else.
+    tensors: screen, values, background, weights, faces, and the cotangent of the image.
+    to_background: whether the background's is wanted; None else.
     """
     screen, values, behind, weights, faces, cotangent = (as_array(tensor) for tensor in tensors)
-    ids, fragments, starts = (
-        as_array(visibility.ids),
-        fragment_arrays(visibility, tensors[3]),
-        fragment_starts(visibility),
-    )
-    least, exact = rows_of_chunk(ids), visibility.exact
+    ids = as_array(visibility.ids)
+    fragments = fragment_arrays(visibility, tensors[3])
+    starts = fragment_starts(visibility)
+    least = rows_of_chunk(ids)
+    exact = visibility.exact
     chunks = count_chunks(len(ids), least)
-    to_screen, to_values = np.zeros((chunks, *screen.shape)), np.zeros((chunks, *values.shape))
+    to_screen = np.zeros((chunks, *screen.shape))
+    to_values = np.zeros((chunks, *values.shape))
     rows = len(behind) if to_background else 0
-    to_weight, to_behind = np.empty_like(weights), np.zeros((chunks if rows == 1 else 1, rows, behind.shape[1]))
+    to_weight = np.empty_like(weights)
+    to_behind = np.zeros((chunks if rows == 1 else 1, rows, behind.shape[1]))
 
     def work(chunk: int, begin: int, end: int) -> None:
         to = to_screen[chunk], to_values[chunk], to_behind[chunk % len(to_behind)]
@@ -118,7 +136,10 @@ def image_vjp(*tensors: Tensor, visibility: Visibility, to_background: bool) -> 
 
     run_chunks(work, len(ids), least)
     sums = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
-    found = [torch.from_numpy(array).to(like.dtype) for array, like in zip(sums, tensors[:4], strict=True)]
+    found = [
+        torch.from_numpy(array).to(like.dtype)
+        for array, like in zip(sums, tensors[:4], strict=True)
+    ]
     return found[0], found[1], found[2] if to_background else None, found[3]
 
 
@@ -132,13 +153,26 @@ def fragment_weights_vjp(screen: Tensor, cotangent: Tensor, fragments: EdgeFragm
 
 
 def barycentrics_vjp(*tensors: Tensor, exact: bool) -> Tensor:
-    """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates and cotangent."""
-    screen, faces, sample_faces, points, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
+    """The cotangent of the screen. tensors: screen, faces, the samples' faces, points, coordinates
+    and cotangent.
+    """
+    screen, faces, sample_faces, points, coordinates, cotangent = (
+        as_array(tensor) for tensor in tensors
+    )
     sums = np.zeros((count_chunks(len(cotangent)), *screen.shape))
 
     def work(chunk: int, begin: int, end: int) -> None:
         sample_kernels.barycentrics_vjp(
-            screen, faces, sample_faces, points, coordinates, cotangent, exact, begin, end, sums[chunk]
+            screen,
+            faces,
+            sample_faces,
+            points,
+            coordinates,
+            cotangent,
+            exact,
+            begin,
+            end,
+            sums[chunk],
         )
 
     run_chunks(work, len(cotangent))
@@ -151,11 +185,20 @@ def interpolate_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor]:
     tensors: values, faces, the samples' faces and coordinates, cotangent of the samples' values.
     """
     values, faces, sample_faces, coordinates, cotangent = (as_array(tensor) for tensor in tensors)
-    sums, to_coordinates = np.zeros((count_chunks(len(cotangent)), *values.shape)), np.empty_like(coordinates)
+    sums = np.zeros((count_chunks(len(cotangent)), *values.shape))
+    to_coordinates = np.empty_like(coordinates)
 
     def work(chunk: int, begin: int, end: int) -> None:
         sample_kernels.interpolate_vjp(
-            values, faces, sample_faces, coordinates, cotangent, begin, end, sums[chunk], to_coordinates
+            values,
+            faces,
+            sample_faces,
+            coordinates,
+            cotangent,
+            begin,
+            end,
+            sums[chunk],
+            to_coordinates,
         )
 
     run_chunks(work, len(cotangent))
@@ -165,21 +208,31 @@ def interpolate_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor]:
 def compose_vjp(*tensors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Cotangents of samples, background and weights.
 
-    tensors: values at samples, background, weights, the lists of `compose`, cotangent of the pixels.
+    tensors: values at samples, background, weights, the lists of `compose`, cotangent of the
+    pixels.
     """
-    values, behind, weight, pixels, pixel, inner, outer, cotangent = (as_array(tensor) for tensor in tensors)
-    to_values, to_behind, to_weight = np.zeros_like(values), cotangent.copy(), np.empty_like(weight)
+    values, behind, weight, pixels, pixel, inner, outer, cotangent = (
+        as_array(tensor) for tensor in tensors
+    )
+    to_values = np.zeros_like(values)
+    to_behind = cotangent.copy()
+    to_weight = np.empty_like(weight)
     fill = image_kernels.fill_pixels_vjp
     run_chunks(lambda _, begin, end: fill(pixels, cotangent, begin, end, to_values), len(pixels))
     to_behind[pixels] = 0.0
     to_behind = to_behind if len(behind) > 1 else to_behind.sum(0, keepdims=True)
-    image_kernels.add_jumps_vjp(pixel, weight, inner, outer, values, behind, cotangent, to_values, to_behind, to_weight)
+    image_kernels.add_jumps_vjp(
+        pixel, weight, inner, outer, values, behind, cotangent, to_values, to_behind, to_weight
+    )
     return torch.from_numpy(to_values), torch.from_numpy(to_behind), torch.from_numpy(to_weight)
 
 
 def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor, exact: bool) -> Tensor:
-    """The derivative of coordinates (N, 3) at fixed points as corners (N, 3, 3) move along `tangent`."""
-    position, depth = corners[..., :2], corners[..., 2]
+    """The derivative of coordinates (N, 3) at fixed points as corners (N, 3, 3) move along
+    `tangent`.
+    """
+    position = corners[..., :2]
+    depth = corners[..., 2]
     flat = coordinates * depth
     flat = flat / flat.sum(-1, keepdim=True)
     opposite = position.roll(-2, -2) - position.roll(-1, -2)
@@ -189,7 +242,9 @@ def barycentrics_jvp(corners: Tensor, coordinates: Tensor, tangent: Tensor, exac
     share = 1.0 if exact else reference.share_of_pixel(position)[:, None]
     flat_tangent = -(across * moved).sum(-1) * (share / area)
     share_tangent = flat_tangent / depth - flat * tangent[..., 2] / depth**2
-    return (share_tangent - coordinates * share_tangent.sum(-1, keepdim=True)) / (flat / depth).sum(-1, keepdim=True)
+    return (share_tangent - coordinates * share_tangent.sum(-1, keepdim=True)) / (flat / depth).sum(
+        -1, keepdim=True
+    )
 
 
 def as_array(tensor: Tensor) -> np.ndarray:

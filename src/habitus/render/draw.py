@@ -29,12 +29,13 @@ def draw(
     boundary: str = "antialias",
     cull: bool = False,
 ) -> "Frame | Frames":
-    """What cameras see of vertices (metres, world) that triangles join; images are then taken from the frame.
+    """What cameras see of vertices (metres, world) that triangles join; images are then taken from
+    the frame.
 
-    triangles: `Triangles`, prepared once, or faces (F, 3); these are welded where vertices coincide. boundary:
-    "antialias", "exact", "filter" or "none" (see `habitus.render.frame`). cull: leave out faces seen from behind. A
-    batch of cameras or of vertices, or both, gives `Frames`. HabitusError: shapes, types or indices that do not fit,
-    vertices that are not finite.
+    triangles: `Triangles`, prepared once, or faces (F, 3); these are welded where vertices
+    coincide. boundary: "antialias", "exact", "filter" or "none" (see `habitus.render.frame`). cull:
+    leave out faces seen from behind. A batch of cameras or of vertices, or both, gives `Frames`.
+    HabitusError: shapes, types or indices that do not fit, vertices that are not finite.
     """
     if boundary not in BOUNDARIES:
         raise HabitusError(f"boundary is {boundary!r}; expected one of {', '.join(BOUNDARIES)}")
@@ -45,31 +46,47 @@ def draw(
             first = first[0]
         triangles = Triangles.of(triangles, first, vertices.shape[-2])
     if triangles.num_vertices != vertices.shape[-2]:
-        raise HabitusError(f"got {vertices.shape[-2]} vertices; expected {triangles.num_vertices}, as triangles join")
+        raise HabitusError(
+            f"got {vertices.shape[-2]} vertices; expected {triangles.num_vertices}, as triangles "
+            "join"
+        )
     try:
         batch = torch.Size(broadcast_shapes(camera.batch_shape, vertices.shape[:-2]))
     except ValueError:
         raise HabitusError(
-            f"cameras are a batch of {tuple(camera.batch_shape)}, vertices of {tuple(vertices.shape[:-2])}; "
+            f"cameras are a batch of {tuple(camera.batch_shape)}, vertices of "
+            f"{tuple(vertices.shape[:-2])}; "
             "make them equal or 1"
         ) from None
     if not batch:
         return draw_one(camera, vertices, triangles, boundary, cull)
     meshes = vertices.expand(*batch, *vertices.shape[-2:]).reshape(-1, *vertices.shape[-2:])
     cameras = _apart(camera, batch)
-    frames = (draw_one(each, mesh, triangles, boundary, cull) for each, mesh in zip(cameras, meshes, strict=True))
+    frames = (
+        draw_one(each, mesh, triangles, boundary, cull)
+        for each, mesh in zip(cameras, meshes, strict=True)
+    )
     return Frames(batch, tuple(frames))
 
 
 def _checked_vertices(vertices: Any, camera: Camera) -> Tensor:
     """Vertices as a tensor; HabitusError: another shape or type, a batch of none."""
     found = real_numbers("vertices", vertices, camera.focal_length)
-    if found.ndim < 2 or found.shape[-1] != 3 or (isinstance(vertices, Tensor) and vertices.dtype not in KERNEL_TYPES):
+    if (
+        found.ndim < 2
+        or found.shape[-1] != 3
+        or (isinstance(vertices, Tensor) and vertices.dtype not in KERNEL_TYPES)
+    ):
         kind = getattr(vertices, "dtype", found.dtype)
-        raise HabitusError(f"vertices are {tuple(found.shape)} {kind}; expected (*batch, V, 3) of float32 or float64")
+        raise HabitusError(
+            f"vertices are {tuple(found.shape)} {kind}; expected (*batch, V, 3) of float32 or "
+            "float64"
+        )
     for name, batch in (("vertices", found.shape[:-2]), ("cameras", camera.batch_shape)):
         if 0 in batch:
-            raise HabitusError(f"{name} are a batch of {tuple(batch)}; expected at least one to draw")
+            raise HabitusError(
+                f"{name} are a batch of {tuple(batch)}; expected at least one to draw"
+            )
     return found
 
 
@@ -104,7 +121,9 @@ class Frames:
         return self._stack(lambda frame: frame.barycentrics)
 
     def image(
-        self, values: Shaped[Tensor, "*batch V C"] | Numbers, background: Shaped[Tensor, "..."] | Numbers = 0.0
+        self,
+        values: Shaped[Tensor, "*batch V C"] | Numbers,
+        background: Shaped[Tensor, "..."] | Numbers = 0.0,
     ) -> Float[Tensor, "*batch H W C"]:
         """`Frame.image` of each."""
         return self._stack(Frame.image, (values, 2), (background, 3))
@@ -124,7 +143,9 @@ class Frames:
 
         return self._stack(take, (uv, 2), (brightness, 2), (background, 3))
 
-    def depth(self, background: Shaped[Tensor, "*batch H W"] | Numbers = math.inf) -> Float[Tensor, "*batch H W"]:
+    def depth(
+        self, background: Shaped[Tensor, "*batch H W"] | Numbers = math.inf
+    ) -> Float[Tensor, "*batch H W"]:
         """`Frame.depth` of each."""
         return self._stack(Frame.depth, (background, 2))
 
@@ -132,31 +153,44 @@ class Frames:
         """`Frame.silhouette` of each."""
         return self._stack(Frame.silhouette)
 
-    def normals(self, normals: Shaped[Tensor, "*batch V 3"] | Numbers) -> Float[Tensor, "*batch H W 3"]:
+    def normals(
+        self, normals: Shaped[Tensor, "*batch V 3"] | Numbers
+    ) -> Float[Tensor, "*batch H W 3"]:
         """`Frame.normals` of each."""
         return self._stack(Frame.normals, (normals, 2))
 
     def _stack(self, take: Callable[..., Tensor], *arguments: tuple[Any, int]) -> Tensor:
-        """What `take` gives for each frame and its own part of the arguments; an argument comes with its own rank."""
+        """What `take` gives for each frame and its own part of the arguments; an argument comes
+        with its own rank.
+        """
         parts = [_each(value, rank, self.shape) for value, rank in arguments]
         found = [take(frame, *(part[k] for part in parts)) for k, frame in enumerate(self.frames)]
         return torch.stack(found).unflatten(0, self.shape) if found else torch.zeros(self.shape)
 
 
 def _each(value: Any, rank: int, shape: torch.Size) -> list[Any]:
-    """The part of a value for each entry of a batch: the whole where it has no more axes than `rank`."""
+    """The part of a value for each entry of a batch: the whole where it has no more axes than
+    `rank`.
+    """
     if not isinstance(value, Tensor) or value.ndim <= rank:
         return [value] * shape.numel()
     try:
         return list(value.expand(*shape, *value.shape[-rank:]).reshape(-1, *value.shape[-rank:]))
     except RuntimeError:
         raise HabitusError(
-            f"values of {tuple(value.shape)} for a batch of {tuple(shape)}; expected these leading axes, or none"
+            f"values of {tuple(value.shape)} for a batch of {tuple(shape)}; expected these "
+            "leading axes, or none"
         ) from None
 
 
 def _apart(camera: Camera, batch: torch.Size) -> list[Camera]:
     """The single cameras of a batch."""
-    names = [field.name for field in fields(camera) if isinstance(getattr(camera, field.name), Tensor)]
-    rows = {name: getattr(camera, name).expand(*batch, -1).reshape(batch.numel(), -1) for name in names}
-    return [replace(camera, **{name: rows[name][k] for name in names}) for k in range(batch.numel())]
+    names = [
+        field.name for field in fields(camera) if isinstance(getattr(camera, field.name), Tensor)
+    ]
+    rows = {
+        name: getattr(camera, name).expand(*batch, -1).reshape(batch.numel(), -1) for name in names
+    }
+    return [
+        replace(camera, **{name: rows[name][k] for name in names}) for k in range(batch.numel())
+    ]

@@ -8,10 +8,12 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class EdgeFragments:
-    """S edge fragments, each within one pixel and sorted by pixel, and what an image jumps by there.
+    """S edge fragments, each within one pixel and sorted by pixel, and what an image jumps by
+    there.
 
-    ``image[pixel] += weight * (value at outer_point - value at inner_point)`` turns values at pixel centres into
-    averages over pixels (`render/README.md`). All are decisions: none carries a derivative.
+    ``image[pixel] += weight * (value at outer_point - value at inner_point)`` turns values at pixel
+    centres into averages over pixels (`render/README.md`). All are decisions: none carries a
+    derivative.
     """
 
     pixel: Int[Tensor, " S"]
@@ -23,7 +25,9 @@ class EdgeFragments:
     face: Int[Tensor, " S"]
     """The face whose border the edge is: it lies inside."""
     seam: Bool[Tensor, " S"]
-    """Whether the surface goes on outside: vertices are doubled there, and values may jump, but nothing is in front."""
+    """Whether the surface goes on outside: vertices are doubled there, and values may jump, but
+    nothing is in front.
+    """
     start: Float[Tensor, " S"]
     """Where the fragment begins: 0 at the tail, 1 at the head, linear on the screen."""
     end: Float[Tensor, " S"]
@@ -31,7 +35,9 @@ class EdgeFragments:
     outward: Float[Tensor, " S"]
     """1 or -1: with (du, dv) from tail to head, outward * (dv, -du) points to the outside."""
     weight: Float[Tensor, " S"]
-    """The area of the pixel that the fragment cuts off, as seen from the centre; negative where that lies outside."""
+    """The area of the pixel that the fragment cuts off, as seen from the centre; negative where
+    that lies outside.
+    """
     inner_face: Int[Tensor, " S"]
     """The face that shows at ``inner_point``; -1 where the background does."""
     outer_face: Int[Tensor, " S"]

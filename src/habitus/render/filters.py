@@ -1,9 +1,9 @@
 """The thesis' derivative of images to positions: differences of neighbouring pixels (T 4.4.3).
 
-A pixel changes by minus the image's gradient times the motion of the surface that it shows. Gradients come from kernels
-that do not reach across occlusion boundaries: 1/2 [-1, 0, 1] inside; [0, -1, 1] and [-1, 1, 0] with a boundary to the
-left and to the right; 0 between two. A pixel on a boundary (one or many) takes 1/2 [-1, 0, 1] and moves with the edge
-in it.
+A pixel changes by minus the image's gradient times the motion of the surface that it shows.
+Gradients come from kernels that do not reach across occlusion boundaries: 1/2 [-1, 0, 1] inside;
+[0, -1, 1] and [-1, 1, 0] with a boundary to the left and to the right; 0 between two. A pixel on a
+boundary (one or many) takes 1/2 [-1, 0, 1] and moves with the edge in it.
 """
 
 import torch
@@ -26,17 +26,22 @@ def filter_derivative(
     return image - across - down
 
 
-def differences(image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], axis: int) -> Float[Tensor, "H W C"]:
+def differences(
+    image: Float[Tensor, "H W C"], boundary: Bool[Tensor, "H W"], axis: int
+) -> Float[Tensor, "H W C"]:
     """Derivatives of an image along an axis (0 down, 1 across) by the thesis' kernels.
 
-    The image's border counts as a boundary beyond it; there, a pixel on a boundary takes its own value for the next.
+    The image's border counts as a boundary beyond it; there, a pixel on a boundary takes its own
+    value for the next.
     """
     count = image.shape[axis]
-    before, after = image.roll(1, axis), image.roll(-1, axis)
+    before = image.roll(1, axis)
+    after = image.roll(-1, axis)
     first = torch.arange(count, device=image.device) == 0
     last = first.flip(0)
     shape = (-1, 1) if axis == 0 else (1, -1)
-    first, last = first.view(shape), last.view(shape)
+    first = first.view(shape)
+    last = last.view(shape)
     stop_before = boundary.roll(1, axis) | first
     stop_after = boundary.roll(-1, axis) | last
     before = torch.where((first | stop_before & ~boundary)[..., None], image, before)
@@ -53,7 +58,9 @@ def surface_motion(
     samples: Float[Tensor, "K 3"],
     boundary: Bool[Tensor, "H W"],
 ) -> Float[Tensor, "N 2"]:
-    """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that crosses it."""
+    """For each pixel (H W) a zero that moves as the surface seen there does, or as the edge that
+    crosses it.
+    """
     steps = screen[:, :2] - screen[:, :2].detach()
     pixels = visibility.pixels
     corners = faces[visibility.faces[: len(pixels)]]
@@ -65,10 +72,17 @@ def surface_motion(
     if fragments is None or not len(fragments.pixel):
         return motion
     middle = ((fragments.start + fragments.end) / 2).to(steps.dtype)[:, None]
-    lengths = (~fragments.seam * (fragments.end - fragments.start)).to(steps.dtype) * torch.linalg.norm(
+    lengths = (~fragments.seam * (fragments.end - fragments.start)).to(
+        steps.dtype
+    ) * torch.linalg.norm(
         screen.detach()[fragments.head, :2] - screen.detach()[fragments.tail, :2], dim=-1
     )
-    along = lengths[:, None] * ((1 - middle) * steps[fragments.tail] + middle * steps[fragments.head])
+    along = lengths[:, None] * (
+        (1 - middle) * steps[fragments.tail] + middle * steps[fragments.head]
+    )
     total = steps.new_zeros(len(motion)).index_add(0, fragments.pixel, lengths)
-    edges = torch.zeros_like(motion).index_add(0, fragments.pixel, along) / total.clamp(min=1e-30)[:, None]
+    edges = (
+        torch.zeros_like(motion).index_add(0, fragments.pixel, along)
+        / total.clamp(min=1e-30)[:, None]
+    )
     return torch.where(boundary.flatten()[:, None], edges, motion)

@@ -1,4 +1,6 @@
-"""How much of their pixels edge fragments cut off, as torch functions of the screen: what makes moving edges count."""
+"""How much of their pixels edge fragments cut off, as torch functions of the screen: what makes
+moving edges count.
+"""
 
 from functools import partial
 from typing import Any
@@ -15,7 +17,8 @@ from habitus.render.values import no_vmap
 
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
-    """The fragments' weights, with the derivative of the area that moving edges sweep: -(normal velocity) integrated.
+    """The fragments' weights, with the derivative of the area that moving edges sweep: -(normal
+    velocity) integrated.
 
     It is the derivative of the pixel's exact coverage (Reynolds' transport theorem).
     """
@@ -38,7 +41,9 @@ class _FragmentWeights(Operator):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> Any:
-        return outside(partial(fragment_weights_vjp, fragments=ctx.fragments), *ctx.saved_tensors, cotangent), None
+        return outside(
+            partial(fragment_weights_vjp, fragments=ctx.fragments), *ctx.saved_tensors, cotangent
+        ), None
 
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor, _: Any) -> Tensor:

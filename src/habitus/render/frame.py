@@ -1,18 +1,25 @@
-"""Drawing: triangles before a camera, and the images that can be taken of what it sees (T 4.3: f(V, A, U)).
+"""Drawing: triangles before a camera, and the images that can be taken of what it sees (T 4.3: f(V,
+A, U)).
 
     frame = draw(camera, vertices, triangles)          # what is where: decided once
     colour, depth = frame.image(brightness), frame.depth()
 
-Images are differentiable in vertices, values, textures and cameras. How the border of a surface counts is a choice:
+Images are differentiable in vertices, values, textures and cameras. How the border of a surface
+counts is a choice:
 
-- "antialias": a pixel is the value at its centre plus, for each visible edge fragment in it, the jump there times the
-  area that the fragment cuts off. That is box filtering, and its derivative the true one: what moving edges sweep.
-- "exact": a pixel is the mean over what shows in it, face by face, small ones too: slower, and its derivative
+- "antialias": a pixel is the value at its centre plus, for each visible edge fragment in it, the
+  jump there times the
+  area that the fragment cuts off. That is box filtering, and its derivative the true one: what
+  moving edges sweep.
+- "exact": a pixel is the mean over what shows in it, face by face, small ones too: slower, and its
+  derivative
   is the mean's.
-- "filter": pixels are values at centres, their derivative to positions is the thesis' image filter (T 4.4.3).
+- "filter": pixels are values at centres, their derivative to positions is the thesis' image filter
+  (T 4.4.3).
 - "none": values at centres; surfaces end without a derivative.
 
-`render/README.md` has the formula of a pixel and its derivatives, and which file computes which part.
+`render/README.md` has the formula of a pixel and its derivatives, and which file computes which
+part.
 """
 
 import math
@@ -52,13 +59,16 @@ def draw_one(
     """`draw` of one camera and one mesh."""
     screen, triangles, clipped = on_screen(camera, vertices, triangles)
     size = camera.width, camera.height
-    visibility = operators.rasterize_detached(screen, triangles, *size, cull, boundary != "none", boundary == "exact")
+    visibility = operators.rasterize_detached(
+        screen, triangles, *size, cull, boundary != "none", boundary == "exact"
+    )
     return Frame(*size, boundary, screen, triangles, clipped, visibility, cull)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What a camera sees: for each pixel the nearest face, and where images jump. Images are taken by its methods.
+    """What a camera sees: for each pixel the nearest face, and where images jump. Images are taken
+    by its methods.
 
     screen: u, v and depth of vertices, those that cutting at the near plane added last.
     """
@@ -74,7 +84,9 @@ class Frame:
 
     @property
     def face_ids(self) -> Int[Tensor, "H W"]:
-        """The face seen at each pixel's centre, by its number in the triangles that were given; -1 for none."""
+        """The face seen at each pixel's centre, by its number in the triangles that were given; -1
+        for none.
+        """
         ids = self.visibility.ids
         if self.clipped is None or not len(self.triangles.faces):
             return ids
@@ -91,7 +103,8 @@ class Frame:
 
     @cached_property
     def intersections(self) -> Bool[Tensor, "H W"]:
-        """Pixels in which surfaces pass through each other: no edge of a mesh lies there, and none has a derivative.
+        """Pixels in which surfaces pass through each other: no edge of a mesh lies there, and none
+        has a derivative.
 
         It is looked for when first asked for.
         """
@@ -106,14 +119,22 @@ class Frame:
         """Perspective-correct barycentric coordinates of the samples that `visibility` lists."""
         screen = self.screen.detach() if self.mode == "filter" else self.screen
         return operators.barycentrics(
-            screen, self.triangles.faces, self.visibility.faces, self.visibility.points, self.visibility.exact
+            screen,
+            self.triangles.faces,
+            self.visibility.faces,
+            self.visibility.points,
+            self.visibility.exact,
         )
 
     @property
     def barycentrics(self) -> Float[Tensor, "H W 3"]:
-        """Perspective-correct barycentric coordinates at pixel centres, in the order of the face drawn; else 0."""
+        """Perspective-correct barycentric coordinates at pixel centres, in the order of the face
+        drawn; else 0.
+        """
         image = self.screen.new_zeros(self.height * self.width, 3)
-        found = image.index_copy(0, self.visibility.pixels, self.samples[: len(self.visibility.pixels)])
+        found = image.index_copy(
+            0, self.visibility.pixels, self.samples[: len(self.visibility.pixels)]
+        )
         return found.unflatten(0, (self.height, self.width))
 
     def at_samples(self, values: Shaped[Tensor, "V C"] | Numbers) -> Float[Tensor, "N C"]:
@@ -125,40 +146,62 @@ class Frame:
     @property
     def num_vertices(self) -> int:
         """How many vertices were given."""
-        return len(self.screen) if self.clipped is None else len(self.screen) - len(self.clipped.cut_fraction)
+        return (
+            len(self.screen)
+            if self.clipped is None
+            else len(self.screen) - len(self.clipped.cut_fraction)
+        )
 
     def image(
-        self, values: Shaped[Tensor, "V C"] | Numbers, background: Shaped[Tensor, "*size C"] | Numbers = 0.0
+        self,
+        values: Shaped[Tensor, "V C"] | Numbers,
+        background: Shaped[Tensor, "*size C"] | Numbers = 0.0,
     ) -> Float[Tensor, "H W C"]:
-        """Values of vertices, any channels, linear on triangles in space; behind them the background.
+        """Values of vertices, any channels, linear on triangles in space; behind them the
+        background.
 
-        background: a number, C of them, or an image (H, W, C). Whole numbers and truth values are taken as floating
-        ones; the image has float64 where vertices or values do. HabitusError: shapes that do not fit, complex numbers.
+        background: a number, C of them, or an image (H, W, C). Whole numbers and truth values are
+        taken as floating ones; the image has float64 where vertices or values do. HabitusError:
+        shapes that do not fit, complex numbers.
         """
         return self._drawn(self._of_vertices(values), background)
 
     def compose(
-        self, found: Shaped[Tensor, "N C"] | Numbers, background: Shaped[Tensor, "*size C"] | Numbers = 0.0
+        self,
+        found: Shaped[Tensor, "N C"] | Numbers,
+        background: Shaped[Tensor, "*size C"] | Numbers = 0.0,
     ) -> Float[Tensor, "H W C"]:
-        """The image of any values at `samples`: what every image ends with, and where shading of one's own goes."""
+        """The image of any values at `samples`: what every image ends with, and where shading of
+        one's own goes.
+        """
         found = real_numbers("values at samples", found, self.screen)
-        count, centres = len(self.visibility.faces), len(self.visibility.pixels)
-        if found.ndim != 2 or len(found) not in ((count,) if self.mode in AVERAGED else (count, centres)):
+        count = len(self.visibility.faces)
+        centres = len(self.visibility.pixels)
+        if found.ndim != 2 or len(found) not in (
+            (count,) if self.mode in AVERAGED else (count, centres)
+        ):
             raise HabitusError(
-                f"values at samples are {tuple(found.shape)}; expected ({count}, channels), as at_samples"
+                f"values at samples are {tuple(found.shape)}; expected ({count}, channels), as "
+                "at_samples"
             )
         behind = _background(background, self.height, self.width, found)
         return self._finished(operators.compose(found, behind, *self._mixing(found)))
 
     def _drawn(self, values: Tensor, background: Numbers, are_depths: bool = False) -> Tensor:
         """The image of values of the vertices of `screen`."""
-        screen, values = of_one_type(self.screen.detach() if self.mode == "filter" else self.screen, values)
+        screen, values = of_one_type(
+            self.screen.detach() if self.mode == "filter" else self.screen, values
+        )
         behind = _background(background, self.height, self.width, values)
-        image = operators.image(screen, self.triangles.faces, values, behind, *self._mixing(values), are_depths)
+        image = operators.image(
+            screen, self.triangles.faces, values, behind, *self._mixing(values), are_depths
+        )
         return self._finished(image)
 
     def _mixing(self, like: Tensor) -> tuple[Tensor, Visibility]:
-        """The weights of edge fragments and the visibility, with fragments where they count for pixels."""
+        """The weights of edge fragments and the visibility, with fragments where they count for
+        pixels.
+        """
         if self.mode in AVERAGED and self.visibility.fragments is not None:
             return self._weights.to(like.dtype), self.visibility
         return like.new_zeros(0), self._at_centres
@@ -174,16 +217,21 @@ class Frame:
 
     def _finished(self, image: Tensor) -> Tensor:
         if self.mode == "filter":
-            motion = surface_motion(self.screen, self.triangles.faces, self.visibility, self.samples, self.boundary)
+            motion = surface_motion(
+                self.screen, self.triangles.faces, self.visibility, self.samples, self.boundary
+            )
             image = filter_derivative(image, self.boundary, motion)
         return image.unflatten(0, (self.height, self.width))
 
     def _of_vertices(self, values: Numbers) -> Tensor:
-        """Values with those at the near plane's cuts behind them; HabitusError if they are not one row a vertex."""
+        """Values with those at the near plane's cuts behind them; HabitusError if they are not one
+        row a vertex.
+        """
         values = real_numbers("values", values, self.screen)
         if values.ndim != 2 or len(values) != self.num_vertices:
             raise HabitusError(
-                f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a row a vertex"
+                f"values are {tuple(values.shape)}; expected ({self.num_vertices}, channels), a "
+                "row a vertex"
             )
         return values if self.clipped is None else self.clipped.extend(values)
 
@@ -195,10 +243,12 @@ class Frame:
         brightness: Shaped[Tensor, "V K"] | Numbers | None = None,
         background: Shaped[Tensor, "*size C"] | Numbers = 0.0,
     ) -> Float[Tensor, "H W C"]:
-        """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices' brightness (T 4.3).
+        """The texture, laid on by the texture coordinates `uv` of vertices, times the vertices'
+        brightness (T 4.3).
 
-        uv_faces: rows of uv at the corners of each face given to `draw`, where they are not those of its vertices.
-        HabitusError: uv or uv_faces of another shape or type, an index out of range.
+        uv_faces: rows of uv at the corners of each face given to `draw`, where they are not those
+        of its vertices. HabitusError: uv or uv_faces of another shape or type, an index out of
+        range.
         """
         self.check_uv(uv, uv_faces)
         corners, corner_uv = self._corner_values(uv, uv_faces)
@@ -210,31 +260,47 @@ class Frame:
         light = self.at_samples(brightness)
         if 1 not in (light.shape[1], found.shape[1]) and light.shape[1] != found.shape[1]:
             raise HabitusError(
-                f"brightness has {light.shape[1]} channels; expected 1 or {found.shape[1]}, the texture's"
+                f"brightness has {light.shape[1]} channels; expected 1 or {found.shape[1]}, the "
+                "texture's"
             )
         return self.compose(found * light, background)
 
     def check_uv(self, uv: Tensor, uv_faces: Tensor | None) -> None:
         """HabitusError if texture coordinates do not fit the mesh."""
         if uv.ndim != 2 or uv.shape[1] != 2 or uv.dtype not in KERNEL_TYPES:
-            raise HabitusError(f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) of float32 or float64")
+            raise HabitusError(
+                f"uv is {tuple(uv.shape)} {uv.dtype}; expected (U, 2) of float32 or float64"
+            )
         if uv_faces is None:
             if len(uv) != self.num_vertices:
-                raise HabitusError(f"uv has {len(uv)} rows; expected {self.num_vertices}, a row a vertex, or uv_faces")
+                raise HabitusError(
+                    f"uv has {len(uv)} rows; expected {self.num_vertices}, a row a vertex, or "
+                    "uv_faces"
+                )
             return
         count = len(self.triangles.faces) if self.clipped is None else self.clipped.num_source_faces
         kind = uv_faces.dtype
-        if tuple(uv_faces.shape) != (count, 3) or kind.is_floating_point or kind.is_complex or kind == torch.bool:
-            raise HabitusError(f"uv_faces is {tuple(uv_faces.shape)} {kind}; expected ({count}, 3) whole numbers")
+        if (
+            tuple(uv_faces.shape) != (count, 3)
+            or kind.is_floating_point
+            or kind.is_complex
+            or kind == torch.bool
+        ):
+            raise HabitusError(
+                f"uv_faces is {tuple(uv_faces.shape)} {kind}; expected ({count}, 3) whole numbers"
+            )
         wrong = (uv_faces < 0) | (uv_faces >= len(uv))
         if bool(wrong.any()):
             row, corner = wrong.nonzero()[0].tolist()
             raise HabitusError(
-                f"uv_faces[{row}, {corner}] is {int(uv_faces[row, corner])}; expected 0 to {len(uv) - 1}, a row of uv"
+                f"uv_faces[{row}, {corner}] is {int(uv_faces[row, corner])}; expected 0 to "
+                f"{len(uv) - 1}, a row of uv"
             )
 
     def _corner_values(self, values: Tensor, faces: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Values that belong to corners rather than vertices: a table of corners' rows, and the rows."""
+        """Values that belong to corners rather than vertices: a table of corners' rows, and the
+        rows.
+        """
         if faces is None:
             values = values if self.clipped is None else self.clipped.extend(values)
             return self.triangles.faces, values
@@ -246,18 +312,27 @@ class Frame:
 
     def _footprint(self, texture: Texture, corner_uv: Tensor, corners: Tensor) -> Tensor:
         """How many texels the samples' pixels span."""
-        screen, steps = self.screen.detach(), []
+        screen = self.screen.detach()
+        steps = []
         points = self.visibility.points
         for step in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
             beside = points + points.new_tensor(step)
-            coordinates = operators.barycentrics(screen, self.triangles.faces, self.visibility.faces, beside)
-            steps.append(operators.interpolate(corner_uv.detach(), corners, self.visibility.faces, coordinates))
+            coordinates = operators.barycentrics(
+                screen, self.triangles.faces, self.visibility.faces, beside
+            )
+            steps.append(
+                operators.interpolate(
+                    corner_uv.detach(), corners, self.visibility.faces, coordinates
+                )
+            )
         return footprint(steps[1] - steps[0], steps[2] - steps[0], texture)
 
     def depth(self, background: Shaped[Tensor, "H W"] | Numbers = math.inf) -> Float[Tensor, "H W"]:
-        """Distance along the camera's axis in metres; infinite, or the background's, where there is no surface.
+        """Distance along the camera's axis in metres; infinite, or the background's, where there is
+        no surface.
 
-        Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel centres.
+        Surfaces are mixed with finite backgrounds only: before nothing, depth ends at pixel
+        centres.
         """
         behind = background[..., None] if isinstance(background, Tensor) else background
         return self._drawn(self.screen[:, 2:], behind, are_depths=True).squeeze(-1)
@@ -267,7 +342,9 @@ class Frame:
         return self.compose(self.screen.new_ones(len(self.visibility.faces), 1)).squeeze(-1)
 
     def normals(self, normals: Shaped[Tensor, "V 3"] | Numbers) -> Float[Tensor, "H W 3"]:
-        """Unit normals of vertices, interpolated and made unit again; 0 where there is no surface."""
+        """Unit normals of vertices, interpolated and made unit again; 0 where there is no
+        surface.
+        """
         found = self.at_samples(normals)
         if found.shape[1] != 3:
             raise HabitusError(f"normals have {found.shape[1]} numbers a vertex; expected 3")
@@ -276,12 +353,14 @@ class Frame:
 
 def _background(background: Numbers, height: int, width: int, like: Tensor) -> Tensor:
     """The background as (1, C), or (H W, C) where it is an image."""
-    given, channels = real_numbers("background", background, like).to(like.dtype), like.shape[-1]
+    given = real_numbers("background", background, like).to(like.dtype)
+    channels = like.shape[-1]
     try:
         if given.ndim < 2:
             return given.expand(1, channels)
         return given.expand(height, width, channels).reshape(-1, channels)
     except RuntimeError:
         raise HabitusError(
-            f"background is {tuple(given.shape)}; expected one number, ({channels},) or ({height}, {width}, {channels})"
+            f"background is {tuple(given.shape)}; expected one number, ({channels},) or "
+            f"({height}, {width}, {channels})"
         ) from None

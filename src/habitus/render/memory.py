@@ -1,4 +1,6 @@
-"""Memory for images: kept between calls instead of given back to the system and faulted in again page by page."""
+"""Memory for images: kept between calls instead of given back to the system and faulted in again
+page by page.
+"""
 
 from functools import lru_cache
 
@@ -10,9 +12,11 @@ LARGEST = 31 << 20
 
 @lru_cache(maxsize=1)
 def keep_memory() -> None:
-    """Let glibc keep freed blocks up to `LARGEST`, and twice that in all, for the rest of the process.
+    """Let glibc keep freed blocks up to `LARGEST`, and twice that in all, for the rest of the
+    process.
 
-    It keeps blocks no larger than the largest that was freed before (`man mallopt`, M_MMAP_THRESHOLD), so one is freed;
-    it is never touched and takes no memory. Other libraries of C are not changed.
+    It keeps blocks no larger than the largest that was freed before (`man mallopt`,
+    M_MMAP_THRESHOLD), so one is freed; it is never touched and takes no memory. Other libraries of
+    C are not changed.
     """
     torch.empty(LARGEST, dtype=torch.uint8)

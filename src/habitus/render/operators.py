@@ -1,6 +1,8 @@
-"""The renderer's differentiable operators as torch functions: kernels on the CPU, `reference/` on any other device.
+"""The renderer's differentiable operators as torch functions: kernels on the CPU, `reference/` on
+any other device.
 
-Each has a VJP (reverse mode, compiled) and a JVP (`torch.func.jvp` and `jacfwd`, in torch operations).
+Each has a VJP (reverse mode, compiled) and a JVP (`torch.func.jvp` and `jacfwd`, in torch
+operations).
 """
 
 from functools import partial
@@ -38,10 +40,19 @@ from habitus.render.visibility import Visibility
 
 
 def rasterize_detached(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool, exact: bool
+    screen: Float[Tensor, "V 3"],
+    triangles: Triangles,
+    width: int,
+    height: int,
+    cull: bool,
+    edges: bool,
+    exact: bool,
 ) -> Visibility:
     """`rasterize.rasterize` out of automatic differentiation's reach."""
-    return outside(lambda value_array: rasterize(value_array, triangles, width, height, cull, edges, exact), screen)
+    return outside(
+        lambda value_array: rasterize(value_array, triangles, width, height, cull, edges, exact),
+        screen,
+    )
 
 
 def image(
@@ -53,7 +64,8 @@ def image(
     visibility: Visibility,
     are_depths: bool = False,
 ) -> Float[Tensor, "P C"]:
-    """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in one go.
+    """`compose` of `interpolate` of `barycentrics`: pixels (row by row) from values of vertices, in
+    one go.
 
     are_depths: the values are the screen's depths, which the rasteriser has at pixels already.
     """
@@ -72,7 +84,8 @@ def barycentrics(
     points: Float[Tensor, "N 2"],
     exact: bool = False,
 ) -> Float[Tensor, "N 3"]:
-    """Perspective-correct barycentric coordinates of fixed points (pixels) on faces that move with the screen.
+    """Perspective-correct barycentric coordinates of fixed points (pixels) on faces that move with
+    the screen.
 
     exact: slivers count in full.
     """
@@ -95,12 +108,19 @@ def interpolate(
 
 
 def compose(
-    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], visibility: Visibility
+    values: Float[Tensor, "N C"],
+    background: Float[Tensor, "K C"],
+    weights: Float[Tensor, " S"],
+    visibility: Visibility,
 ) -> Float[Tensor, "P C"]:
-    """Pixels (row by row) from values at samples, the background (one row, or one a pixel) and fragment weights."""
+    """Pixels (row by row) from values at samples, the background (one row, or one a pixel) and
+    fragment weights.
+    """
     if values.device.type != "cpu":
         return reference.compose(values, background, weights, visibility)
-    part_pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
+    part_pixel = (
+        visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
+    )
     return _Compose.apply(
         values,
         background,
@@ -124,12 +144,15 @@ class _Image(Operator):
         visibility: Visibility,
         are_depths: bool,
     ) -> Tensor:
-        ids, starts = as_array(visibility.ids), fragment_starts(visibility)
+        ids = as_array(visibility.ids)
+        starts = fragment_starts(visibility)
         fragments = fragment_arrays(visibility, weights)
         arrays = (as_array(array) for array in (screen, faces, values, background))
         screen_array, face_array, value_array, background_array = arrays
         image = np.empty((ids.size, value_array.shape[1]), value_array.dtype)
-        inverse = as_array(visibility.inverse) if are_depths and visibility.inverse is not None else None
+        inverse = (
+            as_array(visibility.inverse) if are_depths and visibility.inverse is not None else None
+        )
 
         def work(_: int, begin: int, end: int) -> None:
             if inverse is None:
@@ -139,7 +162,14 @@ class _Image(Operator):
             else:
                 surface_kernels.draw_depths(inverse, ids, background_array, begin, end, image)
             surface_kernels.draw_jumps(
-                screen_array, face_array, value_array, background_array, fragments, starts[begin], starts[end], image
+                screen_array,
+                face_array,
+                value_array,
+                background_array,
+                fragments,
+                starts[begin],
+                starts[end],
+                image,
             )
 
         run_chunks(work, len(ids), least=rows_of_chunk(ids), pieces=4)
@@ -159,16 +189,30 @@ class _Image(Operator):
         return (*found, None, None, None)
 
     @staticmethod
-    def jvp(ctx: Any, screen_tangent: Tensor | None, values_tangent: Tensor | None, *steps: Any) -> Tensor:
+    def jvp(
+        ctx: Any, screen_tangent: Tensor | None, values_tangent: Tensor | None, *steps: Any
+    ) -> Tensor:
         screen, values, background, weights, faces = ctx.saved_tensors
-        visibility, corners, moved = ctx.visibility, faces[ctx.visibility.faces], None
+        visibility = ctx.visibility
+        corners = faces[ctx.visibility.faces]
+        moved = None
         coordinates = reference.barycentrics(screen, corners, visibility.points)
         if screen_tangent is not None:
-            moved = barycentrics_jvp(screen[corners], coordinates, screen_tangent[corners], visibility.exact)
+            moved = barycentrics_jvp(
+                screen[corners], coordinates, screen_tangent[corners], visibility.exact
+            )
         found = reference.interpolate(values, corners, coordinates)
         found_tangent = interpolate_jvp(values, corners, coordinates, values_tangent, moved)
-        pixel = visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
-        lists = (visibility.ids.numel(), visibility.pixels, pixel, visibility.inner, visibility.outer)
+        pixel = (
+            visibility.pixels[:0] if visibility.fragments is None else visibility.fragments.pixel
+        )
+        lists = (
+            visibility.ids.numel(),
+            visibility.pixels,
+            pixel,
+            visibility.inner,
+            visibility.outer,
+        )
         return compose_jvp((found, background, weights), (found_tangent, *steps[:2]), *lists)
 
     @staticmethod
@@ -178,7 +222,9 @@ class _Image(Operator):
 
 class _Barycentrics(Operator):
     @staticmethod
-    def forward(screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor, exact: bool) -> Tensor:
+    def forward(
+        screen: Tensor, faces: Tensor, sample_faces: Tensor, points: Tensor, exact: bool
+    ) -> Tensor:
         out = torch.empty(len(sample_faces), 3, dtype=screen.dtype)
         arrays = [as_array(tensor) for tensor in (screen, faces, sample_faces, points)]
 
@@ -246,18 +292,29 @@ class _Interpolate(Operator):
 
 class _Compose(Operator):
     @staticmethod
-    def forward(values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor) -> Tensor:
+    def forward(
+        values: Tensor, background: Tensor, weights: Tensor, count: int, *lists: Tensor
+    ) -> Tensor:
         pixels, pixel, inner, outer = (as_array(array) for array in lists)
-        value_array, background_array, weight = as_array(values), as_array(background), as_array(weights)
+        value_array = as_array(values)
+        background_array = as_array(background)
+        weight = as_array(weights)
         image = np.empty((count, values.shape[1]), value_array.dtype)
-        run_chunks(lambda _, begin, end: image_kernels.lay_background(background_array, begin, end, image), len(image))
-        run_chunks(lambda _, begin, end: image_kernels.fill_pixels(pixels, value_array, begin, end, image), len(pixels))
+        run_chunks(
+            lambda _, begin, end: image_kernels.lay_background(background_array, begin, end, image),
+            len(image),
+        )
+        run_chunks(
+            lambda _, begin, end: image_kernels.fill_pixels(pixels, value_array, begin, end, image),
+            len(pixels),
+        )
         image_kernels.add_jumps(pixel, weight, inner, outer, value_array, background_array, image)
         return torch.from_numpy(image)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        ctx.count, tensors = inputs[3], inputs[:3] + inputs[4:]
+        ctx.count = inputs[3]
+        tensors = inputs[:3] + inputs[4:]
         ctx.save_for_backward(*tensors)
         ctx.save_for_forward(*tensors)
 

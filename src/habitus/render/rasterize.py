@@ -1,4 +1,6 @@
-"""Rasterise triangles on a screen by compiled kernels: the face at each pixel, and the edges at which images jump."""
+"""Rasterise triangles on a screen by compiled kernels: the face at each pixel, and the edges at
+which images jump.
+"""
 
 import math
 
@@ -33,7 +35,9 @@ from habitus.render.visibility import Visibility
 LEAST_TILE = 2
 """Pixels along the side of the smallest tiles whose faces are listed."""
 CHUNK, FACE, FRAGMENTS = 120_000, 8, 1000
-"""What is worth a chunk of its own: so many pixels, of which a face counts for eight, or so many edge fragments."""
+"""What is worth a chunk of its own: so many pixels, of which a face counts for eight, or so many
+edge fragments.
+"""
 
 
 def rasterize(
@@ -45,41 +49,60 @@ def rasterize(
     edges: bool,
     exact: bool = False,
 ) -> Visibility:
-    """The nearest face at each pixel and, if `edges`, the visible fragments of the edges at which an image may jump.
+    """The nearest face at each pixel and, if `edges`, the visible fragments of the edges at which
+    an image may jump.
 
     exact: with the areas of all faces that show in a pixel, as far as there are several.
 
-    screen: u, v in pixels and depth of each vertex. Faces with a corner that is not finite or not in front of the
-    camera are not drawn, nor with `cull` those that show their back. Tensors on another device are looked at there.
+    screen: u, v in pixels and depth of each vertex. Faces with a corner that is not finite or not
+    in front of the camera are not drawn, nor with `cull` those that show their back. Tensors on
+    another device are looked at there.
     """
     if screen.device.type != "cpu" and exact:
-        return rasterize(screen.cpu(), triangles.to("cpu"), width, height, cull, edges, exact).to(screen.device)
+        return rasterize(screen.cpu(), triangles.to("cpu"), width, height, cull, edges, exact).to(
+            screen.device
+        )
     if screen.device.type != "cpu":
         return rasterize_reference(screen, triangles, width, height, cull, edges)
     keep_memory()
     array = screen.to(torch.float64).contiguous().numpy()
     on_screen, bounds = place_faces(array, triangles, width, height, cull)
     ids, inverse = draw(on_screen, bounds, width, height)
-    fragments = find_fragments(on_screen, bounds, triangles, ids, inverse if exact else None) if edges else None
+    fragments = (
+        find_fragments(on_screen, bounds, triangles, ids, inverse if exact else None)
+        if edges
+        else None
+    )
     return Visibility(torch.from_numpy(ids), fragments, torch.from_numpy(inverse), exact)
 
 
 def rasterize_reference(
-    screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool, edges: bool
+    screen: Float[Tensor, "V 3"],
+    triangles: Triangles,
+    width: int,
+    height: int,
+    cull: bool,
+    edges: bool,
 ) -> Visibility:
     """Reference of `rasterize` in plain torch, on any device."""
     ids = reference.visible(screen, triangles, width, height, cull)
-    return Visibility(ids, reference.edge_fragments(screen, triangles, ids, cull) if edges else None)
+    return Visibility(
+        ids, reference.edge_fragments(screen, triangles, ids, cull) if edges else None
+    )
 
 
 def intersections(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool
 ) -> Bool[Tensor, "H W"]:
-    """The pixels in which surfaces that show pass through each other, along a line that is no edge of a mesh."""
+    """The pixels in which surfaces that show pass through each other, along a line that is no edge
+    of a mesh.
+    """
     array = screen.cpu().to(torch.float64).contiguous().numpy()
     on_screen, bounds = place_faces(array, triangles.to("cpu"), width, height, cull)
     tiles = list_all_faces(on_screen.facing, bounds, width, height)
-    _, crossing = find_areas(on_screen, tiles, *draw(on_screen, bounds, width, height), np.zeros(0, np.int64))
+    _, crossing = find_areas(
+        on_screen, tiles, *draw(on_screen, bounds, width, height), np.zeros(0, np.int64)
+    )
     return torch.from_numpy(crossing).to(screen.device)
 
 
@@ -87,7 +110,8 @@ def place_faces(
     screen: Float[np.ndarray, "V 3"], triangles: Triangles, width: int, height: int, cull: bool
 ) -> tuple[ScreenFaces, Float[np.ndarray, "F 5"]]:
     """Faces on the screen, and the bounds of each (`raster.place_faces`)."""
-    faces, inverse = triangles.edges.faces, np.empty(len(screen))
+    faces = triangles.edges.faces
+    inverse = np.empty(len(screen))
     raster_kernels.invert_depths(screen, inverse)
     on_screen = ScreenFaces(screen, inverse, faces, np.empty(len(faces), np.int8))
     bounds = np.empty((len(faces), 5), np.float32)
@@ -116,20 +140,27 @@ def list_faces(
 
     def choose(chunk: int, begin: int, end: int) -> None:
         some = np.empty((end - begin, 4), np.int32)
-        count, entries = tile_kernels.choose_faces(facing, bounds, wanted, sums, shape, begin, end, some)
+        count, entries = tile_kernels.choose_faces(
+            facing, bounds, wanted, sums, shape, begin, end, some
+        )
         found[chunk] = some[:count], entries
 
     run_chunks(choose, len(facing), least=16384)
-    chosen, entries = np.concatenate([found[k][0] for k in sorted(found)]), sum(each for _, each in found.values())
+    chosen = np.concatenate([found[k][0] for k in sorted(found)])
+    entries = sum(each for _, each in found.values())
     room = np.empty((5, entries + PIXELS), np.float32)
     tiles = Tiles(np.empty(len(wanted) + 1, np.int64), np.empty(entries, np.int32), room, *shape)
     tile_kernels.list_faces(bounds, chosen, wanted, *np.empty((2, entries), np.int32), tiles)
     return tiles
 
 
-def list_all_faces(facing: Int[np.ndarray, " F"], bounds: Float[np.ndarray, "F 5"], width: int, height: int) -> Tiles:
+def list_all_faces(
+    facing: Int[np.ndarray, " F"], bounds: Float[np.ndarray, "F 5"], width: int, height: int
+) -> Tiles:
     """Sort all faces that are drawn into all tiles that they may touch."""
-    return list_faces(facing, bounds, (width, height, TILE), np.ones(count_tiles(width, height, TILE), bool))
+    return list_faces(
+        facing, bounds, (width, height, TILE), np.ones(count_tiles(width, height, TILE), bool)
+    )
 
 
 def count_tiles(width: int, height: int, side: int) -> int:
@@ -140,12 +171,18 @@ def count_tiles(width: int, height: int, side: int) -> int:
 def draw(
     on_screen: ScreenFaces, bounds: Float[np.ndarray, "F 5"], width: int, height: int
 ) -> tuple[Int[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
-    """The nearest face at each pixel centre, -1 where there is none, and 1 / depth there, 0 where there is none."""
-    ids, inverse = np.empty((height, width), np.int32), np.empty((height, width))
-    columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    """The nearest face at each pixel centre, -1 where there is none, and 1 / depth there, 0 where
+    there is none.
+    """
+    ids = np.empty((height, width), np.int32)
+    inverse = np.empty((height, width))
+    columns = (width + TILE - 1) // TILE
+    rows = (height + TILE - 1) // TILE
 
     def work(_: int, begin: int, end: int) -> None:
-        raster_kernels.draw_rows(on_screen, bounds, begin, end, ids, inverse, np.empty((end - begin, columns)))
+        raster_kernels.draw_rows(
+            on_screen, bounds, begin, end, ids, inverse, np.empty((end - begin, columns))
+        )
 
     share = CHUNK / (width * height + FACE * len(bounds))
     run_chunks(work, rows, least=math.ceil(rows * min(share, 1.0)), pieces=4)
@@ -185,7 +222,11 @@ def find_fragments(
 
 
 def _fragments_of_areas(
-    on_screen: ScreenFaces, tiles: Tiles, found: FoundFragments, ids: np.ndarray, inverse: np.ndarray
+    on_screen: ScreenFaces,
+    tiles: Tiles,
+    found: FoundFragments,
+    ids: np.ndarray,
+    inverse: np.ndarray,
 ) -> EdgeFragments:
     """Fragments of edges, which only move, and of areas, which only weigh (`areas.with_areas`)."""
     areas, _ = find_areas(on_screen, tiles, ids, inverse, found.pixel)
@@ -196,17 +237,23 @@ def _fragments_of_areas(
         area_kernels.look_beside(on_screen, tiles, found, begin, end, sides)
 
     run_chunks(work, len(found.pixel), least=64, pieces=2)
-    return EdgeFragments(*(torch.from_numpy(values) for values in with_areas(found, sides, areas, ids)))
+    return EdgeFragments(
+        *(torch.from_numpy(values) for values in with_areas(found, sides, areas, ids))
+    )
 
 
 def _room_for_sides(found: FoundFragments) -> FragmentSides:
-    face, point = found.face, found.middle
-    return FragmentSides(np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point))
+    face = found.face
+    point = found.middle
+    return FragmentSides(
+        np.empty_like(face), np.empty_like(face), np.empty_like(point), np.empty_like(point)
+    )
 
 
 def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -> ChosenEdges:
     """The edges that may show a border."""
-    found, kinds = {}, (np.int64, np.int64, np.int64, bool, np.int64, float, float)
+    found = {}
+    kinds = (np.int64, np.int64, np.int64, bool, np.int64, float, float)
 
     def work(chunk: int, begin: int, end: int) -> None:
         room = ChosenEdges(*(np.empty(end - begin, kind) for kind in kinds))
@@ -218,11 +265,16 @@ def _choose(on_screen: ScreenFaces, edges: EdgeLists, width: int, height: int) -
     return found[0] if chunks == 1 else ChosenEdges(*(np.concatenate(part) for part in parts))
 
 
-def _tiles_around(on_screen: ScreenFaces, bounds: np.ndarray, chosen: ChosenEdges, width: int, height: int) -> Tiles:
-    """The faces in the tiles around chosen edges. Tiles are about twice as large as faces that fill the image once."""
+def _tiles_around(
+    on_screen: ScreenFaces, bounds: np.ndarray, chosen: ChosenEdges, width: int, height: int
+) -> Tiles:
+    """The faces in the tiles around chosen edges. Tiles are about twice as large as faces that fill
+    the image once.
+    """
     extent = math.sqrt(width * height / max(len(on_screen.faces), 1))
     side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(3.0 * extent))))
-    shape, wanted = (width, height, side), np.zeros(count_tiles(width, height, side), bool)
+    shape = (width, height, side)
+    wanted = np.zeros(count_tiles(width, height, side), bool)
     tile_kernels.mark_tiles(on_screen.screen, chosen, *shape, wanted)
     return list_faces(on_screen.facing, bounds, shape, wanted)
 
@@ -230,7 +282,8 @@ def _tiles_around(on_screen: ScreenFaces, bounds: np.ndarray, chosen: ChosenEdge
 def _cut(on_screen: ScreenFaces, tiles: Tiles, chosen: ChosenEdges) -> FoundFragments:
     """The visible fragments of chosen edges, sorted by pixel."""
     offset = np.concatenate([[0], np.cumsum(chosen.most)])
-    total, longest = offset[-1], int(np.diff(tiles.starts).max(initial=0))
+    total = offset[-1]
+    longest = int(np.diff(tiles.starts).max(initial=0))
     found = FoundFragments(
         pixel=np.full(total, -1, np.int64),
         tail=np.empty(total, np.int64),
@@ -248,7 +301,12 @@ def _cut(on_screen: ScreenFaces, tiles: Tiles, chosen: ChosenEdges) -> FoundFrag
         near = NearFaces(np.empty(2, np.int64), *room)
         edge_kernels.cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found)
 
-    run_chunks(work, len(chosen.face), least=max(1, FRAGMENTS * len(chosen.face) // max(int(total), 1)), pieces=2)
+    run_chunks(
+        work,
+        len(chosen.face),
+        least=max(1, FRAGMENTS * len(chosen.face) // max(int(total), 1)),
+        pieces=2,
+    )
     kept = np.flatnonzero(found.pixel >= 0)
     kept = kept[np.argsort(found.pixel[kept], kind="stable")]
     return FoundFragments(*(values.take(kept, 0) for values in found))

@@ -1,4 +1,6 @@
-"""Compiled code under torch's automatic differentiation: functions of plain numbers, and operators with derivatives."""
+"""Compiled code under torch's automatic differentiation: functions of plain numbers, and operators
+with derivatives.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -15,23 +17,28 @@ Result = TypeVar("Result")
 class Operator(torch.autograd.Function):
     """A torch function whose `forward` is called straight away where nothing is derived.
 
-    To bind its arguments and to look for transforms takes torch longer than some kernels take for an image.
+    To bind its arguments and to look for transforms takes torch longer than some kernels take for
+    an image.
     """
 
     @classmethod
     def apply(cls, *given: Any) -> Any:
         """`forward` of what is given, with derivatives where they are wanted."""
-        if is_transformed() or any(_is_derived(value) for value in given if isinstance(value, Tensor)):
+        if is_transformed() or any(
+            _is_derived(value) for value in given if isinstance(value, Tensor)
+        ):
             return super().apply(*given)
         with torch.no_grad():
             return cls.forward(*given)
 
 
 def outside(function: Callable[..., Result], *tensors: Tensor) -> Result:
-    """`function` of the plain numbers of some tensors, out of the reach of autograd and of torch.func's transforms.
+    """`function` of the plain numbers of some tensors, out of the reach of autograd and of
+    torch.func's transforms.
 
-    For what is decided by numbers and does not vary with them, such as a topology: numpy and compiled code work inside.
-    HabitusError under torch.func.vmap over one of the tensors, where each entry would decide for itself.
+    For what is decided by numbers and does not vary with them, such as a topology: numpy and
+    compiled code work inside. HabitusError under torch.func.vmap over one of the tensors, where
+    each entry would decide for itself.
     """
     plain = [tensor.detach() for tensor in tensors]
     if not is_transformed():
@@ -48,12 +55,18 @@ def is_transformed() -> bool:
 
 
 def _is_derived(tensor: Tensor) -> bool:
-    """Whether a derivative of what is made of a tensor is wanted, in reverse or (dual numbers) forward mode."""
-    return (tensor.requires_grad and torch.is_grad_enabled()) or unpack_dual(tensor).tangent is not None
+    """Whether a derivative of what is made of a tensor is wanted, in reverse or (dual numbers)
+    forward mode.
+    """
+    return (tensor.requires_grad and torch.is_grad_enabled()) or unpack_dual(
+        tensor
+    ).tangent is not None
 
 
 class _Outside(torch.autograd.Function):
-    """A function of nothing that can be derived: torch calls its forward with plain tensors, below all transforms."""
+    """A function of nothing that can be derived: torch calls its forward with plain tensors, below
+    all transforms.
+    """
 
     @staticmethod
     def forward(call: Callable[..., None], *tensors: Tensor) -> Tensor:
@@ -66,4 +79,7 @@ class _Outside(torch.autograd.Function):
 
     @staticmethod
     def vmap(info, in_dims, call, *tensors):
-        raise HabitusError("Got vertices or faces under torch.func.vmap; expected plain ones: use leading batch axes")
+        raise HabitusError(
+            "Got vertices or faces under torch.func.vmap; expected plain ones: use leading batch "
+            "axes"
+        )

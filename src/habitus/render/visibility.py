@@ -1,4 +1,5 @@
-"""What is where on the screen: the nearest face at each pixel, the edges that jump, and where images take their values.
+"""What is where on the screen: the nearest face at each pixel, the edges that jump, and where
+images take their values.
 
 Nothing here is differentiable: these are the choices that the differentiable operators build on.
 """
@@ -19,13 +20,14 @@ from habitus.render.transforms import outside
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What is where on the screen: the nearest face at each pixel, -1 for none, and where images jump, if asked for.
+    """What is where on the screen: the nearest face at each pixel, -1 for none, and where images
+    jump, if asked for.
 
-    Samples, where images take their values, are listed when first wanted: the centres of `pixels`, those that show a
-    face, then points beside fragments; `inner` and `outer` are the rows of the samples on the two sides of each
-    fragment, -1 where the background shows. inverse: 1 / depth at the centres of pixels that show a face, where it is
-    at hand. exact: whether fragments hold the areas of all faces in a pixel; then slivers count in full, as each counts
-    for its area.
+    Samples, where images take their values, are listed when first wanted: the centres of `pixels`,
+    those that show a face, then points beside fragments; `inner` and `outer` are the rows of the
+    samples on the two sides of each fragment, -1 where the background shows. inverse: 1 / depth at
+    the centres of pixels that show a face, where it is at hand. exact: whether fragments hold the
+    areas of all faces in a pixel; then slivers count in full, as each counts for its area.
     """
 
     ids: Int[Tensor, "H W"]
@@ -35,10 +37,16 @@ class Visibility:
 
     def to(self, device: torch.device) -> "Visibility":
         """The same on another device."""
-        fragments, inverse = self.fragments, self.inverse
+        fragments = self.fragments
+        inverse = self.inverse
         if fragments is not None:
             fragments = EdgeFragments(*(field.to(device) for field in vars(fragments).values()))
-        return Visibility(self.ids.to(device), fragments, None if inverse is None else inverse.to(device), self.exact)
+        return Visibility(
+            self.ids.to(device),
+            fragments,
+            None if inverse is None else inverse.to(device),
+            self.exact,
+        )
 
     @cached_property
     def _listed(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -74,7 +82,9 @@ class Visibility:
         return self if self.fragments is None else Visibility(self.ids, None, self.inverse)
 
 
-def _list_samples(ids: Tensor, fragments: EdgeFragments | None) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def _list_samples(
+    ids: Tensor, fragments: EdgeFragments | None
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """The samples of pixels, and behind them those beside fragments; see `Visibility`."""
     if ids.device.type == "cpu":
         pixels, faces, points = (torch.from_numpy(found) for found in list_pixels(ids.numpy()))
@@ -92,9 +102,14 @@ def _list_samples(ids: Tensor, fragments: EdgeFragments | None) -> tuple[Tensor,
 def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The pixels that show a face, row by row: numbers, faces, centres."""
     counts = np.empty(len(ids), np.int64)
-    run_chunks(lambda _, begin, end: image_kernels.count_pixels(ids, begin, end, counts), len(ids), least=64)
+    run_chunks(
+        lambda _, begin, end: image_kernels.count_pixels(ids, begin, end, counts),
+        len(ids),
+        least=64,
+    )
     offset = np.concatenate([[0], np.cumsum(counts)])
-    pixels, faces = np.empty(offset[-1], np.int64), np.empty(offset[-1], np.int64)
+    pixels = np.empty(offset[-1], np.int64)
+    faces = np.empty(offset[-1], np.int64)
     points = np.empty((offset[-1], 2))
 
     def work(_: int, begin: int, end: int) -> None:
@@ -104,8 +119,12 @@ def list_pixels(ids: Int[np.ndarray, "H W"]) -> tuple[np.ndarray, np.ndarray, np
     return pixels, faces, points
 
 
-def list_pixels_reference(ids: Int[Tensor, "H W"]) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"], Float[Tensor, "P 2"]]:
-    """Reference of `list_pixels`, on any device: numbers, faces and centres of pixels that show a face, row by row."""
+def list_pixels_reference(
+    ids: Int[Tensor, "H W"],
+) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"], Float[Tensor, "P 2"]]:
+    """Reference of `list_pixels`, on any device: numbers, faces and centres of pixels that show a
+    face, row by row.
+    """
     shown = (ids.flatten() >= 0).nonzero()[:, 0]
     return shown, ids.flatten()[shown].long(), pixel_centres(shown, ids.shape[1])
 

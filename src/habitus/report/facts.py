@@ -10,7 +10,9 @@ LONGEST_NAME = 120
 
 
 class Facts(NamedTuple):
-    """Verdict and its reasons, error of the last stage (mm), what was captured, and the person; None: not said."""
+    """Verdict and its reasons, error of the last stage (mm), what was captured, and the person;
+    None: not said.
+    """
 
     level: str | None
     reasons: tuple[str, ...]
@@ -27,9 +29,12 @@ class Facts(NamedTuple):
 
 def facts_of(numbers: Mapping[str, Any]) -> Facts:
     """The facts of one capture; what is not as it should be is not said."""
-    errors, body, verdict = (_table(numbers, key) for key in ("marker_error_mm", "body_measurements", "verdict"))
+    errors, body, verdict = (
+        _table(numbers, key) for key in ("marker_error_mm", "body_measurements", "verdict")
+    )
     final = _table(errors, "soft_tissue") or _table(errors, "pose")
-    suspects, reasons = numbers.get("suspect_markers"), verdict.get("reasons")
+    suspects = numbers.get("suspect_markers")
+    reasons = verdict.get("reasons")
     listed = suspects if isinstance(suspects, list) else []
     return Facts(
         verdict["level"] if verdict.get("level") in LEVELS else None,

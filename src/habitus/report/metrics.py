@@ -22,10 +22,11 @@ STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
 
 def metrics(fit: "MarkerFit") -> dict[str, Any]:
-    """Errors (mm), timings (s), suspects, measurements and warnings of a fit, NaN where there is no number.
+    """Errors (mm), timings (s), suspects, measurements and warnings of a fit, NaN where there is no
+    number.
 
-    Errors are distances between observed and predicted markers over the visible samples. ``stage_seconds`` leaves out
-    imports and kernel compilation, which are its ``startup``.
+    Errors are distances between observed and predicted markers over the visible samples.
+    ``stage_seconds`` leaves out imports and kernel compilation, which are its ``startup``.
     """
     frames = len(fit.pose)
     seconds = stage_seconds(fit)
@@ -38,12 +39,16 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
         "rate_hz": float(fit.rate_hz),
         "markers": len(fit.labels),
         "missing_fraction": float(1.0 - np.mean(fit.visible)) if fit.visible.size else 0.0,
-        "marker_error_mm": {stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")},
+        "marker_error_mm": {
+            stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")
+        },
         "held_out_error_mm": _held_out(fit.held_out),
         "held_out_at_told_places_mm": _held_out(fit.held_out_told),
         "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
-        "frames_per_second": {name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")},
+        "frames_per_second": {
+            name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")
+        },
         "body_measurements": body_measurements(fit),
         "gender": _gender(fit),
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
@@ -58,7 +63,9 @@ def stage_seconds(fit: "MarkerFit") -> dict[str, float | None]:
     return seconds | {"startup": float(fit.startup_seconds)}
 
 
-def write_metrics(fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None) -> None:
+def write_metrics(
+    fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None
+) -> None:
     """Write ``metrics(fit)``, or ``numbers`` where the caller has it already, as JSON, atomically.
 
     Numbers that do not exist become null.
@@ -81,8 +88,11 @@ def finite(value: Any) -> Any:
     return int(value) if isinstance(value, np.integer) else value
 
 
-def error_summary(errors: Float[np.ndarray, "T M"] | None, labels: tuple[str, ...]) -> dict[str, Any] | None:
-    """Mean, median, 95th percentile, maximum, and mean of each marker, in mm, of errors (m; NaN: not visible).
+def error_summary(
+    errors: Float[np.ndarray, "T M"] | None, labels: tuple[str, ...]
+) -> dict[str, Any] | None:
+    """Mean, median, 95th percentile, maximum, and mean of each marker, in mm, of errors (m; NaN:
+    not visible).
 
     All are exact, of long captures too: the visible errors are held in memory once, 8 bytes each.
     """
@@ -92,10 +102,17 @@ def error_summary(errors: Float[np.ndarray, "T M"] | None, labels: tuple[str, ..
     values = [math.nan] * 4
     if seen.size:
         values = [np.mean(seen), math.nan, math.nan, np.max(seen)]
-        values[1:3] = np.median(seen, overwrite_input=True), np.percentile(seen, 95, overwrite_input=True)
-    summary: dict[str, Any] = {k: float(v) for k, v in zip(("mean", "median", "p95", "max"), values, strict=True)}
+        values[1:3] = (
+            np.median(seen, overwrite_input=True),
+            np.percentile(seen, 95, overwrite_input=True),
+        )
+    summary: dict[str, Any] = {
+        k: float(v) for k, v in zip(("mean", "median", "p95", "max"), values, strict=True)
+    }
     means = 1e3 * marker_means(errors)
-    return summary | {"per_marker": {label: float(mean) for label, mean in zip(labels, means, strict=True)}}
+    return summary | {
+        "per_marker": {label: float(mean) for label, mean in zip(labels, means, strict=True)}
+    }
 
 
 def _visible_mm(errors: np.ndarray) -> np.ndarray:
@@ -127,7 +144,9 @@ def body_measurements(fit: "MarkerFit") -> dict[str, float]:
 
 
 def _suspect(suspect: "Suspect") -> dict[str, Any]:
-    """Label, reason, number of frames, and whether the marker was put right: its errors are then a good one's."""
+    """Label, reason, number of frames, and whether the marker was put right: its errors are then a
+    good one's.
+    """
     return {
         "label": suspect.label,
         "reason": suspect.reason,
@@ -137,7 +156,9 @@ def _suspect(suspect: "Suspect") -> dict[str, Any]:
 
 
 def _guessed(fit: "MarkerFit") -> list[dict[str, Any]]:
-    """Joints whose segments no marker tells in half of the capture or more, and how well they are known."""
+    """Joints whose segments no marker tells in half of the capture or more, and how well they are
+    known.
+    """
     typical = 1e3 * np.median(fit.guessed.spread, axis=0)
     joints = np.flatnonzero(fit.guessed.joints())
     return [{"joint": fit.body.joint_names[k], "spread_mm": float(typical[k])} for k in joints]
@@ -146,21 +167,31 @@ def _guessed(fit: "MarkerFit") -> list[dict[str, Any]]:
 def _held_out(held: "HeldOut | None") -> dict[str, Any] | None:
     if held is None:
         return None
-    return {stage: error_summary(getattr(held, stage), held.labels) for stage in ("pose", "soft_tissue")}
+    return {
+        stage: error_summary(getattr(held, stage), held.labels) for stage in ("pose", "soft_tissue")
+    }
 
 
 def fit_female_probability(fit: "MarkerFit") -> float | None:
-    """P(female) of the neutral shape, as sure as the markers know it; None for a body without a classifier of sex."""
+    """P(female) of the neutral shape, as sure as the markers know it; None for a body without a
+    classifier of sex.
+    """
     if fit.female_probability is not None or fit.body.female_direction is None:
         return fit.female_probability
     return female_probability(fit.body, fit.betas, betas_covariance(fit))
 
 
 def _gender(fit: "MarkerFit") -> dict[str, Any] | None:
-    """P(female) of the neutral shape, what that says ("female", "male", "cannot tell"), and the model fitted."""
+    """P(female) of the neutral shape, what that says ("female", "male", "cannot tell"), and the
+    model fitted.
+    """
     probability = fit_female_probability(fit)
     if probability is None:
-        return None if fit.gender == "neutral" else {"female_probability": None, "says": None, "model": fit.gender}
+        return (
+            None
+            if fit.gender == "neutral"
+            else {"female_probability": None, "says": None, "model": fit.gender}
+        )
     return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
 
 

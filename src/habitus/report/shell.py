@@ -1,4 +1,6 @@
-"""What all pages share: one HTML file that opens offline, its head and foot, its styles and scripts; and the player."""
+"""What all pages share: one HTML file that opens offline, its head and foot, its styles and
+scripts; and the player.
+"""
 
 import json
 import re
@@ -47,28 +49,41 @@ def shell(
     foot: str = ALONE,
     without_script: str = "",
 ) -> str:
-    """The page as text. ``content`` is HTML; ``data``, as JSON, and arrays in base64 by id, are the scripts'.
+    """The page as text. ``content`` is HTML; ``data``, as JSON, and arrays in base64 by id, are the
+    scripts'.
 
-    ``foot`` is the last sentence; ``without_script`` says what a reader lacks whose browser runs none.
+    ``foot`` is the last sentence; ``without_script`` says what a reader lacks whose browser runs
+    none.
     """
-    elements = [f'<script type="text/plain" id="{name}">{packed}</script>' for name, packed in arrays.items()]
+    elements = [
+        f'<script type="text/plain" id="{name}">{packed}</script>'
+        for name, packed in arrays.items()
+    ]
     if data is not None:
-        elements.insert(0, f'<script type="application/json" id="report-data">{json_for_script(data)}</script>')
+        elements.insert(
+            0, f'<script type="application/json" id="report-data">{json_for_script(data)}</script>'
+        )
     return Template(asset("shell.html")).substitute(
         title=escape(title),
         version=__version__,
         css=_styles(tuple(styles)),
         content=content,
         footer=escape(f"Written by habitus {__version__}. {foot}"),
-        lacking=f'<noscript><p class="card">{escape(without_script)}</p></noscript>' if without_script else "",
+        lacking=f'<noscript><p class="card">{escape(without_script)}</p></noscript>'
+        if without_script
+        else "",
         data="\n".join(elements),
         script=_script(tuple(scripts)),
     )
 
 
 def player(told: str, layers: str, last: int, keys: str = "", hint: str = "") -> str:
-    """The 3D player's HTML: what it shows, in a sentence; its buttons for layers, ``last`` of them with keys."""
-    return Template(asset("player.html")).substitute(told=escape(told), layers=layers, last=last, keys=keys, hint=hint)
+    """The 3D player's HTML: what it shows, in a sentence; its buttons for layers, ``last`` of them
+    with keys.
+    """
+    return Template(asset("player.html")).substitute(
+        told=escape(told), layers=layers, last=last, keys=keys, hint=hint
+    )
 
 
 def json_for_script(value: Any) -> str:

@@ -1,10 +1,12 @@
-"""Normal equations of a frame's own terms, for LANES frames at once: markers, and a Gaussian over all unknowns.
+"""Normal equations of a frame's own terms, for LANES frames at once: markers, and a Gaussian over
+all unknowns.
 
 Implements the terms "data", "pose" and "soft_tissue" of `habitus.fit.mosh.sequence_terms`.
 
     f = 1/2 l_D sum_i w_i rho_i(|x_i - m_i|^2) + 1/2 (z - mean)^T precision (z - mean)
 
-Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2 / (s^2 + d^2))^2.
+Geman-McClure's rho = s^2 d^2 / (s^2 + d^2) enters the matrix by its re-weighted square, rho' = (s^2
+/ (s^2 + d^2))^2.
 """
 
 from habitus.kernels.jit import jit_inline
@@ -36,9 +38,13 @@ def own_cost(rig, offsets, workspace, data, state):
     place_markers(rig, offsets, workspace, state)
     total = spread(0.0)
     for i in range(len(rig.triangles)):
-        residual = sub3(load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i))
+        residual = sub3(
+            load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i)
+        )
         squared = dot3(residual, residual)
-        total = total + load(workspace, offsets.weight + i) * squared / (1.0 + squared * data.inverse_squared_scales[i])
+        total = total + load(workspace, offsets.weight + i) * squared / (
+            1.0 + squared * data.inverse_squared_scales[i]
+        )
     return 0.5 * data.weight * total + prior_cost(data, workspace, state)
 
 
@@ -47,7 +53,9 @@ def prior_cost(data, workspace, state):
     """1/2 (z - mean)^T precision (z - mean)."""
     total = spread(0.0)
     for r in range(6, len(data.mean), 3):
-        total = total + dot3(apart3(data, workspace, state, r), prior_gradient3(data, workspace, state, r))
+        total = total + dot3(
+            apart3(data, workspace, state, r), prior_gradient3(data, workspace, state, r)
+        )
     return 0.5 * total
 
 
@@ -61,7 +69,8 @@ def apart3(data, workspace, state, r):
 @jit_inline
 def prior_gradient3(data, workspace, state, r):
     """Entries r, r + 1, r + 2 of precision (z - mean); trans and root have none."""
-    total, precision = spread3(0.0, 0.0, 0.0), data.precision
+    total = spread3(0.0, 0.0, 0.0)
+    precision = data.precision
     for c in range(6, len(data.mean)):
         off = load(workspace, state + c) - data.mean[c]
         total = add3(total, along3(off, precision[r, c], precision[r + 1, c], precision[r + 2, c]))
@@ -70,7 +79,9 @@ def prior_gradient3(data, workspace, state, r):
 
 @jit_inline
 def linearize(rig, slots, offsets, workspace, data):
-    """f of the states in rows offsets.state, with gradient and matrix (blocks of its lower triangle) in their rows."""
+    """f of the states in rows offsets.state, with gradient and matrix (blocks of its lower
+    triangle) in their rows.
+    """
     place_markers(rig, offsets, workspace, offsets.state)
     write_shape_jacobian(rig, offsets, workspace)
     clear(workspace, offsets.gradient, offsets.gradient + 3 * offsets.blocks)
@@ -89,8 +100,12 @@ def linearize(rig, slots, offsets, workspace, data):
 
 @jit_inline
 def add_marker(rig, slots, offsets, workspace, data, i):
-    """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its cost."""
-    residual = sub3(load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i))
+    """Add marker i to the gradient and to the matrix' first column; keep its weighted columns; its
+    cost.
+    """
+    residual = sub3(
+        load3(workspace, offsets.marker + 3 * i), load3(workspace, offsets.observed + 3 * i)
+    )
     squared = dot3(residual, residual)
     share = 1.0 / (1.0 + squared * data.inverse_squared_scales[i])
     given = data.weight * load(workspace, offsets.weight + i)
@@ -103,7 +118,8 @@ def add_marker(rig, slots, offsets, workspace, data, i):
         row = offsets.matrix + 4 * k
         store(workspace, row, load(workspace, row) + weight)
     for s in range(slots.start[i], slots.start[i + 1]):
-        block, m = slots.block[s], load9(workspace, offsets.columns + 9 * s)
+        block = slots.block[s]
+        m = load9(workspace, offsets.columns + 9 * s)
         add_row3(workspace, offsets.gradient + 3 * block, turn_back3(m, pull))
         row = offsets.matrix + block_row(block, 0)
         add_row3(workspace, row, scale3(half, (m[0], m[3], m[6])))
@@ -118,7 +134,9 @@ def add_pairs(slots, offsets, workspace, data):
     pair = 0
     for r in range(1, offsets.blocks):
         for c in range(1, r + 1):
-            x, y, z = spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0), spread3(0.0, 0.0, 0.0)
+            x = spread3(0.0, 0.0, 0.0)
+            y = spread3(0.0, 0.0, 0.0)
+            z = spread3(0.0, 0.0, 0.0)
             for k in range(slots.pair_start[pair], slots.pair_start[pair + 1]):
                 a = load9(workspace, offsets.columns + 9 * slots.pair_left[k])
                 b = load9(workspace, offsets.columns + 9 * slots.pair_right[k])
@@ -129,7 +147,11 @@ def add_pairs(slots, offsets, workspace, data):
             x = plus_numbers3(x, data.precision, 3 * r, 3 * c)
             y = plus_numbers3(y, data.precision, 3 * r + 1, 3 * c)
             z = plus_numbers3(z, data.precision, 3 * r + 2, 3 * c)
-            store9(workspace, offsets.matrix + block_row(r, c), (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]))
+            store9(
+                workspace,
+                offsets.matrix + block_row(r, c),
+                (x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]),
+            )
 
 
 @jit_inline

@@ -1,7 +1,7 @@
 """The terms of MoSh's shape stage (M 5, T 3.5): functions that make a `Term` each.
 
-Unknowns: betas (B,), latent_markers (M, 3), pose (F, J, 3) rad and trans (F, 3). Lengths are metres. MoSh states the
-weights per cm²; ``PER_CM2`` converts them, here and nowhere else.
+Unknowns: betas (B,), latent_markers (M, 3), pose (F, J, 3) rad and trans (F, 3). Lengths are
+metres. MoSh states the weights per cm²; ``PER_CM2`` converts them, here and nowhere else.
 """
 
 import numpy as np
@@ -23,7 +23,9 @@ def data(
     weights: Float[np.ndarray, "F M"],
     scale: float,
 ) -> Term:
-    """E_D (eq. 3): simulated against observed markers; ``weights`` are 0 where a marker is missing."""
+    """E_D (eq. 3): simulated against observed markers; ``weights`` are 0 where a marker is
+    missing.
+    """
     root = np.sqrt(weights)[..., None]
 
     def residual(betas, latent_markers, pose, trans):
@@ -39,7 +41,9 @@ def data(
             shape = (3 * frames * count, 3 * count)
             return {
                 "betas": (root[..., None] * found.by_betas).reshape(3 * frames * count, -1),
-                "latent_markers": bsr_array((by_latent, along_markers, np.arange(len(by_latent) + 1)), shape=shape),
+                "latent_markers": bsr_array(
+                    (by_latent, along_markers, np.arange(len(by_latent) + 1)), shape=shape
+                ),
                 **{name: diagonal(blocks) for name, blocks in own.items()},
             }
 
@@ -49,16 +53,23 @@ def data(
 
 
 def surface_distance(
-    body: BodyModel, distance: Float[np.ndarray, " M"], spread: Float[np.ndarray, " M"], scale: float
+    body: BodyModel,
+    distance: Float[np.ndarray, " M"],
+    spread: Float[np.ndarray, " M"],
+    scale: float,
 ) -> Term:
-    """E_S (eq. 4): latent markers keep the layout's distance from the skin, to within ``spread`` (paper: 1 mm)."""
+    """E_S (eq. 4): latent markers keep the layout's distance from the skin, to within ``spread``
+    (paper: 1 mm).
+    """
     root = 1e-3 / spread
 
     def residual(betas, latent_markers):
         near = signed_distance(latent_markers, body.rest_vertices(betas), body.faces)
 
         def jacobians():
-            on_skin = np.einsum("mk,mkdb->mdb", near.barycentric, body.shapedirs[body.faces[near.triangle]])
+            on_skin = np.einsum(
+                "mk,mkdb->mdb", near.barycentric, body.shapedirs[body.faces[near.triangle]]
+            )
             return {
                 "betas": -root[:, None] * np.einsum("md,mdb->mb", near.direction, on_skin),
                 "latent_markers": diagonal(root[:, None, None] * near.direction[:, None, :]),
@@ -76,7 +87,8 @@ def start_place(
     spread: Float[np.ndarray, " M"],
     scale: float,
 ) -> Term:
-    """E_I (eq. 5): latent markers stay near the layout's places v_i(betas), to within ``spread`` (paper: 2 cm).
+    """E_I (eq. 5): latent markers stay near the layout's places v_i(betas), to within ``spread``
+    (paper: 2 cm).
 
     The normals in v_i are held in the derivative.
     """
@@ -96,7 +108,9 @@ def shape_prior(num_betas: int, scale: float) -> Term:
     return Term(lambda betas: (betas, {"betas": np.eye(num_betas)}), scale)
 
 
-def pose_prior(mean: Float[np.ndarray, " n"], whitening: Float[np.ndarray, "n n"], frames: int, scale: float) -> Term:
+def pose_prior(
+    mean: Float[np.ndarray, " n"], whitening: Float[np.ndarray, "n n"], frames: int, scale: float
+) -> Term:
     """E_theta (eq. 7) with ``whitening`` W, WᵀW the prior's precision; the root is free."""
     block = np.concatenate([np.zeros((len(mean), 3)), whitening], axis=1)
     by_pose = diagonal(np.tile(block, (frames, 1, 1)))

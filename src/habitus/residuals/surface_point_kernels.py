@@ -1,6 +1,8 @@
-"""Vertices of a body and how they move, and rows of the Jacobian of points on its triangles, compiled (LBS).
+"""Vertices of a body and how they move, and rows of the Jacobian of points on its triangles,
+compiled (LBS).
 
-The formulas are those of `habitus.body.jacobians`; of each vertex only the joints are kept that move it.
+The formulas are those of `habitus.body.jacobians`; of each vertex only the joints are kept that
+move it.
 """
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
@@ -8,7 +10,8 @@ from habitus.kernels.jit import jit_inline, jit_noalloc
 
 @jit_noalloc
 def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
-    """Places (V, 3), derivatives by betas (V, 3, B) and by the vertex' own joints (S, 9) of the vertices ``used``.
+    """Places (V, 3), derivatives by betas (V, 3, B) and by the vertex' own joints (S, 9) of the
+    vertices ``used``.
 
     room: (4, 3) numbers to work with.
     """
@@ -26,14 +29,17 @@ def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
                 for b in range(betas):
                     by_betas[i, c, b] += share * rig.shapedirs[i, d, b]
             for k in range(rig.index.shape[1]):
-                share, shift = rig.value[i, k], state.shifts[rig.index[i, k]]
+                share = rig.value[i, k]
+                shift = state.shifts[rig.index[i, k]]
                 if share != 0.0:
                     for b in range(betas):
                         by_betas[i, c, b] += share * shift[c, b]
         for s in range(rig.start[i], rig.start[i + 1]):
             _by_joint(rig, state, i, rig.joint[s], room[0], by_pose[s])
             if rig.shape[s] >= 0:
-                _add_pose_shape(rig.value_shapes[rig.shape[s]], state.change[rig.joint[s]], turn, by_pose[s])
+                _add_pose_shape(
+                    rig.value_shapes[rig.shape[s]], state.change[rig.joint[s]], turn, by_pose[s]
+                )
 
 
 @jit_inline
@@ -61,7 +67,8 @@ def _blend(rig, state, i, rest, turn, place):
         for d in range(3):
             turn[c, d] = 0.0
     for k in range(rig.index.shape[1]):
-        share, motion = rig.value[i, k], state.motions[rig.index[i, k]]
+        share = rig.value[i, k]
+        motion = state.motions[rig.index[i, k]]
         for c in range(3):
             place[c] += share * motion[c, 3]
             for d in range(3):
@@ -76,17 +83,22 @@ def _by_joint(rig, state, i, j, rest, out):
     """-[lever]x turns of joint j: what hangs on it turns about it."""
     x = y = z = share = 0.0
     for k in range(rig.index.shape[1]):
-        w, joint = rig.value[i, k], rig.index[i, k]
+        w = rig.value[i, k]
+        joint = rig.index[i, k]
         if w != 0.0 and state.below[j, joint] != 0.0:
             m = state.motions[joint]
             share += w
             x += w * (m[0, 0] * rest[0] + m[0, 1] * rest[1] + m[0, 2] * rest[2] + m[0, 3])
             y += w * (m[1, 0] * rest[0] + m[1, 1] * rest[1] + m[1, 2] * rest[2] + m[1, 3])
             z += w * (m[2, 0] * rest[0] + m[2, 1] * rest[1] + m[2, 2] * rest[2] + m[2, 3])
-    x, y, z = x - share * state.joints[j, 0], y - share * state.joints[j, 1], z - share * state.joints[j, 2]
+    x = x - share * state.joints[j, 0]
+    y = y - share * state.joints[j, 1]
+    z = z - share * state.joints[j, 2]
     turns = state.turns[j]
     for e in range(3):
-        a, b, c = turns[0, e], turns[1, e], turns[2, e]
+        a = turns[0, e]
+        b = turns[1, e]
+        c = turns[2, e]
         out[e], out[3 + e], out[6 + e] = b * z - c * y, c * x - a * z, a * y - b * x
 
 
@@ -105,33 +117,45 @@ def _add_pose_shape(shapes, change, turn, out):
 
 @jit_noalloc
 def write_rows(rig, table, points, some, column, rows, residual):
-    """Rows of the Jacobian, and residuals, of the points ``some``, as many for each as it has directions.
+    """Rows of the Jacobian, and residuals, of the points ``some``, as many for each as it has
+    directions.
 
     column: (J,) where the three columns of each joint begin; those of betas and trans come first.
     """
-    betas, directions = table.by_betas.shape[2], points.direction.shape[1]
+    betas = table.by_betas.shape[2]
+    directions = points.direction.shape[1]
     rows[:] = 0.0
     for n in range(len(some)):
         p = some[n]
         face = rig.faces[points.face[p]]
         for d in range(directions):
-            x, y, z = points.direction[p, d, 0], points.direction[p, d, 1], points.direction[p, d, 2]
+            x = points.direction[p, d, 0]
+            y = points.direction[p, d, 1]
+            z = points.direction[p, d, 2]
             row = rows[n * directions + d]
             row[betas], row[betas + 1], row[betas + 2] = x, y, z
             off = -(x * points.target[p, 0] + y * points.target[p, 1] + z * points.target[p, 2])
             for k in range(3):
-                i, share = face[k], points.barycentric[p, k]
+                i = face[k]
+                share = points.barycentric[p, k]
                 if share == 0.0:
                     continue
-                a, b, c = share * x, share * y, share * z
-                off += a * table.vertices[i, 0] + b * table.vertices[i, 1] + c * table.vertices[i, 2]
+                a = share * x
+                b = share * y
+                c = share * z
+                off += (
+                    a * table.vertices[i, 0] + b * table.vertices[i, 1] + c * table.vertices[i, 2]
+                )
                 by = table.by_betas[i]
                 for e in range(betas):
                     row[e] += a * by[0, e] + b * by[1, e] + c * by[2, e]
                 for s in range(rig.start[i], rig.start[i + 1]):
-                    first, by_joint = column[rig.joint[s]], table.by_pose[s]
+                    first = column[rig.joint[s]]
+                    by_joint = table.by_pose[s]
                     for e in range(3):
-                        row[first + e] += a * by_joint[e] + b * by_joint[3 + e] + c * by_joint[6 + e]
+                        row[first + e] += (
+                            a * by_joint[e] + b * by_joint[3 + e] + c * by_joint[6 + e]
+                        )
             residual[n * directions + d] = off
 
 

@@ -1,4 +1,5 @@
-"""Terms for `habitus.minimize`: residuals of a body's betas, pose and trans, for arrays and tensors.
+"""Terms for `habitus.minimize`: residuals of a body's betas, pose and trans, for arrays and
+tensors.
 
 ```python
 terms = {"markers": hb.terms.Markers(body, observed, vertices), "pose": hb.terms.PosePrior(body)}
@@ -8,7 +9,7 @@ found = hb.minimize(terms, body.state(), weights={"markers": 7500.0})
 A term is any function whose parameters are named like the unknowns that it takes and that returns a residual; these
 are those that MoSh has names for. Their cost is 1/2 |residual|^2 times the weight given to `minimize`; lengths are
 metres, so that MoSh's weights of squared lengths (per cm^2) are to be multiplied by 1e4.
-"""
+"""  # noqa: E501
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -28,7 +29,8 @@ __all__ = ["Acceleration", "GemanMcClure", "Markers", "PosePrior", "ShapePrior",
 
 @dataclass(frozen=True)
 class Markers:
-    """E_D (M eq. 3): a body's markers against observed ones (*batch, M, 3) in metres; NaN is a missing marker.
+    """E_D (M eq. 3): a body's markers against observed ones (*batch, M, 3) in metres; NaN is a
+    missing marker.
 
     sites: where the markers sit, vertex numbers (M,) or a `MarkerAttachment`.
     """
@@ -42,7 +44,9 @@ class Markers:
         if isinstance(self.sites, MarkerAttachment):
             corners = self.sites.triangles
             own = MarkerAttachment(np.arange(corners.size).reshape(-1, 3), self.sites.coefficients)
-            predicted = predict_markers(self.body(betas, pose, trans, vertices=corners.ravel()).vertices, own)
+            predicted = predict_markers(
+                self.body(betas, pose, trans, vertices=corners.ravel()).vertices, own
+            )
         else:
             predicted = self.body(betas, pose, trans, vertices=self.sites).vertices
         observed = np.asarray(self.observed, dtype=float)
@@ -54,8 +58,8 @@ class Markers:
 class PosePrior:
     """E_theta (M eq. 7): a Gaussian over the joints' rotation vectors, the root left free.
 
-    body: whose own prior, or the shipped one matched by joint names, is taken; without it the shipped one for a pose
-    of SMPL's 24 joints.
+    body: whose own prior, or the shipped one matched by joint names, is taken; without it the
+    shipped one for a pose of SMPL's 24 joints.
     """
 
     body: BodyModel | None = None
@@ -87,7 +91,9 @@ class ShapePrior:
 
 @dataclass(frozen=True)
 class Acceleration:
-    """E_u (M eq. 8): the change of the joints' velocity between frames of a pose (T, J, 3), the root left out."""
+    """E_u (M eq. 8): the change of the joints' velocity between frames of a pose (T, J, 3), the
+    root left out.
+    """
 
     def __call__(self, pose: Array) -> Array:
         """Second differences (T - 2, J - 1, 3)."""

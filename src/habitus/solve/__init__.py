@@ -1,4 +1,6 @@
-"""Solvers that know nothing of bodies. `habitus.solve.minimize` is the function, though a file has the same name."""
+"""Solvers that know nothing of bodies. `habitus.solve.minimize` is the function, though a file has
+the same name.
+"""
 
 import sys
 from importlib import import_module
@@ -19,7 +21,9 @@ class _Solve(ModuleType):
 
     @minimize.setter
     def minimize(self, module: ModuleType) -> None:
-        """Python sets a package's attribute to each file it has loaded: here the function keeps its name."""
+        """Python sets a package's attribute to each file it has loaded: here the function keeps its
+        name.
+        """
 
 
 sys.modules[__name__].__class__ = _Solve

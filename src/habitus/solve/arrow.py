@@ -5,7 +5,8 @@
         [ …                 …            ]
         [ border_F             block_F   ]
 
-Solved by Cholesky of the blocks and of the Schur complement: F (N³ + G N²) + G³ in place of (G + F N)³ operations.
+Solved by Cholesky of the blocks and of the Schur complement: F (N³ + G N²) + G³ in place of (G + F
+N)³ operations.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True)
 class ArrowMatrix:
-    """A symmetric matrix of G shared unknowns and F blocks of N: shared (G, G), border (F, N, G), blocks (F, N, N).
+    """A symmetric matrix of G shared unknowns and F blocks of N: shared (G, G), border (F, N, G),
+    blocks (F, N, N).
 
     order (G + F N,): which unknown each row belongs to, where vectors are ordered otherwise.
     """
@@ -34,12 +36,16 @@ class ArrowMatrix:
 
     def diagonal(self) -> Float[np.ndarray, " n"]:
         """The diagonal, (G + F N,)."""
-        return self._unsorted(np.concatenate([np.diagonal(self.shared), np.einsum("fnn->fn", self.blocks).ravel()]))
+        return self._unsorted(
+            np.concatenate([np.diagonal(self.shared), np.einsum("fnn->fn", self.blocks).ravel()])
+        )
 
     def __matmul__(self, vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """H v."""
-        size, vector = len(self.shared), self._sorted(vector)
-        head, tail = vector[:size], vector[size:].reshape(self.blocks.shape[:2])
+        size = len(self.shared)
+        vector = self._sorted(vector)
+        head = vector[:size]
+        tail = vector[size:].reshape(self.blocks.shape[:2])
         top = self.shared @ head + np.einsum("fng,fn->g", self.border, tail, optimize=True)
         below = self.border @ head + (self.blocks @ tail[..., None])[..., 0]
         return self._unsorted(np.concatenate([top, below.ravel()]))
@@ -56,7 +62,8 @@ class ArrowMatrix:
 
     def dense(self) -> Float[np.ndarray, "n n"]:
         """The same matrix, written out."""
-        size, width = len(self.shared), self.blocks.shape[1]
+        size = len(self.shared)
+        width = self.blocks.shape[1]
         out = np.zeros((size + self.blocks.shape[0] * width,) * 2)
         out[:size, :size] = self.shared
         for k, (border, block) in enumerate(zip(self.border, self.blocks, strict=True)):
@@ -67,12 +74,20 @@ class ArrowMatrix:
         places = np.argsort(self.order)
         return out[np.ix_(places, places)]
 
-    def solve(self, damping: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """(H + diag(damping))⁻¹ right. Raises scipy.linalg.LinAlgError where that is not positive definite."""
-        size, width = len(self.shared), self.blocks.shape[1]
-        right, damping = self._sorted(right), self._sorted(damping)
-        top, rest = right[:size], right[size:].reshape(-1, width)
-        schur, added = self.shared + np.diag(damping[:size]), damping[size:].reshape(-1, width)
+    def solve(
+        self, damping: Float[np.ndarray, " n"], right: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """(H + diag(damping))⁻¹ right. Raises scipy.linalg.LinAlgError where that is not positive
+        definite.
+        """
+        size = len(self.shared)
+        width = self.blocks.shape[1]
+        right = self._sorted(right)
+        damping = self._sorted(damping)
+        top = right[:size]
+        rest = right[size:].reshape(-1, width)
+        schur = self.shared + np.diag(damping[:size])
+        added = damping[size:].reshape(-1, width)
         eliminated = []
         for border, block, extra, part in zip(self.border, self.blocks, added, rest, strict=True):
             factor = scipy.linalg.cholesky(block + np.diag(extra), lower=True, check_finite=False)
@@ -82,9 +97,13 @@ class ArrowMatrix:
             schur -= half[:, :size].T @ half[:, :size]
             top = top - half[:, :size].T @ half[:, size]
             eliminated.append((factor, half))
-        head = scipy.linalg.cho_solve(scipy.linalg.cho_factor(schur, lower=True, check_finite=False), top)
+        head = scipy.linalg.cho_solve(
+            scipy.linalg.cho_factor(schur, lower=True, check_finite=False), top
+        )
         tails = [
-            scipy.linalg.solve_triangular(factor, half[:, size] - half[:, :size] @ head, lower=True, trans="T")
+            scipy.linalg.solve_triangular(
+                factor, half[:, size] - half[:, :size] @ head, lower=True, trans="T"
+            )
             for factor, half in eliminated
         ]
         return self._unsorted(np.concatenate([head, *tails]))

@@ -1,8 +1,8 @@
 """Arrow form of terms: some unknowns shared by all, others in F blocks (`habitus.solve.arrow`).
 
-A Jacobian to a blocked unknown (F, ...) is fastest as a scipy.sparse.bsr_array of F blocks on its diagonal, the
-residuals of one block after those of another; dense and other sparse ones do as well. Jacobians to shared unknowns may
-be dense or sparse.
+A Jacobian to a blocked unknown (F, ...) is fastest as a scipy.sparse.bsr_array of F blocks on its
+diagonal, the residuals of one block after those of another; dense and other sparse ones do as well.
+Jacobians to shared unknowns may be dense or sparse.
 """
 
 from collections.abc import Callable, Collection
@@ -23,7 +23,9 @@ from habitus.solve.unknowns import as_numpy, is_tensor
 
 @dataclass(frozen=True)
 class _Layout:
-    """Places in an arrow: of each shared unknown its rows, of each blocked one its rows within a block."""
+    """Places in an arrow: of each shared unknown its rows, of each blocked one its rows within a
+    block.
+    """
 
     shared: dict[str, slice]
     blocked: dict[str, slice]
@@ -39,10 +41,11 @@ class _Layout:
 def arrow_problem(
     objective: Objective, how: Differentiation, blocked: Collection[str]
 ) -> Callable[[np.ndarray], tuple[float, Derivatives]]:
-    """The objective with an `ArrowMatrix` for its Gauss-Newton matrix; derivatives are made when asked for.
+    """The objective with an `ArrowMatrix` for its Gauss-Newton matrix; derivatives are made when
+    asked for.
 
-    blocked: names of free unknowns (F, ...), all of the same F. Raises HabitusError where that is not so, and where a
-    residual depends on two blocks.
+    blocked: names of free unknowns (F, ...), all of the same F. Raises HabitusError where that is
+    not so, and where a residual depends on two blocks.
     """
     layout = _layout(objective, blocked)
 
@@ -54,18 +57,31 @@ def arrow_problem(
 
 
 def _layout(objective: Objective, blocked: Collection[str]) -> _Layout:
-    start, columns = objective.unknowns.start, objective.unknowns.columns
+    start = objective.unknowns.start
+    columns = objective.unknowns.columns
     counts = {len(start[name]) if name in start and np.ndim(start[name]) else 0 for name in blocked}
     if len(counts) != 1 or 0 in counts:
-        raise HabitusError(f"blocks are {', '.join(map(repr, blocked))}; expected free unknowns of the same first axis")
+        raise HabitusError(
+            f"blocks are {', '.join(map(repr, blocked))}; expected free unknowns of the same "
+            "first axis"
+        )
     count = counts.pop()
-    shared, inner, order, within = {}, {}, [], []
+    shared = {}
+    inner = {}
+    order = []
+    within = []
     for name, where in columns.items():
         numbers = np.arange(where.start, where.stop)
-        places, width = (inner, len(numbers) // count) if name in blocked else (shared, len(numbers))
+        places, width = (
+            (inner, len(numbers) // count) if name in blocked else (shared, len(numbers))
+        )
         places[name] = slice(_end(places), _end(places) + width)
-        (within if name in blocked else order).append(numbers.reshape(count, -1) if name in blocked else numbers)
-    return _Layout(shared, inner, count, np.concatenate([*order, np.concatenate(within, axis=1).ravel()]))
+        (within if name in blocked else order).append(
+            numbers.reshape(count, -1) if name in blocked else numbers
+        )
+    return _Layout(
+        shared, inner, count, np.concatenate([*order, np.concatenate(within, axis=1).ravel()])
+    )
 
 
 def _end(places: dict[str, slice]) -> int:
@@ -76,11 +92,15 @@ def _normal_equations(
     objective: Objective, how: Differentiation, layout: _Layout, x: np.ndarray, found: list
 ) -> tuple[Float[np.ndarray, " n"], ArrowMatrix]:
     (head, width), count = layout.size, layout.count
-    shared, border = np.zeros((head, head)), np.zeros((count, width, head))
-    blocks, gradient = np.zeros((count, width, width)), np.zeros(len(x))
+    shared = np.zeros((head, head))
+    border = np.zeros((count, width, head))
+    blocks = np.zeros((count, width, width))
+    gradient = np.zeros(len(x))
     for term, outcome in found:
         jacobian, residual = weighted_blocks(objective, term, outcome, how, x, crowded=np.inf)
-        jacobian = {name: as_numpy(block) if is_tensor(block) else block for name, block in jacobian.items()}
+        jacobian = {
+            name: as_numpy(block) if is_tensor(block) else block for name, block in jacobian.items()
+        }
         for name, block in jacobian.items():
             gradient[objective.unknowns.columns[name]] += term.weight * times(block, residual)
         common = {name: block for name, block in jacobian.items() if name in layout.shared}
@@ -98,8 +118,12 @@ def _normal_equations(
     return gradient, ArrowMatrix(shared, border, blocks, layout.order)
 
 
-def _by_block(name: str, own: dict[str, Any], layout: _Layout) -> tuple[Float[np.ndarray, "F R N"], bool]:
-    """Jacobians of one block each, and whether residuals are split among the blocks too (else all are in each)."""
+def _by_block(
+    name: str, own: dict[str, Any], layout: _Layout
+) -> tuple[Float[np.ndarray, "F R N"], bool]:
+    """Jacobians of one block each, and whether residuals are split among the blocks too (else all
+    are in each).
+    """
     split = all(_on_diagonal(block, layout.count) for block in own.values())
     rows = next(iter(own.values())).shape[0] // (layout.count if split else 1)
     table = np.zeros((layout.count, rows, layout.size[1]))
@@ -108,9 +132,14 @@ def _by_block(name: str, own: dict[str, Any], layout: _Layout) -> tuple[Float[np
             table[:, :, layout.blocked[unknown]] = block.data
         else:
             dense = np.asarray(block.toarray() if scipy.sparse.issparse(block) else block)
-            table[:, :, layout.blocked[unknown]] = dense.reshape(rows, layout.count, -1).transpose(1, 0, 2)
+            table[:, :, layout.blocked[unknown]] = dense.reshape(rows, layout.count, -1).transpose(
+                1, 0, 2
+            )
     if not split and np.any(np.sum(np.any(table != 0.0, axis=2), axis=0) > 1):
-        raise HabitusError(f"a residual of the term {name!r} depends on two blocks; leave `blocks` out for such terms")
+        raise HabitusError(
+            f"a residual of the term {name!r} depends on two blocks; leave `blocks` out for such "
+            "terms"
+        )
     return table, split
 
 
@@ -125,11 +154,15 @@ def _on_diagonal(block: Any, count: int) -> bool:
     )
 
 
-def _meeting(table: Float[np.ndarray, "F R N"], block: Any, split: bool) -> Float[np.ndarray, "F N g"]:
+def _meeting(
+    table: Float[np.ndarray, "F R N"], block: Any, split: bool
+) -> Float[np.ndarray, "F N g"]:
     """Products of blocks' Jacobians with a shared unknown's (all residuals, g)."""
     count, rows, _ = table.shape
     if not scipy.sparse.issparse(block):
         return table.transpose(0, 2, 1) @ (block.reshape(count, rows, -1) if split else block)
     transposed = block.T.tocsc()
     ends = [slice(k * rows, (k + 1) * rows) if split else slice(None) for k in range(count)]
-    return np.stack([(transposed[:, where] @ part).T for where, part in zip(ends, table, strict=True)])
+    return np.stack(
+        [(transposed[:, where] @ part).T for where, part in zip(ends, table, strict=True)]
+    )

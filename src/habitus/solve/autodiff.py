@@ -1,4 +1,6 @@
-"""Jacobians and gradients of terms by torch's automatic differentiation; imported only where a term asks for it."""
+"""Jacobians and gradients of terms by torch's automatic differentiation; imported only where a term
+asks for it.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,7 +27,8 @@ def jacobians(
     mode and chunk_size: as in `habitus.solve.term_derivatives.Differentiation`.
     """
     residual = torch.as_tensor(residual).detach()
-    count, width = residual.numel(), sum(values[name].numel() for name in names)
+    count = residual.numel()
+    width = sum(values[name].numel() for name in names)
     mode = mode or ("reverse" if 4 * count < width else "forward")
     if mode == "reverse":
         return _row_by_row(term, values, names, residual)
@@ -43,16 +46,22 @@ def cost_and_gradients(
     return float(cost.detach()), _gradients(cost, names, leaves)
 
 
-def _columns(term: BoundTerm, values: Mapping[str, Tensor], name: str, residual: Tensor, chunk: int) -> Tensor:
+def _columns(
+    term: BoundTerm, values: Mapping[str, Tensor], name: str, residual: Tensor, chunk: int
+) -> Tensor:
     """The block of one unknown by forward differentiation, `chunk` columns at once."""
     here = values[name]
     rows = torch.empty(here.numel(), residual.numel(), dtype=torch.float64, device=residual.device)
 
     def along(direction: Tensor) -> Tensor:
-        return torch.func.jvp(lambda value: term({**values, name: value}).value, (here,), (direction,))[1]
+        return torch.func.jvp(
+            lambda value: term({**values, name: value}).value, (here,), (direction,)
+        )[1]
 
     for first in range(0, len(rows), chunk):
-        directions = torch.zeros(min(chunk, len(rows) - first), here.numel(), dtype=here.dtype, device=here.device)
+        directions = torch.zeros(
+            min(chunk, len(rows) - first), here.numel(), dtype=here.dtype, device=here.device
+        )
         directions.diagonal(first).fill_(1.0)
         rows[first : first + chunk] = torch.func.vmap(along, randomness="same")(
             directions.view(-1, *here.shape)
@@ -73,10 +82,14 @@ def _row_by_row(
     return blocks
 
 
-def _gradients(number: Tensor, names: Sequence[str], leaves: Mapping[str, Any]) -> dict[str, Tensor]:
+def _gradients(
+    number: Tensor, names: Sequence[str], leaves: Mapping[str, Any]
+) -> dict[str, Tensor]:
     """Of one number; nothing where it depends on no unknown."""
     if not (number.requires_grad and names):
         return {}
     inputs = [leaves[name] for name in names]
-    parts = torch.autograd.grad(number, inputs, retain_graph=True, allow_unused=True, materialize_grads=True)
+    parts = torch.autograd.grad(
+        number, inputs, retain_graph=True, allow_unused=True, materialize_grads=True
+    )
     return dict(zip(names, parts, strict=True))

@@ -1,4 +1,6 @@
-"""SciPy's L-BFGS-B behind the same interface as the least-squares solvers, for any cost with a gradient."""
+"""SciPy's L-BFGS-B behind the same interface as the least-squares solvers, for any cost with a
+gradient.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -24,10 +26,12 @@ def lbfgs(
     tolerances: Tolerances = DEFAULT,
     callback: Callback | None = None,
 ) -> SolveResult:
-    """Minimise any cost, which may be negative; x is best in units that make its numbers comparable.
+    """Minimise any cost, which may be negative; x is best in units that make its numbers
+    comparable.
 
-    Of `tolerances`, cost is the fall of the cost in an iteration, relative to the cost or to 1e-10 of the first one;
-    gradient is the largest component relative to that at the start. A cost that is not finite shortens the step.
+    Of `tolerances`, cost is the fall of the cost in an iteration, relative to the cost or to 1e-10
+    of the first one; gradient is the largest component relative to that at the start. A cost that
+    is not finite shortens the step.
     """
     from scipy.optimize import minimize  # slow to import, and a marker fit gets by without it
 
@@ -35,10 +39,13 @@ def lbfgs(
     cost, gradient = function(x)
     if not (np.isfinite(cost) and np.isfinite(gradient).all()):
         return SolveResult(x, "not finite", float(cost), 0, (float(cost),))
-    history, where, stopped = [float(cost)], [x], False
+    history = [float(cost)]
+    where = [x]
+    stopped = False
     if max_iterations < 1:
         return SolveResult(x, "iterations", history[0], 0, tuple(history))
-    # SciPy takes falls relative to max(|cost|, 1): seen so large, the 1 does not matter. A power of two rounds nothing.
+    # SciPy takes falls relative to max(|cost|, 1): seen so large, the 1 does not matter. A power of
+    # two rounds nothing.
     scale = math.ldexp(1.0, math.frexp(_FIRST / max(abs(cost), 1e-100))[1])
 
     def scaled(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -70,5 +77,7 @@ def lbfgs(
             "gtol": tolerances.gradient * scale * float(np.abs(gradient).max()),
         },
     )
-    status = "stopped" if stopped else {0: "converged", 1: "iterations"}.get(ended.status, "stalled")
+    status = (
+        "stopped" if stopped else {0: "converged", 1: "iterations"}.get(ended.status, "stalled")
+    )
     return SolveResult(where[-1], status, history[-1], len(history) - 1, tuple(history))

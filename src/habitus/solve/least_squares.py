@@ -1,6 +1,8 @@
-"""What every least-squares solver here shares: the linearised problem, the loop, the result, and when to stop.
+"""What every least-squares solver here shares: the linearised problem, the loop, the result, and
+when to stop.
 
-cost(x) = 1/2 |r(x)|^2, gradient = J^T r, and the Gauss-Newton matrix J^T J in place of the second derivative.
+cost(x) = 1/2 |r(x)|^2, gradient = J^T r, and the Gauss-Newton matrix J^T J in place of the second
+derivative.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,16 +33,18 @@ Callback = Callable[[int, np.ndarray, float], bool | None]
 ACCEPT = 1e-4
 """Share of the predicted decrease of the cost that a step must reach to be taken."""
 STRETCH = 1.5
-"""Actual over predicted decrease from which on a longer step is tried: a quadratic cost falls as predicted, 1."""
+"""Actual over predicted decrease from which on a longer step is tried: a quadratic cost falls as
+predicted, 1.
+"""
 
 
 @dataclass(frozen=True)
 class Tolerances:
     """When a solve counts as converged; each is relative, and any one of them suffices.
 
-    cost: predicted and actual decrease of the cost. step: step length against that of x, both scaled by the
-    columns' norms.
-    gradient: largest cosine between the residual and a column of the Jacobian.
+    cost: predicted and actual decrease of the cost. step: step length against that of x, both
+    scaled by the columns' norms. gradient: largest cosine between the residual and a column of the
+    Jacobian.
     """
 
     cost: float = 1e-12
@@ -53,10 +57,11 @@ DEFAULT = Tolerances()
 
 @dataclass(frozen=True)
 class SolveResult:
-    """Where a solve ended: x (N,), cost 1/2 |r|^2, accepted and refused steps together, the cost after each of them.
+    """Where a solve ended: x (N,), cost 1/2 |r|^2, accepted and refused steps together, the cost
+    after each of them.
 
-    status: "converged", "iterations" (the limit came first), "stalled" (no step lowers the cost), "stopped" (by
-    the callback) or "not finite" (the start has no finite cost; x is the start).
+    status: "converged", "iterations" (the limit came first), "stalled" (no step lowers the cost),
+    "stopped" (by the callback) or "not finite" (the start has no finite cost; x is the start).
     """
 
     x: Float[np.ndarray, " N"]
@@ -84,7 +89,11 @@ class Linearized:
     def finite(self) -> bool:
         """Whether cost, gradient and matrix are all finite numbers."""
         values = self.matrix if isinstance(self.matrix, np.ndarray) else self.matrix.data
-        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all() and np.isfinite(values).all())
+        return bool(
+            np.isfinite(self.cost)
+            and np.isfinite(self.gradient).all()
+            and np.isfinite(values).all()
+        )
 
     @property
     def diagonal(self) -> Float[np.ndarray, " N"]:
@@ -129,7 +138,9 @@ class Steps(Protocol):
         ...
 
     def learn(self, taken: bool, ratio: float, length: float) -> None:
-        """ratio: actual over predicted decrease of the cost, 0 for a refused step; length: of the step, scaled."""
+        """ratio: actual over predicted decrease of the cost, 0 for a refused step; length: of the
+        step, scaled.
+        """
         ...
 
 
@@ -143,35 +154,44 @@ def descend(
     callback: Callback | None = None,
     stretch: bool = False,
 ) -> SolveResult:
-    """Minimise with one kind of steps; derivatives are computed at the start and after steps that were taken.
+    """Minimise with one kind of steps; derivatives are computed at the start and after steps that
+    were taken.
 
-    stretch: double a step as long as that pays, where the cost falls much faster than predicted. Images ask for it: an
-    edge that is k pixels off has a cost linear in k, and a Jacobian that knows of one pixel only.
+    stretch: double a step as long as that pays, where the cost falls much faster than predicted.
+    Images ask for it: an edge that is k pixels off has a cost linear in k, and a Jacobian that
+    knows of one pixel only.
     """
     x = np.array(start, dtype=float)
     cost, derivatives = _cost_at(problem, x)
     here = _linearized(x, cost, derivatives) if np.isfinite(cost) else None
     if here is None or not here.finite:
         return SolveResult(x, "not finite", cost, 0, (cost,))
-    history, status, scale = [here.cost], "iterations", column_scale(here.diagonal)
+    history = [here.cost]
+    status = "iterations"
+    scale = column_scale(here.diagonal)
     while len(history) <= max_iterations:
         if here.flat(tolerances.gradient):
             status = "converged"
             break
         step = steps.propose(here, scale)
         cost, derivatives = _cost_at(problem, here.x + step)
-        predicted, cost_decrease = here.predicted_decrease(step), here.cost - cost
-        taken = bool(np.isfinite(cost) and cost_decrease > 0.0 and cost_decrease >= ACCEPT * predicted)
+        predicted = here.predicted_decrease(step)
+        cost_decrease = here.cost - cost
+        taken = bool(
+            np.isfinite(cost) and cost_decrease > 0.0 and cost_decrease >= ACCEPT * predicted
+        )
         if stretch and taken and cost_decrease > STRETCH * predicted:
             step, cost, derivatives = _stretched(problem, here.x, step, cost, derivatives)
             cost_decrease = here.cost - cost
-        length, size = float(np.linalg.norm(scale * step)), float(np.linalg.norm(scale * here.x))
+        length = float(np.linalg.norm(scale * step))
+        size = float(np.linalg.norm(scale * here.x))
         trial = _linearized(here.x + step, cost, derivatives) if taken else here
         taken = taken and trial.finite
         status = verdict(tolerances, here, predicted, cost_decrease, length, size, taken)
         steps.learn(taken, cost_decrease / predicted if taken and predicted > 0.0 else 0.0, length)
         if taken:
-            here, scale = trial, np.maximum(scale, column_scale(trial.diagonal))
+            here = trial
+            scale = np.maximum(scale, column_scale(trial.diagonal))
         history.append(here.cost)
         if callback is not None and callback(len(history) - 1, here.x, here.cost):
             status = "stopped"
@@ -183,12 +203,16 @@ def descend(
 def _stretched(
     problem: Problem, x: np.ndarray, step: np.ndarray, cost: float, derivatives: Derivatives
 ) -> tuple[np.ndarray, float, Derivatives]:
-    """The step doubled as often as the cost falls further, at most ten times, and what is found there."""
+    """The step doubled as often as the cost falls further, at most ten times, and what is found
+    there.
+    """
     for _ in range(10):
         further, there = _cost_at(problem, x + 2.0 * step)
         if not further < cost:
             break
-        step, cost, derivatives = 2.0 * step, further, there
+        step = 2.0 * step
+        cost = further
+        derivatives = there
     return step, cost, derivatives
 
 
@@ -206,13 +230,17 @@ def _linearized(x: np.ndarray, cost: float, derivatives: Derivatives) -> Lineari
 
 
 def column_scale(diagonal: np.ndarray) -> np.ndarray:
-    """Norms of the Jacobian's columns, the units in which steps are measured; 1 where a column is zero."""
+    """Norms of the Jacobian's columns, the units in which steps are measured; 1 where a column is
+    zero.
+    """
     norms = np.sqrt(np.maximum(diagonal, 0.0))
     return np.where(norms > 1e-12 * max(norms.max(initial=0.0), 1e-300), norms, 1.0)
 
 
 def solve_damped(here: Linearized, damping: np.ndarray) -> np.ndarray:
-    """The step p with (H + diag(damping)) p = -g; damping grows tenfold until the matrix is positive definite."""
+    """The step p with (H + diag(damping)) p = -g; damping grows tenfold until the matrix is
+    positive definite.
+    """
     floor = 1e-15 * column_scale(here.diagonal) ** 2
     for _ in range(20):
         step = _solve(here.matrix, damping, -here.gradient)
@@ -232,7 +260,9 @@ def verdict(
     size: float,
     taken: bool,
 ) -> str:
-    """Status after a step of scaled `length`, x being of scaled `size`; "iterations" means go on."""
+    """Status after a step of scaled `length`, x being of scaled `size`; "iterations" means go
+    on.
+    """
     small = length <= tolerances.step * (size + tolerances.step)
     if taken:
         quiet = max(predicted, cost_decrease) <= tolerances.cost * here.cost
@@ -247,11 +277,15 @@ def _solve(matrix: Matrix, damping: np.ndarray, right: np.ndarray) -> np.ndarray
         if isinstance(matrix, ArrowMatrix):
             step = matrix.solve(damping, right)
         elif scipy.sparse.issparse(matrix):
-            step = scipy.sparse.linalg.splu((matrix + scipy.sparse.diags(damping)).tocsc()).solve(right)
+            step = scipy.sparse.linalg.splu((matrix + scipy.sparse.diags(damping)).tocsc()).solve(
+                right
+            )
         else:
             damped = np.array(matrix, dtype=float)
             damped.flat[:: len(damped) + 1] += damping
-            step = scipy.linalg.cho_solve(scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False), right)
+            step = scipy.linalg.cho_solve(
+                scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False), right
+            )
     except (scipy.linalg.LinAlgError, RuntimeError):
         return None
     return step if np.isfinite(step).all() and right @ step >= 0.0 else None

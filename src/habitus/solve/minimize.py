@@ -12,7 +12,12 @@ from habitus.solve.lbfgs import lbfgs
 from habitus.solve.least_squares import DEFAULT, SolveResult, Tolerances, descend
 from habitus.solve.levenberg import Damped
 from habitus.solve.objective import Objective
-from habitus.solve.term_derivatives import Differentiation, cost_and_gradient, least_squares_problem, too_large
+from habitus.solve.term_derivatives import (
+    Differentiation,
+    cost_and_gradient,
+    least_squares_problem,
+    too_large,
+)
 from habitus.solve.terms import Term
 from habitus.solve.unknowns import Unknowns
 
@@ -22,11 +27,12 @@ MODES = ("forward", "reverse")
 
 @dataclass(frozen=True, eq=False)
 class Minimized(SolveResult):
-    """Where `minimize` ended: what SolveResult says, x being the free values one after the other, and more.
+    """Where `minimize` ended: what SolveResult says, x being the free values one after the other,
+    and more.
 
-    values: each value, in the start's shape, dtype and kind; fixed ones as given. state: the same as the start's
-    dataclass, or the mapping where it was one. costs: the weighted cost of each term, which sum to `cost`. method: what
-    was used. seconds: from call to return.
+    values: each value, in the start's shape, dtype and kind; fixed ones as given. state: the same
+    as the start's dataclass, or the mapping where it was one. costs: the weighted cost of each
+    term, which sum to `cost`. method: what was used. seconds: from call to return.
     """
 
     values: dict[str, Any]
@@ -56,31 +62,36 @@ def minimize(
         def difference(translation, rotation):
             return pyramid(render(translation, rotation) - observed)
 
-        result = minimize({"image": difference, "prior": Term(lambda rotation: rotation, weight=1e-3)}, start)
+        result = minimize({"image": difference, "prior": Term(lambda rotation: rotation,
+        weight=1e-3)}, start)
 
-    objective: a function or `Term`, or a dictionary of them, the terms (`habitus.solve.terms.Term` says what a
-    residual function takes and returns). A number without axes is a cost itself, which only L-BFGS takes.
-    free: start values by name, NumPy arrays or torch tensors, or a dataclass of them (fields that are None are left
-    out). Terms are given float64 arrays, or float64 tensors as soon as one value is a tensor or autodiff is needed.
-    fixed: names that stay as they are; terms take them like the others.
+    objective: a function or `Term`, or a dictionary of them, the terms (`habitus.solve.terms.Term`
+    says what a residual function takes and returns). A number without axes is a cost itself, which
+    only L-BFGS takes. free: start values by name, NumPy arrays or torch tensors, or a dataclass of
+    them (fields that are None are left out). Terms are given float64 arrays, or float64 tensors as
+    soon as one value is a tensor or autodiff is needed. fixed: names that stay as they are; terms
+    take them like the others.
 
-    method: "dogleg" or "levenberg" (Gauss-Newton steps) or "lbfgs" (SciPy's, gradients only; `lbfgs.py` tells how it
-    reads tolerances). None is dogleg, but L-BFGS where a term is a cost or a dense Jacobian by autodiff exceeds 2 GiB.
-    weights: of terms by name, in place of the terms' own; a term of weight 0 is not evaluated after the start.
-    callback: (iteration, values, cost) after each iteration, accepted or refused; True stops.
-    mode, chunk_size: of autodiff Jacobians, see `Differentiation`: "forward" by columns, "reverse" by rows.
-    blocks: unknowns (F, ...) whose F entries meet only through the other unknowns, as poses of frames do through a
-    common shape: Gauss-Newton steps are then solved as an arrow matrix (`habitus.solve.arrow`).
-    stretch: double steps as long as that pays (images ask for it).
+    method: "dogleg" or "levenberg" (Gauss-Newton steps) or "lbfgs" (SciPy's, gradients only;
+    `lbfgs.py` tells how it reads tolerances). None is dogleg, but L-BFGS where a term is a cost or
+    a dense Jacobian by autodiff exceeds 2 GiB. weights: of terms by name, in place of the terms'
+    own; a term of weight 0 is not evaluated after the start. callback: (iteration, values, cost)
+    after each iteration, accepted or refused; True stops. mode, chunk_size: of autodiff Jacobians,
+    see `Differentiation`: "forward" by columns, "reverse" by rows. blocks: unknowns (F, ...) whose
+    F entries meet only through the other unknowns, as poses of frames do through a common shape:
+    Gauss-Newton steps are then solved as an arrow matrix (`habitus.solve.arrow`). stretch: double
+    steps as long as that pays (images ask for it).
 
-    Raises HabitusError for free values or residuals that are not floating, names that do not match, an unknown
-    method or mode, a cost given to Gauss-Newton, Jacobians of another shape, a number of residuals that changes, and
-    terms without Jacobians where PyTorch is not installed. A start whose cost is not finite is a status, not an
-    error; a free value that no term depends on stays.
+    Raises HabitusError for free values or residuals that are not floating, names that do not match,
+    an unknown method or mode, a cost given to Gauss-Newton, Jacobians of another shape, a number of
+    residuals that changes, and terms without Jacobians where PyTorch is not installed. A start
+    whose cost is not finite is a status, not an error; a free value that no term depends on stays.
     """
     began = time.perf_counter()
     if mode not in (None, *MODES) or (chunk_size is not None and chunk_size < 1):
-        raise HabitusError(f"mode {mode!r}, chunk_size {chunk_size}; expected {' or '.join(MODES)}, and 1 or more")
+        raise HabitusError(
+            f"mode {mode!r}, chunk_size {chunk_size}; expected {' or '.join(MODES)}, and 1 or more"
+        )
     unknowns = Unknowns.of(free, fixed)
     problem = Objective.of(objective, weights, unknowns)
     method = _chosen(method, problem)
@@ -92,29 +103,38 @@ def minimize(
     if method == "lbfgs":
         result = lbfgs(lambda x: cost_and_gradient(problem, x), unknowns.vector, **settings)
     else:
-        steps, how = Dogleg() if method == "dogleg" else Damped(), Differentiation(mode, chunk_size)
-        function = arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
+        steps = Dogleg() if method == "dogleg" else Damped()
+        how = Differentiation(mode, chunk_size)
+        function = (
+            arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
+        )
         result = descend(function, unknowns.vector, steps, stretch=stretch, **settings)
-    values, costs = unknowns.like_start(result.x), problem.costs(result.x)
+    values = unknowns.like_start(result.x)
+    costs = problem.costs(result.x)
     state = replace(free, **values) if is_dataclass(free) and not isinstance(free, type) else values
     seconds = time.perf_counter() - began
-    return Minimized(**vars(result), values=values, state=state, costs=costs, method=method, seconds=seconds)
+    return Minimized(
+        **vars(result), values=values, state=state, costs=costs, method=method, seconds=seconds
+    )
 
 
 def _chosen(method: str | None, problem: Objective) -> str:
     """The method to use; HabitusError where the one asked for cannot."""
     if method not in (None, *METHODS):
         raise HabitusError(f"the method is {method!r}; expected one of {', '.join(METHODS)}")
-    large, costs = too_large(problem), any(term.is_cost for term in problem.active)
+    large = too_large(problem)
+    costs = any(term.is_cost for term in problem.active)
     if method is None:
         return "lbfgs" if costs or large else "dogleg"
     if method != "lbfgs" and costs:
         raise HabitusError(
-            f"{method} was given a number without axes, a cost; it needs residuals: return them unsquared, or use lbfgs"
+            f"{method} was given a number without axes, a cost; it needs residuals: return them "
+            "unsquared, or use lbfgs"
         )
     if method != "lbfgs" and large:
         raise HabitusError(
-            f"the dense Jacobian of the term {large!r} exceeds 2 GiB; return a sparse one beside its residual, "
+            f"the dense Jacobian of the term {large!r} exceeds 2 GiB; return a sparse one beside "
+            "its residual, "
             "or use lbfgs"
         )
     return method

@@ -1,4 +1,6 @@
-"""An objective: weighted terms of the same unknowns, read, checked and evaluated once at the start."""
+"""An objective: weighted terms of the same unknowns, read, checked and evaluated once at the
+start.
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,10 +22,13 @@ class Objective:
     _recent: dict[bytes, list[tuple[BoundTerm, Outcome]]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, objective: Any, weights: Mapping[str, float] | None, unknowns: Unknowns) -> "Objective":
+    def of(
+        cls, objective: Any, weights: Mapping[str, float] | None, unknowns: Unknowns
+    ) -> "Objective":
         """Terms as in `minimize`, each evaluated once at the start."""
         values = unknowns.values(unknowns.vector)
-        terms, outcomes = [], []
+        terms = []
+        outcomes = []
         for term in read_terms(objective, weights or {}, unknowns.names):
             found = term(values)
             explicit = found.jacobians is not None
@@ -31,7 +36,9 @@ class Objective:
             terms.append(replace(term, count=count, explicit=explicit, is_cost=found.is_cost))
             outcomes.append(found)
         made = cls(unknowns, tuple(terms))
-        made._remember(unknowns.vector, [pair for pair in zip(terms, outcomes, strict=True) if pair[0].weight])
+        made._remember(
+            unknowns.vector, [pair for pair in zip(terms, outcomes, strict=True) if pair[0].weight]
+        )
         return made
 
     @property
@@ -56,7 +63,10 @@ class Objective:
 
     def costs(self, x: Float[np.ndarray, " N"]) -> dict[str, float]:
         """The weighted cost of each term."""
-        found = {term.name: term.weight * float(as_numpy(outcome.cost)) for term, outcome in self.evaluate(x)}
+        found = {
+            term.name: term.weight * float(as_numpy(outcome.cost))
+            for term, outcome in self.evaluate(x)
+        }
         return {term.name: found.get(term.name, 0.0) for term in self.terms}
 
     def free(self, term: BoundTerm) -> tuple[str, ...]:

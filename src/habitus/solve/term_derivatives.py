@@ -1,6 +1,8 @@
-"""Gradients and Gauss-Newton matrices of named terms: from explicit Jacobians or by autodiff, one term at a time.
+"""Gradients and Gauss-Newton matrices of named terms: from explicit Jacobians or by autodiff, one
+term at a time.
 
-A Jacobian is kept as one block (R, n) for each free unknown that the term takes: an array, a tensor or scipy.sparse.
+A Jacobian is kept as one block (R, n) for each free unknown that the term takes: an array, a tensor
+or scipy.sparse.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,14 +34,17 @@ DENSE = 500
 class Differentiation:
     """How Jacobians come about where a term gives none.
 
-    mode: "forward" (a column a tangent, `chunk_size` columns at once), "reverse" (a row a pass) or None: reverse where
-    the residuals are fewer than a quarter of the unknowns. chunk_size None: as many as fit into 64 MiB.
+    mode: "forward" (a column a tangent, `chunk_size` columns at once), "reverse" (a row a pass) or
+    None: reverse where the residuals are fewer than a quarter of the unknowns. chunk_size None: as
+    many as fit into 64 MiB.
     """
 
     mode: str | None = None
     chunk_size: int | None = None
 
-    def blocks(self, objective: Objective, term: BoundTerm, x: np.ndarray, residual: Any) -> dict[str, Block]:
+    def blocks(
+        self, objective: Objective, term: BoundTerm, x: np.ndarray, residual: Any
+    ) -> dict[str, Block]:
         """The Jacobian of a term at x, where its residual is as given, by autodiff."""
         values = objective.unknowns.tensors(x)
         from habitus.solve.autodiff import jacobians
@@ -48,7 +53,9 @@ class Differentiation:
 
 
 def too_large(objective: Objective) -> str | None:
-    """The name of a term whose dense Jacobian, or its square, would not fit into memory; None where all do."""
+    """The name of a term whose dense Jacobian, or its square, would not fit into memory; None where
+    all do.
+    """
     columns = objective.unknowns.columns
     for term in objective.active:
         width = sum(columns[name].stop - columns[name].start for name in objective.free(term))
@@ -60,7 +67,9 @@ def too_large(objective: Objective) -> str | None:
 def least_squares_problem(
     objective: Objective, how: Differentiation
 ) -> Callable[[np.ndarray], tuple[float, Derivatives]]:
-    """The objective as the least-squares solvers see it; derivatives cost nothing until they are asked for."""
+    """The objective as the least-squares solvers see it; derivatives cost nothing until they are
+    asked for.
+    """
 
     def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
         found = objective.evaluate(x)
@@ -69,13 +78,20 @@ def least_squares_problem(
     return evaluate
 
 
-def cost_and_gradient(objective: Objective, x: Float[np.ndarray, " N"]) -> tuple[float, Float[np.ndarray, " N"]]:
+def cost_and_gradient(
+    objective: Objective, x: Float[np.ndarray, " N"]
+) -> tuple[float, Float[np.ndarray, " N"]]:
     """By reverse differentiation, term by term; from explicit Jacobians where a term gives them."""
-    columns, total, gradient = objective.unknowns.columns, 0.0, np.zeros(len(x))
+    columns = objective.unknowns.columns
+    total = 0.0
+    gradient = np.zeros(len(x))
     for term in objective.active:
         if term.explicit:
             outcome = term(objective.unknowns.values(x))
-            cost, (blocks, residual) = float(as_numpy(outcome.cost)), weighted_blocks(objective, term, outcome)
+            cost, (blocks, residual) = (
+                float(as_numpy(outcome.cost)),
+                weighted_blocks(objective, term, outcome),
+            )
             parts = {name: times(block, residual) for name, block in blocks.items()}
         else:
             tensors = objective.unknowns.tensors(x)
@@ -102,16 +118,22 @@ def weighted_blocks(
     else:
         assert how is not None and x is not None
         blocks = how.blocks(objective, term, x, outcome.value)
-    root, residual = outcome.root_weights, outcome.value
+    root = outcome.root_weights
+    residual = outcome.value
     if root is None:
         return blocks, residual
     return {name: _scaled(block, root) for name, block in blocks.items()}, root * residual
 
 
 def _normal_equations(
-    objective: Objective, how: Differentiation, x: np.ndarray, found: list[tuple[BoundTerm, Outcome]]
+    objective: Objective,
+    how: Differentiation,
+    x: np.ndarray,
+    found: list[tuple[BoundTerm, Outcome]],
 ) -> tuple[np.ndarray, Matrix]:
-    """Gradient and matrix; products of blocks are summed, and only one term's Jacobian is alive at a time."""
+    """Gradient and matrix; products of blocks are summed, and only one term's Jacobian is alive at
+    a time.
+    """
     columns = objective.unknowns.columns
     gradient = np.zeros(len(x))
     products: dict[tuple[str, str], Any] = {}
@@ -127,7 +149,9 @@ def _normal_equations(
 
 
 def _matrix(columns: dict[str, slice], products: dict[tuple[str, str], Any]) -> Matrix:
-    """The symmetric matrix of products (n_a, n_b), a before b: sparse where one is and the unknowns are many."""
+    """The symmetric matrix of products (n_a, n_b), a before b: sparse where one is and the unknowns
+    are many.
+    """
     size = max(where.stop for where in columns.values())
     if size > DENSE and any(scipy.sparse.issparse(product) for product in products.values()):
         upper = scipy.sparse.csc_array((size, size))
@@ -139,19 +163,28 @@ def _matrix(columns: dict[str, slice], products: dict[tuple[str, str], Any]) -> 
         return upper.tocsc()
     matrix = np.zeros((size, size))
     for (a, b), product in products.items():
-        matrix[columns[a], columns[b]] = product.toarray() if scipy.sparse.issparse(product) else product
+        matrix[columns[a], columns[b]] = (
+            product.toarray() if scipy.sparse.issparse(product) else product
+        )
         matrix[columns[b], columns[a]] = matrix[columns[a], columns[b]].T
     return matrix
 
 
-def _explicit(objective: Objective, term: BoundTerm, outcome: Outcome, crowded: float) -> dict[str, Block]:
+def _explicit(
+    objective: Objective, term: BoundTerm, outcome: Outcome, crowded: float
+) -> dict[str, Block]:
     """The Jacobians that a term gave to its free unknowns, checked."""
     given = outcome.jacobians() if callable(outcome.jacobians) else outcome.jacobians
     free = objective.free(term)
     if not isinstance(given, Mapping) or not set(free) <= set(given) <= set(term.takes):
-        names = ", ".join(map(repr, given)) if isinstance(given, Mapping) else f"a {type(given).__name__}"
+        names = (
+            ", ".join(map(repr, given))
+            if isinstance(given, Mapping)
+            else f"a {type(given).__name__}"
+        )
         raise HabitusError(
-            f"the term {term.name!r} gives Jacobians of {names}; expected a mapping with each unknown it takes: "
+            f"the term {term.name!r} gives Jacobians of {names}; expected a mapping with each "
+            "unknown it takes: "
             f"{', '.join(map(repr, term.takes))}"
         )
     columns = objective.unknowns.columns
@@ -166,10 +199,13 @@ def _block(term: BoundTerm, name: str, given: Any, width: int, crowded: float) -
     if not sparse:
         given = given.detach().double() if is_tensor(given) else np.asarray(given, dtype=float)
     shape = tuple(given.shape)
-    splits = any(np.prod(shape[:k]) == rows and np.prod(shape[k:]) == width for k in range(len(shape) + 1))
+    splits = any(
+        np.prod(shape[:k]) == rows and np.prod(shape[k:]) == width for k in range(len(shape) + 1)
+    )
     if not splits or (sparse and shape != (rows, width)):
         raise HabitusError(
-            f"the Jacobian of the term {term.name!r} to {name!r} has shape {shape}; expected ({rows}, {width}), "
+            f"the Jacobian of the term {term.name!r} to {name!r} has shape {shape}; expected "
+            f"({rows}, {width}), "
             f"or the axes of the residual and then those of {name!r}"
         )
     if not sparse:
@@ -185,7 +221,11 @@ def _scaled(block: Block, rows: Any) -> Block:
         of_row = scipy.sparse.bsr_array if block.format == "bsr" else scipy.sparse.csr_array
         height = block.blocksize[0] if block.format == "bsr" else 1
         factors = np.repeat(as_numpy(rows).reshape(-1, height), np.diff(block.indptr), axis=0)
-        data = factors[:, :, None] * block.data if block.format == "bsr" else factors[:, 0] * block.data
+        data = (
+            factors[:, :, None] * block.data
+            if block.format == "bsr"
+            else factors[:, 0] * block.data
+        )
         return of_row((data, block.indices, block.indptr), shape=block.shape)
     rows = as_numpy(rows) if isinstance(block, np.ndarray) else block.new_tensor(as_numpy(rows))
     return rows[:, None] * block

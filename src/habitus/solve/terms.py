@@ -1,8 +1,10 @@
-"""One vocabulary of terms: a named residual of named unknowns with a weight and, if wanted, a robust loss.
+"""One vocabulary of terms: a named residual of named unknowns with a weight and, if wanted, a
+robust loss.
 
     cost of a term = 1/2 w |r|^2,        robust: 1/2 w sum over blocks i of rho_i(|r_i|^2).
 
-A recipe writes its energy as a dictionary of terms; `habitus.solve.minimize.minimize` takes the dictionary.
+A recipe writes its energy as a dictionary of terms; `habitus.solve.minimize.minimize` takes the
+dictionary.
 """
 
 import inspect
@@ -16,15 +18,18 @@ from habitus.errors import HabitusError
 from habitus.solve.unknowns import Values, is_tensor, kind_of
 
 Jacobians = Mapping[str, Any]
-"""Of each unknown a term takes: array, tensor or scipy.sparse, (numbers of the residual, numbers of the unknown)."""
+"""Of each unknown a term takes: array, tensor or scipy.sparse, (numbers of the residual, numbers of
+the unknown).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class GemanMcClure:
     """Geman-McClure's robust loss rho(d^2) = s^2 d^2 / (s^2 + d^2) of residual blocks (T 3.6).
 
-    A block is the last axis of the residual. scale: s in the residual's unit, broadcast over the other axes; infinite
-    for plain squares. Solvers re-weight iteratively: gradient and matrix take rho' = (s^2 / (s^2 + d^2))^2.
+    A block is the last axis of the residual. scale: s in the residual's unit, broadcast over the
+    other axes; infinite for plain squares. Solvers re-weight iteratively: gradient and matrix take
+    rho' = (s^2 / (s^2 + d^2))^2.
     """
 
     scale: Any
@@ -46,16 +51,18 @@ class GemanMcClure:
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A residual of named unknowns, its weight (of the square: cost 1/2 w |r|^2) and, optionally, a robust loss.
+    """A residual of named unknowns, its weight (of the square: cost 1/2 w |r|^2) and, optionally, a
+    robust loss.
 
         Term(lambda trans: 0.02 - trans[:, 1], weight=100.0)
 
-    residual: its parameters' names say which unknowns it takes, as float64 arrays or tensors. It returns residuals of
-    any shape, always as many; or (residual, Jacobians), a mapping from each unknown it takes to a dense or
-    scipy.sparse matrix (residuals, numbers of the unknown), or a function without parameters that returns the mapping
-    and is called only where derivatives are needed. Without Jacobians it is differentiated by torch's autodiff.
-    name: how it is reported where no dictionary names it. takes: the unknowns' names where the residual takes any
-    keyword and not all of them.
+    residual: its parameters' names say which unknowns it takes, as float64 arrays or tensors. It
+    returns residuals of any shape, always as many; or (residual, Jacobians), a mapping from each
+    unknown it takes to a dense or scipy.sparse matrix (residuals, numbers of the unknown), or a
+    function without parameters that returns the mapping and is called only where derivatives are
+    needed. Without Jacobians it is differentiated by torch's autodiff. name: how it is reported
+    where no dictionary names it. takes: the unknowns' names where the residual takes any keyword
+    and not all of them.
     """
 
     residual: Callable[..., Any]
@@ -68,15 +75,21 @@ class Term:
         """What the term gives at these values; HabitusError as `minimize` says."""
         return self.bound(tuple(values))(values)
 
-    def bound(self, names: tuple[str, ...], name: str | None = None, weight: float | None = None) -> "BoundTerm":
+    def bound(
+        self, names: tuple[str, ...], name: str | None = None, weight: float | None = None
+    ) -> "BoundTerm":
         """The term among unknowns of these names."""
-        takes = _takes(name or self.name, self.residual, names) if self.takes is None else self.takes
+        takes = (
+            _takes(name or self.name, self.residual, names) if self.takes is None else self.takes
+        )
         return BoundTerm(name or self.name, self, self.weight if weight is None else weight, takes)
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a term gave: residual in float64, of its own shape, or a cost without axes; perhaps Jacobians."""
+    """What a term gave: residual in float64, of its own shape, or a cost without axes; perhaps
+    Jacobians.
+    """
 
     residual: Any
     robust: GemanMcClure | None = None
@@ -114,7 +127,8 @@ class Outcome:
 class BoundTerm:
     """A term and the unknowns it takes.
 
-    What the start has shown: the number of its residuals, whether it gives Jacobians, whether it is a cost already.
+    What the start has shown: the number of its residuals, whether it gives Jacobians, whether it is
+    a cost already.
     """
 
     name: str
@@ -126,7 +140,9 @@ class BoundTerm:
     is_cost: bool = False
 
     def __call__(self, values: Values) -> Outcome:
-        """The term at these values; HabitusError for anything but floating residuals, always as many numbers."""
+        """The term at these values; HabitusError for anything but floating residuals, always as
+        many numbers.
+        """
         value: Any = self.term.residual(**{name: values[name] for name in self.takes})
         jacobians = None
         if isinstance(value, tuple) and len(value) == 2:
@@ -134,7 +150,8 @@ class BoundTerm:
         value = self._checked(value)
         if self.count not in (None, _size(value)):
             raise HabitusError(
-                f"the term {self.name!r} gave {self.count} residuals at the start and {_size(value)} later; "
+                f"the term {self.name!r} gave {self.count} residuals at the start and "
+                f"{_size(value)} later; "
                 "keep their number, for example by multiplying with a mask"
             )
         if not _size(value):
@@ -148,7 +165,8 @@ class BoundTerm:
         if isinstance(value, np.ndarray | np.floating) and np.issubdtype(value.dtype, np.floating):
             return np.asarray(value, dtype=float)
         raise HabitusError(
-            f"the term {self.name!r} gives {kind_of(value)}; expected a floating tensor of residuals, or an array"
+            f"the term {self.name!r} gives {kind_of(value)}; expected a floating tensor of "
+            "residuals, or an array"
         )
 
 
@@ -156,42 +174,66 @@ def _size(value: Any) -> int:
     return int(value.numel()) if is_tensor(value) else int(value.size)
 
 
-def read_terms(objective: Any, weights: Mapping[str, float], names: tuple[str, ...]) -> list[BoundTerm]:
-    """Terms of a mapping of terms or functions, or of one alone; `weights` take the place of the terms' own."""
+def read_terms(
+    objective: Any, weights: Mapping[str, float], names: tuple[str, ...]
+) -> list[BoundTerm]:
+    """Terms of a mapping of terms or functions, or of one alone; `weights` take the place of the
+    terms' own.
+    """
     if isinstance(objective, Mapping):
         given = dict(objective)
     else:
         given = {objective.name if isinstance(objective, Term) else "objective": objective}
     if not given:
-        raise HabitusError("the objective has no terms; expected a function or a mapping of names to functions")
+        raise HabitusError(
+            "the objective has no terms; expected a function or a mapping of names to functions"
+        )
     for name in weights:
         if name not in given:
-            raise HabitusError(f"a weight is named {name!r}; the terms are {', '.join(map(repr, given))}")
+            raise HabitusError(
+                f"a weight is named {name!r}; the terms are {', '.join(map(repr, given))}"
+            )
     bound = []
     for name, each in given.items():
         term = each if isinstance(each, Term) else Term(each, name=name)
         weight = weights.get(name, term.weight)
         if not 0.0 <= float(weight) < np.inf:
-            raise HabitusError(f"the weight of {name!r} is {weight}; expected a finite number of 0 or more")
+            raise HabitusError(
+                f"the weight of {name!r} is {weight}; expected a finite number of 0 or more"
+            )
         bound.append(term.bound(names, name, float(weight)))
     return bound
 
 
 def _takes(name: str, function: Any, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The unknowns among a function's parameters; all of them where it takes any keyword or does not tell."""
+    """The unknowns among a function's parameters; all of them where it takes any keyword or does
+    not tell.
+    """
     if not callable(function):
-        raise HabitusError(f"the term {name!r} is a {type(function).__name__}; expected a function of the free values")
+        raise HabitusError(
+            f"the term {name!r} is a {type(function).__name__}; expected a function of the free "
+            "values"
+        )
     try:
         parameters = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
         return names
-    named = {each.name for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)}
-    loose = {each.name for each in parameters if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD)}
-    wanted = [each.name for each in parameters if each.default is each.empty and each.name not in loose]
+    named = {
+        each.name
+        for each in parameters
+        if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)
+    }
+    loose = {
+        each.name for each in parameters if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
+    }
+    wanted = [
+        each.name for each in parameters if each.default is each.empty and each.name not in loose
+    ]
     missing = [each for each in wanted if each not in named.intersection(names)]
     if missing:
         raise HabitusError(
-            f"the term {name!r} asks for {', '.join(map(repr, missing))}; free are {', '.join(map(repr, names))}: "
+            f"the term {name!r} asks for {', '.join(map(repr, missing))}; free are "
+            f"{', '.join(map(repr, names))}: "
             "free it too, or fix it with functools.partial"
         )
     any_keyword = any(each.kind is each.VAR_KEYWORD for each in parameters)

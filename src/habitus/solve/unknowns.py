@@ -1,4 +1,6 @@
-"""Named unknowns, NumPy arrays or torch tensors, and the vector x of all their numbers that solvers move."""
+"""Named unknowns, NumPy arrays or torch tensors, and the vector x of all their numbers that solvers
+move.
+"""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -19,7 +21,9 @@ def torch_module(why: str) -> Any:
     try:
         import torch
     except ImportError as error:
-        raise HabitusError(f"{why}, which takes PyTorch: return Jacobians too, or install habitus[torch]") from error
+        raise HabitusError(
+            f"{why}, which takes PyTorch: return Jacobians too, or install habitus[torch]"
+        ) from error
     return torch
 
 
@@ -27,27 +31,38 @@ def kind_of(value: Any) -> str:
     """What a value is, for messages."""
     if is_tensor(value):
         return f"a tensor of {value.dtype}"
-    return f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+    return (
+        f"an array of {value.dtype}"
+        if isinstance(value, np.ndarray)
+        else f"a {type(value).__name__}"
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Named values of any shape, dtype and device: those that are free make up the vector x (N,), in float64."""
+    """Named values of any shape, dtype and device: those that are free make up the vector x (N,),
+    in float64.
+    """
 
     start: dict[str, Any]
     fixed: dict[str, Any]
 
     @classmethod
     def of(cls, given: Any, fixed: Collection[str] = ()) -> "Unknowns":
-        """From a mapping or a dataclass of arrays; HabitusError where there is nothing to move, or no array."""
+        """From a mapping or a dataclass of arrays; HabitusError where there is nothing to move, or
+        no array.
+        """
         values = {name: _copied(name, value) for name, value in _named(given).items()}
         for name in fixed:
             if name not in values:
-                raise HabitusError(f"{name!r} cannot be fixed; the values are {', '.join(map(repr, values))}")
+                raise HabitusError(
+                    f"{name!r} cannot be fixed; the values are {', '.join(map(repr, values))}"
+                )
         free = {name: value for name, value in values.items() if name not in fixed}
         if not sum(_size(value) for value in free.values()):
             raise HabitusError(
-                "no number is free; expected a mapping of names to start tensors, as {'shift': zeros(3)}"
+                "no number is free; expected a mapping of names to start tensors, as {'shift': "
+                "zeros(3)}"
             )
         return cls(free, {name: values[name] for name in fixed})
 
@@ -60,7 +75,10 @@ class Unknowns:
     def columns(self) -> dict[str, slice]:
         """Where each free value's numbers lie in x."""
         ends = np.cumsum([_size(value) for value in self.start.values()]).tolist()
-        return {name: slice(end - _size(self.start[name]), end) for name, end in zip(self.start, ends, strict=True)}
+        return {
+            name: slice(end - _size(self.start[name]), end)
+            for name, end in zip(self.start, ends, strict=True)
+        }
 
     @property
     def vector(self) -> Float[np.ndarray, " N"]:
@@ -75,7 +93,9 @@ class Unknowns:
     def values(self, x: Float[np.ndarray, " N"]) -> dict[str, Any]:
         """float64 arrays, or tensors where the start has any, in the start's shapes."""
         return (
-            self.tensors(x) if self.in_torch else {**self._arrays(x), **{k: as_numpy(v) for k, v in self.fixed.items()}}
+            self.tensors(x)
+            if self.in_torch
+            else {**self._arrays(x), **{k: as_numpy(v) for k, v in self.fixed.items()}}
         )
 
     def tensors(self, x: Float[np.ndarray, " N"]) -> dict[str, Any]:
@@ -84,15 +104,24 @@ class Unknowns:
         parts = {**self._arrays(x), **{name: as_numpy(value) for name, value in self.fixed.items()}}
         like = {**self.start, **self.fixed}
         return {
-            name: torch.tensor(part, dtype=torch.float64, device=like[name].device if is_tensor(like[name]) else None)
+            name: torch.tensor(
+                part,
+                dtype=torch.float64,
+                device=like[name].device if is_tensor(like[name]) else None,
+            )
             for name, part in parts.items()
         }
 
     def _arrays(self, x: Float[np.ndarray, " N"]) -> dict[str, Any]:
-        return {name: np.reshape(x[at], np.shape(self.start[name])).copy() for name, at in self.columns.items()}
+        return {
+            name: np.reshape(x[at], np.shape(self.start[name])).copy()
+            for name, at in self.columns.items()
+        }
 
     def like_start(self, x: Float[np.ndarray, " N"]) -> dict[str, Any]:
-        """All values in kind: arrays or tensors of the start's dtypes, fixed ones as they were given."""
+        """All values in kind: arrays or tensors of the start's dtypes, fixed ones as they were
+        given.
+        """
         found: dict[str, Any] = {}
         for name, part in self._arrays(x).items():
             like = self.start[name]
@@ -107,7 +136,8 @@ def _named(given: Any) -> dict[str, Any]:
         found = {field.name: getattr(given, field.name) for field in fields(given)}
         return {name: value for name, value in found.items() if value is not None}
     raise HabitusError(
-        f"free is a {type(given).__name__}; expected a mapping of names to start tensors, or a dataclass of them"
+        f"free is a {type(given).__name__}; expected a mapping of names to start tensors, or a "
+        "dataclass of them"
     )
 
 
@@ -116,7 +146,10 @@ def _copied(name: str, value: Any) -> Any:
         return value.detach().clone()
     if isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.floating):
         return value.copy()
-    raise HabitusError(f"the free {name!r} is {kind_of(value)}; expected a floating tensor or array: tensor.double()")
+    raise HabitusError(
+        f"the free {name!r} is {kind_of(value)}; expected a floating tensor or array: "
+        "tensor.double()"
+    )
 
 
 def _size(value: Any) -> int:
@@ -125,4 +158,6 @@ def _size(value: Any) -> int:
 
 def as_numpy(value: Any) -> np.ndarray:
     """An array in float64 of an array or a tensor."""
-    return np.asarray(value.detach().double().cpu().numpy() if is_tensor(value) else value, dtype=float)
+    return np.asarray(
+        value.detach().double().cpu().numpy() if is_tensor(value) else value, dtype=float
+    )

@@ -1,4 +1,6 @@
-"""BlendSCAPE: rest, rigid motions, derivatives through the stitching, fits, and training on planted deformations."""
+"""BlendSCAPE: rest, rigid motions, derivatives through the stitching, fits, and training on planted
+deformations.
+"""
 
 import pickle
 from dataclasses import replace
@@ -28,13 +30,19 @@ def worm() -> BlendScape:
 
 
 def test_rest_and_mean_give_the_template(worm):
-    np.testing.assert_allclose(worm.surface(np.zeros(3), np.zeros((4, 3))), worm.template, atol=1e-12)
-    np.testing.assert_allclose(worm.surface(np.zeros(0), np.zeros((4, 3))), worm.template, atol=1e-12)
+    np.testing.assert_allclose(
+        worm.surface(np.zeros(3), np.zeros((4, 3))), worm.template, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        worm.surface(np.zeros(0), np.zeros((4, 3))), worm.template, atol=1e-12
+    )
 
 
 def test_turning_the_root_turns_the_surface(worm):
     rng = np.random.default_rng(1)
-    betas, pose, mean = rng.normal(size=3), random_pose(rng, 4), worm.template.mean(0)
+    betas = rng.normal(size=3)
+    pose = random_pose(rng, 4)
+    mean = worm.template.mean(0)
     turned = pose.copy()
     pose[0] = 0.0
     turn = matrix_from_rotvec(torch.tensor(turned[0])).numpy()
@@ -44,14 +52,17 @@ def test_turning_the_root_turns_the_surface(worm):
 
 def test_a_person_twice_as_large_is_twice_as_large_in_every_pose(worm):
     rng = np.random.default_rng(2)
-    pose, mean = random_pose(rng, 4), worm.template.mean(0)
+    pose = random_pose(rng, 4)
+    mean = worm.template.mean(0)
     large = replace(worm, mean_shape=2 * worm.mean_shape)
-    once, twice = worm.surface(np.zeros(0), pose), large.surface(np.zeros(0), pose)
+    once = worm.surface(np.zeros(0), pose)
+    twice = large.surface(np.zeros(0), pose)
     np.testing.assert_allclose(twice - mean, 2 * (once - mean), atol=1e-12)
 
 
 def test_columns_are_the_derivatives(worm):
-    rng, step = np.random.default_rng(3), 1e-6
+    rng = np.random.default_rng(3)
+    step = 1e-6
     x = np.concatenate([rng.normal(size=2), random_pose(rng, 4).ravel()])
     ((_, vertices, by),) = worm.columns(x[:2], x[2:].reshape(-1, 3), True)
     ((_, _, by_pose),) = worm.columns(x[:2], x[2:].reshape(-1, 3), False)
@@ -59,14 +70,16 @@ def test_columns_are_the_derivatives(worm):
     np.testing.assert_allclose(by[:, :, 2:], by_pose, atol=1e-12)
     for k in range(len(x)):
         ahead, behind = (
-            worm.surface((x + d)[:2], (x + d)[2:].reshape(-1, 3)) for d in np.outer([step, -step], np.eye(len(x))[k])
+            worm.surface((x + d)[:2], (x + d)[2:].reshape(-1, 3))
+            for d in np.outer([step, -step], np.eye(len(x))[k])
         )
         np.testing.assert_allclose(by[:, :, k], (ahead - behind) / (2 * step), atol=1e-8)
 
 
 def test_it_travels_to_other_processes(worm):
     rng = np.random.default_rng(4)
-    betas, pose = rng.normal(size=3), random_pose(rng, 4)
+    betas = rng.normal(size=3)
+    pose = random_pose(rng, 4)
     made = worm.surface(betas, pose)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(worm)).surface(betas, pose), made)
 
@@ -74,7 +87,9 @@ def test_it_travels_to_other_processes(worm):
 @pytest.mark.parametrize("seed", range(3))
 def test_it_reproduces_what_it_made_itself(worm, seed):
     rng = np.random.default_rng(seed)
-    betas, pose, trans = rng.normal(size=3), random_pose(rng, 4, 1.5), rng.normal(size=3)
+    betas = rng.normal(size=3)
+    pose = random_pose(rng, 4, 1.5)
+    trans = rng.normal(size=3)
     fit = worm.fit(worm.surface(betas, pose) + trans, num_betas=3)
     np.testing.assert_allclose(fit.betas, betas, atol=1e-6)
     np.testing.assert_allclose(fit.pose, pose, atol=1e-6)
@@ -82,8 +97,13 @@ def test_it_reproduces_what_it_made_itself(worm, seed):
 
 
 def _planted(model, largest, noise, people=(8, 30, 3), poses=(16, 1, 3)):
-    """Registrations of the three sets with their poses, and their true vertices; people of "shape" barely move."""
-    rng, clean, turns, words = np.random.default_rng(5), [], [], []
+    """Registrations of the three sets with their poses, and their true vertices; people of "shape"
+    barely move.
+    """
+    rng = np.random.default_rng(5)
+    clean = []
+    turns = []
+    words = []
     for key, persons, each in zip(("pose", "shape", "test"), people, poses, strict=True):
         for person in range(persons):
             betas = rng.normal(size=3)
@@ -124,9 +144,14 @@ def test_training_reaches_the_noise_on_new_people_in_new_poses(trained, world):
 def test_deformations_by_pose_are_learned(worm, world, trained):
     registrations, poses, _ = world
     test = registrations.where(set="test")
-    without = train_blendscape(registrations, _template(worm), poses, worm.influence, num_betas=6, sweeps=0)
+    without = train_blendscape(
+        registrations, _template(worm), poses, worm.influence, num_betas=6, sweeps=0
+    )
     assert not without.pose_regression.any() and trained.pose_regression.any()
-    errors = [pose_generalisation(m, test, model_generalisation(m, test, (6,))).means[0] for m in (without, trained)]
+    errors = [
+        pose_generalisation(m, test, model_generalisation(m, test, (6,))).means[0]
+        for m in (without, trained)
+    ]
     assert errors[1] < 0.8 * errors[0]
 
 
@@ -138,7 +163,9 @@ def test_triangles_hear_near_joints_or_all(trained):
 
 
 def test_people_at_rest_are_reproduced_exactly(worm):
-    """Without poses nothing stands between a surface and its triangles; all coefficients give back every person."""
+    """Without poses nothing stands between a surface and its triangles; all coefficients give back
+    every person.
+    """
     rng = np.random.default_rng(6)
     surfaces = np.array([worm.surface(rng.normal(size=3), np.zeros((4, 3))) for _ in range(5)])
     words = [(f"p{k}", "", "shape", f"p{k}") for k in range(5)]
@@ -151,10 +178,16 @@ def test_people_at_rest_are_reproduced_exactly(worm):
 
 def test_training_through_the_stitching_comes_nearer_in_strong_poses(worm):
     registrations, poses, _ = _planted(worm, 1.2, 0.0, people=(4, 0, 0), poses=(8, 1, 1))
-    some, errors = registrations.take(np.arange(0, 32, 8)), []
+    some = registrations.take(np.arange(0, 32, 8))
+    errors = []
     for sweeps, extra in ((2, 0), (8, 0), (2, 6)):
         model = train_blendscape(
-            registrations, _template(worm), poses, worm.influence, sweeps=sweeps, through_stitching=extra
+            registrations,
+            _template(worm),
+            poses,
+            worm.influence,
+            sweeps=sweeps,
+            through_stitching=extra,
         )
         errors.append(model_generalisation(model, some, (3,)).means[0])
     assert errors[2] < 0.7 * min(errors[:2])
@@ -162,7 +195,9 @@ def test_training_through_the_stitching_comes_nearer_in_strong_poses(worm):
 
 def test_threads_train_the_same_model(worm, world, trained):
     registrations, poses, _ = world
-    again = train_blendscape(registrations, _template(worm), poses, worm.influence, num_betas=6, workers=Threads(2))
+    again = train_blendscape(
+        registrations, _template(worm), poses, worm.influence, num_betas=6, workers=Threads(2)
+    )
     np.testing.assert_array_equal(again.pose_regression, trained.pose_regression)
     np.testing.assert_array_equal(again.shape_directions, trained.shape_directions)
 
@@ -175,6 +210,8 @@ def test_what_cannot_be_trained_on_is_refused(worm, world):
     with pytest.raises(HabitusError, match="skinning weights have shape"):
         train_blendscape(registrations, template, poses, worm.influence[1:])
     with pytest.raises(HabitusError, match="same topology"):
-        train_blendscape(registrations, replace(template, faces=worm.faces[::-1]), poses, worm.influence)
+        train_blendscape(
+            registrations, replace(template, faces=worm.faces[::-1]), poses, worm.influence
+        )
     with pytest.raises(HabitusError, match="at least two"):
         train_blendscape(registrations.take(np.array([0])), template, poses[:1], worm.influence)

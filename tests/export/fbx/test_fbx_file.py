@@ -1,4 +1,6 @@
-"""A motion as FBX: what a reader makes of it is the fit's surface, and another program's parser agrees."""
+"""A motion as FBX: what a reader makes of it is the fit's surface, and another program's parser
+agrees.
+"""
 
 from dataclasses import replace
 
@@ -18,11 +20,14 @@ FRAMES = (0, 7, 19)
 
 
 @pytest.mark.parametrize("correctives", ["auto", "all"])
-@pytest.mark.parametrize(("soft", "posedirs"), [(True, True), (False, True), (True, False), (False, False)])
+@pytest.mark.parametrize(
+    ("soft", "posedirs"), [(True, True), (False, True), (True, False), (False, False)]
+)
 def test_the_file_shows_the_fit(tmp_path, soft, posedirs, correctives):
     fit = synthetic_fit(20, soft=soft, body=tube_body(posedirs=posedirs))
     written = write_fbx(fit, tmp_path / "a.fbx", correctives=correctives)
-    found, turn = Fbx(tmp_path / "a.fbx"), up_rotation(fit.up_axis)
+    found = Fbx(tmp_path / "a.fbx")
+    turn = up_rotation(fit.up_axis)
     assert bool(written.morph_names) == (soft or posedirs)
     for frame, expected in zip(FRAMES, fitted_vertices(fit, FRAMES), strict=True):
         away = np.linalg.norm(found.vertices(frame) - expected @ turn.T, axis=1)
@@ -32,14 +37,17 @@ def test_the_file_shows_the_fit(tmp_path, soft, posedirs, correctives):
 def test_live_channels_are_the_bodys_own_and_none_leaves_all_out(tmp_path):
     fit = synthetic_fit(5, soft=False, body=tube_body(posedirs=True))
     written = write_fbx(fit, tmp_path / "a.fbx", correctives="all")
-    name, knee = "left_knee_xy", fit.body.drivers.index(fit.body.joint_names.index("left_knee"))
+    name = "left_knee_xy"
+    knee = fit.body.drivers.index(fit.body.joint_names.index("left_knee"))
     shape = written.morphs[written.morph_names.index(name)]
     assert np.allclose(shape, 2 * fit.body.posedirs[..., 9 * knee + 1], atol=1e-6)
     back = written.morphs[written.morph_names.index(f"{name}_back")]
     assert np.array_equal(back, -shape)
     bare = write_fbx(fit, tmp_path / "b.fbx", correctives="none")
     assert bare.morph_names == () and bare.morph_worst > 1e-3
-    away = np.linalg.norm(Fbx(tmp_path / "b.fbx").vertices(3) - fit.vertices(3) @ up_rotation("+z").T, axis=1).max()
+    away = np.linalg.norm(
+        Fbx(tmp_path / "b.fbx").vertices(3) - fit.vertices(3) @ up_rotation("+z").T, axis=1
+    ).max()
     assert away == pytest.approx(bare.morph_worst, rel=0.3)
 
 
@@ -53,8 +61,12 @@ def test_settings_skeleton_and_take(tmp_path):
     assert settings.prop("TimeSpanStop")[0] == pytest.approx(5 / 119.88 * TICKS, abs=1)
     assert [limb.values[1].split("\0")[0] for limb in found.limbs()] == list(fit.body.joint_names)
     (stack,) = (o for o in found.objects.values() if o.name == "AnimationStack")
-    assert stack.values[1].startswith("walk\0") and stack.prop("LocalStop") == settings.prop("TimeSpanStop")
-    counted = {d.values[0]: d["Count"].values[0] for d in found.top["Definitions"].all("ObjectType")}
+    assert stack.values[1].startswith("walk\0") and stack.prop("LocalStop") == settings.prop(
+        "TimeSpanStop"
+    )
+    counted = {
+        d.values[0]: d["Count"].values[0] for d in found.top["Definitions"].all("ObjectType")
+    }
     kinds = [o.name for o in found.objects.values()]
     assert counted == {"GlobalSettings": 1} | {kind: kinds.count(kind) for kind in set(kinds)}
     first = (tmp_path / "a.fbx").read_bytes()
@@ -63,12 +75,17 @@ def test_settings_skeleton_and_take(tmp_path):
 
 
 def test_quads_and_texture_coordinates_of_the_full_level(tmp_path):
-    body = replace(load_body(write_two_levels(tmp_path / "made_up.npz"), joints="smpl"), mirror=None)
+    body = replace(
+        load_body(write_two_levels(tmp_path / "made_up.npz"), joints="smpl"), mirror=None
+    )
     fit = synthetic_fit(3, body=body)
     write_fbx(fit, tmp_path / "a.fbx")
-    found, full = Fbx(tmp_path / "a.fbx"), fit.finest_body
+    found = Fbx(tmp_path / "a.fbx")
+    full = fit.finest_body
     corners = found.geometry["PolygonVertexIndex"].values[0].reshape(-1, 4)
-    assert (corners[:, :3] >= 0).all() and np.array_equal(np.c_[corners[:, :3], ~corners[:, 3]], full.mesh.quads)
+    assert (corners[:, :3] >= 0).all() and np.array_equal(
+        np.c_[corners[:, :3], ~corners[:, 3]], full.mesh.quads
+    )
     layer = found.geometry["LayerElementUV"]
     uv = layer["UV"].values[0].reshape(-1, 2)[layer["UVIndex"].values[0]].reshape(-1, 4, 2)
     assert np.allclose(uv, full.mesh.uv[full.mesh.quad_uv])
@@ -86,14 +103,20 @@ def test_ufbx_reads_it(tmp_path):
     written = write_fbx(fit, tmp_path / "a.fbx")
     with ufbx.load_file(str(tmp_path / "a.fbx")) as scene:
         told = scene.settings
-        assert told.unit_meters == pytest.approx(0.01) and told.frames_per_second == 120 and told.axes.up == 2
+        assert (
+            told.unit_meters == pytest.approx(0.01)
+            and told.frames_per_second == 120
+            and told.axes.up == 2
+        )
         (mesh,), (stack,) = scene.meshes, scene.anim_stacks
         assert (mesh.num_vertices, mesh.num_faces) == (fit.body.num_vertices, len(fit.body.faces))
         channels = mesh.blend_deformers[0].channels
         assert [channel.name for channel in channels] == list(written.morph_names)
         clusters = mesh.skin_deformers[0].clusters
         assert sum(c.num_weights for c in clusters) == (fit.body.skinning_weights > 0).sum()
-        assert (stack.name, stack.time_begin) == ("walk", 0.0) and stack.time_end == pytest.approx(11 / 120)
+        assert (stack.name, stack.time_begin) == ("walk", 0.0) and stack.time_end == pytest.approx(
+            11 / 120
+        )
         limbs = [scene.find_node(name) for name in fit.body.joint_names]
         assert all((limb.parent.name or None) for limb in limbs[1:])
         for limb, parent in zip(limbs[1:], fit.body.parents[1:], strict=True):

@@ -24,7 +24,9 @@ VALUES = st.one_of(
 NAMES = st.text("abcXYZ_0", min_size=1, max_size=12)
 TREES = st.recursive(
     st.builds(Node, NAMES, st.lists(VALUES, max_size=4).map(tuple)),
-    lambda inner: st.builds(Node, NAMES, st.lists(VALUES, max_size=3).map(tuple), st.lists(inner, max_size=3)),
+    lambda inner: st.builds(
+        Node, NAMES, st.lists(VALUES, max_size=3).map(tuple), st.lists(inner, max_size=3)
+    ),
     max_leaves=8,
 )
 
@@ -62,4 +64,6 @@ def test_what_has_no_form_is_refused(monkeypatch):
 def test_long_arrays_are_packed_once():
     times = packed(np.arange(1000))
     assert len(times) < 4000
-    assert np.array_equal(read_records(document([Node("a", (times, times))]))[0].values[1], np.arange(1000))
+    assert np.array_equal(
+        read_records(document([Node("a", (times, times))]))[0].values[1], np.arange(1000)
+    )

@@ -16,10 +16,13 @@ from habitus.rotations import matrix_from_rotvec
 @settings(max_examples=20, deadline=None)
 def test_squared_distances_are_means_over_the_frames_in_which_a_label_is_seen(seed):
     rng = np.random.default_rng(seed)
-    places, observed = rng.normal(size=(2, 3, 5, 3)), rng.normal(size=(3, 4, 3))
+    places = rng.normal(size=(2, 3, 5, 3))
+    observed = rng.normal(size=(3, 4, 3))
     observed[rng.random((3, 4)) < 0.3] = np.nan
     observed[0] = rng.normal(size=(4, 3))
-    by_hand = np.nanmean(np.sum((observed[None, :, :, None] - places[:, :, None]) ** 2, axis=4), axis=1)
+    by_hand = np.nanmean(
+        np.sum((observed[None, :, :, None] - places[:, :, None]) ** 2, axis=4), axis=1
+    )
     np.testing.assert_allclose(squared_distances(places, observed), by_hand, atol=1e-9)
 
 
@@ -34,9 +37,11 @@ def test_posteriors_prefer_what_is_near_and_leave_a_share_for_nowhere(sigma, see
 
 
 def test_turned_twice_is_as_before():
-    body, rng = person(), np.random.default_rng(0)
+    body = person()
+    rng = np.random.default_rng(0)
     skin = spread_places(body, 60)
-    pose, trans = 0.5 * rng.normal(size=(2, 3, body.num_joints, 3)), rng.normal(size=(2, 3, 3))
+    pose = 0.5 * rng.normal(size=(2, 3, body.num_joints, 3))
+    trans = rng.normal(size=(2, 3, 3))
     bodies = Bodies(pose, trans, np.zeros(2), rng.random((2, 5, 60)))
     once = turned(body, bodies, skin)
     twice = turned(body, once, skin)
@@ -54,13 +59,19 @@ def test_directions_are_48_different_rotations():
 @pytest.mark.parametrize("height", [1.5, 1.9])
 def test_a_body_of_a_height_has_it(height):
     body = person()
-    assert np.ptp(body.rest_vertices(betas_of_height(body, height))[:, 1]) == pytest.approx(height, abs=0.01)
+    assert np.ptp(body.rest_vertices(betas_of_height(body, height))[:, 1]) == pytest.approx(
+        height, abs=0.01
+    )
 
 
 def test_places_are_spread_over_the_skin_and_not_on_fingertips_and_soles():
     body = person()
-    skin, free = spread_places(body, 150), wearable(body)
+    skin = spread_places(body, 150)
+    free = wearable(body)
     assert free[skin.vertices].all() and len(set(skin.vertices.tolist())) == 150
     assert not any(free[body.landmarks[name]] for name in ("left_index_tip", "right_pinky_dip"))
-    assert all(free[body.landmarks[name]] for name in ("left_hand_back", "right_index_mcp", "c7", "left_heel"))
+    assert all(
+        free[body.landmarks[name]]
+        for name in ("left_hand_back", "right_index_mcp", "c7", "left_heel")
+    )
     np.testing.assert_allclose(skin.points[skin.across][:, 0], -skin.points[:, 0], atol=0.08)

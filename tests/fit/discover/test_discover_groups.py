@@ -13,7 +13,9 @@ def moving(frames=12, seed=0):
     parts = [rng.normal(scale=0.1, size=(4, 3)) for _ in range(3)]
     turns = [Rotation.random(frames, random_state=seed + k).as_matrix() for k in range(3)]
     places = [t @ part.T for t, part in zip(turns, parts, strict=True)]
-    return np.concatenate([np.swapaxes(p, 1, 2) + rng.normal(size=(frames, 1, 3)) for p in places], axis=1)
+    return np.concatenate(
+        [np.swapaxes(p, 1, 2) + rng.normal(size=(frames, 1, 3)) for p in places], axis=1
+    )
 
 
 def test_markers_of_one_part_keep_each_other_company():

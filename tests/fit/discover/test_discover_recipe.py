@@ -21,8 +21,10 @@ def planted():
 @pytest.fixture(scope="module")
 def near(planted):
     """Labels seated from the right poses on the mean body."""
-    body, frames = planted.body, slice(0, 24, 8)
-    skin, prior = spread_places(body, 400), prior_of_poses().for_joints(body.joint_names)
+    body = planted.body
+    frames = slice(0, 24, 8)
+    skin = spread_places(body, 400)
+    prior = prior_of_poses().for_joints(body.joint_names)
     start = (np.zeros(body.num_betas), planted.pose[frames], planted.trans[frames])
     return skin, seated(body, skin, planted.observed[frames], prior, *start, rounds=(0.06,))
 
@@ -30,13 +32,21 @@ def near(planted):
 def test_labels_are_seated_where_they_sit(planted, near):
     _, found = near
     template = np.asarray(planted.body.v_template)
-    off = np.linalg.norm(template[found.vertices] - template[planted.layout.vertices(planted.body)], axis=1)
+    off = np.linalg.norm(
+        template[found.vertices] - template[planted.layout.vertices(planted.body)], axis=1
+    )
     assert np.median(off) < 0.04 and off.mean() < 0.05 and np.nanmean(found.errors) < 0.006
     np.testing.assert_allclose(found.posterior.sum(axis=1), 1.0)
 
 
 def test_a_discovery_of_neutral_names_puts_markers_on_their_side_and_part(planted, monkeypatch):
-    for name, value in (("HEIGHTS", (1.0,)), ("COARSE", 80), ("FINE", 300), ("FRAMES", 3), ("_ALIKE", 1)):
+    for name, value in (
+        ("HEIGHTS", (1.0,)),
+        ("COARSE", 80),
+        ("FINE", 300),
+        ("FRAMES", 3),
+        ("_ALIKE", 1),
+    ):
         monkeypatch.setattr(recipe, name, value)
     monkeypatch.setattr(recipe, "ROUNDS", (0.06, 0.06))
     monkeypatch.setattr(places, "_SETTINGS", MoshSettings(annealing=(1.0,)))
@@ -47,7 +57,9 @@ def test_a_discovery_of_neutral_names_puts_markers_on_their_side_and_part(plante
     labels = [f"m{k}" for k in range(len(planted.layout))]
     found = discover(planted.body, prior_of_poses(), labels, planted.observed)
     template = np.asarray(planted.body.v_template)
-    right = template[planted.layout.vertices(planted.body)][[labels.index(x) for x in found.layout.labels]]
+    right = template[planted.layout.vertices(planted.body)][
+        [labels.index(x) for x in found.layout.labels]
+    ]
     here = template[found.layout.vertices(planted.body)]
     sided = np.abs(right[:, 0]) > 0.05
     assert np.mean(np.sign(here[sided, 0]) == np.sign(right[sided, 0])) > 0.95
@@ -59,8 +71,10 @@ def test_a_discovery_of_neutral_names_puts_markers_on_their_side_and_part(plante
 def test_a_reading_that_costs_as_much_is_said_and_names_decide(planted, near):
     skin, found = near
     pairs = {"L": "left", "R": "right"}
-    labels = [f"{'L' if m.place.startswith('left') else 'R' if m.place.startswith('right') else 'M'}{k}"
-              for k, m in enumerate(planted.layout.markers)]  # fmt: skip
+    labels = [
+        f"{'L' if m.place.startswith('left') else 'R' if m.place.startswith('right') else 'M'}{k}"
+        for k, m in enumerate(planted.layout.markers)
+    ]
     assert pairs and _cheaper(planted.body, labels, found, None) == (found, None)
     best, margin = _cheaper(planted.body, labels, found, found)
     assert best is found and margin == 0.0
@@ -68,7 +82,10 @@ def test_a_reading_that_costs_as_much_is_said_and_names_decide(planted, near):
     assert len(said.doubts) == 1 and "not decided" in said.doubts[0]
     sure = told(planted.body, labels, planted.observed[::5], found, skin, 0.8, {}, {})
     assert not sure.doubts
-    halved = [a.confidence / b.confidence for a, b in zip(said.layout.markers, sure.layout.markers, strict=True)]
+    halved = [
+        a.confidence / b.confidence
+        for a, b in zip(said.layout.markers, sure.layout.markers, strict=True)
+    ]
     np.testing.assert_allclose(halved, 0.5, atol=0.02)
 
 
@@ -76,8 +93,12 @@ def test_names_that_contradict_the_sides_found_are_said(planted, near):
     skin, found = near
     across = np.asarray(planted.body.v_template)[found.vertices, 0]
     order = iter(range(99))
-    labels = [f"{'R' if x > 0.05 else 'L'}{next(order)}" if abs(x) > 0.05 else f"M{next(order)}" for x in across]
-    swapped, k = [], {"L": 0, "R": 0, "M": 0}
+    labels = [
+        f"{'R' if x > 0.05 else 'L'}{next(order)}" if abs(x) > 0.05 else f"M{next(order)}"
+        for x in across
+    ]
+    swapped = []
+    k = {"L": 0, "R": 0, "M": 0}
     for label in labels:
         swapped.append(f"{label[0]}X{k[label[0]]}")
         k[label[0]] += 1
@@ -87,4 +108,6 @@ def test_names_that_contradict_the_sides_found_are_said(planted, near):
 
 def test_too_few_labels_are_refused(planted):
     with pytest.raises(HabitusError, match=r"11 labels are ever seen; .* at least 12"):
-        discover(planted.body, prior_of_poses(), planted.layout.labels[:11], planted.observed[:, :11])
+        discover(
+            planted.body, prior_of_poses(), planted.layout.labels[:11], planted.observed[:, :11]
+        )

@@ -1,4 +1,6 @@
-"""Markers at one place of a layout: their places on the body are found from points in any order, some missing."""
+"""Markers at one place of a layout: their places on the body are found from points in any order,
+some missing.
+"""
 
 from dataclasses import replace
 
@@ -39,13 +41,16 @@ def test_each_marker_of_a_cluster_is_where_its_points_are():
     coefficients = usual.coefficients.copy()
     coefficients[THREE] += OFFSETS
     points = predict(
-        marked_body(truth.body, truth.betas, MarkerAttachment(usual.triangles, coefficients)), truth.pose, truth.trans
+        marked_body(truth.body, truth.betas, MarkerAttachment(usual.triangles, coefficients)),
+        truth.pose,
+        truth.trans,
     )
     rng = np.random.default_rng(0)
     shown = np.array([rng.permutation(frame[THREE]) for frame in points])
     shown[rng.integers(2, 12, 5), rng.integers(0, 3, 5)] = np.nan
     clouds = Clouds.of(shown, planted.RATE_HZ, "+y")
-    nameless, frames = np.full(len(clouds.points), -1), np.arange(12)
+    nameless = np.full(len(clouds.points), -1)
+    frames = np.arange(12)
     state = (truth.pose, truth.trans)
     found = told_apart(truth.body, truth.betas, usual, placement, clouds, nameless, frames, state)
     others = np.setdiff1d(np.arange(len(latent)), THREE)

@@ -18,7 +18,10 @@ def test_matches_are_as_cheap_as_scipys(rows, columns):
     clipped = np.minimum(cost, 0.7)
     assert total == pytest.approx(clipped[linear_sum_assignment(clipped)].sum())
     taken = out[out >= 0]
-    assert len(set(taken.tolist())) == len(taken) and (cost[np.flatnonzero(out >= 0), taken] < 0.7).all()
+    assert (
+        len(set(taken.tolist())) == len(taken)
+        and (cost[np.flatnonzero(out >= 0), taken] < 0.7).all()
+    )
 
 
 def test_no_label_is_given_twice_in_a_frame_nor_above_its_gate():
@@ -36,8 +39,19 @@ def test_no_label_is_given_twice_in_a_frame_nor_above_its_gate():
 def test_what_points_give_is_never_more_than_they_are():
     rng = np.random.default_rng(2)
     clouds = Clouds.of(rng.normal(size=(1, 6, 3)), 100.0, "+z")
-    predicted, targets, weights = rng.normal(size=(1, 8, 3)), np.empty((1, 8, 3)), np.empty((1, 8))
-    soft_targets(predicted, clouds.points, clouds.start, np.zeros(1, dtype=np.int64), 0.3, 0.01, targets, weights)
+    predicted = rng.normal(size=(1, 8, 3))
+    targets = np.empty((1, 8, 3))
+    weights = np.empty((1, 8))
+    soft_targets(
+        predicted,
+        clouds.points,
+        clouds.start,
+        np.zeros(1, dtype=np.int64),
+        0.3,
+        0.01,
+        targets,
+        weights,
+    )
     assert weights.sum() <= 6.0 and (weights <= 1.0).all() and (weights >= 0.0).all()
 
 
@@ -50,7 +64,9 @@ def test_tracklets_follow_points_that_move_and_end_where_two_meet():
     clouds = Clouds.of(np.stack([one, other, away], axis=1), 100.0, "+z")
     piece = tracklets(clouds).reshape(60, 3)
     assert len(np.unique(piece[:, 2])) == 1
-    assert not set(piece[:25, 0]) & set(piece[:25, 1]) and not set(piece[35:, 0]) & set(piece[35:, 1])
+    assert not set(piece[:25, 0]) & set(piece[:25, 1]) and not set(piece[35:, 0]) & set(
+        piece[35:, 1]
+    )
     assert not set(piece[:25, 0]) & set(piece[35:, 1])
 
 

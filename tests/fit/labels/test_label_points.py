@@ -1,4 +1,6 @@
-"""Points without names of a planted person: what they are is found again, in any order, broken, with ghosts."""
+"""Points without names of a planted person: what they are is found again, in any order, broken,
+with ghosts.
+"""
 
 from functools import cache
 
@@ -25,15 +27,20 @@ def capture() -> planted.Planted:
 def known() -> Known:
     """The person as another capture would tell."""
     truth = capture()
-    attachment = attach(truth.latent_markers, planted.rest(truth.betas), np.asarray(truth.body.faces))
+    attachment = attach(
+        truth.latent_markers, planted.rest(truth.betas), np.asarray(truth.body.faces)
+    )
     return Known(truth.betas, attachment, truth.pose[::9])
 
 
 def clouds_of(markers: np.ndarray, seed: int = 0, ghosts: int = 0) -> tuple[Clouds, np.ndarray]:
     """The points in another order in each frame, and what each is, -1 for ghosts."""
     rng, (frames, count) = np.random.default_rng(seed), markers.shape[:2]
-    extra = np.nanmean(markers, axis=1, keepdims=True) + rng.normal(scale=0.5, size=(frames, ghosts, 3))
-    both, label = np.concatenate([markers, extra], axis=1), np.append(np.arange(count), np.full(ghosts, -1))
+    extra = np.nanmean(markers, axis=1, keepdims=True) + rng.normal(
+        scale=0.5, size=(frames, ghosts, 3)
+    )
+    both = np.concatenate([markers, extra], axis=1)
+    label = np.append(np.arange(count), np.full(ghosts, -1))
     order = np.array([rng.permutation(len(label)) for _ in range(frames)])
     both = np.take_along_axis(both, order[..., None], axis=1)
     return Clouds.of(both, planted.RATE_HZ, "+y"), label[order][np.isfinite(both).all(axis=2)]
@@ -42,7 +49,11 @@ def clouds_of(markers: np.ndarray, seed: int = 0, ghosts: int = 0) -> tuple[Clou
 def found(markers: np.ndarray, seed: int = 0, ghosts: int = 0, who: Known | None = None):
     truth = capture()
     clouds, label = clouds_of(markers, seed, ghosts)
-    return label_points(truth.body, truth.prior, truth.layout, clouds, who, planted.settings()), label, clouds
+    return (
+        label_points(truth.body, truth.prior, truth.layout, clouds, who, planted.settings()),
+        label,
+        clouds,
+    )
 
 
 def test_a_layout_is_enough_to_name_the_points_and_to_leave_ghosts_alone():
@@ -63,7 +74,8 @@ def test_the_order_of_the_points_does_not_matter():
 
 
 def test_broken_trajectories_keep_their_names():
-    rng, markers = np.random.default_rng(5), capture().observed.copy()
+    rng = np.random.default_rng(5)
+    markers = capture().observed.copy()
     for _ in range(40):
         first = rng.integers(FRAMES)
         markers[first : first + rng.integers(3, 10), rng.integers(markers.shape[1])] = np.nan
@@ -72,7 +84,8 @@ def test_broken_trajectories_keep_their_names():
 
 
 def test_nobody_takes_the_name_of_a_marker_that_is_not_there():
-    markers, gone = capture().observed.copy(), capture().columns("LFHD", "RKNE", "STRN")
+    markers = capture().observed.copy()
+    gone = capture().columns("LFHD", "RKNE", "STRN")
     markers[:, gone] = np.nan
     result, truth, _ = found(markers, who=known())
     assert np.mean(np.isin(result.label, gone)) < 1e-3

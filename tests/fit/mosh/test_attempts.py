@@ -22,7 +22,8 @@ def attempted(planted, observed):
 
 
 def shuffled(planted, *labels):
-    columns, order = planted.columns(*labels), np.arange(len(planted.layout))
+    columns = planted.columns(*labels)
+    order = np.arange(len(planted.layout))
     order[columns] = np.roll(columns, 1)
     return planted.observed[:, order]
 
@@ -31,6 +32,10 @@ def test_labels_that_nothing_fits_are_left_out_and_the_rest_is_right(clean):
     (fit,) = attempted(clean, shuffled(clean, *WRONG))
     assert set(fit.left_out) >= set(WRONG) and len(fit.left_out) <= len(WRONG) + 4
     assert not set(fit.labels) & set(fit.left_out)
-    assert fit.verdict.level == "doubtful" and "Left out" in str(fit.verdict) and "tried again" in str(fit.verdict)
+    assert (
+        fit.verdict.level == "doubtful"
+        and "Left out" in str(fit.verdict)
+        and "tried again" in str(fit.verdict)
+    )
     assert fit.tried[0].endswith(f": that with {len(fit.left_out)} labels left out is kept.")
     assert np.nanmean(fit.errors("pose")) < 0.005

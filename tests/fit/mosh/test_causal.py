@@ -38,7 +38,8 @@ def test_it_depends_on_nothing_that_comes_later():
     s = scene(frames=30)
     changed = s.observed.copy()
     changed[20:] += 0.1
-    early, later = follow(s, s.observed)[:20], follow(s, changed)[:20]
+    early = follow(s, s.observed)[:20]
+    later = follow(s, changed)[:20]
     np.testing.assert_array_equal([f.pose for f in early], [f.pose for f in later])
 
 
@@ -48,7 +49,8 @@ def test_it_keeps_on_over_a_gap():
     s.observed[40:, 3] = np.nan
     frames = follow(s, s.observed)
     misses = [
-        np.abs(predict(s.rig, f.pose[None], f.trans[None])[0] - o) for f, o in zip(frames, s.observed, strict=True)
+        np.abs(predict(s.rig, f.pose[None], f.trans[None])[0] - o)
+        for f, o in zip(frames, s.observed, strict=True)
     ]
     assert np.nanmax(misses[40:]) < 0.02
 
@@ -58,10 +60,16 @@ def test_a_body_that_is_not_seen_moves_on_and_comes_to_rest():
     s = scene(frames=60)
     truth = predict(s.rig, s.pose, s.trans)
     s.observed[30:36] = np.nan
-    places = np.array([predict(s.rig, f.pose[None], f.trans[None])[0] for f in follow(s, s.observed)])
-    apart = [np.linalg.norm(each - truth[30:36], axis=2).mean() for each in (places[30:36], places[29])]
+    places = np.array(
+        [predict(s.rig, f.pose[None], f.trans[None])[0] for f in follow(s, s.observed)]
+    )
+    apart = [
+        np.linalg.norm(each - truth[30:36], axis=2).mean() for each in (places[30:36], places[29])
+    ]
     assert apart[0] < 0.5 * apart[1]
-    blind = follow(s, np.concatenate([s.observed[:30], np.full((400, *s.observed.shape[1:]), np.nan)]))
+    blind = follow(
+        s, np.concatenate([s.observed[:30], np.full((400, *s.observed.shape[1:]), np.nan)])
+    )
     way = np.linalg.norm(np.diff([f.trans for f in blind], axis=0), axis=1)
     assert way[-1] < 1e-6 and way[29:].sum() < 20 * way[28]
     assert np.isfinite([f.cost for f in blind]).all()
@@ -74,7 +82,9 @@ def test_it_turns_on_and_on():
     frames = follow(s, observed)
     assert max(np.linalg.norm(f.pose[0]) for f in frames) < 1.6 * np.pi
     for frame, seen in list(zip(frames, observed, strict=True))[5:]:
-        np.testing.assert_allclose(predict(s.rig, frame.pose[None], frame.trans[None])[0], seen, atol=0.02)
+        np.testing.assert_allclose(
+            predict(s.rig, frame.pose[None], frame.trans[None])[0], seen, atol=0.02
+        )
 
 
 def test_a_fallen_marker_is_weighed_down():
@@ -82,13 +92,16 @@ def test_a_fallen_marker_is_weighed_down():
     clean = follow(s, s.observed)
     wrong = s.observed.copy()
     wrong[20:, 3] += (0.3, 0.0, 0.0)
-    robust, square = follow(s, wrong, scales=np.full(25, 0.03)), follow(s, wrong)
+    robust = follow(s, wrong, scales=np.full(25, 0.03))
+    square = follow(s, wrong)
     apart = [degrees_apart(each[-1].pose, clean[-1].pose) for each in (robust, square)]
     assert apart[0] < 0.3 * apart[1]
 
 
 def test_a_whole_fit_looks_ahead_and_a_causal_one_does_not():
-    """Later frames are less complete, so that the shape stage takes none of them; then they are changed."""
+    """Later frames are less complete, so that the shape stage takes none of them; then they are
+    changed.
+    """
     truth = plant(frames=30)
     observed = truth.observed.copy()
     observed[20:, :2] = np.nan
@@ -98,17 +111,25 @@ def test_a_whole_fit_looks_ahead_and_a_causal_one_does_not():
         which = settings(frames=4, annealing=(10.0,), causal=causal, soft_tissue=False)
         one, two = (planted_fit(truth, each, which) for each in (observed, changed))
         np.testing.assert_array_equal(one.betas, two.betas)
-        assert (one.pose[:20] == two.pose[:20]).all() == causal and (one.trans[:20] == two.trans[:20]).all() == causal
+        assert (one.pose[:20] == two.pose[:20]).all() == causal and (
+            one.trans[:20] == two.trans[:20]
+        ).all() == causal
         assert (one.pose[20:] != two.pose[20:]).any()
 
 
 def test_a_later_frame_leans_on_the_two_before_it():
-    """With a heavy acceleration term a frame whose markers hardly count goes on at the speed of those before it."""
+    """With a heavy acceleration term a frame whose markers hardly count goes on at the speed of
+    those before it.
+    """
     s = scene(frames=12, noise=0.0)
     heavy = SequenceSettings(pose=1e-6, acceleration=50.0, trans_acceleration=50.0)
     solver = CausalSolver(s.rig, s.prior, s.pose[0], s.trans[0], heavy, iterations=20)
-    frames = [solver.step(seen, np.full(25, 1e-9 if k >= 8 else 1.0)) for k, seen in enumerate(s.observed[:10])]
-    pose, trans = np.array([f.pose for f in frames]), np.array([f.trans for f in frames])
+    frames = [
+        solver.step(seen, np.full(25, 1e-9 if k >= 8 else 1.0))
+        for k, seen in enumerate(s.observed[:10])
+    ]
+    pose = np.array([f.pose for f in frames])
+    trans = np.array([f.trans for f in frames])
     np.testing.assert_allclose(pose[8:], 2 * pose[7:9] - pose[6:8], atol=1e-4)
     np.testing.assert_allclose(trans[8:], 2 * trans[7:9] - trans[6:8], atol=1e-4)
 
@@ -118,7 +139,9 @@ def test_a_frames_cost_is_its_own():
     s = scene(frames=6)
     scales = np.full(25, 0.02)
     for frame, seen in zip(follow(s, s.observed, scales=scales), s.observed, strict=True):
-        squared = np.sum((predict(s.rig, frame.pose[None], frame.trans[None])[0] - seen) ** 2, axis=1)
+        squared = np.sum(
+            (predict(s.rig, frame.pose[None], frame.trans[None])[0] - seen) ** 2, axis=1
+        )
         off = frame.pose[1:].ravel() - s.prior.mean
         data = 7500.0 * np.sum(squared / (1 + squared / scales**2))
         assert frame.cost == pytest.approx(0.5 * (data + off @ s.prior.precision @ off), rel=1e-6)

@@ -35,7 +35,8 @@ def sliding(planted, attachment, observed, label, way):
 def named(planted, attachment, observed, rate_hz=RATE_HZ) -> set[str]:
     """Whom the known person's markers accuse; poses start where they are."""
     rig = marker_rig(planted.body, planted.betas, attachment)
-    truth, scales = SimpleNamespace(pose=planted.pose, trans=planted.trans), np.full(observed.shape[1], SCALE)
+    truth = SimpleNamespace(pose=planted.pose, trans=planted.trans)
+    scales = np.full(observed.shape[1], SCALE)
     prior = planted.prior.for_joints(planted.body.joint_names)
     lam = sequence_settings(MoshSettings(), warm=True)
     found = find_drifts(planted.body, attachment, rig, observed, scales, rate_hz, prior, truth, lam)
@@ -44,7 +45,8 @@ def named(planted, attachment, observed, rate_hz=RATE_HZ) -> set[str]:
 
 
 def test_a_trend_is_measured_against_its_scatter():
-    rng, frames = np.random.default_rng(0), 200
+    rng = np.random.default_rng(0)
+    frames = 200
     off = 0.004 * rng.normal(size=(frames, 4, 3))
     off[:, 1] += np.linspace(-0.03, 0.03, frames)[:, None] * np.array([0.6, 0.0, 0.8])
     off[:, 2] += 0.03 * np.sin(np.linspace(0, 12, frames))[:, None]
@@ -103,11 +105,15 @@ def test_a_slow_capture_needs_a_few_frames(clean, attachment, frames):
     some = np.linspace(0, 59, frames).astype(int)
     observed = sliding(clean, attachment, clean.observed, "T10", (0.06, 0.0, 0.0))[some]
     few = replace(clean, pose=clean.pose[some], trans=clean.trans[some])
-    assert named(few, attachment, observed, rate_hz=5.0) == ({"T10"} if frames == 2 * PARTS else set())
+    assert named(few, attachment, observed, rate_hz=5.0) == (
+        {"T10"} if frames == 2 * PARTS else set()
+    )
 
 
 def test_a_fit_tells_of_it(clean, attachment):
-    found = fit(clean, sliding(clean, attachment, clean.observed, "RKNE", (0.04, 0.045, 0.0)), QUICK)
+    found = fit(
+        clean, sliding(clean, attachment, clean.observed, "RKNE", (0.04, 0.045, 0.0)), QUICK
+    )
     assert [suspect.label for suspect in found.suspects] == ["RKNE"]
     told = found.suspects[0]
     assert told.reason.startswith("drift: slid") and told.frames == 60 and not told.corrected

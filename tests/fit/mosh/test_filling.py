@@ -1,4 +1,6 @@
-"""Gaps filled from a fit: exactly where the marker moves with the skin, nowhere where nobody knows."""
+"""Gaps filled from a fit: exactly where the marker moves with the skin, nowhere where nobody
+knows.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,9 @@ from habitus.observe.markers import MarkerAttachment, predict_markers
 
 
 def _fit(frames=40):
-    """A fit whose markers ride 4 mm beside their predicted places, in the axes of their triangles."""
+    """A fit whose markers ride 4 mm beside their predicted places, in the axes of their
+    triangles.
+    """
     fit = synthetic_fit(frames, suspects=(), marker_weights=np.ones((frames, 12)))
     rng = np.random.default_rng(3)
     used, corners = np.unique(fit.attachment.triangles, return_inverse=True)

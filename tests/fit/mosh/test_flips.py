@@ -13,7 +13,8 @@ T = 200
 @pytest.fixture
 def markers() -> np.ndarray:
     """Six markers 8 cm apart that swing together at up to 5 m/s, 100 Hz, a millimetre of noise."""
-    rng, time = np.random.default_rng(0), np.arange(T) / 100.0
+    rng = np.random.default_rng(0)
+    time = np.arange(T) / 100.0
     swing = np.stack([np.sin(8 * time), 0.6 * np.cos(7 * time), 0.1 * time], axis=1)
     places = 0.08 * np.stack([np.arange(6), np.arange(6) % 2, np.zeros(6)], axis=1)
     return swing[:, None] + places + 1e-3 * rng.normal(size=(T, 6, 3))
@@ -41,7 +42,9 @@ def test_the_smaller_part_is_the_wrong_one(markers):
 
 
 def test_several_pairs_and_several_times(markers):
-    spoilt = swapped(swapped(swapped(markers, 0, 1, slice(20, 40)), 2, 5, slice(30, 60)), 0, 1, slice(100, 130))
+    spoilt = swapped(
+        swapped(swapped(markers, 0, 1, slice(20, 40)), 2, 5, slice(30, 60)), 0, 1, slice(100, 130)
+    )
     assert found(spoilt) == {(0, 1): {*range(20, 40), *range(100, 130)}, (2, 5): set(range(30, 60))}
     np.testing.assert_array_equal(undo_swaps(spoilt, find_flips(spoilt)), markers)
 

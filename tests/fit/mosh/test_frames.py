@@ -63,7 +63,9 @@ def test_random_frames_follow_the_seed_and_hold_a_marker(observed):
 
 
 def test_each_marker_is_seen_three_times_or_as_often_as_it_can_be(observed):
-    """Markers that complete frames never show are fetched from others: the least complete half is looked at as well."""
+    """Markers that complete frames never show are fetched from others: the least complete half is
+    looked at as well.
+    """
     observed[:280, 4] = np.nan
     observed[1:, 6] = np.nan
     observed[280:, 0:3] = np.nan
@@ -85,7 +87,9 @@ def test_spread_frames_begin_in_the_middle_and_go_to_the_ends():
 
 
 def test_a_marker_hidden_for_a_frame_does_not_make_its_pose_odd(observed):
-    """Unseen distances count as their median, not as zero, though the marker is far from all others."""
+    """Unseen distances count as their median, not as zero, though the marker is far from all
+    others.
+    """
     observed[:, 7:] += 50.0
     observed[::2, 8], observed[1::2, 9] = np.nan, np.nan
     observed[141] = observed[143]

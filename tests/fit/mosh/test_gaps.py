@@ -1,4 +1,6 @@
-"""Gaps: what is not seen moves on as it did on both sides, and what is seen decides where it is seen."""
+"""Gaps: what is not seen moves on as it did on both sides, and what is seen decides where it is
+seen.
+"""
 
 import numpy as np
 import pytest
@@ -43,20 +45,29 @@ def test_a_straight_motion_goes_on_and_ends_hold():
 
 @pytest.mark.parametrize("seconds,share", [(0.5, 0.3), (2.0, 1.2)])
 def test_velocities_last_for_a_while(seconds, share):
-    """A swing of 1 Hz: far better than the straight line through half a second, hardly worse through two."""
-    rate, time = 100.0, np.arange(400) / 100.0
-    values, known = np.sin(2 * np.pi * time + 0.4)[:, None], hidden(400, slice(120, 120 + int(seconds * rate)))
-    bent, straight = (np.abs(gaps.bridge(values, known, speed) - values)[~known].mean() for speed in (rate, 0.0))
+    """A swing of 1 Hz: far better than the straight line through half a second, hardly worse
+    through two.
+    """
+    rate = 100.0
+    time = np.arange(400) / 100.0
+    values = np.sin(2 * np.pi * time + 0.4)[:, None]
+    known = hidden(400, slice(120, 120 + int(seconds * rate)))
+    bent, straight = (
+        np.abs(gaps.bridge(values, known, speed) - values)[~known].mean() for speed in (rate, 0.0)
+    )
     assert bent < share * straight
 
 
 @pytest.mark.parametrize("size", [0.01, 100.0])
 def test_bridges_do_not_depend_on_units_or_places(size):
-    rate, time = 100.0, np.arange(400) / 100.0
+    rate = 100.0
+    time = np.arange(400) / 100.0
     values = np.stack([np.sin(2 * np.pi * time + 0.4), np.cos(5 * time)], axis=1)
     known = hidden(400, slice(120, 170))
     expected = size * gaps.bridge(values, known, rate) + 3.0
-    np.testing.assert_allclose(gaps.bridge(size * values + 3.0, known, rate), expected, atol=1e-9 * size)
+    np.testing.assert_allclose(
+        gaps.bridge(size * values + 3.0, known, rate), expected, atol=1e-9 * size
+    )
 
 
 def test_rotations_turn_the_short_way_at_an_even_pace():
@@ -89,13 +100,22 @@ def test_a_joint_is_known_where_its_markers_are_seen(clean, rig):
     names = clean.body.joint_names
     assert set(np.flatnonzero(~known.all(axis=1))) == set(range(10, 20))
     lost = {names[j] for j in np.flatnonzero(~known.all(axis=0))}
-    assert {"left_elbow", "left_wrist"} <= lost <= {"left_elbow", "left_wrist", "left_hand", "left_shoulder"}
+    assert (
+        {"left_elbow", "left_wrist"}
+        <= lost
+        <= {"left_elbow", "left_wrist", "left_hand", "left_shoulder"}
+    )
 
 
-def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_centimetres(clean, rig):
+def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_centimetres(
+    clean, rig
+):
     lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)))
     wrist, elbow = (clean.body.joint_names.index(f"left_{name}") for name in ("wrist", "elbow"))
-    assert lever.max() == gaps.LEVER**2 and (lever[clean.columns("LWRA", "LWRB", "LFIN"), elbow] == 0.0225).all()
+    assert (
+        lever.max() == gaps.LEVER**2
+        and (lever[clean.columns("LWRA", "LWRB", "LFIN"), elbow] == 0.0225).all()
+    )
     assert 1e-4 < lever[clean.column("LWRA"), wrist] < 0.0225
     assert np.abs(lever[clean.column("RWRA"), [wrist, elbow]]).max() < 1e-6
 
@@ -116,7 +136,9 @@ def test_a_start_goes_straight_through_empty_frames(clean, rig):
     pose, trans = start_sequence(rig, clean.pose[:1], clean.body.joint_names, observed)
     share = (np.arange(19, 45) - 19.0)[:, None] / 25.0
     np.testing.assert_allclose(trans[19:45], trans[19] + share * (trans[44] - trans[19]), atol=1e-9)
-    expected = Slerp([19, 44], Rotation.from_rotvec(pose[[19, 44], 0]))(np.arange(19, 45)).as_rotvec()
+    expected = Slerp([19, 44], Rotation.from_rotvec(pose[[19, 44], 0]))(
+        np.arange(19, 45)
+    ).as_rotvec()
     assert degrees_apart(pose[19:45, 0], expected).max() < 1e-6
 
 
@@ -133,7 +155,9 @@ def test_the_body_moves_on_through_an_empty_stretch(clean, through):
     off = np.linalg.norm(found.predicted_soft_tissue - clean.exact, axis=2).mean(axis=1)
     ends = [found.predicted_soft_tissue[k] for k in (21, 42)]
     share = (np.arange(22, 42) - 21.0)[:, None, None] / 21.0
-    straight = np.linalg.norm(ends[0] + share * (ends[1] - ends[0]) - clean.exact[22:42], axis=2).mean()
+    straight = np.linalg.norm(
+        ends[0] + share * (ends[1] - ends[0]) - clean.exact[22:42], axis=2
+    ).mean()
     assert off[22:42].mean() < 0.7 * straight and off[22:42].max() < 0.12
     assert found.flagged_frames.sum() == 36 and (found.marker_weights[~found.visible] == 0).all()
     assert np.isnan(found.errors()[~found.visible]).all()
@@ -141,7 +165,9 @@ def test_the_body_moves_on_through_an_empty_stretch(clean, through):
 
 def test_ends_hold(through):
     _, found = through
-    still = np.linalg.norm(found.predicted_pose_stage - found.predicted_pose_stage[[8] * 30 + [51] * 30], axis=2)
+    still = np.linalg.norm(
+        found.predicted_pose_stage - found.predicted_pose_stage[[8] * 30 + [51] * 30], axis=2
+    )
     assert still[:7].max() < 0.02 and still[-7:].max() < 0.02
 
 

@@ -27,14 +27,22 @@ def without(fit, joint, frames=slice(None)):
 def test_where_markers_are_nothing_is_guessed(fit):
     edges, spread = fit.guessed
     assert len(edges) == 24 and spread.shape == (24, 24) and not fit.guessed.joints().any()
-    assert spread[spread > 0].min() > 0.005  # no part is known better than markers sit where they should
+    assert (
+        spread[spread > 0].min() > 0.005
+    )  # no part is known better than markers sit where they should
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_limb_without_markers_is_guessed(fit, side):
     guessed = without(fit, f"{side}_shoulder").guessed
-    names = {name for name, guess in zip(fit.body.joint_names, guessed.joints(), strict=True) if guess}
-    assert names == {f"{side}_shoulder", f"{side}_elbow", f"{side}_wrist"}  # hands and feet of tubes carry no skin
+    names = {
+        name for name, guess in zip(fit.body.joint_names, guessed.joints(), strict=True) if guess
+    }
+    assert names == {
+        f"{side}_shoulder",
+        f"{side}_elbow",
+        f"{side}_wrist",
+    }  # hands and feet of tubes carry no skin
 
 
 def test_for_as_long_as_nobody_sees_it(fit):

@@ -1,4 +1,6 @@
-"""Held-out markers: their error is the distance from the layout's place on the fitted body, and nothing saw them."""
+"""Held-out markers: their error is the distance from the layout's place on the fitted body, and
+nothing saw them.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,9 @@ def planted():
 def without(planted, labels):
     kept = tuple(marker for marker in planted.layout.markers if marker.label not in labels)
     columns = planted.columns(*(marker.label for marker in kept))
-    return replace(planted, layout=replace(planted.layout, markers=kept), observed=planted.observed[:, columns])
+    return replace(
+        planted, layout=replace(planted.layout, markers=kept), observed=planted.observed[:, columns]
+    )
 
 
 def only(planted, labels):
@@ -34,7 +38,9 @@ def fitted(planted):
 
 @pytest.fixture(scope="module")
 def ideal(planted, fitted):
-    """Held-out markers at the layout's places on the fitted body: with soft tissue, and in the pose stage."""
+    """Held-out markers at the layout's places on the fitted body: with soft tissue, and in the pose
+    stage.
+    """
     layout = only(planted, HELD)
     latent = place_by_hand(fitted.betas, layout)
     attachment = attach(latent, rest(fitted.betas), np.asarray(person().faces))
@@ -49,7 +55,9 @@ def test_the_error_is_the_offset_made_by_hand(fitted, ideal):
     errors = held_out_errors(fitted, layout, soft + offsets)
     assert errors.labels == HELD
     np.testing.assert_allclose(errors.soft_tissue, lengths, atol=1e-9)
-    np.testing.assert_allclose(held_out_errors(fitted, layout, posed + offsets).pose, lengths, atol=1e-9)
+    np.testing.assert_allclose(
+        held_out_errors(fitted, layout, posed + offsets).pose, lengths, atol=1e-9
+    )
 
 
 def test_one_frame_and_one_marker_answer_for_themselves(fitted, ideal):
@@ -59,7 +67,9 @@ def test_one_frame_and_one_marker_answer_for_themselves(fitted, ideal):
     moved[9, 2] = np.nan
     expected = np.zeros((24, 3))
     expected[7, 1], expected[9, 2] = 0.1, np.nan
-    np.testing.assert_allclose(held_out_errors(fitted, layout, moved).soft_tissue, expected, atol=1e-9)
+    np.testing.assert_allclose(
+        held_out_errors(fitted, layout, moved).soft_tissue, expected, atol=1e-9
+    )
 
 
 def test_without_soft_tissue_there_is_one_error(fitted, ideal):
@@ -70,8 +80,12 @@ def test_without_soft_tissue_there_is_one_error(fitted, ideal):
 
 
 def test_markers_where_the_layout_says_are_predicted(planted, fitted):
-    """Planted without a placement error: what is left is what the fit of the others leaves open there."""
-    errors = held_out_errors(fitted, only(planted, HELD), planted.observed[:, planted.columns(*HELD)])
+    """Planted without a placement error: what is left is what the fit of the others leaves open
+    there.
+    """
+    errors = held_out_errors(
+        fitted, only(planted, HELD), planted.observed[:, planted.columns(*HELD)]
+    )
     assert errors.soft_tissue.mean() < 0.02
     with_them = fit(planted, which=settings(annealing=(10.0, 1.0)))
     assert errors.soft_tissue.mean() > np.nanmean(with_them.errors()[:, planted.columns(*HELD)])

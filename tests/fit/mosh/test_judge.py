@@ -24,7 +24,14 @@ SOUND = Evidence(
     age=None,
     stature=1.7,
     recorded={},
-    unseen={"pelvis": 0.0, "spine1": 0.0, "left_shoulder": 0.0, "left_elbow": 0.0, "left_wrist": 0.1, "left_hand": 0.9},
+    unseen={
+        "pelvis": 0.0,
+        "spine1": 0.0,
+        "left_shoulder": 0.0,
+        "left_elbow": 0.0,
+        "left_wrist": 0.1,
+        "left_hand": 0.9,
+    },
     parents={
         "spine1": "pelvis",
         "left_shoulder": "spine1",
@@ -57,9 +64,17 @@ AGAINST = {  # what is changed: (the level that it makes at least, a word of its
     "never seen": ({"mean_mm": None, "p95_mm": None}, "failed", "No marker was ever seen"),
     "distrusted": ({"distrusted": 0.3}, "failed", "30 %"),
     "rare shape": ({"beta_sd": 6.5}, "failed", "6.5 standard deviations"),
-    "a giant": ({"measurements": {"height_m": 18.6}}, "failed", "1860.0 cm tall; the unit of length"),
+    "a giant": (
+        {"measurements": {"height_m": 18.6}},
+        "failed",
+        "1860.0 cm tall; the unit of length",
+    ),
     "tall": ({"measurements": {"height_m": 2.25}}, "doubtful", "225.0 cm"),
-    "no chest": ({"measurements": {"chest_circumference_m": 0.016}}, "failed", "chest circumference is 1.6 cm"),
+    "no chest": (
+        {"measurements": {"chest_circumference_m": 0.016}},
+        "failed",
+        "chest circumference is 1.6 cm",
+    ),
     "a child": ({"measurements": {"height_m": 1.2}}, "doubtful", "120.0 cm"),
     "a forearm": ({"unseen": UNSEEN}, "doubtful", "No marker tells of the left forearm:"),
     "height": ({"recorded": {"height_m": 1.65}}, "doubtful", "The file says height 165.0 cm"),
@@ -81,7 +96,9 @@ AGAINST = {  # what is changed: (the level that it makes at least, a word of its
 
 
 def test_sound_evidence_is_good_and_says_how_close_the_markers_are():
-    assert weigh(SOUND) == Verdict("good", ("Markers lie 5.0 mm from the body on average, 95 % within 12 mm.",))
+    assert weigh(SOUND) == Verdict(
+        "good", ("Markers lie 5.0 mm from the body on average, 95 % within 12 mm.",)
+    )
 
 
 @pytest.mark.parametrize(("change", "level", "words"), AGAINST.values(), ids=AGAINST)
@@ -94,7 +111,11 @@ def test_whatever_speaks_against_a_fit_is_said_at_its_level(change, level, words
 def test_the_gravest_reason_makes_the_level_and_stands_first():
     both = replace(SOUND, confidence=0.2, mean_mm=80.0)
     found = weigh(both)
-    assert found.level == "failed" and "80.0 mm" in found.reasons[0] and "confidence" in " ".join(found.reasons)
+    assert (
+        found.level == "failed"
+        and "80.0 mm" in found.reasons[0]
+        and "confidence" in " ".join(found.reasons)
+    )
 
 
 def test_more_against_a_fit_never_makes_it_better():
@@ -105,7 +126,9 @@ def test_more_against_a_fit_never_makes_it_better():
             assert LEVELS.index(weigh(replace(SOUND, **(second | first))).level) >= alone
 
 
-LEARNED = {  # evidence just inside and just beyond each limit: (good, doubtful, failed), as real captures taught them
+# evidence just inside and just beyond each limit: (good, doubtful, failed), as real captures taught
+# them
+LEARNED = {
     "mean": [{"mean_mm": mm, "motion": 9.0} for mm in (14.9, 15.1, 30.1)],
     "tails": [{"p95_mm": mm} for mm in (34.9, 35.1, 80.1)],
     "usual at rest": [{"mean_mm": mm, "motion": 0.0} for mm in (9.9, 10.1, 20.1)],
@@ -150,12 +173,16 @@ def test_what_is_remarked_and_what_speaks_of_two_people():
     assert remarked == [1, 2]
     spoken = [str(weigh(replace(SOUND, torn=0.1, torn_level=share))) for share in (0.59, 0.61)]
     assert ["two people" in text for text in spoken] == [False, True]
-    heights = [weigh(replace(SOUND, measurements={"height_m": m})) for m in (0.61, 0.59, 2.79, 2.81)]
+    heights = [
+        weigh(replace(SOUND, measurements={"height_m": m})) for m in (0.61, 0.59, 2.79, 2.81)
+    ]
     assert ["unit of length" in str(found) for found in heights] == [False, True, False, True]
 
 
 def test_remarks_leave_a_fit_good():
-    found = weigh(replace(SOUND, recorded={"mass_kg": 77.0}, unseen={**SOUND.unseen, "left_wrist": 1.0}))
+    found = weigh(
+        replace(SOUND, recorded={"mass_kg": 77.0}, unseen={**SOUND.unseen, "left_wrist": 1.0})
+    )
     assert found.level == "good" and "77.0 kg" in str(found) and "left hand" in str(found)
 
 
@@ -186,7 +213,9 @@ def test_limbs_without_markers_are_named(clean):
     bare = clean.observed.copy()
     bare[:, clean.columns("LELB", "LFRM", "LWRA", "LWRB", "LFIN")] = np.nan
     found = judge(p.fit(clean, bare, HASTY))
-    assert found.level == "doubtful" and "No marker tells of the left forearm:" in " ".join(found.reasons)
+    assert found.level == "doubtful" and "No marker tells of the left forearm:" in " ".join(
+        found.reasons
+    )
 
 
 def test_children_are_held_against_children():

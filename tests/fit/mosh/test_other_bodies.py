@@ -1,4 +1,6 @@
-"""Bodies that the compiled kernels do not cover recover their own planted motion, through every stage."""
+"""Bodies that the compiled kernels do not cover recover their own planted motion, through every
+stage.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,9 @@ from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
 from habitus.solve.sequence.solver import SequenceOptions
 
-FRAMES, MARKERS, BETAS = 5, 90, 3
+FRAMES = 5
+MARKERS = 90
+BETAS = 3
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +32,15 @@ def planted():
     prior = load_pose_prior().for_joints(body.joint_names)
     betas = np.array([0.8, -0.6, 0.5])
     chosen = rng.permutation(body.num_vertices)[:MARKERS]
-    placement = Placement(chosen, np.full(MARKERS, 0.0095), np.full(MARKERS, 1e-3), np.full(MARKERS, 0.02))
+    placement = Placement(
+        chosen, np.full(MARKERS, 0.0095), np.full(MARKERS, 1e-3), np.full(MARKERS, 0.02)
+    )
     latent = default_markers(body, betas, chosen, placement.distance)
     markers = LatentMarkers(body, attach(latent, body.rest_vertices(betas), body.faces).triangles)
     wave = np.sin(0.4 * np.arange(FRAMES)[:, None] + rng.uniform(0, 6, len(prior.mean)))
-    pose = np.concatenate([np.zeros((FRAMES, 3)), prior.mean + 0.25 * wave], axis=1).reshape(FRAMES, -1, 3)
+    pose = np.concatenate([np.zeros((FRAMES, 3)), prior.mean + 0.25 * wave], axis=1).reshape(
+        FRAMES, -1, 3
+    )
     trans = np.linspace(0, 0.1, FRAMES)[:, None] * np.ones(3)
     observed = markers(betas, latent, pose, trans)
     return body, prior, placement, betas, latent, pose, trans, observed
@@ -54,15 +62,22 @@ def test_pose_and_soft_tissue_stages_recover_the_motion(planted):
     body, prior, _, betas, latent, pose, trans, _ = planted
     marked = marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
     settings = SequenceSettings(pose=1e-3, acceleration=1e-3, soft_tissue=1e-3)
-    settings = replace(settings, options=SequenceOptions(strides=(1,), sweeps=40, damping=1.0, tolerance=1e-4))
+    settings = replace(
+        settings, options=SequenceOptions(strides=(1,), sweeps=40, damping=1.0, tolerance=1e-4)
+    )
     truth = 0.6 * np.sin(np.arange(FRAMES))[:, None] * np.array([1.0, -0.5, 0.7])
     start = (pose + np.radians(4) * np.random.default_rng(2).normal(size=pose.shape), trans + 0.02)
-    still, moving = predict(marked, pose, trans), predict(marked, pose, trans, truth)
+    still = predict(marked, pose, trans)
+    moving = predict(marked, pose, trans, truth)
     assert isinstance(marker_sequence(marked, still, None, None, prior, settings, 0), DenseSequence)
     posed = fit_sequence(marked, still, None, None, prior, *start, settings)
     np.testing.assert_allclose(predict(marked, posed.pose, posed.trans), still, atol=5e-4)
     assert degrees_apart(posed.pose[:, :10], pose[:, :10]) < 2.0
     zero = np.zeros((FRAMES, BETAS))
-    soft = fit_sequence(marked, moving, None, None, prior, posed.pose, posed.trans, settings, soft_tissue=zero)
+    soft = fit_sequence(
+        marked, moving, None, None, prior, posed.pose, posed.trans, settings, soft_tissue=zero
+    )
     np.testing.assert_allclose(soft.soft_tissue, truth, atol=0.1)
-    np.testing.assert_allclose(predict(marked, soft.pose, soft.trans, soft.soft_tissue), moving, atol=1e-3)
+    np.testing.assert_allclose(
+        predict(marked, soft.pose, soft.trans, soft.soft_tissue), moving, atol=1e-3
+    )

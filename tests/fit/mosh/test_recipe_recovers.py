@@ -1,4 +1,6 @@
-"""Planted people come back through the whole recipe: shape, marker placement, pose, place and change of shape."""
+"""Planted people come back through the whole recipe: shape, marker placement, pose, place and
+change of shape.
+"""
 
 import numpy as np
 import pytest
@@ -19,14 +21,20 @@ from planted import (
 from scipy.spatial.transform import Rotation
 
 PLACEMENT = 5e-3  # metres, sd along each axis
-TRUSTING = {"shape": {"betas": 1e-2, "pose": 1e-3}, "pose": {"pose": 1e-2, "acceleration": 0.1}}  # data before priors
+TRUSTING = {
+    "shape": {"betas": 1e-2, "pose": 1e-3},
+    "pose": {"pose": 1e-2, "acceleration": 0.1},
+}  # data before priors
 QUICK = settings(annealing=(10.0, 1.0), soft_tissue=False)
 MEAN_NOISE = 1.6 * NOISE  # mean length of a vector of three coordinates with sd 1: sqrt(8 / pi)
 
 
 def degrees_left_open(planted: Planted, frame: int) -> np.ndarray:
-    """(J,) sd of each joint's rotation that the noise of the markers leaves, body and markers known; by differences."""
-    step, joints = 1e-4, planted.body.num_joints
+    """(J,) sd of each joint's rotation that the noise of the markers leaves, body and markers
+    known; by differences.
+    """
+    step = 1e-4
+    joints = planted.body.num_joints
     attachment = attach(planted.latent_markers, rest(planted.betas), np.asarray(planted.body.faces))
     state = np.concatenate([planted.trans[frame], planted.pose[frame].ravel()])
     both = np.concatenate([state + step * np.eye(len(state)), state - step * np.eye(len(state))])
@@ -65,13 +73,19 @@ def test_the_body_stands_where_it_stood(exact, recovered):
     true = surface(exact.betas, exact.pose, exact.trans)
     ours = surface(recovered.betas, recovered.pose, recovered.trans)
     assert np.linalg.norm(true - ours, axis=2).mean() < 4 * NOISE
-    np.testing.assert_allclose(recovered.trans.mean(axis=0), exact.trans.mean(axis=0), atol=6 * NOISE)
+    np.testing.assert_allclose(
+        recovered.trans.mean(axis=0), exact.trans.mean(axis=0), atol=6 * NOISE
+    )
 
 
 def test_predicted_markers_are_those_of_the_body_that_is_returned(recovered):
-    """Errors are told against the state that comes with them, by a second spelling of the marker function."""
+    """Errors are told against the state that comes with them, by a second spelling of the marker
+    function.
+    """
     for stage, predicted in ((recovered.pose_stage, recovered.predicted_pose_stage),):
-        np.testing.assert_allclose(carried(recovered.attachment, recovered.betas, *stage), predicted, atol=1e-9)
+        np.testing.assert_allclose(
+            carried(recovered.attachment, recovered.betas, *stage), predicted, atol=1e-9
+        )
     distance = np.linalg.norm(recovered.observed_markers - recovered.predicted_pose_stage, axis=2)
     np.testing.assert_allclose(recovered.errors("pose"), distance)
     assert distance.mean() < 2 * MEAN_NOISE
@@ -84,7 +98,9 @@ def test_predicted_markers_are_those_of_the_body_that_is_returned(recovered):
 def test_markers_put_on_by_hand_are_found_on_the_skin():
     truth = plant(layout="mosh-67", placement=PLACEMENT)
     found = fit(truth, which=settings(**TRUSTING, soft_tissue=False))
-    layout_says = np.linalg.norm(place_by_hand(truth.betas, truth.layout) - truth.latent_markers, axis=1).mean()
+    layout_says = np.linalg.norm(
+        place_by_hand(truth.betas, truth.layout) - truth.latent_markers, axis=1
+    ).mean()
     left = np.linalg.norm(found.latent_markers - truth.latent_markers, axis=1).mean()
     assert layout_says > PLACEMENT
     assert left < 0.5 * layout_says
@@ -98,7 +114,8 @@ def test_a_change_of_shape_in_time_is_found_where_the_pose_stage_cannot_follow()
     change -= change.mean(axis=0)
     truth = plant(soft_tissue=change)
     found = fit(truth, which=settings(annealing=(10.0, 1.0)))
-    stiff, soft = np.nanmean(found.errors("pose")), np.nanmean(found.errors("soft_tissue"))
+    stiff = np.nanmean(found.errors("pose"))
+    soft = np.nanmean(found.errors("soft_tissue"))
     assert soft < 0.6 * stiff
     for k in (0, 1):
         assert np.corrcoef(found.soft_tissue[:, k], change[:, k])[0, 1] > 0.95
@@ -117,10 +134,14 @@ def upright():
 
 @pytest.mark.parametrize("turn", [(np.pi / 2, 0, 0), (0, 2.5, 0), (1.2, -1.2, 1.2)])
 def test_axes_of_the_room_do_not_matter(upright, turn):
-    """A capture with z up, or of people who lie, gives the same shape, the same joints and a turned root."""
+    """A capture with z up, or of people who lie, gives the same shape, the same joints and a turned
+    root.
+    """
     truth, one = upright
     rotation = Rotation.from_rotvec(turn)
-    moved = rotation.apply(truth.observed.reshape(-1, 3)).reshape(truth.observed.shape) + np.array([3.0, -2.0, 1.0])
+    moved = rotation.apply(truth.observed.reshape(-1, 3)).reshape(truth.observed.shape) + np.array(
+        [3.0, -2.0, 1.0]
+    )
     two = fit(truth, moved, QUICK)
     np.testing.assert_allclose(two.betas, one.betas, atol=0.02)
     assert degrees_apart(two.pose[:, 1:], one.pose[:, 1:]).mean() < 0.4

@@ -1,4 +1,6 @@
-"""What goes wrong in captures is put right or named: exchanged labels, fallen and missing markers, empty frames."""
+"""What goes wrong in captures is put right or named: exchanged labels, fallen and missing markers,
+empty frames.
+"""
 
 from dataclasses import replace
 
@@ -28,7 +30,8 @@ def quickly(clean):
 
 
 def exchanged(planted, first, second, frames=slice(None)):
-    observed, pair = planted.observed.copy(), planted.columns(first, second)
+    observed = planted.observed.copy()
+    pair = planted.columns(first, second)
     observed[frames, pair] = observed[frames, pair[::-1]]
     return observed
 
@@ -85,10 +88,14 @@ def test_a_fallen_marker_has_no_say(clean, fitted):
     assert list(accused(found)) == ["RKNE"]
     reason, frames = accused(found)["RKNE"]
     assert frames == 30 and "from frame 30 on" in reason
-    assert found.marker_weights[30:, knee].max() < 0.05 < 0.9 < found.marker_weights[:30, knee].min()
+    assert (
+        found.marker_weights[30:, knee].max() < 0.05 < 0.9 < found.marker_weights[:30, knee].min()
+    )
     others = np.arange(len(clean.layout)) != knee
     assert found.marker_weights[:, others].min() > 0.8
-    moved = np.linalg.norm(found.predicted_pose_stage - fitted.predicted_pose_stage, axis=2)[:, others]
+    moved = np.linalg.norm(found.predicted_pose_stage - fitted.predicted_pose_stage, axis=2)[
+        :, others
+    ]
     assert moved.mean() < 3 * NOISE and moved.max() < 0.02
     np.testing.assert_array_equal(found.observed_markers, observed)
 
@@ -99,7 +106,8 @@ def test_a_marker_that_is_never_seen_is_as_if_the_layout_had_none(clean):
     observed[:, gone] = np.nan
     rest = tuple(marker for marker in clean.layout.markers if marker.label != "T10")
     fewer = replace(clean, layout=replace(clean.layout, markers=rest))
-    one, two = fit(clean, observed, QUICK), fit(fewer, np.delete(clean.observed, gone, axis=1), QUICK)
+    one = fit(clean, observed, QUICK)
+    two = fit(fewer, np.delete(clean.observed, gone, axis=1), QUICK)
     assert one.labels == two.labels == fewer.layout.labels
     np.testing.assert_array_equal(one.betas, two.betas)
     np.testing.assert_array_equal(one.pose, two.pose)
@@ -111,9 +119,14 @@ def test_gaps_stay_gaps_and_are_bridged(clean, quickly):
     found = fit(clean, observed, QUICK)
     hidden = ~np.isfinite(observed[..., 0])
     np.testing.assert_array_equal(found.visible, ~hidden)
-    assert np.isnan(found.errors("pose")[hidden]).all() and (found.marker_weights[hidden] == 0).all()
+    assert (
+        np.isnan(found.errors("pose")[hidden]).all() and (found.marker_weights[hidden] == 0).all()
+    )
     moved = np.linalg.norm(found.predicted_pose_stage - clean.exact, axis=2)
-    assert moved[~hidden].mean() < np.nanmean(quickly.errors("pose")) + NOISE and moved[hidden].max() < 0.1
+    assert (
+        moved[~hidden].mean() < np.nanmean(quickly.errors("pose")) + NOISE
+        and moved[hidden].max() < 0.1
+    )
 
 
 @pytest.mark.parametrize("left,flagged", [(3, True), (4, False)])
@@ -124,7 +137,9 @@ def test_frames_with_fewer_than_four_markers_are_flagged(clean, left, flagged):
     expected = np.zeros(60, dtype=bool)
     expected[40:45] = flagged
     np.testing.assert_array_equal(found.flagged_frames, expected)
-    assert [w.startswith("5 of 60 frames hold fewer than 4 markers") for w in found.warnings] == [True] * flagged
+    assert [w.startswith("5 of 60 frames hold fewer than 4 markers") for w in found.warnings] == [
+        True
+    ] * flagged
     assert np.isfinite(found.pose).all() and np.isfinite(found.trans).all()
     np.testing.assert_allclose(found.trans[40:45], clean.trans[40:45], atol=0.15)
 
@@ -138,10 +153,16 @@ def test_too_few_markers_in_every_frame_are_refused(clean):
 
 
 def test_two_captures_of_one_subject_share_their_shape(clean):
-    parts, told = {"a": slice(30), "b": slice(30, 60)}, []
+    parts = {"a": slice(30), "b": slice(30, 60)}
+    told = []
     halves = [Recording(name, clean.observed[part], 30.0, "+y") for name, part in parts.items()]
     fits = fit_markers(
-        clean.body, clean.prior, clean.layout, halves, QUICK, lambda stage, share: told.append((stage, share))
+        clean.body,
+        clean.prior,
+        clean.layout,
+        halves,
+        QUICK,
+        lambda stage, share: told.append((stage, share)),
     )
     one, two = fits
     assert (one.capture_name, two.capture_name) == ("a", "b")

@@ -24,7 +24,10 @@ def test_samples_beyond_reach_are_left_out_and_named(observed):
     found = within_reach(recorded(wild), LABELS)
     gone = np.isnan(found.observed[..., 0])
     assert gone.sum() == 4 and gone[4:7, 2].all() and gone[9, 5]
-    assert [(s.label, s.frames) for s in found.suspects] == [("c", 3), ("f", 1)] and "4 samples" in found.warnings[0]
+    assert [(s.label, s.frames) for s in found.suspects] == [
+        ("c", 3),
+        ("f", 1),
+    ] and "4 samples" in found.warnings[0]
     np.testing.assert_array_equal(found.observed[~gone], observed[~gone])
 
 

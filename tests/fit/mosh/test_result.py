@@ -6,8 +6,13 @@ from synthetic_fit import synthetic_fit
 
 def test_vertices_and_joints_of_frames():
     fit = synthetic_fit(frames=40)
-    whole, joints = fit.vertices(), fit.joints()
-    assert whole.shape == (40, fit.body.num_vertices, 3) and joints.shape == (40, fit.body.num_joints, 3)
+    whole = fit.vertices()
+    joints = fit.joints()
+    assert whole.shape == (40, fit.body.num_vertices, 3) and joints.shape == (
+        40,
+        fit.body.num_joints,
+        3,
+    )
     np.testing.assert_allclose(fit.vertices(-1), whole[-1], atol=1e-12)
     np.testing.assert_allclose(fit.vertices(slice(3, 30, 9)), whole[3:30:9], atol=1e-12)
     np.testing.assert_allclose(fit.joints([5, 2]), joints[[5, 2]], atol=1e-12)
@@ -15,7 +20,8 @@ def test_vertices_and_joints_of_frames():
 
 
 def test_errors_are_those_of_the_last_stage():
-    fit, rigid = synthetic_fit(frames=20), synthetic_fit(frames=20, soft=False)
+    fit = synthetic_fit(frames=20)
+    rigid = synthetic_fit(frames=20, soft=False)
     np.testing.assert_array_equal(fit.errors_mm, 1e3 * fit.errors("soft_tissue"))
     np.testing.assert_array_equal(rigid.errors_mm, 1e3 * rigid.errors("pose"))
     assert np.isnan(fit.errors_mm).any() and "mm from the body on average" in str(fit.verdict)

@@ -1,4 +1,6 @@
-"""The whole-sequence marker fit: fast and plain forms, SciPy's optimum, planted truth, outliers, gaps, turns."""
+"""The whole-sequence marker fit: fast and plain forms, SciPy's optimum, planted truth, outliers,
+gaps, turns.
+"""
 
 import numpy as np
 import pytest
@@ -21,14 +23,19 @@ KINDS = [{}, {"posedirs": True}, {"joints": 9, "influences": 4}, {"joints": 1, "
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("betas", [0, 4])
 def test_compiled_and_dense_visits_agree(kind, betas):
-    """Costs, and with them gradients and matrices: a Gauss-Newton step of either leads to the same place."""
+    """Costs, and with them gradients and matrices: a Gauss-Newton step of either leads to the same
+    place.
+    """
     s = scene(frames=13, seed=4, **kind)
     scales = np.where(np.arange(25) % 2, 0.02, np.inf)
     s.observed[3, 5] = np.nan
     weights = s.rng.uniform(size=s.observed.shape[:2])
     problem = (s.observed, weights, scales, s.prior, SequenceSettings(), betas)
-    fast, plain = KernelSequence(s.rig, *problem), DenseSequence(s.marked, *problem)
-    start = fast.pack(s.pose + 0.1, s.trans, 0.3 * s.rng.normal(size=(13, betas)) if betas else None)
+    fast = KernelSequence(s.rig, *problem)
+    plain = DenseSequence(s.marked, *problem)
+    start = fast.pack(
+        s.pose + 0.1, s.trans, 0.3 * s.rng.normal(size=(13, betas)) if betas else None
+    )
     frames = np.arange(13)
     np.testing.assert_allclose(fast.cost(frames, start), plain.cost(frames, start), rtol=1e-12)
     options = SequenceOptions(strides=(1,), sweeps=2, damping=3.0)
@@ -44,7 +51,8 @@ def test_the_optimum_is_scipys(posedirs, scale):
     s = scene(frames=5, seed=1, posedirs=posedirs, joints=4)
     s.observed[2, :20] = np.nan
     result = fit(s, scales=np.full(25, scale), options=TIGHT)
-    settings, root = SequenceSettings(), np.linalg.cholesky(s.prior.precision).T
+    settings = SequenceSettings()
+    root = np.linalg.cholesky(s.prior.precision).T
 
     def residual(flat):
         states = flat.reshape(5, -1)
@@ -61,7 +69,9 @@ def test_the_optimum_is_scipys(posedirs, scale):
         return np.concatenate([term.ravel() for term in terms])
 
     found = np.concatenate([result.trans, result.pose.reshape(5, -1)], axis=1)
-    peer = scipy.optimize.least_squares(residual, found.ravel() + 1e-3, xtol=1e-12, ftol=1e-14, gtol=1e-10)
+    peer = scipy.optimize.least_squares(
+        residual, found.ravel() + 1e-3, xtol=1e-12, ftol=1e-14, gtol=1e-10
+    )
     assert sum(result.costs.values()) <= peer.cost * (1 + 1e-6)
     np.testing.assert_allclose(found.ravel(), peer.x, atol=2e-4)
 
@@ -98,7 +108,9 @@ def test_a_fallen_marker_is_weighed_down():
     s = scene(frames=30)
     wrong = s.observed.copy()
     wrong[10:20, 3] += (0.3, 0.0, 0.0)
-    clean, robust, square = fit(s), fit(s, observed=wrong, scales=np.full(25, 0.03)), fit(s, observed=wrong)
+    clean = fit(s)
+    robust = fit(s, observed=wrong, scales=np.full(25, 0.03))
+    square = fit(s, observed=wrong)
     assert robust.weights[10:20, 3].max() < 0.02
     assert np.delete(robust.weights[10:20], 3, axis=1).min() > 0.7
     assert degrees_apart(robust.pose, clean.pose) < 0.3 * degrees_apart(square.pose, clean.pose)
@@ -121,9 +133,14 @@ def test_a_capture_without_markers_does_not_fail():
 
 @pytest.mark.parametrize("turns", [5, -5])
 def test_several_whole_turns(turns):
-    """A pirouette: the root passes 1.5 pi again and again, and rotation vectors begin anew there."""
+    """A pirouette: the root passes 1.5 pi again and again, and rotation vectors begin anew
+    there.
+    """
     s = scene(frames=300, seed=2)
-    s.pose[:, 0] = np.linspace(0, 2 * np.pi * turns, 300)[:, None] * np.array([0.0, 1.0, 0.0]) + 0.05 * s.pose[:, 0]
+    s.pose[:, 0] = (
+        np.linspace(0, 2 * np.pi * turns, 300)[:, None] * np.array([0.0, 1.0, 0.0])
+        + 0.05 * s.pose[:, 0]
+    )
     observed = predict(s.rig, s.pose, s.trans)
     result = fit(s, observed=observed)
     assert result.status == "converged"
@@ -137,7 +154,9 @@ def test_frames_apart_do_not_know_of_each_other():
     settings = SequenceSettings(acceleration=0.0, options=TIGHT)
     start = s.pose + 0.1
     one = fit_sequence(s.rig, s.observed, None, None, s.prior, start, s.trans, settings)
-    two = fit_sequence(s.rig, s.observed[order], None, None, s.prior, start[order], s.trans[order], settings)
+    two = fit_sequence(
+        s.rig, s.observed[order], None, None, s.prior, start[order], s.trans[order], settings
+    )
     np.testing.assert_allclose(one.pose[order], two.pose, atol=1e-9)
 
 
@@ -162,7 +181,9 @@ def test_wrong_shapes_are_refused():
 
 
 def test_a_start_far_off_is_mended_by_neighbours():
-    """Every joint starts 45 degrees off, anyhow: key frames that get stuck begin again from ones that did not."""
+    """Every joint starts 45 degrees off, anyhow: key frames that get stuck begin again from ones
+    that did not.
+    """
     s = scene(frames=120, markers=40, seed=5)
     truth = fit(s)
     axes = s.rng.normal(size=s.pose.shape)

@@ -18,16 +18,20 @@ from habitus.solve.sequence.solver import SequenceOptions
 from habitus.solve.term_derivatives import Differentiation, least_squares_problem
 from habitus.solve.unknowns import Unknowns
 
-FRAMES, BETAS = 6, 4
+FRAMES = 6
+BETAS = 4
 SETTINGS = SequenceSettings(soft_tissue_acceleration=0.7)
 
 
 @pytest.fixture(scope="module", params=[False, True])
 def setting(request):
-    """A scene with gaps, weights and mixed scales, its kernels, its terms, and states to look at."""
+    """A scene with gaps, weights and mixed scales, its kernels, its terms, and states to look
+    at.
+    """
     s = scene(frames=FRAMES, seed=7, posedirs=request.param)
     s.observed[2, 4] = np.nan
-    weights, scales = s.rng.uniform(0.3, 1.0, s.observed.shape[:2]), np.where(np.arange(25) % 2, 0.02, np.inf)
+    weights = s.rng.uniform(0.3, 1.0, s.observed.shape[:2])
+    scales = np.where(np.arange(25) % 2, 0.02, np.inf)
     given = (s.observed, weights, scales, s.prior, SETTINGS)
     values = {
         "trans": s.trans + 0.02 * s.rng.normal(size=s.trans.shape),
@@ -48,7 +52,9 @@ def test_the_cost_is_that_of_the_terms(setting):
     objective = Objective.of(terms, None, Unknowns.of(values))
     costs = objective.costs(objective.unknowns.vector)
     own = kernels.cost(np.arange(FRAMES), states)
-    assert own.sum() == pytest.approx(sum(costs[name] for name in ("data", "pose", "soft_tissue")), rel=1e-12)
+    assert own.sum() == pytest.approx(
+        sum(costs[name] for name in ("data", "pose", "soft_tissue")), rel=1e-12
+    )
     assert coupling_cost(kernels, states) == pytest.approx(
         sum(costs[name] for name in costs if name.endswith("acceleration")), rel=1e-12
     )
@@ -58,11 +64,17 @@ def test_the_cost_is_that_of_the_terms(setting):
 def test_a_visit_steps_by_the_terms_gradient_and_matrix(setting, frame):
     _, kernels, terms, values = setting
     objective = Objective.of(terms, None, Unknowns.of(values))
-    gradient, matrix = least_squares_problem(objective, Differentiation())(objective.unknowns.vector)[1]()
+    gradient, matrix = least_squares_problem(objective, Differentiation())(
+        objective.unknowns.vector
+    )[1]()
     own = np.concatenate(
-        [np.arange(where.start, where.stop).reshape(FRAMES, -1)[frame] for where in objective.unknowns.columns.values()]
+        [
+            np.arange(where.start, where.stop).reshape(FRAMES, -1)[frame]
+            for where in objective.unknowns.columns.values()
+        ]
     )
-    states, damping = kernels.pack(values["pose"], values["trans"], values["soft_tissue"]), 1e4
+    states = kernels.pack(values["pose"], values["trans"], values["soft_tissue"])
+    damping = 1e4
     links = np.pad(kernels.chart(np.arange(FRAMES), states)[1], ((0, 2), (0, 0)))
     links[:2] = 0.0
     level = SimpleNamespace(
@@ -87,14 +99,19 @@ def test_a_visit_steps_by_the_terms_gradient_and_matrix(setting, frame):
 
 def test_minimising_the_terms_ends_where_the_stage_does(setting):
     s, _, _, _ = setting
-    weights, scales = None, np.where(np.arange(25) % 2, 0.02, np.inf)
+    weights = None
+    scales = np.where(np.arange(25) % 2, 0.02, np.inf)
     terms = sequence_terms(s.marked, s.observed, weights, scales, s.prior, SETTINGS)
     tight = SequenceSettings(
         soft_tissue_acceleration=0.7,
         options=SequenceOptions(strides=(1,), tolerance=1e-9, cost_tolerance=0.0, sweeps=3000),
     )
     start = np.zeros((FRAMES, BETAS))
-    fused = fit_sequence(s.rig, s.observed, weights, scales, s.prior, s.pose, s.trans, tight, soft_tissue=start)
-    plain = minimize(terms, {"pose": fused.pose + 1e-3, "trans": fused.trans, "soft_tissue": fused.soft_tissue})
+    fused = fit_sequence(
+        s.rig, s.observed, weights, scales, s.prior, s.pose, s.trans, tight, soft_tissue=start
+    )
+    plain = minimize(
+        terms, {"pose": fused.pose + 1e-3, "trans": fused.trans, "soft_tissue": fused.soft_tissue}
+    )
     assert sum(fused.costs.values()) == pytest.approx(plain.cost, rel=1e-6)
     np.testing.assert_allclose(fused.pose, plain.values["pose"], atol=1e-4)

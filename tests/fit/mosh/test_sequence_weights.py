@@ -1,4 +1,6 @@
-"""The whole-sequence stages minimise the stated formula: each term by hand, and weights that mean what they say."""
+"""The whole-sequence stages minimise the stated formula: each term by hand, and weights that mean
+what they say.
+"""
 
 import numpy as np
 import pytest
@@ -26,24 +28,36 @@ def test_each_term_costs_what_its_formula_says(solved):
     squared = np.sum(miss**2, axis=2)
     data = weights * squared * scales**2 / (scales**2 + squared)
     off = result.pose[:, 1:].reshape(15, -1) - s.prior.mean
-    bends = [np.sum(np.diff(part, 2, axis=0) ** 2) for part in (result.pose, result.trans, result.soft_tissue)]
+    bends = [
+        np.sum(np.diff(part, 2, axis=0) ** 2)
+        for part in (result.pose, result.trans, result.soft_tissue)
+    ]
     assert result.costs["data"] == pytest.approx(0.5 * 5000.0 * np.nansum(data), rel=1e-9)
-    assert result.costs["pose"] == pytest.approx(0.5 * 0.7 * np.sum((off @ s.prior.precision) * off), rel=1e-6)
-    assert result.costs["soft_tissue"] == pytest.approx(0.5 * 0.25 * np.sum(result.soft_tissue**2), rel=1e-9)
-    assert result.costs["acceleration"] == pytest.approx(0.5 * np.dot([3.0, 4.0, 2.0], bends), rel=1e-9)
+    assert result.costs["pose"] == pytest.approx(
+        0.5 * 0.7 * np.sum((off @ s.prior.precision) * off), rel=1e-6
+    )
+    assert result.costs["soft_tissue"] == pytest.approx(
+        0.5 * 0.25 * np.sum(result.soft_tissue**2), rel=1e-9
+    )
+    assert result.costs["acceleration"] == pytest.approx(
+        0.5 * np.dot([3.0, 4.0, 2.0], bends), rel=1e-9
+    )
     shrink = (scales**2 / (scales**2 + squared)) ** 2
     np.testing.assert_allclose(result.weights, np.nan_to_num(weights * shrink), rtol=1e-9)
 
 
 def test_a_change_of_shape_is_smoother_the_heavier_its_acceleration(solved):
     s, weights, scales, loose = solved
-    firm = fit(s, None, np.zeros((15, 4)), weights, scales, **WEIGHTS, soft_tissue_acceleration=200.0)
+    firm = fit(
+        s, None, np.zeros((15, 4)), weights, scales, **WEIGHTS, soft_tissue_acceleration=200.0
+    )
     rough = [np.sum(np.diff(result.soft_tissue, 2, axis=0) ** 2) for result in (loose, firm)]
     assert rough[1] < 0.1 * rough[0]
 
 
 def test_a_weight_of_zero_is_as_if_the_marker_were_missing():
-    s, hidden = scene(frames=8), np.zeros((8, 25), dtype=bool)
+    s = scene(frames=8)
+    hidden = np.zeros((8, 25), dtype=bool)
     hidden[2:5, [3, 7]] = True
     gaps = np.where(hidden[..., None], np.nan, s.observed)
     results = []

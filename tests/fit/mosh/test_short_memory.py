@@ -1,4 +1,6 @@
-"""What is looked for in whole captures comes out bit for bit the same where arrays lie over files."""
+"""What is looked for in whole captures comes out bit for bit the same where arrays lie over
+files.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ LABELS = tuple(f"M{k:02}" for k in range(25))
 
 @pytest.fixture(scope="module")
 def gappy():
-    """Short gaps, a long one, an empty stretch, two labels exchanged for a time, a marker that falls."""
+    """Short gaps, a long one, an empty stretch, two labels exchanged for a time, a marker that
+    falls.
+    """
     s = scene(frames=400, noise=0.002, seed=4)
     s.observed[90:120, [3, 11]] = s.observed[90:120, [11, 3]]
     s.observed[s.rng.random(s.observed.shape[:2]) < 0.05] = np.nan
@@ -42,7 +46,10 @@ def both(monkeypatch):
 def test_short_gaps_are_filled(gappy, both):
     plenty, short = both(lambda: fill_short_gaps(gappy.observed, 100.0))
     np.testing.assert_array_equal(short, plenty)
-    assert blocks.lies_over_a_file(short) and np.isfinite(plenty).sum() > np.isfinite(gappy.observed).sum()
+    assert (
+        blocks.lies_over_a_file(short)
+        and np.isfinite(plenty).sum() > np.isfinite(gappy.observed).sum()
+    )
 
 
 def test_long_gaps_are_bridged(gappy, both):
@@ -69,7 +76,8 @@ def test_samples_out_of_reach_are_left_out(gappy, both):
 
 def test_suspects_and_noise_are_told(gappy, both):
     off = gappy.observed - predict(gappy.rig, gappy.pose, gappy.trans)
-    scale, way = np.full(25, 0.1), np.linalg.norm(off, axis=2)
+    scale = np.full(25, 0.1)
+    way = np.linalg.norm(off, axis=2)
     plenty, short = both(lambda: (suspects(LABELS, off, scale, []), marker_noise(way)))
     assert short[0] == plenty[0] and "M05" in [one.label for one in plenty[0]]
     np.testing.assert_array_equal(short[1], plenty[1])

@@ -1,4 +1,6 @@
-"""The soft-tissue stage with dynamics: planted ones come back, held-out markers and files know them."""
+"""The soft-tissue stage with dynamics: planted ones come back, held-out markers and files know
+them.
+"""
 
 from dataclasses import replace
 
@@ -26,19 +28,36 @@ HEIGHTS = (0.3, -0.25)  # m, of the middle of the trunk and the thighs on the te
 @pytest.mark.parametrize("space", ["dynamics", "both"])
 @pytest.mark.parametrize("skinning", ["lbs", "dqbs"])
 def test_planted_soft_tissue_comes_back(space, skinning):
-    s, rng = scene(frames=10), np.random.default_rng(1)
+    s = scene(frames=10)
+    rng = np.random.default_rng(1)
     body = random_body(0, joints=5, posedirs=False, betas=4)
-    body = replace(body, skinning=skinning, dynamics=Dynamics(0.05 * rng.normal(size=(40, 3, 2)), planted_regressor()))
+    body = replace(
+        body,
+        skinning=skinning,
+        dynamics=Dynamics(0.05 * rng.normal(size=(40, 3, 2)), planted_regressor()),
+    )
     marked = marked_body(body, s.marked.betas, s.marked.attachment, space)
     truth = np.sin(np.arange(10))[:, None] * rng.normal(size=marked.num_betas)
     observed = predict(marked, s.pose, s.trans, truth)
     weak = SequenceSettings(pose=1e-3, acceleration=1e-3, soft_tissue=1e-4)
-    found = fit_sequence(marked, observed, None, None, s.prior, s.pose, s.trans, weak, soft_tissue=np.zeros_like(truth))
+    found = fit_sequence(
+        marked,
+        observed,
+        None,
+        None,
+        s.prior,
+        s.pose,
+        s.trans,
+        weak,
+        soft_tissue=np.zeros_like(truth),
+    )
     np.testing.assert_allclose(found.soft_tissue, truth, atol=0.03)
 
 
 def shaking() -> BodyModel:
-    """The default body with dynamic blend shapes that no pose looks like: trunk and thighs swell by 15 mm."""
+    """The default body with dynamic blend shapes that no pose looks like: trunk and thighs swell by
+    15 mm.
+    """
     body = person()
     out = body.v_template * [1.0, 0.0, 1.0]
     out /= np.linalg.norm(out, axis=1, keepdims=True) + 0.02
@@ -49,7 +68,8 @@ def shaking() -> BodyModel:
 
 @pytest.fixture(scope="module")
 def fitted():
-    capture, body = plant(frames=24, seed=3), shaking()
+    capture = plant(frames=24, seed=3)
+    body = shaking()
     delta = 1.5 * np.sin(np.arange(24)[:, None] * [0.9, 1.3])
     attachment = attach(capture.latent_markers, body.rest_vertices(capture.betas), body.faces)
     marked = marked_body(body, capture.betas, attachment, "dynamics")
@@ -69,7 +89,9 @@ def test_the_recipe_finds_dynamics(fitted, tmp_path):
     assert held.soft_tissue.mean() < held.pose.mean()
     np.testing.assert_array_equal(
         found.vertices(7),
-        found.body(found.betas, found.pose[7:8], found.trans[7:8], dynamics=found.dynamics[7:8]).vertices[0],
+        found.body(
+            found.betas, found.pose[7:8], found.trans[7:8], dynamics=found.dynamics[7:8]
+        ).vertices[0],
     )
     found.export(tmp_path / "body.npz")
     again = load_fit(tmp_path / "body.npz", found.body)
@@ -79,7 +101,8 @@ def test_the_recipe_finds_dynamics(fitted, tmp_path):
 
 def test_its_terms_are_the_energy_that_was_minimised(fitted):
     found, *_ = fitted
-    state, terms = found.state(slice(0, 3)), found.terms(slice(0, 3))
+    state = found.state(slice(0, 3))
+    terms = found.terms(slice(0, 3))
     assert state.soft_tissue.shape == (3, 4 + 2)
     residual, jacobians = terms["data"].residual(state.pose, state.trans, state.soft_tissue)
     assert residual.shape[0] == 3 and jacobians()["soft_tissue"].shape[1] == 18

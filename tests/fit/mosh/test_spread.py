@@ -37,6 +37,7 @@ def test_what_no_marker_sees_stays_open():
 
 
 def test_more_frames_of_the_same_markers_tell_no_more():
-    few, many = synthetic_fit(4), synthetic_fit(40)
+    few = synthetic_fit(4)
+    many = synthetic_fit(40)
     a, b = (np.trace(betas_covariance(fit, 0.02)) for fit in (few, many))
     assert abs(a - b) < 0.3

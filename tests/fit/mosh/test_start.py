@@ -1,4 +1,6 @@
-"""The start is found from every side: standing, sitting, crouching, arms up, lying on back, front and side."""
+"""The start is found from every side: standing, sitting, crouching, arms up, lying on back, front
+and side.
+"""
 
 import numpy as np
 import pytest
@@ -12,9 +14,24 @@ from habitus.observe.marker_rig import marker_rig
 
 HEADINGS = np.arange(8) * np.pi / 4
 X, Y = np.eye(3)[:2]
-SIT = {"hip": (-1.4, 0.1, 0.15), "knee": (1.4, 0, 0), "shoulder": (0.1, -0.3, -0.9), "elbow": (0, -0.7, 0)}
-CROUCH = {"hip": (-1.9, 0, 0.25), "knee": (2.0, 0, 0), "ankle": (-0.4, 0, 0), "shoulder": (0, -1.0, -0.2)}
-STAND = {"shoulder": (0.1, 0, -1.1), "elbow": (0, -0.3, 0), "hip": (-0.1, 0, 0), "knee": (0.15, 0, 0)}
+SIT = {
+    "hip": (-1.4, 0.1, 0.15),
+    "knee": (1.4, 0, 0),
+    "shoulder": (0.1, -0.3, -0.9),
+    "elbow": (0, -0.7, 0),
+}
+CROUCH = {
+    "hip": (-1.9, 0, 0.25),
+    "knee": (2.0, 0, 0),
+    "ankle": (-0.4, 0, 0),
+    "shoulder": (0, -1.0, -0.2),
+}
+STAND = {
+    "shoulder": (0.1, 0, -1.1),
+    "elbow": (0, -0.3, 0),
+    "hip": (-0.1, 0, 0),
+    "knee": (0.15, 0, 0),
+}
 ARMS_UP = {"shoulder": (0, -0.2, 0.9), "elbow": (0, -0.4, 0)}
 TWISTED = (  # no person can: a solve from here ends elsewhere
     {"shoulder": (3.0, 0, 0), "elbow": (0, 2.8, 0), "hip": (2.8, 0, 0), "knee": (-2.8, 0, 0)},
@@ -24,7 +41,9 @@ LYING = {"back": -np.pi / 2 * X, "front": np.pi / 2 * X}
 
 
 def posture(angles, lean=(0.0, 0.0, 0.0), seed=0) -> np.ndarray:
-    """Pose (J, 3): the left side's angles, the right one mirrored, 6 degrees of difference in each; the trunk leans."""
+    """Pose (J, 3): the left side's angles, the right one mirrored, 6 degrees of difference in each;
+    the trunk leans.
+    """
     names = person().joint_names
     pose = np.random.default_rng(seed).normal(scale=0.1 / np.sqrt(3), size=(len(names), 3))
     for k, name in enumerate(names):
@@ -47,21 +66,30 @@ POSTURES = {
 
 
 def from_all_sides(pose) -> tuple[np.ndarray, np.ndarray]:
-    """States of eight frames: the posture turned about the vertical, each somewhere else in the room."""
+    """States of eight frames: the posture turned about the vertical, each somewhere else in the
+    room.
+    """
     states = np.repeat(pose[None], len(HEADINGS), axis=0)
-    states[:, 0] = (Rotation.from_rotvec(np.outer(HEADINGS, Y)) * Rotation.from_rotvec(pose[0])).as_rotvec()
+    states[:, 0] = (
+        Rotation.from_rotvec(np.outer(HEADINGS, Y)) * Rotation.from_rotvec(pose[0])
+    ).as_rotvec()
     return states, np.stack([np.cos(HEADINGS), 0.3 + 0 * HEADINGS, 2 * np.sin(HEADINGS)], axis=1)
 
 
 @pytest.fixture(scope="module")
 def scenes():
-    """Each posture from all sides, markers where the layout says on the mean body: (planted, rig, trunk weights)."""
+    """Each posture from all sides, markers where the layout says on the mean body: (planted, rig,
+    trunk weights).
+    """
     states = [from_all_sides(pose) for pose in POSTURES.values()]
     pose, trans = (np.concatenate(part) for part in zip(*states, strict=True))
     planted = plant(betas=(0.0, 0.0, 0.0, 0.0), states=(pose, trans))
-    body, still = planted.body, np.zeros(4)
+    body = planted.body
+    still = np.zeros(4)
     placed = place(planted.layout, body)
-    rig = marker_rig(body, still, attach(planted.latent_markers, rest(still), np.asarray(body.faces)))
+    rig = marker_rig(
+        body, still, attach(planted.latent_markers, rest(still), np.asarray(body.faces))
+    )
     return planted, rig, trunk_weights(body, placed.vertices)
 
 
@@ -83,7 +111,8 @@ def found(scenes):
 def test_every_posture_is_found_from_every_side(scenes, found):
     planted = scenes[0]
     apart = degrees_apart(found[0], planted.pose)
-    roots, joints = by_posture(apart[:, 0]), by_posture(np.median(apart[:, 1:], axis=1))
+    roots = by_posture(apart[:, 0])
+    joints = by_posture(np.median(apart[:, 1:], axis=1))
     places = by_posture(np.linalg.norm(found[1] - planted.trans, axis=1))
     for name in POSTURES:
         assert roots[name].max() < 12.0, name
@@ -102,8 +131,11 @@ def test_plain_poses_are_the_left_sides_angles_and_their_mirror_image():
 
 
 def test_plain_poses_bend_joints_the_way_people_do():
-    """The prior likes each angle less the other way round; arms above the head are rare, and there on purpose."""
-    names, prior = person().joint_names, prior_of_poses().for_joints(person().joint_names)
+    """The prior likes each angle less the other way round; arms above the head are rare, and there
+    on purpose.
+    """
+    names = person().joint_names
+    prior = prior_of_poses().for_joints(person().joint_names)
 
     def cost(angles):
         off = start.plain_pose(names, angles)[1:].ravel() - prior.mean
@@ -118,7 +150,9 @@ def test_plain_poses_bend_joints_the_way_people_do():
 
 
 def test_the_cheapest_of_the_plain_poses_is_kept(scenes, monkeypatch):
-    """Data and prior of every candidate by the formula: each frame keeps the one that costs least."""
+    """Data and prior of every candidate by the formula: each frame keeps the one that costs
+    least.
+    """
     from habitus.observe.marker_prediction import predict
 
     planted, rig, _ = scenes
@@ -129,7 +163,8 @@ def test_the_cheapest_of_the_plain_poses_is_kept(scenes, monkeypatch):
         off = pose[:, 1:].reshape(len(pose), -1) - prior.mean
         return 0.5 * (7500.0 * squared + np.einsum("ti,ij,tj->t", off, prior.precision, off))
 
-    plain, alone = start.PLAIN_POSES, []
+    plain = start.PLAIN_POSES
+    alone = []
     for angles in (*start.PLAIN_POSES, *TWISTED):
         monkeypatch.setattr(start, "PLAIN_POSES", (angles,))
         alone.append(cost(*starts(scenes)))
@@ -140,11 +175,19 @@ def test_the_cheapest_of_the_plain_poses_is_kept(scenes, monkeypatch):
 
 
 def test_the_trunk_turns_the_root_whatever_the_limbs_do(scenes):
-    """Limbs thrown anywhere turn the aligned root by little, since markers on the trunk count most."""
+    """Limbs thrown anywhere turn the aligned root by little, since markers on the trunk count
+    most.
+    """
     planted, rig, trunk = scenes
     assert set(np.unique(trunk)) == {0.02, 1.0}
-    names = [label for label, weight in zip(planted.layout.labels, trunk, strict=True) if weight == 1.0]
-    assert {"C7", "T10", "CLAV", "STRN", "LFWT", "RBWT"} <= set(names) and not {"LKNE", "RWRA", "LFHD"} & set(names)
+    names = [
+        label for label, weight in zip(planted.layout.labels, trunk, strict=True) if weight == 1.0
+    ]
+    assert {"C7", "T10", "CLAV", "STRN", "LFWT", "RBWT"} <= set(names) and not {
+        "LKNE",
+        "RWRA",
+        "LFHD",
+    } & set(names)
     still = np.zeros_like(planted.pose)
     pose, _ = start.align_root(rig, still, planted.observed, trunk)
     assert degrees_apart(pose[:, 0], planted.pose[:, 0]).max() < 25.0
@@ -167,10 +210,13 @@ def test_limbs_have_little_say_in_the_root_and_unseen_markers_none(scenes):
 
 
 def test_a_sequence_starts_from_the_known_pose_that_fits_best(scenes):
-    """Sixteen frames at a time, one posture each; the shape stage's poses are among what is tried."""
+    """Sixteen frames at a time, one posture each; the shape stage's poses are among what is
+    tried.
+    """
     planted, rig, _ = scenes
     order = [8 * k for k in range(len(POSTURES))]
-    pose, trans = np.repeat(planted.pose[order], 16, axis=0), np.repeat(planted.trans[order], 16, axis=0)
+    pose = np.repeat(planted.pose[order], 16, axis=0)
+    trans = np.repeat(planted.trans[order], 16, axis=0)
     observed = np.repeat(planted.exact[order], 16, axis=0)
     known = np.stack(list(POSTURES.values()))
     got = start.start_sequence(rig, known, planted.body.joint_names, observed[:-5])
@@ -182,11 +228,24 @@ def test_a_sequence_starts_from_the_known_pose_that_fits_best(scenes):
 
 def test_somebody_lies_down_and_turns_over():
     """One capture through all postures, a second each: the whole recipe follows."""
-    order = ["stands", "arms up", "sits", "lies on the back", "lies on a side", "lies on the front", "crouches"]
-    keys, times = np.stack([POSTURES[name] for name in order]), np.linspace(0, 1, 120)
+    order = [
+        "stands",
+        "arms up",
+        "sits",
+        "lies on the back",
+        "lies on a side",
+        "lies on the front",
+        "crouches",
+    ]
+    keys = np.stack([POSTURES[name] for name in order])
+    times = np.linspace(0, 1, 120)
     share = np.linspace(0, 1, len(order))
     pose = np.stack(
-        [Slerp(share, Rotation.from_rotvec(keys[:, j]))(times).as_rotvec() for j in range(keys.shape[1])], axis=1
+        [
+            Slerp(share, Rotation.from_rotvec(keys[:, j]))(times).as_rotvec()
+            for j in range(keys.shape[1])
+        ],
+        axis=1,
     )
     planted = plant(states=(pose, np.stack([times, 0.5 - 0.3 * times, 0 * times], axis=1)))
     found = fit(planted, which=settings(soft_tissue=False))

@@ -26,7 +26,10 @@ def noisy(predicted: np.ndarray) -> np.ndarray:
 
 
 def accuse(observed, predicted, swaps=(), drifts=()):
-    return {s.label: s for s in suspects(LABELS, observed - predicted, np.full(6, 0.03), list(swaps), drifts)}
+    return {
+        s.label: s
+        for s in suspects(LABELS, observed - predicted, np.full(6, 0.03), list(swaps), drifts)
+    }
 
 
 def test_clean_data_accuses_nobody(predicted):
@@ -51,7 +54,10 @@ def test_what_grows_is_told_from_what_falls(predicted):
     observed[60:, 1, 2] += np.linspace(0.0, 0.15, 140)
     observed[60:, 4, 2] -= np.minimum(np.linspace(0.0, 5.0, 140), 1.2)
     found = accuse(observed, predicted)
-    assert "drifted from frame" in found["B"].reason and "moved or fell from frame 6" in found["E"].reason
+    assert (
+        "drifted from frame" in found["B"].reason
+        and "moved or fell from frame 6" in found["E"].reason
+    )
 
 
 def test_a_swap_is_found_in_its_frames_and_undone(predicted):
@@ -63,7 +69,11 @@ def test_a_swap_is_found_in_its_frames_and_undone(predicted):
     assert set(np.flatnonzero(swaps[0][2])) == set(range(40, 90))
     np.testing.assert_array_equal(undo_swaps(observed, swaps), clean)
     found = accuse(undo_swaps(observed, swaps), predicted, swaps)
-    assert set(found) == {"B", "E"} and found["B"].frames == 50 and "swapped with E" in found["B"].reason
+    assert (
+        set(found) == {"B", "E"}
+        and found["B"].frames == 50
+        and "swapped with E" in found["B"].reason
+    )
 
 
 def test_fallen_ghost_and_wrong_label_are_told_apart(predicted):
@@ -74,7 +84,11 @@ def test_fallen_ghost_and_wrong_label_are_told_apart(predicted):
     observed[:150, 5] = np.nan
     found = accuse(observed, predicted)
     assert set(found) == {"A", "C", "D"}
-    assert "from frame 120" in found["A"].reason and "ghost" in found["C"].reason and "wrong label" in found["D"].reason
+    assert (
+        "from frame 120" in found["A"].reason
+        and "ghost" in found["C"].reason
+        and "wrong label" in found["D"].reason
+    )
 
 
 def test_latent_markers_at_each_others_places():
@@ -86,7 +100,9 @@ def test_latent_markers_at_each_others_places():
 
 
 def test_a_pair_that_gains_less_than_half_is_no_exchange():
-    """One marker fell, another slid to where that one was: exchanged they fit better, but neither fits well."""
+    """One marker fell, another slid to where that one was: exchanged they fit better, but neither
+    fits well.
+    """
     own = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
     fallen = np.array([[0.35, 0.0, 0.0], [0.0, 0.0, 0.0]])
     assert crossed_placements(own[::-1], own) == ((0, 1),) and crossed_placements(fallen, own) == ()
@@ -98,7 +114,8 @@ def test_latent_markers_far_from_their_places():
     start = np.random.default_rng(3).normal(size=(4, 3))
     away = np.array([0.1, 0.13, 0.3, 0.3])
     latent = start + away[:, None] * np.array([0.0, 0.6, 0.8])
-    spread, close = np.array([0.01, 0.02, 0.02, 0.06]), np.full((5, 4), 0.004)
+    spread = np.array([0.01, 0.02, 0.02, 0.06])
+    close = np.full((5, 4), 0.004)
     assert far_placements(latent, start, spread, close) == (1, 2)
     close[:, 0], close[:, 3] = 0.025, np.nan
     assert far_placements(latent, start, spread, close) == (0, 1, 2)
@@ -106,7 +123,8 @@ def test_latent_markers_far_from_their_places():
 
 def test_a_marker_that_leaves_smoothly_is_no_ghost(predicted):
     """Skin and models err smoothly, by less than twice `GROSS`; a ghost comes and goes at once."""
-    observed, hill = noisy(predicted), np.sin(np.linspace(0, np.pi, 40)) ** 2
+    observed = noisy(predicted)
+    hill = np.sin(np.linspace(0, np.pi, 40)) ** 2
     observed[30:70, 1, 2] += 0.07 * hill
     observed[100:140, 4, 2] += 0.2 * hill
     observed[150:, 5, 0] += 0.07
@@ -133,7 +151,8 @@ def test_a_few_bad_frames_of_many_are_no_suspicion(predicted):
 def test_what_was_put_back_is_told_apart_from_what_is_wrong(predicted):
     observed = noisy(predicted)
     observed[50:60, 2] += 0.2
-    swap, corrected = (0, 1, np.arange(200) < 30), {"A": True, "B": True, "C": False, "F": False}
+    swap = (0, 1, np.arange(200) < 30)
+    corrected = {"A": True, "B": True, "C": False, "F": False}
     found = accuse(observed, predicted, [swap], [(5, 0.05)])
     assert {label: suspect.corrected for label, suspect in found.items()} == corrected
     assert found["F"].reason.startswith("drift: slid 50 mm") and found["F"].frames == 200

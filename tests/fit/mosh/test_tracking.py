@@ -1,4 +1,6 @@
-"""Following one person: who leaves is let go, who returns is found again, a body that is astray begins anew."""
+"""Following one person: who leaves is let go, who returns is found again, a body that is astray
+begins anew.
+"""
 
 from types import SimpleNamespace
 
@@ -39,7 +41,8 @@ def test_somebody_who_is_there_is_followed(s):
 
 
 def test_a_rehearsal_changes_nothing(s):
-    following, frames = tracker(s), follow(s)
+    following = tracker(s)
+    frames = follow(s)
     following.rehearse()
     for frame, markers in zip(frames, s.observed, strict=True):
         found = following.step(markers)
@@ -52,7 +55,11 @@ def test_who_leaves_is_let_go_and_who_returns_is_found_elsewhere(s):
     s.observed[50:] += (3.0, 0.0, -2.0)
     frames = follow(s)
     states = [frame.state for frame in frames]
-    assert states[20:35] == ["held"] * 15 and states[35:50] == ["nobody"] * 15 and states[50] == "started"
+    assert (
+        states[20:35] == ["held"] * 15
+        and states[35:50] == ["nobody"] * 15
+        and states[50] == "started"
+    )
     assert all(np.isnan(frame.pose).all() for frame in frames[35:50])
     assert max(np.nanmax(frame.distances) for frame in frames[50:]) < 0.02
 
@@ -60,14 +67,18 @@ def test_who_leaves_is_let_go_and_who_returns_is_found_elsewhere(s):
 def test_somebody_of_whom_few_markers_show_is_waited_for_a_moment(s):
     s.observed[:, 6:] = np.nan
     states = [frame.state for frame in follow(s)]
-    assert states[:5] == ["nobody"] * 5 and states[5] == "started" and set(states[6:]) == {"tracked"}
+    assert (
+        states[:5] == ["nobody"] * 5 and states[5] == "started" and set(states[6:]) == {"tracked"}
+    )
 
 
 def test_a_body_that_is_astray_begins_anew(s):
     following = tracker(s)
     following.step(s.observed[0])
     turned = s.observed.copy()
-    turned[..., :2] = np.stack([-turned[..., 1], turned[..., 0]], axis=-1)  # a quarter turn within a frame
+    turned[..., :2] = np.stack(
+        [-turned[..., 1], turned[..., 0]], axis=-1
+    )  # a quarter turn within a frame
     turned[..., 0] += 4.0
     frames = [following.step(markers) for markers in turned[1:]]
     assert np.nanmedian(frames[-1].distances) < 0.01
@@ -89,4 +100,8 @@ def test_quality_tells_what_is_wrong_and_nothing_else(s):
         quality.add(frame)
         if k == 59:
             assert quality.verdict.level == "good" and quality.seen == 25 and quality.mean_mm < 5
-    assert quality.verdict.level != "good" and "m3" in str(quality.verdict) and "m4 " not in str(quality.verdict)
+    assert (
+        quality.verdict.level != "good"
+        and "m3" in str(quality.verdict)
+        and "m4 " not in str(quality.verdict)
+    )

@@ -19,9 +19,16 @@ def compiled() -> set[tuple[str, str, str]]:
     """Every compiled form of every kernel of the project."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("habitus.")]
     kernels = {
-        id(value): value for module in modules for value in vars(module).values() if isinstance(value, Dispatcher)
+        id(value): value
+        for module in modules
+        for value in vars(module).values()
+        if isinstance(value, Dispatcher)
     }
-    return {(k.py_func.__module__, k.py_func.__name__, str(s)) for k in kernels.values() for s in k.signatures}
+    return {
+        (k.py_func.__module__, k.py_func.__name__, str(s))
+        for k in kernels.values()
+        for s in k.signatures
+    }
 
 
 @pytest.mark.parametrize("causal", [False, True])
@@ -39,5 +46,7 @@ def test_a_fit_finds_every_kernel_compiled(causal):
     before = compiled()
     settings = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=not causal, causal=causal)
     for markers in (observed, np.asfortranarray(observed)):
-        fit_markers(body, load_pose_prior(), layout, [Recording("still", markers, 100.0, "+y")], settings)
+        fit_markers(
+            body, load_pose_prior(), layout, [Recording("still", markers, 100.0, "+y")], settings
+        )
     assert compiled() == before

@@ -32,7 +32,9 @@ def test_every_frame_is_kept_once_with_enough_around_it(frames):
     parts = windows(few, LONGEST)
     assert [k for part in parts for k in range(frames)[part.kept]] == list(range(frames))
     for part in parts:
-        assert part.solved.start == max(0, part.kept.start - OVERLAP) and part.kept.start % GRID == 0
+        assert (
+            part.solved.start == max(0, part.kept.start - OVERLAP) and part.kept.start % GRID == 0
+        )
         assert part.solved.stop >= min(frames, part.kept.stop + OVERLAP)
         assert part.solved.stop - part.solved.start <= LONGEST + OVERLAP + 1
         assert range(frames)[part.solved][part.inside] == range(frames)[part.kept]
@@ -47,7 +49,9 @@ def test_windows_meet_where_markers_are_seen():
 
 @pytest.fixture(scope="module")
 def long():
-    """A capture of five windows with gaps, ghosts and rough starts, where single frames have several optima."""
+    """A capture of five windows with gaps, ghosts and rough starts, where single frames have
+    several optima.
+    """
     s = scene(frames=1200, noise=0.003, seed=2)
     s.observed[s.rng.random(s.observed.shape[:2]) < 0.1] = np.nan
     s.observed[400:410] = np.nan
@@ -59,12 +63,26 @@ def long():
 @pytest.mark.parametrize("options", [SequenceOptions(), SequenceOptions(strides=(1,), damping=1.0)])
 @pytest.mark.parametrize("soft", [False, True])
 def test_windows_give_what_one_solve_gives(long, soft, options, tiny_memory):
-    scales, settings = np.full(25, 0.05), SequenceSettings(options=options)
-    given = (long.rig, long.observed, None, scales, long.prior, long.start, long.trans + 0.05, settings)
+    scales = np.full(25, 0.05)
+    settings = SequenceSettings(options=options)
+    given = (
+        long.rig,
+        long.observed,
+        None,
+        scales,
+        long.prior,
+        long.start,
+        long.trans + 0.05,
+        settings,
+    )
     still = np.zeros((len(long.pose), 4)) if soft else None
-    whole, cut = fit_sequence(*given, still), fit_long(*given, still, longest=LONGEST)
+    whole = fit_sequence(*given, still)
+    cut = fit_long(*given, still, longest=LONGEST)
     assert len(windows(np.zeros(len(long.pose), bool), LONGEST)) >= 4
-    assert np.degrees(np.abs(cut.pose - whole.pose).max()) < 0.01 and np.abs(cut.trans - whole.trans).max() < 1e-4
+    assert (
+        np.degrees(np.abs(cut.pose - whole.pose).max()) < 0.01
+        and np.abs(cut.trans - whole.trans).max() < 1e-4
+    )
     np.testing.assert_allclose(cut.frame_costs, whole.frame_costs, rtol=1e-4)
     np.testing.assert_allclose(cut.weights, whole.weights, atol=1e-3)
     for name, cost in whole.costs.items():
@@ -75,12 +93,27 @@ def test_windows_give_what_one_solve_gives(long, soft, options, tiny_memory):
 
 
 @pytest.mark.parametrize("frames, gap", [(1200, 15), (1185, 16), (1186, 1)])
-def test_the_coarsest_level_knows_how_far_its_last_frame_is_from_the_one_before(long, monkeypatch, frames, gap):
-    part, gaps = slice(0, frames), []
-    monkeypatch.setattr("habitus.fit.mosh.windows.solve_coarsest", lambda problem, start, gap, *_: gaps.append(gap))
-    given = (long.rig, long.observed[part], None, None, long.prior, long.start[part], long.trans[part])
+def test_the_coarsest_level_knows_how_far_its_last_frame_is_from_the_one_before(
+    long, monkeypatch, frames, gap
+):
+    part = slice(0, frames)
+    gaps = []
+    monkeypatch.setattr(
+        "habitus.fit.mosh.windows.solve_coarsest", lambda problem, start, gap, *_: gaps.append(gap)
+    )
+    given = (
+        long.rig,
+        long.observed[part],
+        None,
+        None,
+        long.prior,
+        long.start[part],
+        long.trans[part],
+    )
     with pytest.raises(TypeError):  # nothing was solved
-        fit_long(*given, SequenceSettings(options=SequenceOptions(strides=(16, 4, 1))), longest=LONGEST)
+        fit_long(
+            *given, SequenceSettings(options=SequenceOptions(strides=(16, 4, 1))), longest=LONGEST
+        )
     assert gaps == [gap]
 
 
@@ -92,13 +125,32 @@ def test_a_start_in_windows_is_the_start_of_the_whole(long):
 
 def test_a_capture_of_one_window_is_solved_as_ever(long):
     part = slice(0, 60)
-    given = (long.rig, long.observed[part], None, None, long.prior, long.start[part], long.trans[part])
-    one, other = fit_long(*given, SequenceSettings(), longest=60), fit_sequence(*given, SequenceSettings())
-    assert np.array_equal(one.pose, other.pose) and one.costs == other.costs and one.history == other.history
+    given = (
+        long.rig,
+        long.observed[part],
+        None,
+        None,
+        long.prior,
+        long.start[part],
+        long.trans[part],
+    )
+    one = fit_long(*given, SequenceSettings(), longest=60)
+    other = fit_sequence(*given, SequenceSettings())
+    assert (
+        np.array_equal(one.pose, other.pose)
+        and one.costs == other.costs
+        and one.history == other.history
+    )
 
 
 def test_the_causal_mode_is_the_same_where_memory_is_short(long, monkeypatch):
-    given = (long.rig, long.observed[:64], long.prior, (long.pose[:1], long.trans[:1]), np.full(25, 0.1))
+    given = (
+        long.rig,
+        long.observed[:64],
+        long.prior,
+        (long.pose[:1], long.trans[:1]),
+        np.full(25, 0.1),
+    )
     plenty = fit_causally(*given, SequenceSettings())
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 16)
@@ -107,7 +159,9 @@ def test_the_causal_mode_is_the_same_where_memory_is_short(long, monkeypatch):
 
 
 def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_path):
-    """One whole recipe, arrays over files and all: the bodies, the suspects and the files are the same."""
+    """One whole recipe, arrays over files and all: the bodies, the suspects and the files are the
+    same.
+    """
     planted = plant(frames=640)
     observed = planted.observed.copy()
     observed[200:260, [3, 7]] = observed[200:260, [7, 3]]
@@ -125,7 +179,9 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     short = fit(settings)
     assert blocks.lies_over_a_file(short.pose) and not blocks.lies_over_a_file(plenty.pose)
     assert np.degrees(np.abs(short.pose - plenty.pose).max()) < 0.01
-    assert short.suspects == plenty.suspects and any("swapped" in one.reason for one in short.suspects)
+    assert short.suspects == plenty.suspects and any(
+        "swapped" in one.reason for one in short.suspects
+    )
     assert short.verdict == plenty.verdict
     np.testing.assert_allclose(short.errors_mm, plenty.errors_mm, atol=0.05)
     np.testing.assert_array_equal(short.visible, plenty.visible)

@@ -25,7 +25,8 @@ def someone(body, rng, poses=1):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_state_is_carried_to_another_body(name):
-    body, other = load_body("neutral"), load_body(name)
+    body = load_body("neutral")
+    other = load_body(name)
     state = someone(body, np.random.default_rng(2), poses=2)
     there = carried(body, other, state)
     for k in range(2):
@@ -37,7 +38,8 @@ def test_a_state_is_carried_to_another_body(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_scan_finds_its_body(registrar, name):
     """Somebody of each body, seen from outside, fitted from a state of the neutral one."""
-    body, rng = load_body(name), np.random.default_rng(5)
+    body = load_body(name)
+    rng = np.random.default_rng(5)
     true = someone(body, rng)
     surface = np.asarray(body(true.betas, true.pose[0], true.trans[0]).vertices)
     seen = rng.permutation(np.flatnonzero(~hidden_vertices(body)))

@@ -17,28 +17,44 @@ from habitus.mesh.registrations import Registrations
 from habitus.population.coarse_bodies import coarse_body
 from habitus.residuals.surface_points import SurfacePointSolver
 
-PEOPLE, POSES = 2, 2
+PEOPLE = 2
+POSES = 2
 STEPS = (ModelStep(4, 2000, 0.05, 0.0025, 0.0, 1000),)
 
 
 def fitter_of(body: BodyModel) -> ModelFitter:
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
+    return ModelFitter(
+        SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior
+    )
 
 
 def test_a_body_trained_on_registered_scans_knows_these_people_better():
-    body, rng = coarse_body(load_body("default"), 400), np.random.default_rng(0)
-    swell = 0.008 * np.sin(body.v_template @ (7.0, 5.0, 6.0))[:, None] * vertex_normals(body.v_template, body.faces)
-    other = replace(body, v_template=body.v_template + swell)  # a people whom the body does not know
-    states, truths, clouds = [], [], []
+    body = coarse_body(load_body("default"), 400)
+    rng = np.random.default_rng(0)
+    swell = (
+        0.008
+        * np.sin(body.v_template @ (7.0, 5.0, 6.0))[:, None]
+        * vertex_normals(body.v_template, body.faces)
+    )
+    other = replace(
+        body, v_template=body.v_template + swell
+    )  # a people whom the body does not know
+    states = []
+    truths = []
+    clouds = []
     for _ in range(PEOPLE):
-        pose, trans = 0.2 * rng.normal(size=(POSES, body.num_joints, 3)), np.zeros((POSES, 3))
+        pose = 0.2 * rng.normal(size=(POSES, body.num_joints, 3))
+        trans = np.zeros((POSES, 3))
         states.append(ModelState(0.5 * rng.normal(size=body.num_betas), pose, trans))
         truths.append([np.asarray(other(states[-1].betas, one).vertices) for one in pose])
         clouds.append([scanned(one, body.faces, rng) for one in truths[-1]])
     first = fitter_of(body)
-    before = [fit_with_offsets(first, state, each, STEPS) for state, each in zip(states, clouds, strict=True)]
+    before = [
+        fit_with_offsets(first, state, each, STEPS)
+        for state, each in zip(states, clouds, strict=True)
+    ]
     surfaces = np.array(
         [
             free_surface(first.topology, first.vertices(state, k), clouds[p][k], start=start)
@@ -48,30 +64,53 @@ def test_a_body_trained_on_registered_scans_knows_these_people_better():
     )
     every = [cloud for each in clouds for cloud in each]
     weights = [vertex_weights(first.topology, *each) for each in zip(surfaces, every, strict=True)]
-    count, who = len(every), tuple(f"p{k // POSES}" for k in range(PEOPLE * POSES))
+    count = len(every)
+    who = tuple(f"p{k // POSES}" for k in range(PEOPLE * POSES))
     names = tuple(map(str, range(count)))
-    data = Registrations(surfaces, body.faces, who, ("",) * count, ("pose",) * count, names, np.array(weights))
+    data = Registrations(
+        surfaces, body.faces, who, ("",) * count, ("pose",) * count, names, np.array(weights)
+    )
     held = ("skinning_weights", "posedirs", "joint_regressor")
-    trained = Trainer(start="body", fixed=held, num_betas=1, rounds=3).fit(data, template=body, workers=1).body
+    trained = (
+        Trainer(start="body", fixed=held, num_betas=1, rounds=3)
+        .fit(data, template=body, workers=1)
+        .body
+    )
     second = fitter_of(trained)
-    begin = [ModelState(np.zeros(trained.num_betas), state.pose, state.trans) for state, _ in before]
-    after = [fit_with_offsets(second, state, each, STEPS) for state, each in zip(begin, clouds, strict=True)]
+    begin = [
+        ModelState(np.zeros(trained.num_betas), state.pose, state.trans) for state, _ in before
+    ]
+    after = [
+        fit_with_offsets(second, state, each, STEPS)
+        for state, each in zip(begin, clouds, strict=True)
+    ]
 
-    def wrong(fitter: ModelFitter, found: list) -> float:  # of all models, from where each vertex truly is
-        pairs = [(fitter.vertices(s, k), truths[p][k]) for p, (s, _) in enumerate(found) for k in range(POSES)]
+    def wrong(
+        fitter: ModelFitter, found: list
+    ) -> float:  # of all models, from where each vertex truly is
+        pairs = [
+            (fitter.vertices(s, k), truths[p][k])
+            for p, (s, _) in enumerate(found)
+            for k in range(POSES)
+        ]
         return float(np.mean([np.linalg.norm(model - true, axis=1) for model, true in pairs]))
 
     def off(fitter: ModelFitter, found: list) -> float:  # what the model leaves to the offset
         pairs = [(fitter.vertices(s, k), x[k]) for s, x in found for k in range(POSES)]
         return float(np.mean([np.linalg.norm(model - surface, axis=1) for model, surface in pairs]))
 
-    error, away = (np.array([each(*run) for run in ((first, before), (second, after))]) for each in (wrong, off))
+    error, away = (
+        np.array([each(*run) for run in ((first, before), (second, after))])
+        for each in (wrong, off)
+    )
     assert away[1] < 0.9 * away[0] and error[1] < error[0]
 
 
 def scanned(surface: np.ndarray, faces: np.ndarray, rng: np.random.Generator) -> Cloud:
-    face, share = rng.integers(0, len(faces), 2000), rng.dirichlet((1.0, 1.0, 1.0), 2000)
+    face = rng.integers(0, len(faces), 2000)
+    share = rng.dirichlet((1.0, 1.0, 1.0), 2000)
     places, normals = (
-        np.einsum("pk,pkc->pc", share, x[faces[face]]) for x in (surface, vertex_normals(surface, faces))
+        np.einsum("pk,pkc->pc", share, x[faces[face]])
+        for x in (surface, vertex_normals(surface, faces))
     )
     return Cloud(places, normals / np.linalg.norm(normals, axis=1, keepdims=True))

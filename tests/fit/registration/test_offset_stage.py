@@ -9,9 +9,20 @@ import trimesh
 from habitus import load_body
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.prior import PosePrior
-from habitus.fit.registration.model_stage import Cloud, FrameBefore, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.model_stage import (
+    Cloud,
+    FrameBefore,
+    ModelFitter,
+    ModelState,
+    ModelStep,
+)
 from habitus.fit.registration.nearest import Topology
-from habitus.fit.registration.offset_stage import _pull, field_precision, fit_with_offsets, offset_spread
+from habitus.fit.registration.offset_stage import (
+    _pull,
+    field_precision,
+    fit_with_offsets,
+    offset_spread,
+)
 from habitus.mesh.normals import vertex_normals
 from habitus.population.coarse_bodies import coarse_body
 from habitus.residuals.surface_points import SurfacePointSolver
@@ -24,20 +35,25 @@ def fitter() -> ModelFitter:
     body = coarse_body(load_body("default"), 700)
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
+    return ModelFitter(
+        SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior
+    )
 
 
 def sampled(surface: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Cloud:
     rng = np.random.default_rng(seed)
-    face, share = rng.integers(0, len(faces), count), rng.dirichlet((1.0, 1.0, 1.0), count)
+    face = rng.integers(0, len(faces), count)
+    share = rng.dirichlet((1.0, 1.0, 1.0), count)
     places, normals = (
-        np.einsum("pk,pkc->pc", share, x[faces[face]]) for x in (surface, vertex_normals(surface, faces))
+        np.einsum("pk,pkc->pc", share, x[faces[face]])
+        for x in (surface, vertex_normals(surface, faces))
     )
     return Cloud(places, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def a_state(fitter: ModelFitter, seed: int) -> ModelState:
-    rng, body = np.random.default_rng(seed), fitter.body
+    rng = np.random.default_rng(seed)
+    body = fitter.body
     pose = 0.1 * rng.normal(size=(1, body.num_joints, 3))
     return ModelState(0.5 * rng.normal(size=body.num_betas), pose, 0.02 * rng.normal(size=(1, 3)))
 
@@ -45,21 +61,30 @@ def a_state(fitter: ModelFitter, seed: int) -> ModelState:
 def test_a_field_has_the_spread_and_the_range_it_is_asked_for():
     ball = trimesh.creation.icosphere(3, 0.4)
     vertices = np.asarray(ball.vertices)
-    precision = field_precision(Topology.of(np.asarray(ball.faces), len(vertices)), vertices, np.full(642, 0.004), 0.3)
+    precision = field_precision(
+        Topology.of(np.asarray(ball.faces), len(vertices)), vertices, np.full(642, 0.004), 0.3
+    )
     covariance = np.linalg.inv(precision.toarray())
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 0.004, rtol=0.1)
     apart = np.linalg.norm(vertices - vertices[0], axis=1)
     alike = covariance[0] / covariance[0, 0]
-    assert alike[apart < 0.05].min() > 0.8 and 0.05 < alike[(apart > 0.28) & (apart < 0.32)].mean() < 0.25
+    assert (
+        alike[apart < 0.05].min() > 0.8
+        and 0.05 < alike[(apart > 0.28) & (apart < 0.32)].mean() < 0.25
+    )
 
 
 def test_a_step_is_that_of_state_and_offset_together(fitter):
-    state, body = a_state(fitter, 1), fitter.body
+    state = a_state(fitter, 1)
+    body = fitter.body
     cloud = sampled(fitter.vertices(a_state(fitter, 2)), body.faces, 300, 0)
     held = field_precision(fitter.topology, fitter.vertices(state), offset_spread(body))
-    pull = _pull(fitter, state, cloud, held, np.zeros(body.num_vertices), np.zeros(body.num_vertices), STEP)
+    pull = _pull(
+        fitter, state, cloud, held, np.zeros(body.num_vertices), np.zeros(body.num_vertices), STEP
+    )
     slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
-    model, count = np.asarray(slopes.surface.vertices), body.num_vertices
+    model = np.asarray(slopes.surface.vertices)
+    count = body.num_vertices
     normal = vertex_normals(model, body.faces)
     still = np.broadcast_to(np.eye(3), (count, 3, 3))
     moves = [x.reshape(count, 3, -1) for x in (slopes.vertices_betas, still, slopes.vertices_pose)]
@@ -93,22 +118,30 @@ def _lumped(fitter: ModelFitter, model: np.ndarray, cloud: Cloud) -> tuple[np.nd
 
 
 def test_skin_that_swells_moves_the_model_less_than_without_an_offset(fitter):
-    body, truth = fitter.body, a_state(fitter, 5)
+    body = fitter.body
+    truth = a_state(fitter, 5)
     model = fitter.vertices(truth)
     swell = 0.004 * np.sin(model @ (9.0, 7.0, 8.0))
-    clouds = [sampled(model + swell[:, None] * vertex_normals(model, body.faces), body.faces, 3000, 6)]
+    clouds = [
+        sampled(model + swell[:, None] * vertex_normals(model, body.faces), body.faces, 3000, 6)
+    ]
     begin = replace(truth, trans=truth.trans + 0.005)
     state, (surface,) = fit_with_offsets(fitter, begin, clouds, (STEP,))
     without = fitter.fit(begin, clouds, (replace(STEP, noise=0.005),))
-    error = [np.linalg.norm(fitter.vertices(one) - model, axis=1).mean() for one in (state, without)]
+    error = [
+        np.linalg.norm(fitter.vertices(one) - model, axis=1).mean() for one in (state, without)
+    ]
     assert error[0] < 0.7 * error[1]
     true = model + swell[:, None] * vertex_normals(model, body.faces)
     assert np.linalg.norm(surface - true, axis=1).mean() < 0.9 * error[0]
 
 
 def test_several_scans_share_their_shape_and_a_true_start_stays(fitter):
-    one, other = a_state(fitter, 7), a_state(fitter, 8)
-    truth = ModelState(one.betas, np.concatenate([one.pose, other.pose]), np.concatenate([one.trans, other.trans]))
+    one = a_state(fitter, 7)
+    other = a_state(fitter, 8)
+    truth = ModelState(
+        one.betas, np.concatenate([one.pose, other.pose]), np.concatenate([one.trans, other.trans])
+    )
     clouds = [sampled(fitter.vertices(truth, k), fitter.body.faces, 3000, k) for k in range(2)]
     loose = replace(STEP, pose=1e-6, shape=1e-6)
     state, surfaces = fit_with_offsets(fitter, truth, clouds, (loose,))
@@ -119,11 +152,17 @@ def test_several_scans_share_their_shape_and_a_true_start_stays(fitter):
 
 
 def test_a_frame_gains_by_the_one_before(fitter):
-    """Few points tell little: what the frame before knew of shape, pose and skin brings the surface nearer."""
-    true, body = a_state(fitter, 8), fitter.body
+    """Few points tell little: what the frame before knew of shape, pose and skin brings the surface
+    nearer.
+    """
+    true = a_state(fitter, 8)
+    body = fitter.body
     swell = 0.004 * np.sin(40.0 * body.rest_vertices(true.betas)[:, 1])
-    surface = fitter.vertices(true) + swell[:, None] * vertex_normals(fitter.vertices(true), body.faces)
-    cloud, start = sampled(surface, body.faces, 150, 9), replace(true, betas=np.zeros(body.num_betas))
+    surface = fitter.vertices(true) + swell[:, None] * vertex_normals(
+        fitter.vertices(true), body.faces
+    )
+    cloud = sampled(surface, body.faces, 150, 9)
+    start = replace(true, betas=np.zeros(body.num_betas))
     coupled = replace(fitter, before=FrameBefore(true.betas, true.pose[0], swell))
     off = []
     for one in (fitter, coupled):

@@ -9,7 +9,12 @@ from synthetic import synthetic_body
 
 from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import cleaned, turned
-from habitus.fit.registration.free_surface import FreeStep, cotangent_laplacian, free_surface, stretched_surface
+from habitus.fit.registration.free_surface import (
+    FreeStep,
+    cotangent_laplacian,
+    free_surface,
+    stretched_surface,
+)
 from habitus.fit.registration.judge import judge_scan, lost_share
 from habitus.fit.registration.model_stage import Cloud, ModelState
 from habitus.fit.registration.nearest import Topology, nearest
@@ -54,7 +59,9 @@ def test_the_nearest_place_is_on_the_nearest_face_that_looks_the_same_way():
     np.testing.assert_allclose(found.place, place, atol=1e-9)
     assert (found.cosine > 0.97).all()
     corners = BALL.vertices[BALL.faces[found.face]]
-    np.testing.assert_allclose(np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9)
+    np.testing.assert_allclose(
+        np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9
+    )
 
 
 def test_the_laplacian_of_a_constant_is_nothing_and_areas_are_the_whole():
@@ -83,16 +90,22 @@ def test_a_free_surface_goes_along_the_normals_and_nowhere_else():
     topology = Topology.of(np.asarray(BALL.faces), len(vertices))
     normal = vertex_normals(vertices, topology.faces)
     swollen = vertices + (0.01 + 0.01 * np.sin(5.0 * vertices[:, :1])) * normal
-    face, share = np.random.default_rng(0).integers(0, len(BALL.faces), 6000), (1 / 3, 1 / 3, 1 / 3)
-    cloud = Cloud(share @ swollen[BALL.faces[face]], vertex_normals(swollen, topology.faces)[BALL.faces[face][:, 0]])
+    face = np.random.default_rng(0).integers(0, len(BALL.faces), 6000)
+    share = (1 / 3, 1 / 3, 1 / 3)
+    cloud = Cloud(
+        share @ swollen[BALL.faces[face]],
+        vertex_normals(swollen, topology.faces)[BALL.faces[face][:, 0]],
+    )
     found = free_surface(topology, vertices, cloud) - vertices
     assert np.linalg.norm(np.cross(found, normal), axis=1).max() < 1e-9
     assert np.linalg.norm(vertices + found - swollen, axis=1).mean() < 0.001
 
 
 def test_a_stretched_surface_goes_sideways_too():
-    topology, ball = Topology.of(np.asarray(BALL.faces), len(BALL.vertices)), np.asarray(BALL.vertices)
-    cloud, shift = on_ball(6000), np.array([0.02, 0.0, 0.0])
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    ball = np.asarray(BALL.vertices)
+    cloud = on_ball(6000)
+    shift = np.array([0.02, 0.0, 0.0])
     moved = stretched_surface(topology, ball, Cloud(cloud.points + shift, cloud.normals)) - ball
     pole = np.abs(ball[:, 1]) > 0.35  # whose normals are across the shift
     assert np.linalg.norm(moved - shift, axis=1).mean() < 0.006 and moved[pole, 0].mean() > 0.012
@@ -101,7 +114,9 @@ def test_a_stretched_surface_goes_sideways_too():
 def test_units_floor_and_dust_are_found():
     rng = np.random.default_rng(1)
     points = on_ball(5000).points * (0.5, 2.2, 0.5)
-    floor = np.column_stack([rng.uniform(-1, 1, 3000), np.full(3000, -0.9), rng.uniform(-1, 1, 3000)])
+    floor = np.column_stack(
+        [rng.uniform(-1, 1, 3000), np.full(3000, -0.9), rng.uniform(-1, 1, 3000)]
+    )
     dust = np.array([0.8, 0.5, 0.8]) + 0.01 * rng.normal(size=(30, 3))
     one = cleaned(Scan("a", 1000.0 * np.concatenate([points, floor, dust])))
     assert one.scale == 1e-3 and one.kept[:5000].mean() > 0.99 and not one.kept[5000:].any()
@@ -127,9 +142,12 @@ def test_what_is_no_person_is_said_before_a_fit(scan, unit, said):
 
 
 def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
-    body, rng = synthetic_body("smpl", 120), np.random.default_rng(2)
+    body = synthetic_body("smpl", 120)
+    rng = np.random.default_rng(2)
     state = ModelState(
-        rng.normal(size=body.num_betas), 0.4 * rng.normal(size=(1, body.num_joints, 3)), np.zeros((1, 3))
+        rng.normal(size=body.num_betas),
+        0.4 * rng.normal(size=(1, body.num_joints, 3)),
+        np.zeros((1, 3)),
     )
     rest = body.rest_vertices(state.betas)
     np.testing.assert_allclose(at_rest(body, state, np.zeros_like(rest)), rest, atol=1e-12)
@@ -151,9 +169,17 @@ def test_what_is_off_the_surface_counts_where_it_is_together():
 
 def test_the_verdict_follows_the_numbers():
     good = {
-        "betas": np.ones(4), "to_surface": np.full(100, 3e-4), "to_model": np.full(100, 3e-3), "matched": 0.99,
-        "pose_distance": 1.0, "seen": 0.9, "rival": None, "lost": 0.001, "person": True, "cuts": 3,
-    }  # fmt: skip
+        "betas": np.ones(4),
+        "to_surface": np.full(100, 3e-4),
+        "to_model": np.full(100, 3e-3),
+        "matched": 0.99,
+        "pose_distance": 1.0,
+        "seen": 0.9,
+        "rival": None,
+        "lost": 0.001,
+        "person": True,
+        "cuts": 3,
+    }
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),

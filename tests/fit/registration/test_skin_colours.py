@@ -1,4 +1,6 @@
-"""Colours tell of places along the skin: what geometry cannot see is put right, whatever the light."""
+"""Colours tell of places along the skin: what geometry cannot see is put right, whatever the
+light.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ from habitus.mesh.normals import face_normals
 from habitus.rotations import matrix_from_rotvec
 
 BALL = trimesh.creation.icosphere(3, 0.2)
-VERTICES, FACES = np.asarray(BALL.vertices), np.asarray(BALL.faces)
+VERTICES = np.asarray(BALL.vertices)
+FACES = np.asarray(BALL.faces)
 TOPOLOGY = Topology.of(FACES, len(VERTICES))
 GRID = SkinGrid.of(FACES, 4)
 TURN = matrix_from_rotvec(np.array([0.0, 0.02, 0.0]))  # 4 mm at the equator
@@ -29,11 +32,15 @@ def on_faces(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def painted(points: np.ndarray) -> np.ndarray:
     waves = np.random.default_rng(1).normal(size=(3, 40)) * 60.0
-    pattern = np.cos(points @ waves + np.arange(40)) @ np.random.default_rng(2).normal(size=(40, 3)) / 6.0
+    pattern = (
+        np.cos(points @ waves + np.arange(40)) @ np.random.default_rng(2).normal(size=(40, 3)) / 6.0
+    )
     return 0.3 * np.exp(0.4 * pattern)
 
 
-def scanned(seed: int, light: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[Cloud, ColourCloud]:
+def scanned(
+    seed: int, light: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[Cloud, ColourCloud]:
     points = np.random.default_rng(seed).normal(size=(60_000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     colours = painted(0.2 * points) * (1.0 + points @ np.array(light))[:, None]
@@ -46,7 +53,9 @@ def test_nodes_are_shared_and_values_go_straight_between_them():
     assert len(GRID.triangles) == 16 * len(FACES)
     face, share = on_faces(2000)
     places = np.einsum("nk,nkc->nc", share, VERTICES[FACES[face]])
-    np.testing.assert_allclose(GRID.weights(face, share) @ GRID.placed(VERTICES), places, atol=1e-12)
+    np.testing.assert_allclose(
+        GRID.weights(face, share) @ GRID.placed(VERTICES), places, atol=1e-12
+    )
     area = np.linalg.norm(face_normals(GRID.placed(VERTICES), GRID.triangles), axis=1).sum()
     assert area == pytest.approx(np.linalg.norm(face_normals(VERTICES, FACES), axis=1).sum())
 
@@ -66,7 +75,8 @@ def test_slopes_are_the_differences_of_values():
 def test_a_slide_along_the_skin_is_put_right_by_colours_in_any_light(light):
     scans = [scanned(5), scanned(6, light)]
     base = [VERTICES, VERTICES @ TURN.T]  # the second lies as well on its scan, 4 mm to the side
-    places, now = Places.of(VERTICES, FACES, 20_000), base
+    places = Places.of(VERTICES, FACES, 20_000)
+    now = base
     apart = [np.linalg.norm(now[0] - now[1], axis=1).mean()]
     skin = shared_skin(TOPOLOGY, GRID, now, [colours for _, colours in scans])
     before = colour_difference(skin, 0)
@@ -76,14 +86,19 @@ def test_a_slide_along_the_skin_is_put_right_by_colours_in_any_light(light):
         now = [slid(TOPOLOGY, base[k], scans[k][0], along[k]) for k in range(2)]
         apart.append(np.linalg.norm(now[0] - now[1], axis=1).mean())
     assert apart[0] > 0.003 and apart[-1] < 0.25 * apart[0]
-    assert colour_difference(shared_skin(TOPOLOGY, GRID, now, [one for _, one in scans]), 0) < 0.7 * before
+    assert (
+        colour_difference(shared_skin(TOPOLOGY, GRID, now, [one for _, one in scans]), 0)
+        < 0.7 * before
+    )
     for surface in now:  # still on the scan
         assert np.abs(np.linalg.norm(surface, axis=1) - 0.2).max() < 0.001
 
 
 def test_skin_of_one_colour_moves_nothing():
     scans = [scanned(5), scanned(6)]
-    plain = [ColourCloud.of(one.points, one.normals, np.full_like(one.points, 0.4)) for _, one in scans]
+    plain = [
+        ColourCloud.of(one.points, one.normals, np.full_like(one.points, 0.4)) for _, one in scans
+    ]
     base = [VERTICES, VERTICES @ TURN.T]
     skin = shared_skin(TOPOLOGY, GRID, base, plain)
     along = colour_matches(skin, 1, Places.of(VERTICES, FACES, 20_000), base[1], 0.002)

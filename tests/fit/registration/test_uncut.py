@@ -24,9 +24,12 @@ def swollen(model: np.ndarray, by: float) -> np.ndarray:
 
 
 def test_what_swells_into_itself_goes_back_there_and_nowhere_else():
-    topology, model = Topology.of(FACES, 2 * COUNT), thighs(0.203)
+    topology = Topology.of(FACES, 2 * COUNT)
+    model = thighs(0.203)
     surface = swollen(model, 0.006)
-    assert len(intersecting_pairs(model, FACES)) == 0 and len(intersecting_pairs(surface, FACES)) > 5
+    assert (
+        len(intersecting_pairs(model, FACES)) == 0 and len(intersecting_pairs(surface, FACES)) > 5
+    )
     found = uncut(topology, model, surface)
     assert len(intersecting_pairs(found, FACES)) == 0
     moved = np.linalg.norm(found - surface, axis=1)
@@ -34,7 +37,8 @@ def test_what_swells_into_itself_goes_back_there_and_nowhere_else():
 
 
 def test_where_the_model_cuts_itself_the_surface_may():
-    topology, model = Topology.of(FACES, 2 * COUNT), thighs(0.19)
+    topology = Topology.of(FACES, 2 * COUNT)
+    model = thighs(0.19)
     found = uncut(topology, model, swollen(model, 1e-5))
     before = {tuple(pair) for pair in intersecting_pairs(model, FACES)}
     assert before and {tuple(pair) for pair in intersecting_pairs(found, FACES)} <= before

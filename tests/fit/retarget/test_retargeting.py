@@ -1,4 +1,6 @@
-"""A motion on another body: the same body moves the same, feet stay where they stood, nothing sinks into the ground."""
+"""A motion on another body: the same body moves the same, feet stay where they stood, nothing sinks
+into the ground.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,9 @@ def walk() -> BodyMotion:
 
 @pytest.fixture(scope="module")
 def step(walk) -> BodyMotion:
-    """Both feet stand while the body sways and squats; then the left one takes a step, and stands again."""
+    """Both feet stand while the body sways and squats; then the left one takes a step, and stands
+    again.
+    """
     time = np.arange(60) / 60.0
     pose = np.repeat(walk.pose[:1], 60, axis=0)
     pose[:, 0] = [np.pi / 2, 0.0, 0.0]
@@ -34,7 +38,9 @@ def step(walk) -> BodyMotion:
     still = replace(walk, pose=pose, trans=np.repeat(walk.trans[:1], 60, axis=0), soft_tissue=None)
     goals = [skeleton_of(still).world[:, leg.ankle, :, 3] for leg in legs_of(walk.body)]
     share = np.clip((time - 0.4) / 0.25, 0, 1)
-    goals[0] = goals[0] + np.stack([0 * time, -0.2 * share**2 * (3 - 2 * share), 0.1 * np.sin(np.pi * share)], 1)
+    goals[0] = goals[0] + np.stack(
+        [0 * time, -0.2 * share**2 * (3 - 2 * share), 0.1 * np.sin(np.pi * share)], 1
+    )
     sway = np.stack([0.04 * np.sin(6 * time), -0.1 * time, -0.05 * np.sin(3 * time)], 1)
     moved = replace(still, trans=still.trans + sway)
     for leg, goal in zip(legs_of(walk.body), goals, strict=True):
@@ -45,10 +51,13 @@ def step(walk) -> BodyMotion:
 def _taller(motion: BodyMotion, legs: float, rest: float):
     """A character: legs and what is above them stretched by other factors, feet as they were."""
     points = motion.body.v_template.copy()
-    hip, ankle = 0.88, 0.08
+    hip = 0.88
+    ankle = 0.08
     leg = (points[:, 1] < hip) & (points[:, 1] > ankle)
     points[leg, 1] = ankle + legs * (points[leg, 1] - ankle)
-    points[points[:, 1] >= hip, 1] = ankle + legs * (hip - ankle) + rest * (points[points[:, 1] >= hip, 1] - hip)
+    points[points[:, 1] >= hip, 1] = (
+        ankle + legs * (hip - ankle) + rest * (points[points[:, 1] >= hip, 1] - hip)
+    )
     return recentred(motion.body, points, "stretched")
 
 
@@ -56,7 +65,9 @@ def test_the_same_body_moves_the_same(walk):
     found = retargeted(walk, walk.body, walk.betas, "itself")
     np.testing.assert_allclose(found.motion.pose, walk.pose, atol=1e-9)
     np.testing.assert_allclose(found.motion.trans, walk.trans, atol=1e-9)
-    assert found.scale == pytest.approx(1.0) and found.slip[0] == pytest.approx(found.slip[2], abs=1e-6)
+    assert found.scale == pytest.approx(1.0) and found.slip[0] == pytest.approx(
+        found.slip[2], abs=1e-6
+    )
     assert found.motion.soft_tissue is walk.soft_tissue
 
 
@@ -73,13 +84,18 @@ def test_a_body_twice_as_large_moves_twice_as_far(walk):
 def test_feet_stand_and_nothing_sinks(step, legs, rest):
     body = _taller(step, legs, rest)
     found = retargeted(step, body, np.zeros(body.num_betas), "stretched")
-    slip, below = found.slip, found.below
+    slip = found.slip
+    below = found.below
     assert found.scale == pytest.approx(legs, abs=0.12) and found.standing == pytest.approx(1.0)
     assert slip[0] < 0.02 and slip[2] < slip[0] + 0.02 and slip[1] > 2 * slip[2]
     assert below[2] > min(0.0, found.scale * below[0]) - 0.004
-    assert found.motion.body_name == "stretched" and "retargeted to stretched" in found.motion.made[-1]
+    assert (
+        found.motion.body_name == "stretched" and "retargeted to stretched" in found.motion.made[-1]
+    )
     rough = np.linalg.norm(np.diff(found.motion.joints(), 2, axis=0), axis=2).max(0)
-    assert (rough < 2.0 * np.linalg.norm(np.diff(step.joints(), 2, axis=0), axis=2).max(0).clip(0.002)).all()
+    assert (
+        rough < 2.0 * np.linalg.norm(np.diff(step.joints(), 2, axis=0), axis=2).max(0).clip(0.002)
+    ).all()
 
 
 def test_the_world_does_not_matter(step):
@@ -91,7 +107,8 @@ def test_the_world_does_not_matter(step):
 
 
 def test_legs_reach_their_goals_and_bones_keep_their_length(walk):
-    skeleton, rng = skeleton_of(walk), np.random.default_rng(0)
+    skeleton = skeleton_of(walk)
+    rng = np.random.default_rng(0)
     np.testing.assert_allclose(skeleton.world[..., 3], walk.joints(), atol=1e-9)
     leg = legs_of(walk.body)[0]
     bent = walk.pose.copy()
@@ -101,7 +118,9 @@ def test_legs_reach_their_goals_and_bones_keep_their_length(walk):
     goal = skeleton.world[:, leg.ankle, :, 3] + 0.03 * rng.normal(size=(60, 3))
     found = skeleton_of(replace(motion, pose=reach(bent, skeleton, leg, goal)))
     assert np.linalg.norm(found.world[:, leg.ankle, :, 3] - goal, axis=1).max() < 0.006
-    np.testing.assert_allclose(found.world[:, leg.ankle, :, :3], skeleton.world[:, leg.ankle, :, :3], atol=1e-9)
+    np.testing.assert_allclose(
+        found.world[:, leg.ankle, :, :3], skeleton.world[:, leg.ankle, :, :3], atol=1e-9
+    )
     same = reach(bent, skeleton, leg, skeleton.world[:, leg.ankle, :, 3])
     np.testing.assert_allclose(same, bent, atol=1e-7)
     far = reach(bent, skeleton, leg, skeleton.world[:, leg.ankle, :, 3] - [0, 0, 3.0])

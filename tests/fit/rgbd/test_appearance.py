@@ -1,4 +1,6 @@
-"""Light and albedo come apart on a body whose albedo is piecewise even; bodies that explain nothing are not good."""
+"""Light and albedo come apart on a body whose albedo is piecewise even; bodies that explain nothing
+are not good.
+"""
 
 from dataclasses import replace
 
@@ -16,8 +18,10 @@ from habitus.observe.srgb import srgb_bytes
 
 
 def test_light_and_albedo_come_apart():
-    rng, ball = np.random.default_rng(0), sphere()
-    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    rng = np.random.default_rng(0)
+    ball = sphere()
+    vertices = np.asarray(ball.vertices)
+    faces = np.asarray(ball.faces)
     albedo = np.where(vertices[:, 1:2] > 0.2, [[0.6, 0.3, 0.2]], [[0.2, 0.4, 0.6]])
     light = np.zeros((9, 3))
     light[0], light[1], light[3] = 1.0 / 0.886227, 0.4, -0.2

@@ -28,7 +28,9 @@ def test_the_world_of_a_floor_stands_upright():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(20, 3))
     np.testing.assert_allclose((points @ turn.T + shift)[:, 1], floor.above(points), atol=1e-12)
-    np.testing.assert_allclose(level_frame(np.array([0.0, -1.0, 0.0])), np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(
+        level_frame(np.array([0.0, -1.0, 0.0])), np.diag([1.0, -1.0, -1.0]), atol=1e-12
+    )
 
 
 def test_no_floor_among_walls():
@@ -52,7 +54,11 @@ def test_a_mask_is_taken_as_it_is():
     half = segment(view).mask.copy()
     half[:, : half.shape[1] // 2] = False
     found = segment(replace(view, mask=half))
-    assert found.way == "mask" and not (found.mask & ~half).any() and found.mask.sum() > 0.9 * half.sum()
+    assert (
+        found.way == "mask"
+        and not (found.mask & ~half).any()
+        and found.mask.sum() > 0.9 * half.sum()
+    )
 
 
 def test_nobody_is_told():

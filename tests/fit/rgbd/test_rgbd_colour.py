@@ -1,4 +1,6 @@
-"""E_C and E_Q: derivatives are what small steps show, elimination changes no step, colour brings a fit nearer."""
+"""E_C and E_Q: derivatives are what small steps show, elimination changes no step, colour brings a
+fit nearer.
+"""
 
 from dataclasses import replace
 
@@ -10,7 +12,15 @@ from scipy import sparse
 from habitus.errors import HabitusError
 from habitus.fit.rgbd.appearance import edges_of, find_appearance, log_smoothness
 from habitus.fit.rgbd.colour_levels import ColourLevel
-from habitus.fit.rgbd.colour_terms import ALBEDO_DAMPING, WHITE, Look, Moving, ViewRows, colour_equations, view_rows
+from habitus.fit.rgbd.colour_terms import (
+    ALBEDO_DAMPING,
+    WHITE,
+    Look,
+    Moving,
+    ViewRows,
+    colour_equations,
+    view_rows,
+)
 from habitus.fit.rgbd.descent import Coated, Energy
 from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.off_model import OffModel
@@ -30,7 +40,11 @@ def plain():
     body, scene = small_scene()
     poses = np.stack(list(arm_poses(body, ((45.0, 0.0, 0.0),))) * 2)
     poses[1, 0, 1] = np.deg2rad(45.0)
-    return body, scene, fit_state(scene.capture, body, replace(RgbdSettings(), colour_levels=()), start=poses)
+    return (
+        body,
+        scene,
+        fit_state(scene.capture, body, replace(RgbdSettings(), colour_levels=()), start=poses),
+    )
 
 
 def test_colour_brings_the_surface_nearer(plain):
@@ -39,8 +53,12 @@ def test_colour_brings_the_surface_nearer(plain):
     off = OffModel.of(body, energy.settings)
     begun = Coated(found.state, np.zeros(off.count))
     after, _, costs, _ = energy.with_colour(begun, Look.of(found.appearance), found.state.pose, off)
-    true = np.stack([t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)])
-    before, after = (np.linalg.norm(energy.surfaces(one.state) - true, axis=-1).mean() for one in (begun, after))
+    true = np.stack(
+        [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)]
+    )
+    before, after = (
+        np.linalg.norm(energy.surfaces(one.state) - true, axis=-1).mean() for one in (begun, after)
+    )
     assert after < 0.9 * before and "colour" not in found.terms
     assert costs[-1] < costs[1]  # both of the finest level
 
@@ -48,7 +66,8 @@ def test_colour_brings_the_surface_nearer(plain):
 def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
     body, _, found = plain
     alone = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
-    energy, off = Energy.of(body, found.sights[:1], RgbdSettings()), OffModel.of(body, RgbdSettings())
+    energy = Energy.of(body, found.sights[:1], RgbdSettings())
+    off = OffModel.of(body, RgbdSettings())
     begun = Coated(alone, np.zeros(off.count))
     after, appearance, costs, _ = _with_colour(energy, begun, alone.pose, off)
     assert after is begun and appearance is not None and costs == []
@@ -56,10 +75,12 @@ def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
 
 def test_rows_are_what_small_steps_show(plain):
     body, scene, found = plain
-    sight, settings = Sight.of(scene.capture.views[0], segment(scene.capture.views[0])), RgbdSettings()
+    sight = Sight.of(scene.capture.views[0], segment(scene.capture.views[0]))
+    settings = RgbdSettings()
     surface = body(found.state.betas, found.state.pose[0], found.state.trans[0]).vertices
     seen = find_appearance([sight], surface[None], body.faces)
-    look, state = Look.of(seen), State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
+    look = Look.of(seen)
+    state = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
     level = ColourLevel.of(sight, surface, look.shift, 2)
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
 
@@ -67,14 +88,20 @@ def test_rows_are_what_small_steps_show(plain):
 
     def rows(state: State, look: Look, numbers: np.ndarray) -> ViewRows:
         moving = Moving.of(body, state, 0, off, numbers)
-        shifted = replace(level, camera=level.camera.replace(translation=level.camera.translation + look.shift))
+        shifted = replace(
+            level, camera=level.camera.replace(translation=level.camera.translation + look.shift)
+        )
         return view_rows(moving, triangles, shifted, look, settings)[1]
 
-    rng, still, size = np.random.default_rng(0), replace(look, shift=np.zeros(3)), len(state.vector) + 3
-    here, body_way = rows(state, still, np.zeros(3)), 0.01 * rng.normal(size=size + 3)
+    rng = np.random.default_rng(0)
+    still = replace(look, shift=np.zeros(3))
+    size = len(state.vector) + 3
+    here = rows(state, still, np.zeros(3))
+    body_way = 0.01 * rng.normal(size=size + 3)
     body_way[: len(state.betas)] *= 10.0
     body_way[size - 3 : size] *= 100.0
-    log, light_way = 0.1 * rng.normal(size=body.num_vertices), 0.01 * rng.normal(size=9)
+    log = 0.1 * rng.normal(size=body.num_vertices)
+    light_way = 0.01 * rng.normal(size=9)
 
     def shown(step: float, body: np.ndarray, light: np.ndarray, log: np.ndarray) -> np.ndarray:
         sides = []
@@ -89,10 +116,14 @@ def test_rows_are_what_small_steps_show(plain):
     inner = np.abs(here.by_albedo).sum(1) > 0  # elsewhere albedo is held on purpose
     assert inner.mean() > 0.6
     told = here.jacobian[:, size : size + 9] @ light_way + here.by_albedo @ log
-    np.testing.assert_allclose(told[inner], shown(1e-4, 0.0 * body_way, light_way, log)[inner], atol=1e-6)
+    np.testing.assert_allclose(
+        told[inner], shown(1e-4, 0.0 * body_way, light_way, log)[inner], atol=1e-6
+    )
     told = here.jacobian @ np.concatenate([body_way[:size], np.zeros(9), body_way[size:]])
     found = shown(1e-3, body_way, 0.0 * light_way, 0.0 * log)
-    large = np.abs(told) > np.median(np.abs(told))  # triangles are smaller than pixels: some pixels jump
+    large = np.abs(told) > np.median(
+        np.abs(told)
+    )  # triangles are smaller than pixels: some pixels jump
     assert np.mean(np.sign(told) == np.sign(found), where=large) > 0.95
     assert np.median(np.abs(told - found)[inner]) < 0.1 * np.median(np.abs(found[inner]))
 
@@ -107,10 +138,17 @@ def _moved(state: State, step: np.ndarray) -> State:
 
 
 def test_eliminating_albedo_changes_no_step():
-    rng, ball, settings = np.random.default_rng(1), sphere(), RgbdSettings()
-    edges, count = edges_of(np.asarray(ball.faces)), len(ball.vertices)
+    rng = np.random.default_rng(1)
+    ball = sphere()
+    settings = RgbdSettings()
+    edges = edges_of(np.asarray(ball.faces))
+    count = len(ball.vertices)
     state = State(np.zeros(2), np.zeros((1, 1, 3)), np.zeros((1, 3)))
-    look = Look(rng.uniform(0.45, 0.55, (count, 3)), WHITE[:, None] + 0.01 * rng.normal(size=(9, 3)), np.full(3, 1e-3))
+    look = Look(
+        rng.uniform(0.45, 0.55, (count, 3)),
+        WHITE[:, None] + 0.01 * rng.normal(size=(9, 3)),
+        np.full(3, 1e-3),
+    )
     view = [
         ViewRows(
             0.01 * rng.normal(size=300), rng.uniform(1, 3, 300), rng.normal(size=(300, 8 + 12)),
@@ -123,11 +161,14 @@ def test_eliminating_albedo_changes_no_step():
     after = found.after(look, step)
     for c in range(3):
         columns = np.r_[0:8, 8 + 9 * c : 17 + 9 * c, 35:38]
-        rows, log = view[c], np.log(after.albedo[:, c] / look.albedo[:, c])
+        rows = view[c]
+        log = np.log(after.albedo[:, c] / look.albedo[:, c])
         smooth, pull = log_smoothness(edges, look.albedo[:, c])
         linear = rows.residual + rows.jacobian @ step[columns] + rows.by_albedo @ log
         left = (
-            rows.by_albedo.T @ (rows.weight * linear) + settings.colour * (smooth @ log + pull) + ALBEDO_DAMPING * log
+            rows.by_albedo.T @ (rows.weight * linear)
+            + settings.colour * (smooth @ log + pull)
+            + ALBEDO_DAMPING * log
         )
         assert np.abs(left).max() < 1e-8 * np.abs(rows.by_albedo.T @ rows.weight).max()
     np.testing.assert_allclose(after.shift, look.shift + step[-3:])
@@ -137,13 +178,17 @@ def test_the_body_that_explains_the_views_is_taken(plain):
     body, scene, found = plain
     stout = replace(body, v_template=body.v_template * [1.5, 1.0, 1.5], finer=None)
     one = RgbdCapture("one view", scene.capture.views[1:])
-    bodies, settings = {"neutral": body, "right": body, "wrong": stout}, replace(RgbdSettings(), colour_levels=())
+    bodies = {"neutral": body, "right": body, "wrong": stout}
+    settings = replace(RgbdSettings(), colour_levels=())
     told = fit_state(one, bodies, settings, start=found.state.pose[1:])
     assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + SURE
 
 
 def test_bodies_that_explain_the_views_alike_leave_the_first():
-    near, far = (_Coarse(name, None, None, [9.0, cost]) for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * SURE)))
+    near, far = (
+        _Coarse(name, None, None, [9.0, cost])
+        for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * SURE))
+    )
     assert _chosen([far, near]) is near and _chosen([near]) is near
     assert _chosen([near, replace(near, name="c")]) is None and _chosen([]) is None
 

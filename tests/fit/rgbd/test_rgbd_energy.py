@@ -1,4 +1,6 @@
-"""The energy of the depth stages: its gradient is what small steps show, and steps lead downhill to what is planted."""
+"""The energy of the depth stages: its gradient is what small steps show, and steps lead downhill to
+what is planted.
+"""
 
 import numpy as np
 from synthetic import synthetic_body
@@ -10,17 +12,27 @@ from habitus.residuals.surface_points import PointMatches, SurfacePointSolver, p
 
 def scene(views=2, count=400):
     """A planted state, points on its surfaces as targets, and a state beside it."""
-    body, rng = synthetic_body("smpl", 120), np.random.default_rng(2)
+    body = synthetic_body("smpl", 120)
+    rng = np.random.default_rng(2)
     shape = (views, body.num_joints, 3)
-    truth = State(0.5 * rng.normal(size=body.num_betas), 0.1 * rng.normal(size=shape), rng.normal(size=(views, 3)))
-    face, share = rng.integers(0, body.num_faces, count), rng.dirichlet((1, 1, 1), count)
+    truth = State(
+        0.5 * rng.normal(size=body.num_betas),
+        0.1 * rng.normal(size=shape),
+        rng.normal(size=(views, 3)),
+    )
+    face = rng.integers(0, body.num_faces, count)
+    share = rng.dirichlet((1, 1, 1), count)
     terms = []
     for k in range(views):
         vertices = body(truth.betas, truth.pose[k], truth.trans[k]).vertices
         target = points_on_surface(vertices, body.faces, face, share)
-        matches = PointMatches.to_planes(face, share, target, np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count), 1.0)
+        matches = PointMatches.to_planes(
+            face, share, target, np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count), 1.0
+        )
         terms.append({"depth": matches, "floor": NOTHING})
-    start = State(np.zeros(body.num_betas), truth.pose + 0.05 * rng.normal(size=shape), truth.trans + 0.1)
+    start = State(
+        np.zeros(body.num_betas), truth.pose + 0.05 * rng.normal(size=shape), truth.trans + 0.1
+    )
     return body, SurfacePointSolver.of(body), truth, start, terms
 
 
@@ -41,10 +53,16 @@ def test_only_what_moves_moves():
     body, solver, truth, start, terms = scene()
     priors = Priors.of(body, truth, RgbdSettings())
     placed, _ = gauss_newton_step(solver, start, terms, priors, "place")
-    assert np.array_equal(placed.betas, start.betas) and np.array_equal(placed.pose[:, 1:], start.pose[:, 1:])
-    assert not np.allclose(placed.trans, start.trans) and not np.allclose(placed.pose[:, 0], start.pose[:, 0])
+    assert np.array_equal(placed.betas, start.betas) and np.array_equal(
+        placed.pose[:, 1:], start.pose[:, 1:]
+    )
+    assert not np.allclose(placed.trans, start.trans) and not np.allclose(
+        placed.pose[:, 0], start.pose[:, 0]
+    )
     posed, _ = gauss_newton_step(solver, start, terms, priors, "pose")
-    assert np.array_equal(posed.betas, start.betas) and not np.allclose(posed.pose[:, 1:], start.pose[:, 1:])
+    assert np.array_equal(posed.betas, start.betas) and not np.allclose(
+        posed.pose[:, 1:], start.pose[:, 1:]
+    )
 
 
 def test_a_step_is_never_a_leap():

@@ -1,4 +1,6 @@
-"""The verdict on a body from depth views: what can be checked decides, and what cannot be is not called good."""
+"""The verdict on a body from depth views: what can be checked decides, and what cannot be is not
+called good.
+"""
 
 from dataclasses import replace
 
@@ -31,7 +33,9 @@ def test_a_view_that_does_not_fit_is_named(changes, level, words):
     assert verdict.level == level and any(words in reason for reason in verdict.reasons)
 
 
-@pytest.mark.parametrize(("way", "level"), [("background", "good"), ("mask", "good"), ("planes", "doubtful")])
+@pytest.mark.parametrize(
+    ("way", "level"), [("background", "good"), ("mask", "good"), ("planes", "doubtful")]
+)
 def test_who_did_not_tell_the_room_gets_no_good_verdict(way, level):
     assert judge(replace(SOUND, way=way)).level == level
 

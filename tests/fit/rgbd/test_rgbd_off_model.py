@@ -1,4 +1,6 @@
-"""Skin off the model: a field over the surface that all views share, what is worn, soles on the floor, lost limbs."""
+"""Skin off the model: a field over the surface that all views share, what is worn, soles on the
+floor, lost limbs.
+"""
 
 from dataclasses import replace
 
@@ -10,7 +12,14 @@ from habitus.fit.registration.offset_stage import offset_spread
 from habitus.fit.rgbd.descent import Energy
 from habitus.fit.rgbd.energy import Priors, State
 from habitus.fit.rgbd.feet import LIFTED, Footpads
-from habitus.fit.rgbd.off_model import OffModel, along_normals, off_equations, spread_out, uncoated, worn
+from habitus.fit.rgbd.off_model import (
+    OffModel,
+    along_normals,
+    off_equations,
+    spread_out,
+    uncoated,
+    worn,
+)
 from habitus.fit.rgbd.recipe import fit_state
 from habitus.fit.rgbd.second_try import second_try
 from habitus.fit.rgbd.settings import RgbdSettings
@@ -33,9 +42,12 @@ def off(body):
 
 
 def test_the_field_is_as_wide_as_told_and_alike_nearby(body, off):
-    rest, told = body.rest_vertices(np.zeros(body.num_betas)), SETTINGS.skin * offset_spread(body)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    told = SETTINGS.skin * offset_spread(body)
     spread = np.sqrt((off.basis**2).sum(1))
-    trunk = body.skinning_weights[:, [body.joint_names.index(f"spine{k}") for k in (1, 2)]].sum(1) > 0.8
+    trunk = (
+        body.skinning_weights[:, [body.joint_names.index(f"spine{k}") for k in (1, 2)]].sum(1) > 0.8
+    )
     assert 0.7 < np.median(spread[trunk] / told[trunk]) < 1.1
     navel = np.flatnonzero(trunk)[np.argmax(rest[trunk, 2])]
     alike = (off.basis @ off.basis[navel]) / (spread * spread[navel]).clip(1e-9)
@@ -55,7 +67,8 @@ def test_places_are_far_from_each_other():
 
 
 def test_clothes_and_hair_lie_where_they_are_worn(body):
-    layer, rest = worn(body, 0.001, 0.003), body.rest_vertices(np.zeros(body.num_betas))
+    layer = worn(body, 0.001, 0.003)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
     assert np.isclose(layer[rest[:, 1].argmax()], 0.003, atol=2e-4)
     head = body.skinning_weights[:, body.joint_names.index("head")] > 0.9
     nose = np.flatnonzero(head)[rest[head, 2].argmax()]
@@ -66,20 +79,28 @@ def test_clothes_and_hair_lie_where_they_are_worn(body):
 
 
 def test_an_offset_is_found_and_the_shape_stays(body, off):
-    """Points on the front of a planted person; what the field tells elsewhere is the likeliest, not the truth."""
-    rng, pose, trans = np.random.default_rng(3), np.zeros((2, body.num_joints, 3)), np.zeros((2, 3))
+    """Points on the front of a planted person; what the field tells elsewhere is the likeliest, not
+    the truth.
+    """
+    rng = np.random.default_rng(3)
+    pose = np.zeros((2, body.num_joints, 3))
+    trans = np.zeros((2, 3))
     planted = rng.normal(size=off.count)
-    state, numbers = State(np.zeros(body.num_betas), pose, trans), np.zeros(off.count)
+    state = State(np.zeros(body.num_betas), pose, trans)
+    numbers = np.zeros(off.count)
     model = body(state.betas, pose, trans).vertices
     seen = along_normals(model, off.offset(planted), body)
     facing = vertex_normals(model[0], body.faces)[:, 2]
     front = np.flatnonzero(facing[body.faces].min(1) > 0.5)
-    face, share = np.repeat(front, 2), rng.dirichlet((1, 1, 1), 2 * len(front))
+    face = np.repeat(front, 2)
+    share = rng.dirichlet((1, 1, 1), 2 * len(front))
     normal = vertex_normals(seen[0], body.faces)[body.faces[face, 0]]
 
     def matches(surface):
         target = points_on_surface(seen[0], body.faces, face, share)
-        return [PointMatches.to_planes(face, share, target, normal, np.full(len(face), 1e6))] * len(surface)
+        return [PointMatches.to_planes(face, share, target, normal, np.full(len(face), 1e6))] * len(
+            surface
+        )
 
     priors = Priors.of(body, state, SETTINGS).weights()
     found = off_equations(off, state, numbers, matches(model), model, model)
@@ -87,7 +108,9 @@ def test_an_offset_is_found_and_the_shape_stays(body, off):
     step = -np.linalg.solve(held, found.gradient)
     size = len(state.vector)
     told = facing > 0.6
-    assert np.std((off.offset(step[size:]) - off.offset(planted))[told]) < 0.4 * np.std(off.offset(planted)[told])
+    assert np.std((off.offset(step[size:]) - off.offset(planted))[told]) < 0.4 * np.std(
+        off.offset(planted)[told]
+    )
     alone = -np.linalg.solve(held[:size, :size], found.gradient[:size])
     head = body.num_betas
     assert np.linalg.norm(step[:head]) < 0.7 * np.linalg.norm(alone[:head])
@@ -95,13 +118,20 @@ def test_an_offset_is_found_and_the_shape_stays(body, off):
 
 def test_targets_move_back_by_what_lies_between(body):
     model = body.rest_vertices(np.zeros(body.num_betas))
-    seen, face, share = model + 0.01, np.arange(5), np.full((5, 3), 1 / 3)
-    one = PointMatches.to_planes(face, share, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.ones(5))
-    np.testing.assert_allclose(uncoated({"outline": one}, model, seen, body)["outline"].target, -0.01)
+    seen = model + 0.01
+    face = np.arange(5)
+    share = np.full((5, 3), 1 / 3)
+    one = PointMatches.to_planes(
+        face, share, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.ones(5)
+    )
+    np.testing.assert_allclose(
+        uncoated({"outline": one}, model, seen, body)["outline"].target, -0.01
+    )
 
 
 def test_soles_stand_as_high_as_they_are_at_rest(body):
-    pads, rest = Footpads.of(body), body.rest_vertices(np.zeros(body.num_betas))
+    pads = Footpads.of(body)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
     used = body.faces[pads.face, pads.corner]
     standing = rest - [0.0, rest[used, 1].min(), 0.0]
     here = pads.on_floor(1e4, standing, body)
@@ -109,7 +139,11 @@ def test_soles_stand_as_high_as_they_are_at_rest(body):
     assert np.abs(apart[:, 1]).max() < 0.006  # 14 mm, were all of a sole drawn to the floor
     lifted = pads.on_floor(1e4, standing + np.array([0.0, LIFTED, 0.0]), body)
     assert np.allclose(
-        np.median(np.linalg.norm(lifted.direction, axis=-1) / np.linalg.norm(here.direction, axis=-1)), 0.5, atol=0.15
+        np.median(
+            np.linalg.norm(lifted.direction, axis=-1) / np.linalg.norm(here.direction, axis=-1)
+        ),
+        0.5,
+        atol=0.15,
     )
 
 
@@ -132,7 +166,9 @@ def test_a_start_with_other_arms_comes_home(fitted):
 
 def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
     scene, found = fitted
-    energy, state, pose = Energy.of(body, found.sights, SETTINGS), found.state, found.state.pose.copy()
+    energy = Energy.of(body, found.sights, SETTINGS)
+    state = found.state
+    pose = found.state.pose.copy()
     arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
     pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]
     again, _ = second_try(energy, replace(state, pose=pose), pose)

@@ -12,7 +12,14 @@ from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.selection.full import best_states, fit_surface, full_error
 from habitus.fit.selection.greedy import ADD, REMOVE, additions, removals, set_error, step_errors
-from habitus.fit.selection.problem import GOALS, REGIONS, Candidates, linearised, region_joints, region_vertices
+from habitus.fit.selection.problem import (
+    GOALS,
+    REGIONS,
+    Candidates,
+    linearised,
+    region_joints,
+    region_vertices,
+)
 from habitus.parallel.workers import Threads
 from habitus.population.held_out import held_out_people, smooth_field
 
@@ -29,14 +36,19 @@ def scene() -> SimpleNamespace:
     groups = ((0, 1), *((k,) for k in range(2, count)))
     candidates = Candidates(tuple(f"M{k}" for k in range(count)), vertices, groups)
     problem = linearised(body, prior, people, candidates)
-    return SimpleNamespace(body=body, prior=prior, people=people, candidates=candidates, problem=problem)
+    return SimpleNamespace(
+        body=body, prior=prior, people=people, candidates=candidates, problem=problem
+    )
 
 
 def test_a_step_tells_what_each_set_tells_by_itself(scene):
-    groups, others = (0, 3, 4, 7), (1, 2, 5, 6)
+    groups = (0, 3, 4, 7)
+    others = (1, 2, 5, 6)
     came = step_errors(scene.problem, groups, others, ADD)
     went = step_errors(scene.problem, groups, groups, REMOVE, Threads(2))
-    np.testing.assert_allclose(np.sqrt(came), [set_error(scene.problem, (*groups, k)) for k in others], rtol=1e-9)
+    np.testing.assert_allclose(
+        np.sqrt(came), [set_error(scene.problem, (*groups, k)) for k in others], rtol=1e-9
+    )
     less = [set_error(scene.problem, tuple(j for j in groups if j != k)) for k in groups]
     np.testing.assert_allclose(np.sqrt(went), less, rtol=1e-9)
 
@@ -44,10 +56,15 @@ def test_a_step_tells_what_each_set_tells_by_itself(scene):
 def test_paths_choose_the_best_and_end_where_they_are_told(scene):
     every = range(len(scene.candidates.groups))
     down = list(removals(scene.problem, every, 2))
-    assert [len(step.groups) for step in down] == list(range(len(every), 1, -1)) and down[0].group is None
+    assert [len(step.groups) for step in down] == list(range(len(every), 1, -1)) and down[
+        0
+    ].group is None
     for before, step in pairwise(down):
         assert set(before.groups) - set(step.groups) == {step.group}
-        others = [set_error(scene.problem, [k for k in before.groups if k != gone]) for gone in before.groups]
+        others = [
+            set_error(scene.problem, [k for k in before.groups if k != gone])
+            for gone in before.groups
+        ]
         assert step.error == pytest.approx(min(others), rel=1e-9)
     up = list(additions(scene.problem, down[-1].groups, len(every)))
     assert len(up[-1].groups) == len(every) and up[-1].error == pytest.approx(down[0].error)
@@ -56,7 +73,11 @@ def test_paths_choose_the_best_and_end_where_they_are_told(scene):
 
 
 def test_without_what_the_body_cannot_explain_more_markers_are_never_worse(scene):
-    problem = replace(scene.problem, unexplained=0 * scene.problem.unexplained, constant=0 * scene.problem.constant)
+    problem = replace(
+        scene.problem,
+        unexplained=0 * scene.problem.unexplained,
+        constant=0 * scene.problem.constant,
+    )
     errors = [step.error for step in removals(problem, range(len(scene.candidates.groups)), 1)]
     assert (np.diff(errors) > 0).all()
 
@@ -64,8 +85,11 @@ def test_without_what_the_body_cannot_explain_more_markers_are_never_worse(scene
 def test_fits_agree_with_the_first_order(scene):
     """On average over draws of noise, where the state is well known."""
     rng = np.random.default_rng(1)
-    body, vertices = scene.body, np.arange(0, scene.body.num_vertices, 9)
-    candidates = Candidates(tuple(map(str, vertices)), vertices, tuple((k,) for k in range(len(vertices))))
+    body = scene.body
+    vertices = np.arange(0, scene.body.num_vertices, 9)
+    candidates = Candidates(
+        tuple(map(str, vertices)), vertices, tuple((k,) for k in range(len(vertices)))
+    )
     problem = linearised(body, scene.prior, scene.people, candidates, noise=0.004)
     judged = region_vertices(body, region_joints(body, "all"))
     offsets = rng.normal(scale=0.004, size=(len(scene.people), body.num_vertices, 3))
@@ -79,7 +103,12 @@ def test_a_surface_of_the_body_is_found_again(scene):
     every = np.arange(scene.body.num_vertices)
     start = replace(one, pose=one.pose + 0.05, surface=surface)
     found = fit_surface(scene.body, scene.prior, start, every, surface, 1e-4)
-    assert np.linalg.norm(scene.body(found.betas, found.pose, found.trans).vertices - surface, axis=1).max() < 2e-4
+    assert (
+        np.linalg.norm(
+            scene.body(found.betas, found.pose, found.trans).vertices - surface, axis=1
+        ).max()
+        < 2e-4
+    )
 
 
 @pytest.mark.parametrize("goal", GOALS)

@@ -11,7 +11,8 @@ from habitus.fit.selection.poses import choose_poses
 
 @pytest.fixture(scope="module")
 def choice():
-    body, rng = tube_body(betas=4), np.random.default_rng(0)
+    body = tube_body(betas=4)
+    rng = np.random.default_rng(0)
     prior = PosePrior(body.joint_names[1:], np.zeros(69), 0.05 * np.eye(69))
     vertices = np.arange(0, body.num_vertices, 60)
     spreads = [np.full(len(vertices), value) for value in (0.01, 0.001, 0.02)]
@@ -24,11 +25,16 @@ def choice():
 def test_each_pose_tells_more_and_the_first_is_the_best(choice):
     assert len(choice.poses) == len(set(choice.poses)) == 5
     assert (np.diff(choice.errors) < 0).all()
-    assert choice.errors[0] == pytest.approx(choice.alone.min()) and choice.poses[0] == choice.alone.argmin()
+    assert (
+        choice.errors[0] == pytest.approx(choice.alone.min())
+        and choice.poses[0] == choice.alone.argmin()
+    )
 
 
 def test_chosen_ones_tell_more_than_random_ones(choice):
-    assert all(best <= random + 1e-12 for best, random in zip(choice.errors, choice.random, strict=True))
+    assert all(
+        best <= random + 1e-12 for best, random in zip(choice.errors, choice.random, strict=True)
+    )
 
 
 def test_the_same_pose_twice_tells_the_same_alone(choice):

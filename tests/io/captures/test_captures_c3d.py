@@ -20,11 +20,41 @@ REAL = {
     "85_02.c3d": (41, "mm", "+z", 120.0, {}),
     "85_12.c3d": (41, "mm", "+z", 120.0, {}),
     "HDM_mm_01-02_03_120.c3d": (41, "mm", "+z", 120.0, {}),
-    "HC030A01.c3d": (65, "mm", "+z", 100.0, {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01}),
-    "HC030A05.c3d": (59, "mm", "+z", 100.0, {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01}),
-    "HC030A22.c3d": (59, "mm", "+z", 100.0, {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01}),
-    "HC042A13.c3d": (59, "mm", "+z", 100.0, {"height_m": 1.79, "mass_kg": 59.9, "marker_diameter_m": 0.01}),
-    "HC042A40.c3d": (59, "mm", "+z", 100.0, {"height_m": 1.79, "mass_kg": 59.9, "marker_diameter_m": 0.01}),
+    "HC030A01.c3d": (
+        65,
+        "mm",
+        "+z",
+        100.0,
+        {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01},
+    ),
+    "HC030A05.c3d": (
+        59,
+        "mm",
+        "+z",
+        100.0,
+        {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01},
+    ),
+    "HC030A22.c3d": (
+        59,
+        "mm",
+        "+z",
+        100.0,
+        {"height_m": 1.48, "mass_kg": 45.8, "marker_diameter_m": 0.01},
+    ),
+    "HC042A13.c3d": (
+        59,
+        "mm",
+        "+z",
+        100.0,
+        {"height_m": 1.79, "mass_kg": 59.9, "marker_diameter_m": 0.01},
+    ),
+    "HC042A40.c3d": (
+        59,
+        "mm",
+        "+z",
+        100.0,
+        {"height_m": 1.79, "mass_kg": 59.9, "marker_diameter_m": 0.01},
+    ),
     "testsample.c3d": (41, "mm", "+z", 100.0, {"height_m": 1.735, "mass_kg": 85.8}),
     "testsample2.c3d": (41, "mm", "+z", 100.0, {"height_m": 1.735, "mass_kg": 85.8}),
     "kinematics_tennis_serve.c3d": (39, "m", "+z", 50.0, {}),
@@ -75,7 +105,12 @@ ODD = {
 def test_real_captures_give_their_physical_markers_in_metres(shared: Path, name: str) -> None:
     markers, unit, up, rate, recorded = REAL[name]
     capture = read_capture(shared / "mocap" / name)
-    assert (len(capture.labels), capture.unit, capture.up_axis, capture.rate_hz) == (markers, unit, up, rate)
+    assert (len(capture.labels), capture.unit, capture.up_axis, capture.rate_hz) == (
+        markers,
+        unit,
+        up,
+        rate,
+    )
     assert dict(capture.recorded) == recorded
     assert capture.markers.shape[1] == markers and capture.markers.dtype == np.float64
     assert len(set(capture.labels)) == markers and not any(":" in label for label in capture.labels)
@@ -105,7 +140,10 @@ def test_odd_files_give_a_capture_or_one_clear_line(shared: Path, name: str) -> 
 
 def test_one_walk_in_three_machines_numbers_is_one_walk(shared: Path) -> None:
     folder = shared / "mocap-odd"
-    walks = [read_capture(folder / name) for name in ("dec_real.c3d", "sgi_real.c3d", "dec_int.c3d", "sgi_int.c3d")]
+    walks = [
+        read_capture(folder / name)
+        for name in ("dec_real.c3d", "sgi_real.c3d", "dec_int.c3d", "sgi_int.c3d")
+    ]
     for walk in walks[1:]:
         assert walk.labels == walks[0].labels
         np.testing.assert_allclose(walk.markers, walks[0].markers, atol=3e-4)
@@ -114,7 +152,9 @@ def test_one_walk_in_three_machines_numbers_is_one_walk(shared: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["type1.C3D", "type3.c3d"])
-def test_trajectories_are_smooth_where_header_and_parameters_disagree(shared: Path, name: str) -> None:
+def test_trajectories_are_smooth_where_header_and_parameters_disagree(
+    shared: Path, name: str
+) -> None:
     markers = read_capture(shared / "mocap-odd" / name).markers
     steps = np.linalg.norm(np.diff(markers, axis=0), axis=2)
     assert np.nanpercentile(steps, 99) < 0.1
@@ -171,7 +211,9 @@ def test_more_labels_and_frames_than_sixteen_bits_hold(tmp_path: Path) -> None:
     wide = replace(wide, labels=tuple(f"{label}x{i}" for i in range(7) for label in LABELS))
     write_c3d(wide, tmp_path / "wide.c3d")
     assert read_capture(tmp_path / "wide.c3d").labels == wide.labels
-    long = replace(_capture(), labels=LABELS[:4], markers=np.tile(_capture().markers[1:-1, :4], (1850, 1, 1)))
+    long = replace(
+        _capture(), labels=LABELS[:4], markers=np.tile(_capture().markers[1:-1, :4], (1850, 1, 1))
+    )
     write_c3d(long, tmp_path / "long.c3d")
     assert len(read_capture(tmp_path / "long.c3d").markers) == len(long.markers) == 70300
 

@@ -1,4 +1,6 @@
-"""Whatever bytes arrive, a capture or one clear line comes out: never a traceback, a hang, or memory without end."""
+"""Whatever bytes arrive, a capture or one clear line comes out: never a traceback, a hang, or
+memory without end.
+"""
 
 import time
 from pathlib import Path
@@ -43,14 +45,20 @@ def _read(folder: Path, name: str, content: bytes) -> None:
     else:
         for capture in captures:
             frames, markers, axes = capture.markers.shape
-            assert frames > 0 and markers == len(capture.labels) == len(set(capture.labels)) and axes == 3
+            assert (
+                frames > 0
+                and markers == len(capture.labels) == len(set(capture.labels))
+                and axes == 3
+            )
             assert np.isfinite(capture.markers).any() and not np.isinf(capture.markers).any()
             assert 0 < capture.rate_hz < 1e6 and capture.up_axis[1] in "xyz"
     assert time.perf_counter() - started < _SLOWEST_S
 
 
 NAMES = ("a.c3d", "a.trc", "a.csv", "a.tsv", "a.npz", "b.npz")
-_FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+_FUZZ = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -75,12 +83,16 @@ def test_flipped_bits(tmp_path: Path, sound: Path, name: str, data: st.DataObjec
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 @_FUZZ
-def test_pieces_lost_doubled_and_mixed_up(tmp_path: Path, sound: Path, name: str, data: st.DataObject) -> None:
+def test_pieces_lost_doubled_and_mixed_up(
+    tmp_path: Path, sound: Path, name: str, data: st.DataObject
+) -> None:
     content = (sound / name).read_bytes()
     cut = st.integers(0, len(content))
     for _ in range(data.draw(st.integers(1, 3))):
         first, second = sorted((data.draw(cut), data.draw(cut)))
-        middle = data.draw(st.sampled_from([b"", content[first:second] * 2, b"nan", b"-1e400,\t", b"\0", b"\n"]))
+        middle = data.draw(
+            st.sampled_from([b"", content[first:second] * 2, b"nan", b"-1e400,\t", b"\0", b"\n"])
+        )
         content = content[:first] + middle + content[second:]
     _read(tmp_path, name, content)
 
@@ -93,7 +105,24 @@ def test_anything_at_all(tmp_path: Path, name: str, content: bytes) -> None:
 
 
 _CELL = st.sampled_from(
-    ["", "1", "2", "3.5", "-4e3", "nan", "inf", "1e999", "x", "Marker", "Position", "X", "Y", "Z", "LFHD", "Frame#"]
+    [
+        "",
+        "1",
+        "2",
+        "3.5",
+        "-4e3",
+        "nan",
+        "inf",
+        "1e999",
+        "x",
+        "Marker",
+        "Position",
+        "X",
+        "Y",
+        "Z",
+        "LFHD",
+        "Frame#",
+    ]
 )
 _TABLE = st.lists(st.lists(_CELL, max_size=9), max_size=9)
 
@@ -109,7 +138,11 @@ def test_tables_of_anything_under_a_sound_header(
     _read(tmp_path, name, "\n".join([*head, *(separator.join(row) for row in rows)]).encode())
 
 
-@given(counts=st.tuples(*[st.integers(0, 65535)] * 4), scale=st.floats(width=32), data=st.integers(0, 65535))
+@given(
+    counts=st.tuples(*[st.integers(0, 65535)] * 4),
+    scale=st.floats(width=32),
+    data=st.integers(0, 65535),
+)
 @_FUZZ
 def test_headers_that_promise_the_moon(
     tmp_path: Path, sound: Path, counts: tuple[int, ...], scale: float, data: int
@@ -122,6 +155,8 @@ def test_headers_that_promise_the_moon(
 
 
 def test_points_of_which_none_is_near_another_are_no_capture(tmp_path: Path) -> None:
-    write_raw_c3d(tmp_path / "a.c3d", _FEW[:2], np.array([[[-4e4, 0.0, 0.0], [4e4, 0.0, 0.0]]]), unit="m")
+    write_raw_c3d(
+        tmp_path / "a.c3d", _FEW[:2], np.array([[[-4e4, 0.0, 0.0], [4e4, 0.0, 0.0]]]), unit="m"
+    )
     with pytest.raises(HabitusError, match=r"a\.c3d: its points are kilometres apart"):
         read_captures(tmp_path / "a.c3d")

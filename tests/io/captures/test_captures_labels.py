@@ -17,35 +17,61 @@ def _read(folder: Path, labels: tuple[str, ...], points: np.ndarray, **options: 
 
 
 def _with(extra: dict[str, np.ndarray]) -> tuple[tuple[str, ...], np.ndarray]:
-    return (*LABELS, *extra), np.concatenate([world_points(), np.stack(list(extra.values()), axis=1)], axis=1)
+    return (*LABELS, *extra), np.concatenate(
+        [world_points(), np.stack(list(extra.values()), axis=1)], axis=1
+    )
 
 
 @pytest.mark.parametrize(
     "label",
-    ["*", "*12", "uname*4", "uname4", "U_1", "u12", "Unlabeled_1023", "unlabeled", "Unlabelled12", "New_0001", "17"],
+    [
+        "*",
+        "*12",
+        "uname*4",
+        "uname4",
+        "U_1",
+        "u12",
+        "Unlabeled_1023",
+        "unlabeled",
+        "Unlabelled12",
+        "New_0001",
+        "17",
+    ],
 )
 @pytest.mark.parametrize(
-    "more", ["", "Unknown_3", "ghost", "nan", "M012", "C_12", "h00b03m1", "Marker_1", "Trajectory_12"]
+    "more",
+    ["", "Unknown_3", "ghost", "nan", "M012", "C_12", "h00b03m1", "Marker_1", "Trajectory_12"],
 )
 def test_fillers_are_no_names(label: str, more: str) -> None:
     assert is_unlabelled(label) and is_unlabelled(more)
 
 
 @pytest.mark.parametrize(
-    "label", [*LABELS, "MAN", "NAV", "M1TH", "U_ELB", "C7", "MT5", "LMT1", "POINTER", "Chest", "UA1", "T10"]
+    "label",
+    [*LABELS, "MAN", "NAV", "M1TH", "U_ELB", "C7", "MT5", "LMT1", "POINTER", "Chest", "UA1", "T10"],
 )
 def test_names_are_no_fillers(label: str) -> None:
     assert not is_unlabelled(label)
 
 
 def test_computed_names_are_told_from_markers_that_look_like_them() -> None:
-    computed = "LHipAngles LAbsAnkleAngle PELAng LNormalisedGRF LKneePower CentreOfMass CentreOfMassFloor CoM LHJC"
-    computed += " R_HJC_reg RGHJC PELVIS_CGM_2.4O LHJC_CGM_2.4 R.Ankle_projection mid_hip projLKAX R.HipJoint"
+    computed = (
+        "LHipAngles LAbsAnkleAngle PELAng LNormalisedGRF LKneePower CentreOfMass "
+        "CentreOfMassFloor CoM LHJC"
+    )
+    computed += (
+        " R_HJC_reg RGHJC PELVIS_CGM_2.4O LHJC_CGM_2.4 R.Ankle_projection mid_hip "
+        "projLKAX R.HipJoint"
+    )
     computed += " LKneeGround SolvingHips Xglobal"
     labels = (*computed.split(), *LABELS)
     assert set(computed_labels(labels, {})) == set(computed.split())
-    # RANG is a scapula's tip, LIndex a finger; PELA..D a plate; LTIB1 a cluster; RFTA..D a foot; KAX a rod with its KD1
-    markers = "RANG LIndex RIndex PELA PELB PELC PELD LTIB1 LTIB2 LTIB3 LHLX RFTA RFTB LKAX LKD1 LKD2 LANK LHIP"
+    # RANG is a scapula's tip, LIndex a finger; PELA..D a plate; LTIB1 a cluster; RFTA..D a foot;
+    # KAX a rod with its KD1
+    markers = (
+        "RANG LIndex RIndex PELA PELB PELC PELD LTIB1 LTIB2 LTIB3 LHLX RFTA RFTB LKAX LKD1 "
+        "LKD2 LANK LHIP"
+    )
     markers += " C_7__IOR_CV7__CGM_C7"
     assert computed_labels(tuple(markers.split()), {}) == {}
 
@@ -64,7 +90,14 @@ def test_names_that_are_computed_only_in_company() -> None:
 
 
 def test_keypoints_of_video_go_where_the_predicted_markers_stay() -> None:
-    predicted = ("C7_study", "r_shoulder_study", "L_shoulder_study", "r.ASIS_study", "L.ASIS_study", "r_knee_study")
+    predicted = (
+        "C7_study",
+        "r_shoulder_study",
+        "L_shoulder_study",
+        "r.ASIS_study",
+        "L.ASIS_study",
+        "r_knee_study",
+    )
     keypoints = ("Neck", "RShoulder", "midHip", "LBigToe", "RHJC_study")
     assert set(computed_labels((*keypoints, *predicted), {})) == set(keypoints)
     assert computed_labels(("RShoulder", "LShoulder", "LHeel", *LABELS), {}) == {}
@@ -73,9 +106,18 @@ def test_keypoints_of_video_go_where_the_predicted_markers_stay() -> None:
 def test_what_the_file_declares_is_believed_first(tmp_path: Path) -> None:
     angle = np.random.default_rng(0).normal(scale=0.03, size=(60, 3))
     labels, points = _with({"ODD1": angle, "ODD2": angle + 0.01, "ODD3": angle - 0.02})
-    groups = {("POINT", "ANGLES"): ["ODD1"], ("POINT", "POWERS2"): ["ODD2"], ("POINT", "TYPE_GROUPS"): ["OWN", "own"]}
+    groups = {
+        ("POINT", "ANGLES"): ["ODD1"],
+        ("POINT", "POWERS2"): ["ODD2"],
+        ("POINT", "TYPE_GROUPS"): ["OWN", "own"],
+    }
     groups |= {("POINT", "POWERS"): [], ("POINT", "OWN"): ["ODD3"]}
-    capture = _read(tmp_path, labels, points, parameters={key: value or ["none"] for key, value in groups.items()})
+    capture = _read(
+        tmp_path,
+        labels,
+        points,
+        parameters={key: value or ["none"] for key, value in groups.items()},
+    )
     assert capture.labels == LABELS
     assert {label: reason.split()[-1] for label, reason in capture.dropped} == {
         "ODD1": "ANGLES",
@@ -102,10 +144,14 @@ def test_copies_midpoints_and_strangers_are_found_by_value(tmp_path: Path) -> No
 
 
 def test_a_copy_goes_before_the_marker_it_copies(tmp_path: Path) -> None:
-    """The copies of HDM files come first: *0 and others; the one whose name says where it is stays."""
+    """The copies of HDM files come first: *0 and others; the one whose name says where it is
+    stays.
+    """
     points = world_points()
     labels = ("ORIGIN", "*0", *LABELS)
-    capture = _read(tmp_path, labels, np.concatenate([points[:, 9:10], points[:, :1], points], axis=1))
+    capture = _read(
+        tmp_path, labels, np.concatenate([points[:, 9:10], points[:, :1], points], axis=1)
+    )
     assert capture.labels == LABELS
     assert dict(capture.dropped) == {"*0": "unlabelled", "ORIGIN": "an exact copy of LFWT"}
 
@@ -127,7 +173,10 @@ def test_a_stuck_point_is_missing_while_its_neighbours_move(tmp_path: Path) -> N
     assert dict(capture.dropped) == {LABELS[7]: "never moves while the others do"}
     column = capture.labels.index(LABELS[3])
     assert np.isnan(capture.markers[20:45, column]).all()
-    assert np.isfinite(capture.markers[:20, column]).all() and np.isfinite(capture.markers[46:, column]).all()
+    assert (
+        np.isfinite(capture.markers[:20, column]).all()
+        and np.isfinite(capture.markers[46:, column]).all()
+    )
     assert np.isfinite(np.delete(capture.markers, column, axis=1)).all()
 
 
@@ -139,7 +188,8 @@ def test_who_stands_still_is_not_stuck(tmp_path: Path) -> None:
 
 def test_pieces_of_a_marker_join_and_others_stay_apart(tmp_path: Path) -> None:
     points = world_points()
-    early, late = points[:, 40].copy(), points[:, 40].copy()
+    early = points[:, 40].copy()
+    late = points[:, 40].copy()
     early[30:], late[:30] = np.nan, np.nan
     labels = (*LABELS[:40], "RBAC-1", "RBAC", "LELB", "LUPA_2")
     other = points[:, 4] + (0.1, 0.0, 0.0)
@@ -147,7 +197,9 @@ def test_pieces_of_a_marker_join_and_others_stay_apart(tmp_path: Path) -> None:
     stacked = [points[:, :40], late[:, None], early[:, None], other[:, None], cluster[:, None]]
     capture = _read(tmp_path, labels, np.concatenate(stacked, axis=1))
     assert set(capture.labels) == {*LABELS, "LELB_2", "LUPA_2"}
-    np.testing.assert_allclose(capture.markers[:, capture.labels.index("RBAC")], points[:, 40], atol=1e-6)
+    np.testing.assert_allclose(
+        capture.markers[:, capture.labels.index("RBAC")], points[:, 40], atol=1e-6
+    )
     assert any("LELB" in warning for warning in capture.warnings)
 
 
@@ -158,7 +210,9 @@ def test_the_second_knee_of_old_files_is_the_joint(tmp_path: Path) -> None:
     assert capture.labels == LABELS and "joint" in dict(capture.dropped)["LKNE"]
 
 
-@pytest.mark.parametrize("prefix", ["Ann:", "Subject 8:", "Karlie_", "251112_KUO_", "Q_", "T3_671_"])
+@pytest.mark.parametrize(
+    "prefix", ["Ann:", "Subject 8:", "Karlie_", "251112_KUO_", "Q_", "T3_671_"]
+)
 def test_a_subjects_prefix_is_taken_off(tmp_path: Path, prefix: str) -> None:
     capture = _read(tmp_path, tuple(prefix + label for label in LABELS), world_points())
     assert capture.labels == LABELS
@@ -166,7 +220,8 @@ def test_a_subjects_prefix_is_taken_off(tmp_path: Path, prefix: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "labels", [("R_IAS", "R_IPS", "R_FTC", "R_FLE", "R_FME", "R_FAX", "R_TTC", "R_FAL", "R_TAM", "R_FCC")]
+    "labels",
+    [("R_IAS", "R_IPS", "R_FTC", "R_FLE", "R_FME", "R_FAX", "R_TTC", "R_FAL", "R_TAM", "R_FCC")],
 )
 def test_a_side_is_no_subject(labels: tuple[str, ...]) -> None:
     (owner,) = split_subjects(labels)
@@ -180,13 +235,17 @@ def test_a_side_is_no_subject(labels: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("separator", [":", "_"])
-def test_people_of_one_file_are_told_apart_and_props_left_out(tmp_path: Path, separator: str) -> None:
-    ann, ben = world_points(), world_points(seed=5) + np.array([0.0, 1.5, 0.0])
+def test_people_of_one_file_are_told_apart_and_props_left_out(
+    tmp_path: Path, separator: str
+) -> None:
+    ann = world_points()
+    ben = world_points(seed=5) + np.array([0.0, 1.5, 0.0])
     labels = tuple(f"{name}{separator}{label}" for name in ("Ann", "Ben") for label in LABELS)
     points = np.concatenate([ann, ben[:, ::-1]], axis=1)
     labels = (*labels[:41], *labels[:40:-1])
     if separator == ":":
-        labels, points = (*labels, "Sword:tip", "Sword:hilt", "*7"), np.concatenate([points, ann[:, :3] + 0.4], axis=1)
+        labels = (*labels, "Sword:tip", "Sword:hilt", "*7")
+        points = np.concatenate([points, ann[:, :3] + 0.4], axis=1)
     path = write_raw_c3d(tmp_path / "two.c3d", labels, points * 1e3)
     captures = read_captures(path)
     assert [capture.subject for capture in captures] == ["Ann", "Ben"]

@@ -25,7 +25,9 @@ def _same(capture: Capture, points: np.ndarray, up: str, tolerance: float = 2e-6
     np.testing.assert_allclose(capture.markers, points, atol=tolerance)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("mm", 1e3), ("m", 1.0), ("cm", 100.0), ("Millimeters", 1e3)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("mm", 1e3), ("m", 1.0), ("cm", 100.0), ("Millimeters", 1e3)]
+)
 def test_trc_round_trip(tmp_path: Path, unit: str, factor: float) -> None:
     points = _points("+y")
     (tmp_path / "a.trc").write_text(trc_text(LABELS, points * factor, unit=unit))
@@ -53,7 +55,11 @@ def test_trc_in_other_hands(tmp_path: Path, hand: str) -> None:
 
 def test_real_trc(shared: Path) -> None:
     capture = read_capture(shared / "mocap" / "DJ2.trc")
-    assert capture.markers.shape == (371, 47, 3) and capture.up_axis == "+y" and capture.rate_hz == 100.0
+    assert (
+        capture.markers.shape == (371, 47, 3)
+        and capture.up_axis == "+y"
+        and capture.rate_hz == 100.0
+    )
     assert {label for label, _ in capture.dropped} == {"R_HJC", "L_HJC", "R_HJC_reg", "L_HJC_reg"}
     assert capture.warnings == ()
 
@@ -69,18 +75,26 @@ def test_frames_left_out_are_missing_and_time_stays_honest(tmp_path: Path) -> No
 
 
 def test_times_outvote_a_wrong_rate(tmp_path: Path) -> None:
-    text = trc_text(LABELS, world_points("+y") * 1e3, rate=120.0).replace("\r\n120\t120\t", "\r\n60\t60\t")
+    text = trc_text(LABELS, world_points("+y") * 1e3, rate=120.0).replace(
+        "\r\n120\t120\t", "\r\n60\t60\t"
+    )
     (tmp_path / "a.trc").write_text(text)
     capture = read_capture(tmp_path / "a.trc")
     assert capture.rate_hz == pytest.approx(120.0, rel=1e-3)
     assert any("60 Hz" in warning for warning in capture.warnings)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("Meters", 1.0), ("Centimeters", 100.0), ("Millimeters", 1e3)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("Meters", 1.0), ("Centimeters", 100.0), ("Millimeters", 1e3)]
+)
 @pytest.mark.parametrize("version", ["1.20", "1.23", "1.24"])
-def test_motive_round_trip_takes_only_tracked_markers(tmp_path: Path, unit: str, factor: float, version: str) -> None:
+def test_motive_round_trip_takes_only_tracked_markers(
+    tmp_path: Path, unit: str, factor: float, version: str
+) -> None:
     points = _points("+y")
-    (tmp_path / "a.csv").write_text(motive_text(LABELS, points * factor, unit=unit, version=version))
+    (tmp_path / "a.csv").write_text(
+        motive_text(LABELS, points * factor, unit=unit, version=version)
+    )
     capture = read_capture(tmp_path / "a.csv")
     _same(capture, points, "+y")
     assert capture.subject == "Ann" and capture.rate_hz == 120.0 and capture.warnings == ()
@@ -89,13 +103,17 @@ def test_motive_round_trip_takes_only_tracked_markers(tmp_path: Path, unit: str,
 def test_motive_without_markers_says_what_it_holds(tmp_path: Path) -> None:
     text = motive_text(LABELS[:1], world_points("+y")[:, :1])
     (tmp_path / "a.csv").write_text(
-        text.replace(",Bone Marker", ",Bone").replace(",Rigid Body Marker", ",Bone").replace(",Marker", ",Bone")
+        text.replace(",Bone Marker", ",Bone")
+        .replace(",Rigid Body Marker", ",Bone")
+        .replace(",Marker", ",Bone")
     )
     with pytest.raises(HabitusError, match="only Bone, Rigid Body"):
         read_capture(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(("times", "more"), [(False, False), (True, True), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("times", "more"), [(False, False), (True, True), (True, False), (False, True)]
+)
 def test_qtm_round_trip(tmp_path: Path, times: bool, more: bool) -> None:
     points = _points("+z")
     (tmp_path / "a.tsv").write_text(qtm_text(LABELS, points * 1e3, times=times, more=more))
@@ -105,12 +123,16 @@ def test_qtm_round_trip(tmp_path: Path, times: bool, more: bool) -> None:
 
 
 def test_qtm_rigid_bodies_are_no_markers(tmp_path: Path) -> None:
-    (tmp_path / "a.tsv").write_text(qtm_text(LABELS, world_points()).replace("DATA_INCLUDED\t3D", "DATA_INCLUDED\t6D"))
+    (tmp_path / "a.tsv").write_text(
+        qtm_text(LABELS, world_points()).replace("DATA_INCLUDED\t3D", "DATA_INCLUDED\t6D")
+    )
     with pytest.raises(HabitusError, match="6D"):
         read_capture(tmp_path / "a.tsv")
 
 
-@pytest.mark.parametrize("keys", [("markers", "labels", "frame_rate"), ("markers_obs", "labels", "mocap_framerate")])
+@pytest.mark.parametrize(
+    "keys", [("markers", "labels", "frame_rate"), ("markers_obs", "labels", "mocap_framerate")]
+)
 @pytest.mark.parametrize("kind", ["U", "S"])
 def test_npz_round_trip(tmp_path: Path, keys: tuple[str, str, str], kind: str) -> None:
     points = _points("+z")
@@ -129,7 +151,8 @@ def test_npz_round_trip(tmp_path: Path, keys: tuple[str, str, str], kind: str) -
 
 
 def test_npz_labels_may_change_from_frame_to_frame(tmp_path: Path) -> None:
-    points, labels = world_points(), np.tile(np.array(LABELS), (60, 1))
+    points = world_points()
+    labels = np.tile(np.array(LABELS), (60, 1))
     generator = np.random.default_rng(2)
     for i in range(60):
         order = generator.permutation(41)
@@ -143,9 +166,18 @@ def test_npz_labels_may_change_from_frame_to_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "word"),
     [
-        ({"markers": world_points(), "labels": np.array(LABELS, object), "frame_rate": 100}, "pickled"),
-        ({"markers": world_points(), "labels": np.array(LABELS[:3]), "frame_rate": 100}, "3 labels"),
-        ({"markers": world_points()[0], "labels": np.array(LABELS), "frame_rate": 100}, r"\(T, M, 3\)"),
+        (
+            {"markers": world_points(), "labels": np.array(LABELS, object), "frame_rate": 100},
+            "pickled",
+        ),
+        (
+            {"markers": world_points(), "labels": np.array(LABELS[:3]), "frame_rate": 100},
+            "3 labels",
+        ),
+        (
+            {"markers": world_points()[0], "labels": np.array(LABELS), "frame_rate": 100},
+            r"\(T, M, 3\)",
+        ),
         ({"markers": world_points(), "labels": np.array(LABELS)}, "frame rate"),
         ({"poses": np.zeros((4, 66))}, "poses"),
         ({"markers": np.array(None, object)}, "pickled"),
@@ -159,7 +191,8 @@ def test_npz_that_will_not_do_is_refused_in_a_line(tmp_path: Path, arrays: dict,
 
 @pytest.mark.parametrize("ending", [".trc", ".csv", ".tsv", ".npz"])
 @pytest.mark.parametrize(
-    "content", [b"", b"\n\n", b"hello\nworld\n", bytes(range(256)) * 8, b"a,b\n1,2\n", b"Frame#\tTime\n"]
+    "content",
+    [b"", b"\n\n", b"hello\nworld\n", bytes(range(256)) * 8, b"a,b\n1,2\n", b"Frame#\tTime\n"],
 )
 def test_files_of_something_else_give_one_line(tmp_path: Path, ending: str, content: bytes) -> None:
     (tmp_path / f"a{ending}").write_bytes(content)
@@ -169,11 +202,15 @@ def test_files_of_something_else_give_one_line(tmp_path: Path, ending: str, cont
 
 
 @pytest.mark.parametrize("times", [False, True])
-def test_qtm_rows_that_do_not_hold_its_markers_are_refused_or_missing(tmp_path: Path, times: bool) -> None:
+def test_qtm_rows_that_do_not_hold_its_markers_are_refused_or_missing(
+    tmp_path: Path, times: bool
+) -> None:
     text = qtm_text(LABELS, world_points("+z") * 1e3, times=times)
     rows = text.split("\r\n")
     first = next(i for i, row in enumerate(rows) if row[:1].isdigit() or row[:1] == "-")
-    (tmp_path / "a.tsv").write_text("\r\n".join([*rows[:first], *(row + "\t1\t2\t3" for row in rows[first:] if row)]))
+    (tmp_path / "a.tsv").write_text(
+        "\r\n".join([*rows[:first], *(row + "\t1\t2\t3" for row in rows[first:] if row)])
+    )
     with pytest.raises(HabitusError, match=r"a\.tsv.*41 markers"):
         read_capture(tmp_path / "a.tsv")
     rows[first + 3] = rows[first + 3].replace("\t", "\t0\t", 1)
@@ -184,13 +221,16 @@ def test_qtm_rows_that_do_not_hold_its_markers_are_refused_or_missing(tmp_path: 
 
 @pytest.mark.parametrize("kind", ["trc", "tsv", "npz"])
 def test_rates_that_no_capture_has_are_refused_and_odd_ones_told(tmp_path: Path, kind: str) -> None:
-    points, path = world_points("+y"), tmp_path / f"a.{kind}"
+    points = world_points("+y")
+    path = tmp_path / f"a.{kind}"
 
     def write(rate: float) -> None:
         if kind == "npz":
             np.savez(path, markers=points, labels=np.array(LABELS), rate_hz=rate, unit="m")
         else:
-            path.write_text((trc_text if kind == "trc" else qtm_text)(LABELS, points * 1e3, rate=rate))
+            path.write_text(
+                (trc_text if kind == "trc" else qtm_text)(LABELS, points * 1e3, rate=rate)
+            )
 
     write(1e5)
     with pytest.raises(HabitusError, match=r"100000 Hz.*rate_hz"):
@@ -211,29 +251,43 @@ def test_points_kilometres_away_are_missing_and_told(tmp_path: Path, far: float)
     capture = read_capture(tmp_path / "a.npz")
     points[7, 3] = np.nan
     np.testing.assert_allclose(capture.markers, points, atol=1e-6)
-    assert any(f"{LABELS[3]} (1 frames)" in text and "kilometre" in text for text in capture.warnings)
+    assert any(
+        f"{LABELS[3]} (1 frames)" in text and "kilometre" in text for text in capture.warnings
+    )
 
 
 @pytest.mark.parametrize("kind", ["c3d", "trc", "npz"])
 def test_labels_are_safe_to_show_in_whatever_they_are_written(tmp_path: Path, kind: str) -> None:
-    points, path = world_points("+y"), tmp_path / f"a.{kind}"
+    points = world_points("+y")
+    path = tmp_path / f"a.{kind}"
     labels = (*LABELS[:-2], "\x1b[31mRED", "X" * 5000)
     if kind == "c3d":
         write_raw_c3d(path, (*LABELS[:-2], "\x1b[31mRED", "X" * 120), points * 1e3)
     elif kind == "trc":
         path.write_text(trc_text(labels, points * 1e3))
     else:
-        np.savez(path, markers=points, labels=np.array(labels), rate_hz=100, subject="\x9b\u202eAnn")
+        np.savez(
+            path, markers=points, labels=np.array(labels), rate_hz=100, subject="\x9b\u202eAnn"
+        )
     capture = read_capture(path)
     assert r"\x1b[31mRED" in capture.labels and len(capture.labels) == len(LABELS)
-    assert all(label.isprintable() and len(label) <= 200 for label in (*capture.labels, capture.subject or ""))
+    assert all(
+        label.isprintable() and len(label) <= 200
+        for label in (*capture.labels, capture.subject or "")
+    )
 
 
 def test_many_points_of_one_name_do_not_take_forever(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     others = rng.normal(size=(1, 8000, 3)) + rng.normal(scale=1e-3, size=(5, 1, 3))
     points = np.concatenate([world_points("+y", frames=5), others], axis=1)
-    np.savez(tmp_path / "a.npz", markers=points, labels=np.array([*LABELS, *["X"] * 8000]), rate_hz=100, unit="m")
+    np.savez(
+        tmp_path / "a.npz",
+        markers=points,
+        labels=np.array([*LABELS, *["X"] * 8000]),
+        rate_hz=100,
+        unit="m",
+    )
     started = time.process_time()
     assert len(read_capture(tmp_path / "a.npz").labels) > 1000
     assert time.process_time() - started < 10

@@ -1,4 +1,6 @@
-"""TRC files whose header and numbers disagree: columns come from where the numbers stand, and what is off is said."""
+"""TRC files whose header and numbers disagree: columns come from where the numbers stand, and what
+is off is said.
+"""
 
 from pathlib import Path
 
@@ -12,7 +14,9 @@ from habitus.io.captures.read import Capture, read_capture
 
 POINTS = world_points("+y")
 ROWS = trc_text(LABELS, POINTS * 1e3).split("\r\n")
-NAMES, AXES, DATA = 3, 4, 6
+NAMES = 3
+AXES = 4
+DATA = 6
 
 
 def _read(tmp_path: Path, rows: list[str]) -> Capture:
@@ -51,13 +55,17 @@ def test_each_marker_has_its_own_coordinates_wherever_the_header_puts_its_name(t
 
 def test_names_that_stand_elsewhere_are_told(tmp_path):
     shifted = _read(tmp_path, _edited(NAMES, ROWS[NAMES].replace("Time\t", "Time\t\t\t")))
-    assert any("names begin in column 5, their coordinates in column 3" in text for text in shifted.warnings)
+    assert any(
+        "names begin in column 5, their coordinates in column 3" in text
+        for text in shifted.warnings
+    )
 
 
 def test_real_file_with_shifted_names(shared: Path, tmp_path: Path):
     text = (shared / "mocap" / "DJ2.trc").read_text()
     (tmp_path / "DJ2.trc").write_text(text.replace("Time\t", "Time\t\t\t", 1))
-    sound, shifted = read_capture(shared / "mocap" / "DJ2.trc"), read_capture(tmp_path / "DJ2.trc")
+    sound = read_capture(shared / "mocap" / "DJ2.trc")
+    shifted = read_capture(tmp_path / "DJ2.trc")
     assert sound.labels == shifted.labels and len(shifted.warnings) == len(sound.warnings) + 1
     np.testing.assert_array_equal(shifted.markers, sound.markers)
 
@@ -95,7 +103,9 @@ def test_what_cannot_be_told_apart_is_refused(tmp_path, rows):
 
 
 def test_blanks_between_blanks_are_not_guessed(tmp_path):
-    """Where spaces part the cells, a blank cell leaves no trace: that row would be other markers' coordinates."""
+    """Where spaces part the cells, a blank cell leaves no trace: that row would be other markers'
+    coordinates.
+    """
     points = POINTS.copy()
     points[5, 7] = np.nan
     text = trc_text(LABELS, points * 1e3).replace("\t", "  ")

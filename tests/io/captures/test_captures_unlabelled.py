@@ -15,7 +15,8 @@ from habitus.io.captures.unlabelled import read_unlabelled
 @pytest.fixture
 def unnamed(tmp_path: Path) -> Path:
     """Ten points without names and an angle, with an analog channel, in millimetres at 50 Hz."""
-    rng, file = np.random.default_rng(0), ezc3d.c3d()
+    rng = np.random.default_rng(0)
+    file = ezc3d.c3d()
     points = np.ones((4, 11, 30))
     points[:3] = rng.uniform(100, 1700, size=(3, 11, 1)) + rng.normal(scale=5, size=(3, 11, 30))
     points[:3, 2, 10:20] = np.nan
@@ -32,7 +33,11 @@ def unnamed(tmp_path: Path) -> Path:
 
 def test_points_are_metres_and_angles_are_none(unnamed: Path) -> None:
     capture = read_unlabelled(unnamed)
-    assert capture.points.shape == (30, 10, 3) and capture.columns == tuple(range(10)) and capture.rate_hz == 50.0
+    assert (
+        capture.points.shape == (30, 10, 3)
+        and capture.columns == tuple(range(10))
+        and capture.rate_hz == 50.0
+    )
     assert np.nanmax(capture.points) < 2.0 and np.isnan(capture.points[10:20, 2]).all()
 
 
@@ -40,14 +45,18 @@ def test_other_names_leave_all_else_as_it_was(unnamed: Path, tmp_path: Path) -> 
     capture = read_unlabelled(unnamed)
     names = tuple(f"N{k}" for k in range(10))
     write_relabelled(unnamed, capture, names, capture.points[:, ::-1], tmp_path / "out.c3d")
-    before, after = ezc3d.c3d(str(unnamed)), ezc3d.c3d(str(tmp_path / "out.c3d"))
+    before = ezc3d.c3d(str(unnamed))
+    after = ezc3d.c3d(str(tmp_path / "out.c3d"))
     assert after["parameters"]["POINT"]["LABELS"]["value"] == [*names, "LKneeAngles"]
     assert np.array_equal(before["data"]["analogs"], after["data"]["analogs"])
     assert after["parameters"]["TRIAL"]["NOTE"]["value"] == ["kept"]
     assert np.allclose(after["data"]["points"][:3, 0], before["data"]["points"][:3, 9], atol=1e-3)
     assert np.allclose(after["data"]["points"][:3, 10], before["data"]["points"][:3, 10], atol=1e-3)
     again = read_capture(tmp_path / "out.c3d")
-    assert again.rate_hz == 50.0 and np.isnan(again.markers[10:20, list(again.labels).index("N7")]).all()
+    assert (
+        again.rate_hz == 50.0
+        and np.isnan(again.markers[10:20, list(again.labels).index("N7")]).all()
+    )
 
 
 def test_a_file_without_points_is_refused(tmp_path: Path) -> None:

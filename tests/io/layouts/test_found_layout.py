@@ -1,4 +1,6 @@
-"""A layout that was found is a file that reads back as the same layout, with what a person must know on top."""
+"""A layout that was found is a file that reads back as the same layout, with what a person must
+know on top.
+"""
 
 import tomllib
 
@@ -21,7 +23,8 @@ PLACES = (
 )
 markers = st.builds(
     lambda place, sure: (
-        {"distance": 0.0125, "distance_spread": 0.006, "place_spread": 0.04, "confidence": sure} | place
+        {"distance": 0.0125, "distance_spread": 0.006, "place_spread": 0.04, "confidence": sure}
+        | place
     ),
     st.sampled_from(PLACES),
     st.floats(0, 1).map(lambda x: round(x, 2)),
@@ -32,11 +35,17 @@ labels = st.text(min_size=1, max_size=12).map(plain_name).filter(lambda x: x and
 @given(st.dictionaries(labels, markers, min_size=1, max_size=6), st.text(max_size=20))
 @settings(max_examples=25, deadline=None)
 def test_what_is_written_is_read_back(found, capture):
-    layout = MarkerLayout("discovered", tuple(Marker(k, **v) for k, v in found.items()), num_vertices=99)
+    layout = MarkerLayout(
+        "discovered", tuple(Marker(k, **v) for k, v in found.items()), num_vertices=99
+    )
     mates = {label: tuple(found)[:2] for label in found}
-    text = found_layout_text(Discovery(layout, {"GONE": "never seen"}, ("Left\nor right?",), companions=mates), capture)
+    text = found_layout_text(
+        Discovery(layout, {"GONE": "never seen"}, ("Left\nor right?",), companions=mates), capture
+    )
     read = parse_layout(text, "found.toml", load_layout)
-    assert sorted(read.markers, key=lambda m: m.label) == sorted(layout.markers, key=lambda m: m.label)
+    assert sorted(read.markers, key=lambda m: m.label) == sorted(
+        layout.markers, key=lambda m: m.label
+    )
     assert read.left_out == {"GONE": "never seen"} and read.num_vertices == 99
     assert "# NOT SURE: Left" in text and tomllib.loads(text)["name"].startswith("discovered in")
     sure = [marker.confidence for marker in read.markers]
@@ -46,4 +55,8 @@ def test_what_is_written_is_read_back(found, capture):
 @pytest.mark.parametrize("value", ["2", "-0.1", "true", '"high"', "nan"])
 def test_a_confidence_that_is_none_is_refused(value):
     with pytest.raises(HabitusError, match=r"confidence = .*expected a number from 0 to 1"):
-        parse_layout(f'name = "x"\n[markers]\nA = {{ place = "c7", confidence = {value} }}', "x.toml", load_layout)
+        parse_layout(
+            f'name = "x"\n[markers]\nA = {{ place = "c7", confidence = {value} }}',
+            "x.toml",
+            load_layout,
+        )

@@ -1,4 +1,6 @@
-"""Lists of labels from other programs: their labels come out, known ones with their places, prefixes are no part."""
+"""Lists of labels from other programs: their labels come out, known ones with their places,
+prefixes are no part.
+"""
 
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,21 @@ from hypothesis import strategies as st
 from habitus.errors import HabitusError
 from habitus.io.layouts.files import load_layout, match_layout
 
-KNOWN = ("LASI", "RASI", "LPSI", "RPSI", "LKNE", "RKNE", "LANK", "RANK", "LTOE", "RTOE", "LHEE", "RHEE", "C7")
+KNOWN = (
+    "LASI",
+    "RASI",
+    "LPSI",
+    "RPSI",
+    "LKNE",
+    "RKNE",
+    "LANK",
+    "RANK",
+    "LTOE",
+    "RTOE",
+    "LHEE",
+    "RHEE",
+    "C7",
+)
 MKR = "!MKR#2\n\n[Autolabel]\n\n{}\n\nLASI,RASI\nPelvis = LASI, RASI, LPSI\n\n[Joints]\n"
 VSK = '<?xml version="1.0"?><KinematicModel><MarkerSet><Markers>{}</Markers></MarkerSet></KinematicModel>'
 QTM = "<QTM_Parameters><The_3D><Labels>{}</Labels></The_3D></QTM_Parameters>"
@@ -15,10 +31,18 @@ QTM = "<QTM_Parameters><The_3D><Labels>{}</Labels></The_3D></QTM_Parameters>"
 
 def content(form, labels):
     if form == "set.vsk":
-        return VSK.format("".join(f'<Marker NAME="{x}" SEGMENT="Pelvis" POSITION="1 2 3"/>' for x in labels))
+        return VSK.format(
+            "".join(f'<Marker NAME="{x}" SEGMENT="Pelvis" POSITION="1 2 3"/>' for x in labels)
+        )
     if form == "qtm.xml":
-        return QTM.format("".join(f"<Label><Name>{x}</Name><RGBColor>65280</RGBColor></Label>" for x in labels))
-    return MKR.format("\n".join(labels)) if form == "set.mkr" else "\ufeff" + "\r\n".join(f"{x}\t0" for x in labels)
+        return QTM.format(
+            "".join(f"<Label><Name>{x}</Name><RGBColor>65280</RGBColor></Label>" for x in labels)
+        )
+    return (
+        MKR.format("\n".join(labels))
+        if form == "set.mkr"
+        else "\ufeff" + "\r\n".join(f"{x}\t0" for x in labels)
+    )
 
 
 @pytest.mark.parametrize("form", ["set.vsk", "qtm.xml", "set.mkr", "labels.txt"])
@@ -28,7 +52,9 @@ def test_labels_come_out_with_the_places_that_known_layouts_have(tmp_path, form,
     (tmp_path / form).write_text(content(form, labels), encoding="utf-8")
     layout = load_layout(tmp_path / form)
     assert set(layout.labels) == set(labels[:-1]) and set(layout.left_out) == {labels[-1]}
-    assert layout[prefix + "LASI"].landmark == "left_asis" and layout[prefix + "C7"].landmark == "c7"
+    assert (
+        layout[prefix + "LASI"].landmark == "left_asis" and layout[prefix + "C7"].landmark == "c7"
+    )
     assert set(match_layout(labels, layouts=[layout]).matched) == set(labels[:-1])
 
 

@@ -1,4 +1,6 @@
-"""Layout files: what is written is read back, what is wrong is said in one line, real captures find their layouts."""
+"""Layout files: what is written is read back, what is wrong is said in one line, real captures find
+their layouts.
+"""
 
 import contextlib
 import json
@@ -35,7 +37,7 @@ def parse(text):
     return parse_layout(text, "test.toml", load_layout)
 
 
-# -- shipped files ----------------------------------------------------------------------------------------------------
+# -- shipped files ---------------------------------------------------------------------------------
 
 
 def test_names_are_file_names_and_no_two_layouts_share_one():
@@ -70,7 +72,9 @@ def test_a_layout_s_own_labels_are_matched_to_it(layout):
     match = match_layout(labels)
     assert match.layout.name == layout.name
     assert match.confidence > 0.8 and not match.missing_labels and not match.unmatched_labels
-    assert [marker.place for marker in match.layout.markers] == [layout[label].place for label in labels]
+    assert [marker.place for marker in match.layout.markers] == [
+        layout[label].place for label in labels
+    ]
 
 
 @each_layout
@@ -92,7 +96,9 @@ def test_a_few_missing_and_unknown_labels_do_not_matter(layout):
     labels = [marker.label for marker in layout.markers if not marker.optional][2:]
     match = match_layout([*labels, "prop one", "Racket#2"])
     assert match.layout.name == layout.name and match.confidence > 0.7
-    assert match.unmatched_labels == ("prop one", "Racket#2") and set(match.left_out) == set(match.unmatched_labels)
+    assert match.unmatched_labels == ("prop one", "Racket#2") and set(match.left_out) == set(
+        match.unmatched_labels
+    )
     assert len(match.missing_labels) == 2
 
 
@@ -102,9 +108,11 @@ def test_shipped_layouts_survive_writing(layout, tmp_path):
     assert load_layout(tmp_path / "copy.toml") == layout
 
 
-# -- any file ---------------------------------------------------------------------------------------------------------
+# -- any file --------------------------------------------------------------------------------------
 
-words = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="[]|"), min_size=1, max_size=12)
+words = st.text(
+    st.characters(exclude_categories=["Cs"], exclude_characters="[]|"), min_size=1, max_size=12
+)
 words = words.map(plain_name).filter(bool)
 anything = st.text(st.characters(codec=None, categories=None), min_size=1, max_size=12)
 spreads = st.floats(1e-4, 0.4, allow_nan=False)
@@ -123,9 +131,14 @@ blends = st.builds(Marker, label=words, between=st.tuples(words, words, st.float
 numbered = st.builds(Marker, label=words, vertex=st.integers(0, 10**6))
 
 
-@given(st.lists(markers | blends | numbered, min_size=1, max_size=6, unique_by=lambda m: m.label), words)
+@given(
+    st.lists(markers | blends | numbered, min_size=1, max_size=6, unique_by=lambda m: m.label),
+    words,
+)
 def test_round_trip(chosen, name):
-    layout = MarkerLayout(name, tuple(chosen), title="t", description="d", sources=("s",), num_vertices=7)
+    layout = MarkerLayout(
+        name, tuple(chosen), title="t", description="d", sources=("s",), num_vertices=7
+    )
     assert parse(layout_text(layout)) == layout
 
 
@@ -133,10 +146,14 @@ def test_round_trip(chosen, name):
 def test_any_text_can_be_written_and_is_read_in_its_safe_spelling(labels, name):
     labels = [label for label in labels if not any(letter in label for letter in "[]|")]
     labels = [label for label in labels if plain_name(label) not in ("", "A")]
-    layout = MarkerLayout(name, (Marker("A", vertex=1), *(Marker(label, vertex=2) for label in labels)))
+    layout = MarkerLayout(
+        name, (Marker("A", vertex=1), *(Marker(label, vertex=2) for label in labels))
+    )
     again = parse(layout_text(layout))
     assert again.name == plain_name(name)
-    assert [marker.label for marker in again.markers] == [plain_name(marker.label) for marker in layout.markers]
+    assert [marker.label for marker in again.markers] == [
+        plain_name(marker.label) for marker in layout.markers
+    ]
 
 
 @settings(max_examples=25, deadline=None)
@@ -146,11 +163,15 @@ def test_a_draft_is_a_valid_layout_whatever_the_labels(labels, name):
     labels = [*known, *(label for label in labels if plain_name(label) not in known)]
     text = draft_layout(name, name, labels, np.zeros((2, len(labels), 3)), shipped_layouts())
     drafted = parse(text)
-    assert drafted.name == plain_name(name) and {"C7", "LFHD"} <= {marker.label for marker in drafted.markers}
+    assert drafted.name == plain_name(name) and {"C7", "LFHD"} <= {
+        marker.label for marker in drafted.markers
+    }
 
 
 def test_a_hostile_name_is_harmless(tmp_path):
-    (tmp_path / "a.toml").write_text('name = "[/x]\\u001b[2J"\n[markers]\n"L\\u202eFHD" = "sternum"\n')
+    (tmp_path / "a.toml").write_text(
+        'name = "[/x]\\u001b[2J"\n[markers]\n"L\\u202eFHD" = "sternum"\n'
+    )
     layout = load_layout(tmp_path / "a.toml")
     assert layout.name == r"[/x]\x1b[2J" and layout.markers[0].label == r"L\u202eFHD"
 
@@ -187,18 +208,27 @@ def test_any_text_is_a_layout_or_one_clear_error(text):
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=True) | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow])
-@given(st.sampled_from(["place", "between", "vertex", "aliases", "distance", "direction", "optional", "odd"]), values)
+@given(
+    st.sampled_from(
+        ["place", "between", "vertex", "aliases", "distance", "direction", "optional", "odd"]
+    ),
+    values,
+)
 def test_any_marker_value_is_taken_or_refused(key, value):
     from habitus.io.layouts.toml import _all_markers
 
     with contextlib.suppress(HabitusError):
-        _all_markers({"markers": {"[LR]X": {"place": "left_x", key: value}, "Y": value}}, None, "test")
+        _all_markers(
+            {"markers": {"[LR]X": {"place": "left_x", key: value}, "Y": value}}, None, "test"
+        )
 
 
 @pytest.mark.parametrize(
@@ -208,10 +238,16 @@ def test_any_marker_value_is_taken_or_refused(key, value):
         ('name = "x"', "has no markers"),
         ('name = "x"\n[markers]\nA = 3', "expected a landmark name"),
         ('name = "x"\n[markers]\nA = { distance = 0.01 }', "expected one place"),
-        ('name = "x"\n[markers]\nA = { place = "c7", between = ["a", "b", 0.5] }', "expected one place"),
+        (
+            'name = "x"\n[markers]\nA = { place = "c7", between = ["a", "b", 0.5] }',
+            "expected one place",
+        ),
         ('name = "x"\n[markers]\nA = { place = "c7", distance = 9.5 }', "expected metres"),
         ('name = "x"\n[markers]\nA = { place = "c7", distance_spread = 0 }', "expected metres"),
-        ('name = "x"\n[markers]\nA = { place = "[left|right]_asis" }', r"write \[LR\] in the label"),
+        (
+            'name = "x"\n[markers]\nA = { place = "[left|right]_asis" }',
+            r"write \[LR\] in the label",
+        ),
         ('name = "x"\n[markers]\nA = { place = "c7", colour = "red" }', "unknown key colour"),
         ('name = "x"\n[markers]\nA = { between = ["a", "b", 1.5] }', "share from 0 to 1"),
         ('name = "x"\n[markers]\nA = ""', "empty text"),
@@ -229,7 +265,8 @@ def test_wrong_files_are_refused_with_what_is_wrong(text, says):
 
 def test_left_and_right_are_written_once():
     layout = parse(
-        'name = "x"\n[markers]\n"[LR]A" = { place = "[left|right]_asis", aliases = ["[LR]B", "[Left|Right]C"], '
+        'name = "x"\n[markers]\n"[LR]A" = { place = "[left|right]_asis", aliases = ["[LR]B", '
+        '"[Left|Right]C"], '
         'direction = [1, 0, 0] }\n"W[Lo|Hi]" = "[left|right]_psis"'
     )
     assert layout.labels == ("LA", "RA", "WLo", "WHi")
@@ -239,12 +276,18 @@ def test_left_and_right_are_written_once():
 
 
 def test_extending_adds_replaces_and_takes_away(tmp_path):
-    (tmp_path / "base.toml").write_text('name = "base"\n[markers]\n"[LR]A" = "[left|right]_asis"\nC = "c7"\n')
+    (tmp_path / "base.toml").write_text(
+        'name = "base"\n[markers]\n"[LR]A" = "[left|right]_asis"\nC = "c7"\n'
+    )
     (tmp_path / "mine.toml").write_text(
         'name = "mine"\nextends = "base.toml"\nwithout = ["RA"]\n[markers]\nC = "t2"\nD = "t6"\n'
     )
     layout = load_layout(tmp_path / "mine.toml")
-    assert {marker.label: marker.landmark for marker in layout.markers} == {"LA": "left_asis", "C": "t2", "D": "t6"}
+    assert {marker.label: marker.landmark for marker in layout.markers} == {
+        "LA": "left_asis",
+        "C": "t2",
+        "D": "t6",
+    }
 
 
 def test_a_file_that_extends_itself_is_refused(tmp_path):
@@ -268,13 +311,19 @@ def test_unknown_names_and_files(tmp_path):
     assert load_layout("CMU_41") is load_layout("cmu-41") is load_layout("HDM05")
 
 
-# -- MoSh++ layouts ---------------------------------------------------------------------------------------------------
+# -- MoSh++ layouts --------------------------------------------------------------------------------
 
 
 def moshpp(**changes):
     """A file of MoSh++'s form with made-up vertex ids."""
-    body = {"indices": {"LFWT": 11, "RFWT": 12, "C7": 13, "STRN": 14, "NOWHERE": 15}, "distance_from_skin": 0.0095}
-    finger = {"indices": {"LELB": 21, "RELB": 22, "LKNE": 23, "RKNE": 24}, "distance_from_skin": 0.0002}
+    body = {
+        "indices": {"LFWT": 11, "RFWT": 12, "C7": 13, "STRN": 14, "NOWHERE": 15},
+        "distance_from_skin": 0.0095,
+    }
+    finger = {
+        "indices": {"LELB": 21, "RELB": 22, "LKNE": 23, "RKNE": 24},
+        "distance_from_skin": 0.0002,
+    }
     sets = [{"type": "body", **body}, {"type": "other", **finger}]
     return {"surface_model_type": "smplx", "markersets": sets, **changes}
 
@@ -288,20 +337,29 @@ def test_moshpp_layouts_keep_ids_and_get_landmarks(tmp_path):
     assert layout["LELB"].distance == 0.0002 and layout["NOWHERE"].landmark is None
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"markersets": 3}', '{"markersets": [{"indices": {"A": "x"}}]}',
-                                  '{"markersets": []}', '{"markersets": [{"indices": {"A": -1}}]}'])  # fmt: skip
+@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"markersets": 3}', '{"markersets": '
+                                                                        '[{"indices": {"A": '
+                                                                        '"x"}}]}',
+                                  '{"markersets": []}', '{"markersets": [{"indices": {"A": '
+                                                        '-1}}]}'])  # fmt: skip
 def test_other_json_is_refused(tmp_path, text):
     (tmp_path / "x.json").write_text(text)
     with pytest.raises(HabitusError, match=r"x\.json"):
         load_layout(tmp_path / "x.json")
 
 
-# -- what cannot be matched -------------------------------------------------------------------------------------------
+# -- what cannot be matched ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "labels",
-    [[], ["C7"], [f"Marker_{k}" for k in range(40)], ["LASI", "RASI", "C7", "CLAV"], [f"Channel{k}" for k in range(9)]],
+    [
+        [],
+        ["C7"],
+        [f"Marker_{k}" for k in range(40)],
+        ["LASI", "RASI", "C7", "CLAV"],
+        [f"Channel{k}" for k in range(9)],
+    ],
 )
 def test_too_few_known_labels_are_refused(labels):
     with pytest.raises(HabitusError, match="habitus layout new"):
@@ -335,13 +393,17 @@ def test_known_extras_of_other_sets_are_used():
     labels = [*(m.label for m in load_layout("cmu-41").markers), "LMMA", "RMMA", "SEL"]
     match = match_layout(labels)
     assert match.layout.name == "cmu-41"
-    assert match.layout["LMMA"].landmark == "left_ankle_medial" and match.layout["SEL"].landmark == "sellion"
+    assert (
+        match.layout["LMMA"].landmark == "left_ankle_medial"
+        and match.layout["SEL"].landmark == "sellion"
+    )
     assert any("taken from other sets" in warning for warning in match.warnings)
 
 
-# -- real captures ----------------------------------------------------------------------------------------------------
+# -- real captures ---------------------------------------------------------------------------------
 
-WRIST, KNEE = "LWRA and LWRB", "RLFE and RMFE"
+WRIST = "LWRA and LWRB"
+KNEE = "RLFE and RMFE"
 ELBOWS = ["LLHE and LMHE are exchanged", "RLHE and RMHE are exchanged"]
 REAL = {
     "85_02.c3d": ("cmu-41", 41, []),
@@ -360,7 +422,11 @@ REAL = {
     "right_knee.c3d": ("ech-49", 73, []),
     "static_rotated.c3d": ("ech-49", 49, []),
     "Running_0002.c3d": ("running-clusters", 64, []),
-    "nick_freeform_001.c3d": ("vicon-53", 52, ["LFSH and LBSH are exchanged", "RFSH and RBSH are exchanged"]),
+    "nick_freeform_001.c3d": (
+        "vicon-53",
+        52,
+        ["LFSH and LBSH are exchanged", "RFSH and RBSH are exchanged"],
+    ),
     "DJ2.trc": ("opensim-mobilecap", 47, []),
 }
 
@@ -396,13 +462,23 @@ def test_odd_captures_match_or_are_refused(shared):
     assert found["Walking_Hybrid_2"] == "lower-body-clusters"
     assert found["MACsample"] == found["short-copy"] == "helen-hayes"
     assert found["Res16bits"] == "french-landmarks"
-    assert not {"Dance", "golfswing", "mocap36", "phasespace_sample", "Optotrak", "dec_int", "duplicate_labels"} & set(
-        found
-    )
+    assert not {
+        "Dance",
+        "golfswing",
+        "mocap36",
+        "phasespace_sample",
+        "Optotrak",
+        "dec_int",
+        "duplicate_labels",
+    } & set(found)
 
 
 def test_the_example_of_the_documentation_is_a_layout():
     page = Path(__file__).resolve().parents[3] / "docs" / "adding-a-marker-layout.md"
     example = page.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
     layout = parse(example)
-    assert layout["LTIB"].distance == 0.055 and "RBAK" not in layout.labels and "LHJC" in layout.left_out
+    assert (
+        layout["LTIB"].distance == 0.055
+        and "RBAK" not in layout.labels
+        and "LHJC" in layout.left_out
+    )

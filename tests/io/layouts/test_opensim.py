@@ -1,4 +1,6 @@
-"""OpenSim's marker sets: markers on the side and part that their bone names, and one clear line for what is wrong."""
+"""OpenSim's marker sets: markers on the side and part that their bone names, and one clear line for
+what is wrong.
+"""
 
 from pathlib import Path
 
@@ -33,8 +35,21 @@ def body():
 
 @pytest.mark.parametrize("tag", ["socket_parent_frame", "body"])
 def test_markers_lie_where_their_bones_are(tmp_path, body, tag):
-    bones = ("pelvis", "torso", "femur_r", "tibia_l", "calcn_r", "humerus_l", "radius_r", "hand_l", "head", "toes_l")
-    layout = load(tmp_path, text(*((f"M{k}", bone, "0 0 0") for k, bone in enumerate(bones)), tag=tag))
+    bones = (
+        "pelvis",
+        "torso",
+        "femur_r",
+        "tibia_l",
+        "calcn_r",
+        "humerus_l",
+        "radius_r",
+        "hand_l",
+        "head",
+        "toes_l",
+    )
+    layout = load(
+        tmp_path, text(*((f"M{k}", bone, "0 0 0") for k, bone in enumerate(bones)), tag=tag)
+    )
     template = np.asarray(body.v_template)
     for marker, vertex in zip(layout.markers, layout.vertices(body), strict=True):
         bone = bones[int(marker.label[1:])]
@@ -48,7 +63,8 @@ def test_markers_lie_where_their_bones_are(tmp_path, body, tag):
 
 def test_left_is_the_mirror_image_of_right(body):
     for bone in ("femur", "tibia", "talus", "calcn", "toes", "humerus", "ulna", "radius", "hand"):
-        place, mirror = np.array([0.02, -0.1, 0.05]), np.array([-1.0, 1.0, 1.0])
+        place = np.array([0.02, -0.1, 0.05])
+        mirror = np.array([-1.0, 1.0, 1.0])
         (left, one), (right, other) = (bone_frame(f"{bone}_{side}", body) for side in "lr")
         across = left + one @ (place * [1.0, 1.0, -1.0])
         np.testing.assert_allclose(across * mirror, right + other @ place, atol=0.005)
@@ -65,8 +81,14 @@ def test_ahead_up_and_right_are_ahead_up_and_right(body):
     [
         ("", "is not XML"),
         ("<a><b></a>", "is not XML"),
-        ('<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>', "declares the entity a"),
-        ('<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><x>&a;</x>', "declares the entity a"),
+        (
+            '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>',
+            "declares the entity a",
+        ),
+        (
+            '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><x>&a;</x>',
+            "declares the entity a",
+        ),
         ("<a>" * 500 + "</a>" * 500, "nested without end"),
         (text(("A", "pelvis", "0 0")), "marker A: location '0 0'; expected three numbers"),
         (text(("A", "pelvis", "0 nan 0")), "expected three numbers in metres"),
@@ -100,7 +122,8 @@ def test_a_labs_own_set_is_read_and_matches_its_capture(shared):
     file = shared / "labelling" / "MarkerSet.xml"
     if not file.exists():
         pytest.skip("no marker set beside this checkout")
-    layout, body = load_layout(file), load_body("default")
+    layout = load_layout(file)
+    body = load_body("default")
     across = np.asarray(body.v_template)[layout.vertices(body), 0]
     assert len(layout) == 62 and not layout.left_out
     for label, x in zip(layout.labels, across, strict=True):

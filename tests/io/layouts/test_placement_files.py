@@ -1,4 +1,6 @@
-"""The prior over placements as text: read back as it was written, and refused where it says something else."""
+"""The prior over placements as text: read back as it was written, and refused where it says
+something else.
+"""
 
 import pytest
 from hypothesis import given, settings
@@ -9,12 +11,22 @@ from habitus.io.layouts.placements import parse_placements, placements_text
 from habitus.markers.placements import PlacementPrior, UsualPlace
 
 length = st.integers(-4000, 4000).map(lambda tenths: tenths / 1e4)
-usual = st.builds(UsualPlace, st.tuples(length, length, length), length, st.integers(1, 4000).map(lambda t: t / 1e4))
-name = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1, max_size=12)
+usual = st.builds(
+    UsualPlace,
+    st.tuples(length, length, length),
+    length,
+    st.integers(1, 4000).map(lambda t: t / 1e4),
+)
+name = st.text(
+    st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1, max_size=12
+)
 
 
 @settings(max_examples=8)
-@given(st.dictionaries(name, usual, max_size=3), st.dictionaries(st.tuples(name, name), usual, max_size=3))
+@given(
+    st.dictionaries(name, usual, max_size=3),
+    st.dictionaries(st.tuples(name, name), usual, max_size=3),
+)
 def test_read_back_as_written(places, labels):
     labels = {key: value for key, value in labels.items() if key[1] != "*"}
     prior = PlacementPrior(places, labels)

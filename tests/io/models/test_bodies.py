@@ -18,25 +18,41 @@ from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body, save_body
 
-FILES = {"smpl": "SMPL_NEUTRAL.pkl", "smplh": "SMPLH_MALE.npz", "smplx": "SMPLX_NEUTRAL.npz", "mano": "MANO_RIGHT.pkl"}
+FILES = {
+    "smpl": "SMPL_NEUTRAL.pkl",
+    "smplh": "SMPLH_MALE.npz",
+    "smplx": "SMPLX_NEUTRAL.npz",
+    "mano": "MANO_RIGHT.pkl",
+}
 families = pytest.mark.parametrize("family", FILES)
 
 
 @pytest.fixture(scope="module", params=FILES)
 def official(request, tmp_path_factory) -> tuple[str, Path]:
     family = request.param
-    size = None if family in ("smplx", "smplh", "smpl") else 778  # smplx picks its landmarks by number
+    size = (
+        None if family in ("smplx", "smplh", "smpl") else 778
+    )  # smplx picks its landmarks by number
     betas = {"smplx": 20}.get(family, 10)
     path = tmp_path_factory.mktemp(family) / FILES[family]
-    return family, write_official(path, official_arrays(family, size, num_betas=betas, influences=6, seed=3))
+    return family, write_official(
+        path, official_arrays(family, size, num_betas=betas, influences=6, seed=3)
+    )
 
 
 def smplx_surface(family: str, path: Path, betas, pose, trans, expression=None):
     """What ``smplx`` itself makes of a file, hands given as joint rotations."""
-    kind = {"smpl": smplx.SMPL, "smplh": smplx.SMPLH, "smplx": smplx.SMPLX, "mano": smplx.MANO}[family]
+    kind = {"smpl": smplx.SMPL, "smplh": smplx.SMPLH, "smplx": smplx.SMPLX, "mano": smplx.MANO}[
+        family
+    ]
     with contextlib.redirect_stdout(io.StringIO()):
         model = kind(
-            str(path), ext=path.suffix[1:], dtype=torch.float64, use_pca=False, flat_hand_mean=True, num_betas=10
+            str(path),
+            ext=path.suffix[1:],
+            dtype=torch.float64,
+            use_pca=False,
+            flat_hand_mean=True,
+            num_betas=10,
         )
     flat = pose.flatten(1)
     parts = {"global_orient": flat[:, :3]}
@@ -106,9 +122,17 @@ def assert_same(a: BodyModel, b: BodyModel):
         "part",
         "mirror",
     ):
-        ours, theirs = getattr(a, name), getattr(b, name)
+        ours = getattr(a, name)
+        theirs = getattr(b, name)
         assert (ours is None and theirs is None) or np.array_equal(ours, theirs), name
-    for name in ("parents", "joint_names", "skinning", "pose_features", "shape_features", "pose_joints"):
+    for name in (
+        "parents",
+        "joint_names",
+        "skinning",
+        "pose_features",
+        "shape_features",
+        "pose_joints",
+    ):
         assert getattr(a, name) == getattr(b, name), name
     assert dict(a.landmarks) == dict(b.landmarks) and set(b.extras) <= set(a.extras)
     assert all(np.array_equal(a.extras[key], b.extras[key]) for key in b.extras)
@@ -121,7 +145,9 @@ def assert_same(a: BodyModel, b: BodyModel):
     if a.dynamics is not None:
         assert np.array_equal(a.dynamics.directions, b.dynamics.directions)
         for name in ("history", "drive", "limits", "reach"):
-            assert np.array_equal(getattr(a.dynamics.regressor, name), getattr(b.dynamics.regressor, name)), name
+            assert np.array_equal(
+                getattr(a.dynamics.regressor, name), getattr(b.dynamics.regressor, name)
+            ), name
         for name in ("joints", "rate_hz", "controls"):
             assert getattr(a.dynamics.regressor, name) == getattr(b.dynamics.regressor, name), name
     assert (a.female_direction is None) == (b.female_direction is None)
@@ -134,7 +160,9 @@ def full_body(skinning: str = "dqbs") -> BodyModel:
     body = synthetic_body("smpl", 90)
     rng = np.random.default_rng(3)
     spread = rng.normal(size=(69, 69))
-    prior = PosePrior(body.joint_names[1:], rng.normal(size=69), np.eye(69) + spread @ spread.T / 69)
+    prior = PosePrior(
+        body.joint_names[1:], rng.normal(size=69), np.eye(69) + spread @ spread.T / 69
+    )
     return replace(
         body,
         skinning=skinning,
@@ -143,7 +171,9 @@ def full_body(skinning: str = "dqbs") -> BodyModel:
         mirror=np.arange(90)[::-1],
         pose_prior=prior,
         female_direction=(rng.normal(size=10), 0.25),
-        dynamics=Dynamics(rng.normal(size=(90, 3, 2)), planted_regressor(controls="smpl", shapes=2)),
+        dynamics=Dynamics(
+            rng.normal(size=(90, 3, 2)), planted_regressor(controls="smpl", shapes=2)
+        ),
     )
 
 
@@ -152,7 +182,13 @@ def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
     twisted = with_features(full_body(), "rotations", 0, (18, 4, 20))
     unmoved = Dynamics(np.ones((90, 3, 2)), planted_regressor(shapes=0))
     stiff = replace(full_body("lbs"), posedirs=None, dynamics=unmoved)
-    for body in (full_body(), full_body().with_betas(4), stiff, replace(full_body(), dynamics=None), twisted):
+    for body in (
+        full_body(),
+        full_body().with_betas(4),
+        stiff,
+        replace(full_body(), dynamics=None),
+        twisted,
+    ):
         save_body(body, tmp_path / f"body{ending}")
         back = load_body(tmp_path / f"body{ending}")
         assert_same(back, body)
@@ -163,7 +199,9 @@ def test_everything_we_know_of_a_body_survives_a_file(ending, tmp_path):
 def test_expressions_of_smplx_are_no_shape(tmp_path):
     arrays = official_arrays("smplx", 80, num_betas=400)
     body = load_body(write_official(tmp_path / "SMPLX_NEUTRAL.npz", arrays))
-    assert body.num_betas == 300 and np.array_equal(body.expressiondirs, arrays["shapedirs"][..., 300:])
+    assert body.num_betas == 300 and np.array_equal(
+        body.expressiondirs, arrays["shapedirs"][..., 300:]
+    )
     few = load_body(tmp_path / "SMPLX_NEUTRAL.npz", num_betas=16)
     save_body(few, tmp_path / "few.npz")
     with np.load(tmp_path / "few.npz") as saved:  # smplx looks for expressions behind 300 shapes
@@ -188,7 +226,14 @@ def own_arrays() -> dict:
     rows, columns = np.nonzero(body.joint_regressor)
     arrays = {
         key: getattr(body, key)
-        for key in ("v_template", "shapedirs", "skinning_index", "skinning_value", "faces", "mirror")
+        for key in (
+            "v_template",
+            "shapedirs",
+            "skinning_index",
+            "skinning_value",
+            "faces",
+            "mirror",
+        )
     }
     return arrays | {
         "joint_regressor_rows": rows,
@@ -209,7 +254,8 @@ def own_arrays() -> dict:
 
 def test_our_own_files_hold_the_same_body(tmp_path):
     np.savez_compressed(tmp_path / "own.npz", **own_arrays())
-    body, known = load_body(tmp_path / "own.npz"), replace(full_body("lbs"), posedirs=None, dynamics=None)
+    body = load_body(tmp_path / "own.npz")
+    known = replace(full_body("lbs"), posedirs=None, dynamics=None)
     assert_same(body, known)
     assert body.name == "own" and str(body.extras["license"]) == "CC0-1.0"
 
@@ -222,7 +268,12 @@ def test_the_default_body_is_there_at_once():
         seconds.append(time.perf_counter() - begin)
     assert min(seconds) < 0.3
     assert body.name == "default" and body.num_joints == 24 and body.num_vertices != 6890
-    assert body.skinning_index.shape[1] == 4 and {"head_top", "c7", "left_asis", "right_heel"} <= set(body.landmarks)
+    assert body.skinning_index.shape[1] == 4 and {
+        "head_top",
+        "c7",
+        "left_asis",
+        "right_heel",
+    } <= set(body.landmarks)
     assert np.allclose(body.skinning_weights.sum(1), 1)
     height = body.v_template[:, 1].max() - body.v_template[:, 1].min()
     assert 1.4 < height < 2.0
@@ -232,8 +283,14 @@ def test_the_default_body_is_there_at_once():
 @pytest.mark.parametrize("name", POSE_FEATURES)
 def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes, tmp_path):
     more = {"expressiondirs": np.ones((90, 3, 5)), "extras": {"version": np.array("2")}}
-    for body, joints in ((full_body(), None), (replace(full_body("lbs"), **more), None), (full_body(), (7, 2))):
-        weights = np.random.default_rng(2).uniform(size=body.skinning_value.shape)  # sums are one but for rounding
+    for body, joints in (
+        (full_body(), None),
+        (replace(full_body("lbs"), **more), None),
+        (full_body(), (7, 2)),
+    ):
+        weights = np.random.default_rng(2).uniform(
+            size=body.skinning_value.shape
+        )  # sums are one but for rounding
         body = replace(body, skinning_value=weights / weights.sum(1, keepdims=True))
         body = with_features(body, name, shapes, joints)
         save_body(body, tmp_path / "body.npz")
@@ -248,7 +305,9 @@ def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes,
         assert load_body(tmp_path / "none.npz").pose_features == name
         with np.load(tmp_path / "body.npz") as file:  # nobody takes it for one of SMPL's
             assert not {"J_regressor", "weights", "kintree_table", "f"} & set(file)
-        with pytest.raises(HabitusError, match=rf"'{name}' with {shapes} shape_features; official files .* \.npz"):
+        with pytest.raises(
+            HabitusError, match=rf"'{name}' with {shapes} shape_features; official files .* \.npz"
+        ):
             save_body(body, tmp_path / "body.pkl")
         assert not (tmp_path / "body.pkl").exists()
 
@@ -256,10 +315,22 @@ def test_what_drives_pose_blend_shapes_survives_our_own_files_only(name, shapes,
 @pytest.mark.parametrize(
     ("change", "say"),
     [
-        ({"dynamicsdirs": np.zeros((89, 3, 2))}, r"'dynamicsdirs' is float64 of shape \(89, 3, 2\)"),
-        ({"dynamics_drive": np.zeros((3, 2, 23))}, r"'dynamics_limits' is float64 of shape \(24,\); expected .*\(23\)"),
-        ({"dynamics_joints": np.array(["joint_0"])}, r"dynamics' drive has shape \(3, 2, 24\); expected \(3, 2, 12\)"),
-        ({"dynamics_controls": np.array("feelings")}, "controls are 'feelings'; expected one of joints, smpl"),
+        (
+            {"dynamicsdirs": np.zeros((89, 3, 2))},
+            r"'dynamicsdirs' is float64 of shape \(89, 3, 2\)",
+        ),
+        (
+            {"dynamics_drive": np.zeros((3, 2, 23))},
+            r"'dynamics_limits' is float64 of shape \(24,\); expected .*\(23\)",
+        ),
+        (
+            {"dynamics_joints": np.array(["joint_0"])},
+            r"dynamics' drive has shape \(3, 2, 24\); expected \(3, 2, 12\)",
+        ),
+        (
+            {"dynamics_controls": np.array("feelings")},
+            "controls are 'feelings'; expected one of joints, smpl",
+        ),
         ({"dynamics_rate": np.array(0.0)}, "learned at 0 Hz"),
     ],
 )
@@ -274,7 +345,10 @@ def test_dynamics_that_do_not_fit_together_are_refused(change, say, tmp_path):
 @pytest.mark.parametrize(
     ("change", "say"),
     [
-        ({"pose_features": np.array("magic")}, "pose features are 'magic'; expected one of rotations, angles"),
+        (
+            {"pose_features": np.array("magic")},
+            "pose features are 'magic'; expected one of rotations, angles",
+        ),
         ({"pose_features": np.array("quaternions")}, r"expected numbers of shape \(90, 3, 184\)"),
         ({"shape_features": np.array(2)}, r"expected numbers of shape \(90, 3, 207\)"),
         ({"shape_features": np.array(-1)}, "'shape_features' runs from -1 to -1; expected 0 to 10"),
@@ -292,7 +366,9 @@ def test_our_own_files_that_contradict_themselves_are_refused(change, say, tmp_p
 
 
 def test_official_files_keep_smpls_features(tmp_path):
-    arrays = official_arrays("smpl", 60) | {"pose_features": np.array("angles")}  # no word of theirs
+    arrays = official_arrays("smpl", 60) | {
+        "pose_features": np.array("angles")
+    }  # no word of theirs
     assert load_body(write_official(tmp_path / "smpl.npz", arrays)).pose_features == "rotations"
 
 
@@ -314,7 +390,10 @@ def broken(change) -> dict:
         (lambda a: a.update(shapedirs=a["shapedirs"][..., :0]), "'shapedirs'"),
         (lambda a: a.update(posedirs=a["posedirs"][..., :200]), r"\(60, 3, 207\)"),
         (lambda a: a.update(J_regressor=a["J_regressor"].T), "'J_regressor'"),
-        (lambda a: a["v_template"].__setitem__((3, 1), np.nan), "'v_template' holds numbers that are not finite"),
+        (
+            lambda a: a["v_template"].__setitem__((3, 1), np.nan),
+            "'v_template' holds numbers that are not finite",
+        ),
         (lambda a: a.update(f=a["f"] + 60), "'f' runs from 60"),
         (lambda a: a.update(weights=2 * a["weights"]), "vertex 0 sum to 2"),
         (lambda a: a["kintree_table"].__setitem__((0, 4), 9), "parent of joint 4 is 9"),
@@ -324,7 +403,10 @@ def broken(change) -> dict:
 )
 @pytest.mark.parametrize("ending", [".npz", ".pkl"])
 def test_wrong_arrays_are_named(change, say, ending, tmp_path):
-    arrays = {key: value.tolist() if value.dtype.kind == "U" else value for key, value in broken(change).items()}
+    arrays = {
+        key: value.tolist() if value.dtype.kind == "U" else value
+        for key, value in broken(change).items()
+    }
     path = write_official(tmp_path / f"wrong{ending}", arrays)
     with pytest.raises(HabitusError, match=say) as caught:
         load_body(path)
@@ -348,7 +430,9 @@ def test_flipped_bytes_never_do_worse_than_an_error(tmp_path):
     for _ in range(150):
         damaged = bytearray(whole)
         for place in (
-            generator.integers(0, len(whole), 1) if generator.random() < 0.3 else generator.integers(0, 400, 2)
+            generator.integers(0, len(whole), 1)
+            if generator.random() < 0.3
+            else generator.integers(0, 400, 2)
         ):
             damaged[place] = generator.integers(0, 256)
         path.write_bytes(bytes(damaged))

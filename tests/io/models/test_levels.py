@@ -1,4 +1,6 @@
-"""A learned body in the file that it was started from: what was not learned is there to the bit, both levels fit."""
+"""A learned body in the file that it was started from: what was not learned is there to the bit,
+both levels fit.
+"""
 
 from dataclasses import replace
 
@@ -16,9 +18,12 @@ def source(tmp_path):
 
 
 def test_only_what_was_learned_is_other_than_it_was(source, tmp_path):
-    start, rng = load_body(source, detail="full"), np.random.default_rng(0)
+    start = load_body(source, detail="full")
+    rng = np.random.default_rng(0)
     drivers = (16, 18, 20)
-    learned = replace(start, posedirs=0.01 * rng.normal(size=(start.num_vertices, 3, 27)), pose_joints=drivers)
+    learned = replace(
+        start, posedirs=0.01 * rng.normal(size=(start.num_vertices, 3, 27)), pose_joints=drivers
+    )
     save_like(learned, source, tmp_path / "learned.npz")
     before = two_level_arrays()
     with np.load(tmp_path / "learned.npz") as file:
@@ -33,12 +38,18 @@ def test_only_what_was_learned_is_other_than_it_was(source, tmp_path):
 
 
 def test_a_body_that_is_other_in_everything_is_itself_again(source, tmp_path):
-    start, rng = load_body(source, detail="full"), np.random.default_rng(1)
+    start = load_body(source, detail="full")
+    rng = np.random.default_rng(1)
     start = replace(start, posedirs=None, pose_joints=None)
     coarse = load_body(source).full_vertices
     regressor = np.zeros_like(start.joint_regressor)
     regressor[:, coarse] = rng.dirichlet(np.ones(len(coarse)), start.num_joints)
-    other = replace(start, v_template=start.v_template * 1.1, shapedirs=2 * start.shapedirs, joint_regressor=regressor)
+    other = replace(
+        start,
+        v_template=start.v_template * 1.1,
+        shapedirs=2 * start.shapedirs,
+        joint_regressor=regressor,
+    )
     save_like(other, source, tmp_path / "other.npz")
     found = load_body(tmp_path / "other.npz", detail="full")
     assert found.posedirs is None

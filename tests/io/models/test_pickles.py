@@ -62,7 +62,9 @@ def test_sparse_matrices_become_dense(kind, protocol):
 @pytest.fixture
 def chumpy():
     """A package of that name to pickle with, gone when the file is read."""
-    package, ch, reordering = (types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering"))
+    package, ch, reordering = (
+        types.ModuleType(name) for name in ("chumpy", "chumpy.ch", "chumpy.reordering")
+    )
     ch.Ch = type("Ch", (), {"__module__": "chumpy.ch"})
     reordering.Select = type("Select", (ch.Ch,), {"__module__": "chumpy.reordering"})
     sys.modules |= {"chumpy": package, "chumpy.ch": ch, "chumpy.reordering": reordering}
@@ -81,7 +83,9 @@ def chumpy():
 @pytest.mark.parametrize("protocol", [0, 1, 2, 4])
 def test_chumpy_gives_its_arrays_without_chumpy(chumpy, protocol):
     values = np.arange(60.0).reshape(5, 4, 3)
-    plain, chosen, other = chumpy.Ch(), chumpy.Select(), chumpy.Ch()
+    plain = chumpy.Ch()
+    chosen = chumpy.Select()
+    other = chumpy.Ch()
     plain.__dict__ |= {"x": values, "_dirty_vars": {"x"}, "_itr": None}
     wanted = np.arange(60).reshape(5, 4, 3)[..., :2]
     chosen.__dict__ |= {"a": plain, "idxs": wanted.ravel(), "preferred_shape": wanted.shape}
@@ -100,12 +104,16 @@ def test_python_2_files_keep_bytes_as_text():
     array = (
         b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(K\x00tU\x01btR(K\x01(K\x02K\x03t"
         b"cnumpy\ndtype\n(U\x02f8K\x00K\x01tR(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89T"
-        + struct.pack("<i", len(raw)) + raw + b"tb"
-    )  # fmt: skip
+        + struct.pack("<i", len(raw))
+        + raw
+        + b"tb"
+    )
     boxed = b"ccopy_reg\n_reconstructor\n(cchumpy.ch\nCh\nc__builtin__\nobject\nNtR}(U\x01x" + array
     boxed += b"U\x05dirtyc__builtin__\nset\n(]tRub"
     content = read(b"\x80\x02}(U\x01a" + array + b"U\x01b" + boxed + b"u.")
-    assert np.array_equal(as_array(content["a"]), values) and np.array_equal(as_array(content["b"]), values)
+    assert np.array_equal(as_array(content["a"]), values) and np.array_equal(
+        as_array(content["b"]), values
+    )
 
 
 class Calls:
@@ -157,8 +165,16 @@ ESCAPES = {  # each would run os.system, or reach it, in an ordinary unpickler
     "GLOBAL of a dotted name": b"cnumpy\nndarray.__class__\n.",
     "GLOBAL of posix": b"cposix\nsystem\n.",
     "GLOBAL in Python 2's words": b"c__builtin__\neval\n(S'1'\ntR.",
-    "STACK_GLOBAL": b"\x80\x04" + short(b"os") + short(b"system") + b"\x93" + short(b"true") + b"\x85R.",
-    "STACK_GLOBAL of a dotted name": b"\x80\x04" + short(b"numpy") + short(b"dtype.__base__.__subclasses__") + b"\x93.",
+    "STACK_GLOBAL": b"\x80\x04"
+    + short(b"os")
+    + short(b"system")
+    + b"\x93"
+    + short(b"true")
+    + b"\x85R.",
+    "STACK_GLOBAL of a dotted name": b"\x80\x04"
+    + short(b"numpy")
+    + short(b"dtype.__base__.__subclasses__")
+    + b"\x93.",
     "STACK_GLOBAL of no texts": b"\x80\x04K\x01K\x02\x93.",
     "STACK_GLOBAL of a module in a module": b"\x80\x04"
     + short(b"numpy.core.multiarray.os")
@@ -207,13 +223,20 @@ ESCAPES = {  # each would run os.system, or reach it, in an ordinary unpickler
 @pytest.mark.parametrize("name", ESCAPES)
 def test_no_way_out_of_a_pickle_is_open(name, tmp_path, monkeypatch):
     called = []
-    for module, function in ((os, "system"), (subprocess, "Popen"), (builtins, "eval"), (pickle, "loads")):
+    for module, function in (
+        (os, "system"),
+        (subprocess, "Popen"),
+        (builtins, "eval"),
+        (pickle, "loads"),
+    ):
         monkeypatch.setattr(module, function, lambda *a, **k: called.append(a))
     for path, content in (("model.pkl", ESCAPES[name]), ("model.npz", None)):
         if content is None:
             with zipfile.ZipFile(tmp_path / path, "w") as archive:
                 header = io.BytesIO()
-                np.lib.format.write_array_header_1_0(header, {"descr": "|O", "fortran_order": False, "shape": ()})
+                np.lib.format.write_array_header_1_0(
+                    header, {"descr": "|O", "fortran_order": False, "shape": ()}
+                )
                 archive.writestr("v_template.npy", header.getvalue() + ESCAPES[name])
         else:
             (tmp_path / path).write_bytes(content)
@@ -224,7 +247,9 @@ def test_no_way_out_of_a_pickle_is_open(name, tmp_path, monkeypatch):
 
 def nested(depth: int, wide: int) -> bytes:
     """Lists of one list many times over: 10 bytes a level, wide**depth entries when unfolded."""
-    levels = b"".join(b"](" + (b"h" + bytes([k])) * wide + b"eq" + bytes([k + 1]) for k in range(depth))
+    levels = b"".join(
+        b"](" + (b"h" + bytes([k])) * wide + b"eq" + bytes([k + 1]) for k in range(depth)
+    )
     return b"](K\x00K\x00eq\x00" + levels
 
 
@@ -245,13 +270,21 @@ BOMBS = {
     "tuples within tuples as a key": b"}" + b")" + b"\x85" * 60_000 + b"K\x01s.",
     "a list within itself": b"}U\x0av_template]q\x00h\x00as.",
     "a tuple of tuples as a key": b"})" + b"2\x86" * 50_000 + b"K\x01s.",
-    "a long number as a key, again and again": b"}\x8b\xa0\x86\x01\x00" + b"\x01" * 100_000 + b"q\x00" + AGAIN + b".",
+    "a long number as a key, again and again": b"}\x8b\xa0\x86\x01\x00"
+    + b"\x01" * 100_000
+    + b"q\x00"
+    + AGAIN
+    + b".",
     "steps without end": b"N0" * 500_000 + b".",
-    "one long text among many": b"}U\x0av_template](" + b"U\x01x" * 40_000 + b"X\xa0\x86\x01\x00" + LONG + b"es.",
-    "a sparse matrix of a terabyte": pickle.dumps({"v_template": scipy.sparse.csc_matrix((10, 10))}, 2).replace(
-        b"K\nK\n\x86", b"J\xff\xff\xff\x0fJ\xff\xff\xff\x0f\x86"
-    ),
-}  # fmt: skip
+    "one long text among many": b"}U\x0av_template]("
+    + b"U\x01x" * 40_000
+    + b"X\xa0\x86\x01\x00"
+    + LONG
+    + b"es.",
+    "a sparse matrix of a terabyte": pickle.dumps(
+        {"v_template": scipy.sparse.csc_matrix((10, 10))}, 2
+    ).replace(b"K\nK\n\x86", b"J\xff\xff\xff\x0fJ\xff\xff\xff\x0f\x86"),
+}
 
 
 @pytest.mark.parametrize("name", BOMBS)

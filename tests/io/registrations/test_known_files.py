@@ -1,4 +1,6 @@
-"""What files tell of made registrations: read as written, joined, in metres, refused where it does not fit."""
+"""What files tell of made registrations: read as written, joined, in metres, refused where it does
+not fit.
+"""
 
 from dataclasses import replace
 
@@ -21,10 +23,14 @@ def made(seed=0, subjects=("a", "a", "b"), rest=True) -> Registrations:
     people = {name: rng.normal(size=(V, 3)) for name in dict.fromkeys(subjects)} if rest else {}
     count = len(subjects)
     known = Known(
-        rng.normal(size=(count, 5, 3)), rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), people
-    )  # fmt: skip
+        rng.normal(size=(count, 5, 3)),
+        rng.normal(size=(count, 3)),
+        rng.normal(size=(count, 4)),
+        people,
+    )
     names = tuple(f"{seed}-{k}" for k in range(count))
-    none, pose = ("",) * count, ("pose",) * count
+    none = ("",) * count
+    pose = ("pose",) * count
     return Registrations(vertices, BALL.faces.numpy(), subjects, none, pose, names, known=known)
 
 
@@ -44,7 +50,9 @@ def test_poses_may_be_flat_as_amass_has_them(tmp_path):
     with np.load(tmp_path / "one.npz") as file:
         arrays = dict(file)
     np.savez(tmp_path / "flat.npz", **arrays | {"poses": arrays.pop("pose").reshape(3, -1)})
-    np.testing.assert_array_equal(open_registrations(tmp_path / "flat.npz").known.pose, made().known.pose)
+    np.testing.assert_array_equal(
+        open_registrations(tmp_path / "flat.npz").known.pose, made().known.pose
+    )
 
 
 def test_a_folder_of_archives_is_one_dataset_and_what_one_does_not_tell_is_not_known(tmp_path):
@@ -67,14 +75,23 @@ def test_lengths_are_brought_to_metres(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "array"),
-    [("pose", np.zeros((3, 5, 4))), ("trans", np.zeros((2, 3))), ("betas", np.zeros(3)), ("rest", np.zeros((3, V, 3)))],
+    [
+        ("pose", np.zeros((3, 5, 4))),
+        ("trans", np.zeros((2, 3))),
+        ("betas", np.zeros(3)),
+        ("rest", np.zeros((3, V, 3))),
+    ],
 )
 def test_another_shape_is_refused_by_the_files_name(tmp_path, key, array):
     write_registrations(made(), tmp_path / "one.npz")
     with np.load(tmp_path / "one.npz") as file:
         np.savez(tmp_path / "off.npz", **(dict(file) | {key: array}))
-    with pytest.raises(HabitusError, match=rf"off\.npz: its {key} is float64 of shape .*expected numbers"):
+    with pytest.raises(
+        HabitusError, match=rf"off\.npz: its {key} is float64 of shape .*expected numbers"
+    ):
         open_registrations(tmp_path / "off.npz")
-    write_registrations(replace(made(4), known=Known(pose=np.zeros((3, 6, 3)))), tmp_path / "six.npz")
+    write_registrations(
+        replace(made(4), known=Known(pose=np.zeros((3, 6, 3)))), tmp_path / "six.npz"
+    )
     with pytest.raises(HabitusError, match="pose have shapes"):
         open_registrations([tmp_path / "one.npz", tmp_path / "six.npz"])

@@ -30,11 +30,18 @@ def _arrays(one, **more):
 
 
 def _same(found, one):
-    assert (found.name, found.subject, found.rate_hz, len(found)) == (one.name, one.subject, one.rate_hz, len(one))
+    assert (found.name, found.subject, found.rate_hz, len(found)) == (
+        one.name,
+        one.subject,
+        one.rate_hz,
+        len(one),
+    )
     for key in ("betas", "pose", "trans"):
         np.testing.assert_allclose(getattr(found, key), getattr(one, key), atol=1e-12)
     for frame in (0, len(one) - 1):
-        np.testing.assert_allclose(found.registrations.read(frame), one.registrations.read(frame), atol=1e-12)
+        np.testing.assert_allclose(
+            found.registrations.read(frame), one.registrations.read(frame), atol=1e-12
+        )
 
 
 def test_an_npz_of_one_person_and_one_of_several_sequences(people, tmp_path):
@@ -44,7 +51,10 @@ def test_an_npz_of_one_person_and_one_of_several_sequences(people, tmp_path):
         key: np.concatenate([_arrays(x)[key] for x in (one, other)])
         for key in ("vertices", "subject", "name", "pose", "trans")
     }
-    both |= {"betas": np.repeat([one.betas, other.betas], 6, axis=0), "poses": both.pop("pose").reshape(12, -1)}
+    both |= {
+        "betas": np.repeat([one.betas, other.betas], 6, axis=0),
+        "poses": both.pop("pose").reshape(12, -1),
+    }
     both |= {"faces": one.registrations.faces, "mocap_framerate": np.array(60)}
     both["still_vertices"] = both["vertices"] + 1.0
     np.savez(tmp_path / "both.npz", **both)
@@ -77,7 +87,12 @@ def test_dynas_file_with_a_motion_and_without(people, tmp_path):
             file[f"motion/{one.name}/{key}"] = getattr(one, key)
     first, second = open_moving_surfaces(tmp_path / "dyna.h5")
     _same(first, one)
-    assert second.pose is None and second.betas is None and second.rate_hz == 60.0 and second.name == other.name
+    assert (
+        second.pose is None
+        and second.betas is None
+        and second.rate_hz == 60.0
+        and second.name == other.name
+    )
     (faster, _) = open_moving_surfaces(tmp_path / "dyna.h5", rate_hz=100)
     assert faster.rate_hz == 100
 
@@ -85,7 +100,8 @@ def test_dynas_file_with_a_motion_and_without(people, tmp_path):
 def test_a_folder_and_a_zarr_group(people, tmp_path):
     zarr = pytest.importorskip("zarr")
     _, (one, _) = people
-    arrays, folder = _arrays(one), tmp_path / "folder"
+    arrays = _arrays(one)
+    folder = tmp_path / "folder"
     folder.mkdir()
     for key in ("vertices", "faces", "betas", "pose", "trans", "rate_hz"):
         np.save(folder / f"{key}.npy", arrays[key])

@@ -23,8 +23,11 @@ WORDS = ("subject", "sex", "set", "name")
 
 
 def people(count=7, seed=0) -> Registrations:
-    shape, rng = icosphere(1), np.random.default_rng(seed)
-    vertices = shape.vertices.numpy() * rng.uniform(0.5, 1, (count, 1, 3)) + rng.normal(size=(count, 1, 3))
+    shape = icosphere(1)
+    rng = np.random.default_rng(seed)
+    vertices = shape.vertices.numpy() * rng.uniform(0.5, 1, (count, 1, 3)) + rng.normal(
+        size=(count, 1, 3)
+    )
     return Registrations(
         vertices=vertices,
         faces=shape.faces.numpy(),
@@ -41,7 +44,9 @@ def arrays_of(registrations) -> dict[str, np.ndarray]:
 
 
 def same(found: Registrations, expected: Registrations, atol=1e-12):
-    assert found.vertices.shape == expected.vertices.shape and np.array_equal(found.faces, expected.faces)
+    assert found.vertices.shape == expected.vertices.shape and np.array_equal(
+        found.faces, expected.faces
+    )
     for key in WORDS:
         assert getattr(found, key) == getattr(expected, key)
     for k in range(len(expected)):
@@ -53,7 +58,9 @@ def write_meshes(folder, registrations, ending="ply", scale=1.0, name="{}"):
     files = [f"{name.format(k)}.{ending}" for k in range(len(registrations))]
     for k, file in enumerate(files):
         mesh = trimesh.Trimesh(scale * registrations.read(k), registrations.faces, process=False)
-        mesh.export(folder / file, **({"vertex_normal": False} if ending == "ply" else {"digits": 12}))
+        mesh.export(
+            folder / file, **({"vertex_normal": False} if ending == "ply" else {"digits": 12})
+        )
     return files
 
 
@@ -61,20 +68,28 @@ def write_form(form, path, registrations):
     """The same registrations in each form that is read; returns the path and how exact it is."""
     arrays = arrays_of(registrations)
     if form in ("npz", "folder"):
-        write_registrations(registrations, path := path / ("r.npz" if form == "npz" else "r"), dtype=np.float64)
+        write_registrations(
+            registrations, path := path / ("r.npz" if form == "npz" else "r"), dtype=np.float64
+        )
     elif form == "savez":
         np.savez(path := path / "r.npz", **arrays)
     elif form == "compressed":
         np.savez_compressed(path := path / "r.npz", **arrays)
     elif form == "fortran":
-        np.savez(path := path / "r.npz", **(arrays | {"vertices": np.asfortranarray(arrays["vertices"])}))
+        np.savez(
+            path := path / "r.npz", **(arrays | {"vertices": np.asfortranarray(arrays["vertices"])})
+        )
     elif form in ("zarr", "zarr 2"):
-        group = zarr.open_group(str(path := path / "r.zarr"), mode="w", zarr_format=2 if form == "zarr 2" else 3)
+        group = zarr.open_group(
+            str(path := path / "r.zarr"), mode="w", zarr_format=2 if form == "zarr 2" else 3
+        )
         for key, value in arrays.items():
             if value.dtype.kind == "U" and form == "zarr":
                 group.create_array(key, shape=value.shape, dtype=str)[:] = value
             else:
-                group.create_array(key, data=value, **({"chunks": (1, 42, 3)} if key == "vertices" else {}))
+                group.create_array(
+                    key, data=value, **({"chunks": (1, 42, 3)} if key == "vertices" else {})
+                )
     else:
         files = write_meshes(path, registrations, form)
         columns = {"file": files, **{key: getattr(registrations, key) for key in WORDS}}
@@ -93,7 +108,9 @@ def test_every_form_gives_back_what_was_written(tmp_path, form):
     same(found, registrations, atol)
     same(pickle.loads(pickle.dumps(found)), registrations, atol)  # as it is sent to other processes
     assert np.allclose(found.vertices[2:5], registrations.vertices[2:5], atol=atol)
-    assert np.allclose(found.vertices[np.array([6, 0, 6])], registrations.vertices[[6, 0, 6]], atol=atol)
+    assert np.allclose(
+        found.vertices[np.array([6, 0, 6])], registrations.vertices[[6, 0, 6]], atol=atol
+    )
     assert found.vertices[np.zeros(0, int)].shape == (0, 42, 3)
 
 
@@ -101,14 +118,21 @@ def test_every_form_gives_back_what_was_written(tmp_path, form):
 def test_what_is_read_can_be_written_and_read_again(tmp_path, form):
     path, atol = write_form(form, tmp_path, people())
     for name in ("again.npz", "again"):
-        write_registrations(open_registrations(path).where(subject=("p0", "p2")), tmp_path / "out" / name)
-        same(open_registrations(tmp_path / "out" / name), people().where(subject=("p0", "p2")), atol + 1e-6)
+        write_registrations(
+            open_registrations(path).where(subject=("p0", "p2")), tmp_path / "out" / name
+        )
+        same(
+            open_registrations(tmp_path / "out" / name),
+            people().where(subject=("p0", "p2")),
+            atol + 1e-6,
+        )
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == ["again", "again.npz"]
 
 
 @pytest.mark.parametrize("form", ["npz", "folder"])
 def test_opening_and_reading_one_does_not_read_all(tmp_path, form):
-    faces, n = icosphere(1).faces.numpy(), 4000
+    faces = icosphere(1).faces.numpy()
+    n = 4000
     registrations = Registrations(
         np.broadcast_to(icosphere(1).vertices.numpy(), (n, 42, 3)),
         faces,
@@ -130,7 +154,9 @@ def test_meshes_are_read_when_asked_for_and_named_when_they_are_bad(tmp_path):
     path, _ = write_form("ply", tmp_path, people())
     (path / "3.ply").write_bytes(b"ply\nnonsense")
     small = icosphere(0)
-    trimesh.Trimesh(small.vertices.numpy(), small.faces.numpy(), process=False).export(path / "4.ply")
+    trimesh.Trimesh(small.vertices.numpy(), small.faces.numpy(), process=False).export(
+        path / "4.ply"
+    )
     trimesh.Trimesh(people().read(5), people().faces[::-1], process=False).export(path / "5.ply")
     found = open_registrations(path)
     same(found.take(np.array([0, 1, 2, 6])), people().take(np.array([0, 1, 2, 6])), 1e-6)
@@ -154,17 +180,27 @@ def test_a_folder_like_fausts_has_ten_registrations_a_subject(tmp_path):
     assert np.allclose(found.read(22), registrations.read(1), atol=1e-6)
 
 
-@pytest.mark.parametrize("how", [{}, {"chunks": True}, {"chunks": (42, 3, 2), "compression": "gzip"}])
+@pytest.mark.parametrize(
+    "how", [{}, {"chunks": True}, {"chunks": (42, 3, 2), "compression": "gzip"}]
+)
 @pytest.mark.parametrize("every", [1, 3])
 def test_a_file_like_dynas_has_a_sequence_a_data_set(tmp_path, how, every):
-    rng, faces = np.random.default_rng(0), icosphere(1).faces.numpy()
-    sequences = {"50004_jumping_jacks": rng.normal(size=(42, 3, 5)), "50002_hips": rng.normal(size=(42, 3, 7))}
+    rng = np.random.default_rng(0)
+    faces = icosphere(1).faces.numpy()
+    sequences = {
+        "50004_jumping_jacks": rng.normal(size=(42, 3, 5)),
+        "50002_hips": rng.normal(size=(42, 3, 7)),
+    }
     with h5py.File(tmp_path / "dyna.h5", "w") as file:
         file["faces"] = faces.astype(np.uint32)
         for name, vertices in sequences.items():
             file.create_dataset(name, data=vertices, **how)
     found = open_registrations(tmp_path / "dyna.h5", every=every)
-    expected = [(name, frame) for name in sorted(sequences) for frame in range(0, sequences[name].shape[2], every)]
+    expected = [
+        (name, frame)
+        for name in sorted(sequences)
+        for frame in range(0, sequences[name].shape[2], every)
+    ]
     assert found.name == tuple(f"{name}:{frame}" for name, frame in expected)
     assert found.subject == tuple(name[:5] for name, _ in expected) and set(found.set) == {"pose"}
     for copy in (found, pickle.loads(pickle.dumps(found))):
@@ -173,7 +209,8 @@ def test_a_file_like_dynas_has_a_sequence_a_data_set(tmp_path, how, every):
 
 
 def test_several_paths_are_joined_in_order(tmp_path):
-    one, two = people(5, seed=1), people(7, seed=2)
+    one = people(5, seed=1)
+    two = people(7, seed=2)
     (tmp_path / "obj").mkdir()
     paths = [write_form("npz", tmp_path, one)[0], write_form("obj", tmp_path / "obj", two)[0]]
     found = open_registrations(paths)
@@ -182,22 +219,33 @@ def test_several_paths_are_joined_in_order(tmp_path):
 
 
 def test_paths_of_other_topologies_are_not_joined(tmp_path):
-    one, two = people(), people()
+    one = people()
+    two = people()
     write_registrations(one, tmp_path / "one.npz")
-    write_registrations(Registrations(**{**vars(two), "faces": two.faces[1:]}), tmp_path / "two.npz")
-    with pytest.raises(HabitusError, match=r"two\.npz: 42 vertices and 79 faces, another topology than .*one\.npz"):
+    write_registrations(
+        Registrations(**{**vars(two), "faces": two.faces[1:]}), tmp_path / "two.npz"
+    )
+    with pytest.raises(
+        HabitusError, match=r"two\.npz: 42 vertices and 79 faces, another topology than .*one\.npz"
+    ):
         open_registrations([tmp_path / "one.npz", tmp_path / "two.npz"])
 
 
 def test_units_are_told_by_row_else_by_the_caller(tmp_path):
-    registrations, arrays = people(), arrays_of(people())
+    registrations = people()
+    arrays = arrays_of(people())
     factor = np.array([1, 1000, 100, 1, 1000, 100, 1])[:, None, None]
     unit = np.array(["", "mm", "Centimeters", "", "mm", "cm", ""])
-    np.savez(tmp_path / "rows.npz", **(arrays | {"vertices": factor * arrays["vertices"], "unit": unit}))
+    np.savez(
+        tmp_path / "rows.npz", **(arrays | {"vertices": factor * arrays["vertices"], "unit": unit})
+    )
     same(open_registrations(tmp_path / "rows.npz"), registrations)
     np.savez(tmp_path / "all.npz", **(arrays | {"vertices": 1000 * arrays["vertices"]}))
     same(open_registrations(tmp_path / "all.npz", unit="mm"), registrations)
-    np.savez(tmp_path / "one.npz", **(arrays | {"vertices": 1000 * arrays["vertices"], "unit": np.array("mm")}))
+    np.savez(
+        tmp_path / "one.npz",
+        **(arrays | {"vertices": 1000 * arrays["vertices"], "unit": np.array("mm")}),
+    )
     same(open_registrations(tmp_path / "one.npz"), registrations)
 
 
@@ -206,7 +254,11 @@ def test_sets_that_are_not_told_follow_from_the_number_of_poses(tmp_path):
     del arrays["set"], arrays["name"], arrays["sex"]
     np.savez(tmp_path / "r.npz", **arrays)
     found = open_registrations(tmp_path / "r.npz")
-    assert found.set == ("pose",) * 6 + ("shape",) and found.name[6] == "r:6" and set(found.sex) == {""}
+    assert (
+        found.set == ("pose",) * 6 + ("shape",)
+        and found.name[6] == "r:6"
+        and set(found.sex) == {""}
+    )
 
 
 @pytest.mark.parametrize(
@@ -227,7 +279,9 @@ def test_sets_that_are_not_told_follow_from_the_number_of_poses(tmp_path):
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_an_archive_is_said_in_one_line(tmp_path, changed, message):
-    arrays = {key: value for key, value in (arrays_of(people()) | changed).items() if value is not None}
+    arrays = {
+        key: value for key, value in (arrays_of(people()) | changed).items() if value is not None
+    }
     np.savez(tmp_path / "r.npz", **arrays)
     with pytest.raises(HabitusError, match=message) as refused:
         open_registrations(tmp_path / "r.npz")
@@ -294,19 +348,33 @@ def test_a_spreadsheets_table_is_read_too(tmp_path):
     table = "\ufeffFilename;ID;Gender;Frame;Weather\r\n0.ply;ann;F;12;rain\r\n\r\n1.ply;bob;Male;;sun\r\n"
     (tmp_path / "registrations.csv").write_text(table, encoding="utf-8")
     found = open_registrations(tmp_path)
-    assert (found.subject, found.sex, found.name) == (("ann", "bob"), ("female", "male"), ("0:12", "1"))
+    assert (found.subject, found.sex, found.name) == (
+        ("ann", "bob"),
+        ("female", "male"),
+        ("0:12", "1"),
+    )
 
 
-cells = st.text(st.characters(blacklist_categories=("Cs", "Cc")), min_size=1, max_size=8).map(str.strip).filter(bool)
+cells = (
+    st.text(st.characters(blacklist_categories=("Cs", "Cc")), min_size=1, max_size=8)
+    .map(str.strip)
+    .filter(bool)
+)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(cells, st.sampled_from(["female", "male", ""]), cells), min_size=1, max_size=5))
+@given(
+    st.lists(
+        st.tuples(cells, st.sampled_from(["female", "male", ""]), cells), min_size=1, max_size=5
+    )
+)
 def test_tables_come_back_whatever_the_names(tmp_path_factory, rows):
     columns = dict(zip(("subject", "sex", "name"), zip(*rows, strict=True), strict=True))
     path = tmp_path_factory.mktemp("table") / "registrations.csv"
     path.write_text(table_text(columns), encoding="utf-8")
-    assert read_table(path) == {key: tuple(map(plain_name, words)) for key, words in columns.items()}
+    assert read_table(path) == {
+        key: tuple(map(plain_name, words)) for key, words in columns.items()
+    }
 
 
 @settings(max_examples=60, deadline=None)
@@ -428,5 +496,7 @@ def test_weights_and_holes_are_written_and_read_again(tmp_path, name):
     assert np.array_equal(both.weights, np.concatenate([np.ones_like(each), each]))
     with np.load(tmp_path / "plain.npz") as arrays:
         np.savez(tmp_path / "odd.npz", **arrays, weights=np.ones(3))
-    with pytest.raises(HabitusError, match=r"odd.npz: its weights are float64 of shape \(3,\); expected numbers"):
+    with pytest.raises(
+        HabitusError, match=r"odd.npz: its weights are float64 of shape \(3,\); expected numbers"
+    ):
         open_registrations(tmp_path / "odd.npz")

@@ -31,14 +31,20 @@ vertices = {high}
 
 def ball() -> Template:
     shape = icosphere(1)
-    vertices, faces = shape.vertices.numpy(), shape.faces.numpy()
+    vertices = shape.vertices.numpy()
+    faces = shape.faces.numpy()
     part = (vertices[:, 1] > 0).astype(np.int64)
     return Template(vertices, faces, part, (-1, 0), ("root", "top"))
 
 
 def write_toml(folder, template, text=TOML, **changed):
-    trimesh.Trimesh(1000 * template.vertices, template.faces, process=False).export(folder / "ball.ply")
-    words = {"low": template.part_vertices(0).tolist(), "high": template.part_vertices(1).tolist()} | changed
+    trimesh.Trimesh(1000 * template.vertices, template.faces, process=False).export(
+        folder / "ball.ply"
+    )
+    words = {
+        "low": template.part_vertices(0).tolist(),
+        "high": template.part_vertices(1).tolist(),
+    } | changed
     path = folder / "ball.toml"
     path.write_text(text.format(**words))
     return path
@@ -47,17 +53,24 @@ def write_toml(folder, template, text=TOML, **changed):
 def same(one: Template, other: Template):
     assert np.allclose(one.vertices, other.vertices, atol=1e-6)
     for key in ("faces", "part", "mirror", "joint_mirror"):
-        a, b = getattr(one, key), getattr(other, key)
+        a = getattr(one, key)
+        b = getattr(other, key)
         assert (a is None) == (b is None) and (a is None or np.array_equal(a, b)), key
     assert (one.parents, one.joint_names) == (other.parents, other.joint_names)
 
 
 def test_the_default_body_is_a_template_with_both_mirrors():
-    template, body = load_template("default"), load_body("default")
+    template = load_template("default")
+    body = load_body("default")
     strongest = body.skinning_weights[np.arange(body.num_vertices), template.part]
     assert np.array_equal(strongest, body.skinning_weights.max(1))
-    assert np.array_equal(template.mirror, body.mirror) and np.array_equal(template.vertices, body.v_template)
-    assert template.joint_names[template.joint_mirror[template.joint_names.index("left_knee")]] == "right_knee"
+    assert np.array_equal(template.mirror, body.mirror) and np.array_equal(
+        template.vertices, body.v_template
+    )
+    assert (
+        template.joint_names[template.joint_mirror[template.joint_names.index("left_knee")]]
+        == "right_knee"
+    )
     assert template.empty_joints == ()
 
 
@@ -72,7 +85,11 @@ def test_a_body_model_file_gives_each_vertex_its_strongest_joint(tmp_path):
 def test_a_saved_template_comes_back(tmp_path, mirrored):
     template = ball()
     if mirrored:
-        template = replace(template, mirror=find_mirror(template.vertices, template.faces), joint_mirror=np.arange(2))
+        template = replace(
+            template,
+            mirror=find_mirror(template.vertices, template.faces),
+            joint_mirror=np.arange(2),
+        )
     save_template(template, tmp_path / "deep" / "template.npz")
     same(load_template(tmp_path / "deep" / "template.npz"), template)
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["template.npz"]
@@ -90,12 +107,14 @@ def test_a_mesh_and_a_list_of_parts_make_a_template_in_metres(tmp_path, name):
     ("text", "changed", "message"),
     [
         (TOML, {"high": []}, r"vertices \(first \d+\) belong to no joint"),
-        (TOML, {"high": list(range(42))}, "vertex 0 belongs to 'root' and 'top'|belongs to 'root' and 'top'"),
+        (TOML, {"high": list(range(42))}, "vertex 0 belongs to 'root' and 'top'|belongs to 'root' "
+                                          "and 'top'"),
         (TOML, {"high": [42]}, "joint 'top' are no list of numbers from 0 to 41"),
         (TOML, {"high": "[true]"}, "no list of numbers"),
         (TOML.replace('parent = "root"', 'parent = "hip"'), {}, "parent of joint 'top' is 'hip'"),
         (TOML.replace('parent = "root"', ""), {}, "parent of joint 'top' is ''"),
-        (TOML.replace('name = "root"', 'name = "root"\nparent = "top"'), {}, "expected the root first"),
+        (TOML.replace('name = "root"', 'name = "root"\nparent = "top"'), {}, "expected the root "
+                                                                             "first"),
         (TOML.replace("mm", "ells"), {}, "unit is 'ells'"),
         (TOML.replace("ball.ply", "none.ply"), {}, "none.ply: No such file"),
         (TOML.replace("ball.ply", "ball.stl"), {}, "expected a mesh"),
@@ -124,8 +143,12 @@ def test_what_is_wrong_in_a_list_of_parts_is_said_in_one_line(tmp_path, text, ch
     ],
 )  # fmt: skip
 def test_what_is_wrong_in_an_archive_is_said_in_one_line(tmp_path, changed, message):
-    template, path = ball(), tmp_path / "template.npz"
-    arrays = {key: getattr(template, key) for key in ("vertices", "faces", "part", "parents", "joint_names")}
+    template = ball()
+    path = tmp_path / "template.npz"
+    arrays = {
+        key: getattr(template, key)
+        for key in ("vertices", "faces", "part", "parents", "joint_names")
+    }
     np.savez(path, **(arrays | changed))
     with pytest.raises(HabitusError, match=message) as refused:
         load_template(path)

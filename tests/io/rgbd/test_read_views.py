@@ -1,4 +1,6 @@
-"""Folders of views as people have them: ours, Open3D's, TUM's; names that pair up, and images that are none."""
+"""Folders of views as people have them: ours, Open3D's, TUM's; names that pair up, and images that
+are none.
+"""
 
 import json
 
@@ -10,7 +12,8 @@ from habitus.errors import HabitusError
 from habitus.io.rgbd.keypoints import read_keypoints
 from habitus.io.rgbd.read import read_views
 
-H, W = 6, 8
+H = 6
+W = 8
 FLAT = {"fx": 10.0, "fy": 10.0, "cx": 3.5, "cy": 2.5}
 
 
@@ -54,7 +57,9 @@ def test_names_in_one_folder(tmp_path):
     camera(tmp_path)
     found = read_views(tmp_path)
     assert len(found.views) == 2
-    assert found.views[1].colour[0, 0, 0] == 51 and found.views[0].background[0, 0] == pytest.approx(3)
+    assert found.views[1].colour[0, 0, 0] == 51 and found.views[0].background[
+        0, 0
+    ] == pytest.approx(3)
     assert "millimetres" in found.notes[-1]
 
 
@@ -66,8 +71,13 @@ def test_open3ds_folder(tmp_path):
     table = {"width": W, "height": H, "intrinsic_matrix": matrix, "depth_scale": 1000.0}
     (tmp_path / "intrinsic.json").write_text(json.dumps(table))
     found = read_views(tmp_path)
-    assert found.views[0].depth[0, 0] == 2.0 and found.views[0].camera.principal_point.tolist() == [4.0, 3.0]
-    assert found.views[0].colour_camera is found.views[0].camera or found.views[0].colour is not None
+    assert found.views[0].depth[0, 0] == 2.0 and found.views[0].camera.principal_point.tolist() == [
+        4.0,
+        3.0,
+    ]
+    assert (
+        found.views[0].colour_camera is found.views[0].camera or found.views[0].colour is not None
+    )
 
 
 def test_tums_folder(tmp_path):
@@ -116,7 +126,12 @@ def test_spoilt_folders_say_what_is_wrong(tmp_path, spoil, words):
 
 
 def test_keypoints_of_openpose_and_coco(tmp_path):
-    openpose = {"people": [{"pose_keypoints_2d": [0.0] * 75}, {"pose_keypoints_2d": [3.0, 4.0, 0.9] + [0.0] * 72}]}
+    openpose = {
+        "people": [
+            {"pose_keypoints_2d": [0.0] * 75},
+            {"pose_keypoints_2d": [3.0, 4.0, 0.9] + [0.0] * 72},
+        ]
+    }
     (tmp_path / "a_keypoints.json").write_text(json.dumps(openpose))
     assert read_keypoints(tmp_path / "a_keypoints.json") == {"nose": (3.5, 4.5, 0.9)}
     coco = {"annotations": [{"keypoints": [0.0] * 48 + [1.0, 2.0, 2.0]}]}

@@ -1,4 +1,6 @@
-"""NatNet: real packets of Motive read as the vendor's client read them; a server on loopback, its faults."""
+"""NatNet: real packets of Motive read as the vendor's client read them; a server on loopback, its
+faults.
+"""
 
 import re
 import socket
@@ -27,7 +29,8 @@ def real(name):
 
 def traffic():
     """UDP payloads of the recorded session, in order."""
-    data, at = real("traffic.pcapng"), 0
+    data = real("traffic.pcapng")
+    at = 0
     while at < len(data):
         kind, size = struct.unpack_from("<II", data, at)
         if kind == 6:
@@ -43,7 +46,9 @@ def test_a_real_server_and_its_model():
     server = natnet.read_server(real("serverinfo_packet_v3.bin"))
     assert server == ("Motive", (3, 0), 1511, "239.255.42.99")
     found = natnet.read_model(real("modeldef_packet_v3.bin"), (3, 0))
-    assert found.labels == tuple(f"RaceQuad:Marker{k}" for k in range(1, 6)) and found.ids == {2: "RaceQuad"}
+    assert found.labels == tuple(f"RaceQuad:Marker{k}" for k in range(1, 6)) and found.ids == {
+        2: "RaceQuad"
+    }
 
 
 def test_real_frames_are_what_the_vendors_client_printed():
@@ -58,20 +63,30 @@ def test_real_frames_are_what_the_vendors_client_printed():
     compared = 0
     for block in printed.split("FrameID : ")[1:-1]:
         one = frames.get(int(block.split()[0]))
-        markers = re.findall(r"ModelID=2, MarkerID=(\d+), Occluded=0.*pos=([-\d.]+),([-\d.]+),([-\d.]+)\]", block)
+        markers = re.findall(
+            r"ModelID=2, MarkerID=(\d+), Occluded=0.*pos=([-\d.]+),([-\d.]+),([-\d.]+)\]", block
+        )
         if one is not None and markers:
             compared += 1
             for id_, *place in markers:
-                np.testing.assert_allclose(one.points[int(id_) - 1], np.array(place, float), atol=0.0051)
+                np.testing.assert_allclose(
+                    one.points[int(id_) - 1], np.array(place, float), atol=0.0051
+                )
     assert compared > 5
 
 
 def test_a_real_marker_that_is_occluded_is_missing_though_the_program_fills_it_in():
-    tree = natnet.Model(tuple(f"FakeTree:{k}" for k in range(5)), {"FakeTree": (0, 5)}, {7: "FakeTree"})
+    tree = natnet.Model(
+        tuple(f"FakeTree:{k}" for k in range(5)), {"FakeTree": (0, 5)}, {7: "FakeTree"}
+    )
     found = natnet.read_frame(real("mocapframe_packet_occluded_v3.bin"), (3, 0), tree)
-    assert np.isnan(found.points[:2]).all() and np.isfinite(found.points[2:]).all()  # the second fills the first's id
+    assert (
+        np.isnan(found.points[:2]).all() and np.isfinite(found.points[2:]).all()
+    )  # the second fills the first's id
     without = natnet.Model(tree.labels, tree.sets, {})
-    assert np.isfinite(natnet.read_frame(real("mocapframe_packet_occluded_v3.bin"), (3, 0), without).points).all()
+    assert np.isfinite(
+        natnet.read_frame(real("mocapframe_packet_occluded_v3.bin"), (3, 0), without).points
+    ).all()
 
 
 @VERSIONS
@@ -87,7 +102,11 @@ def test_what_was_packed_is_read_behind_force_plates_too(version):
 
 @VERSIONS
 def test_what_is_cut_off_is_told_and_nothing_else_happens(version):
-    whole = [frame(1, np.ones((4, 3)), "Bob", version), model("Bob", LABELS, version), server_info(version)]
+    whole = [
+        frame(1, np.ones((4, 3)), "Bob", version),
+        model("Bob", LABELS, version),
+        server_info(version),
+    ]
     known = natnet.read_model(whole[1], version)
     readers = (
         lambda data: natnet.read_frame(data, version, known),
@@ -127,17 +146,27 @@ def test_frames_arrive_from_a_server():
     assert [each.number for each in frames] == list(range(10, 16))
     np.testing.assert_allclose([each.points for each in frames], points, rtol=1e-6)
     head = frames[0].heading
-    assert (head.rate_hz, head.unit, head.up_claim, head.labels[0]) == (120.0, "m", "+y", "Bob:LFHD")
-    assert 10 in server.asked and np.diff([each.arrived for each in frames]).min() > 0  # it is kept alive
+    assert (head.rate_hz, head.unit, head.up_claim, head.labels[0]) == (
+        120.0,
+        "m",
+        "+y",
+        "Bob:LFHD",
+    )
+    assert (
+        10 in server.asked and np.diff([each.arrived for each in frames]).min() > 0
+    )  # it is kept alive
 
 
 def test_frames_arrive_by_multicast():
-    group, points = "239.255.42.99", np.random.default_rng(2).normal(size=(4, 3))
+    group = "239.255.42.99"
+    points = np.random.default_rng(2).normal(size=(4, 3))
     with socket.socket(type=socket.SOCK_DGRAM) as free:
         free.bind(("", 0))
         port = free.getsockname()[1]
     with NatNetServer(model("Bob", LABELS), info=server_info((3, 0), port, group)) as server:
-        server.socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+        server.socket.setsockopt(
+            socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1")
+        )
         source = NatNet(server.address)
         server.client = (group, port)
         try:
@@ -151,7 +180,9 @@ def test_frames_arrive_by_multicast():
 
 
 def test_a_model_that_changes_is_another_heading_and_bad_packets_are_counted():
-    with NatNetServer(model("Bob", LABELS), answers={"UnitsToMillimeters": struct.pack("<f", 1.0)}) as server:
+    with NatNetServer(
+        model("Bob", LABELS), answers={"UnitsToMillimeters": struct.pack("<f", 1.0)}
+    ) as server:
         source = NatNet(server.address)
         one = frame(1, np.ones((4, 3)), "Bob")
         server.send([one, one[:40], packet(7, b"rubbish"), b"x"])
@@ -159,14 +190,19 @@ def test_a_model_that_changes_is_another_heading_and_bad_packets_are_counted():
         server.model = model("Ann", LABELS[::-1])
         server.send([frame(2, np.ones((4, 3)), "Bob", changed=True)])
         before += take(source, 1)
-        assert np.isnan(before[1].points).all()  # which marker is which nobody knows until the answer
+        assert np.isnan(
+            before[1].points
+        ).all()  # which marker is which nobody knows until the answer
         while source.poll(0.05):
             pass
         server.send([frame(3, np.arange(12.0).reshape(4, 3), "Ann")])
         (after,) = take(source, 1)
         source.close()
     assert before[0].heading is before[1].heading is not after.heading and source.bad == 3
-    assert after.heading.labels == tuple(f"Ann:{x}" for x in LABELS[::-1]) and after.heading.unit == "mm"
+    assert (
+        after.heading.labels == tuple(f"Ann:{x}" for x in LABELS[::-1])
+        and after.heading.unit == "mm"
+    )
     np.testing.assert_allclose(after.points, np.arange(12.0).reshape(4, 3))
 
 
@@ -177,6 +213,12 @@ def test_nobody_there_and_servers_that_will_not_do_are_told(monkeypatch):
         NatNet("127.0.0.1:9")
     with pytest.raises(HabitusError, match="no port after its colon"):
         NatNet("127.0.0.1:Motive")
-    for version, labels, told in (((2, 9), LABELS, r"speaks NatNet 2\.9"), ((3, 0), (), "describes no markers")):
-        with NatNetServer(model("Bob", labels), version) as server, pytest.raises(HabitusError, match=told):
+    for version, labels, told in (
+        ((2, 9), LABELS, r"speaks NatNet 2\.9"),
+        ((3, 0), (), "describes no markers"),
+    ):
+        with (
+            NatNetServer(model("Bob", labels), version) as server,
+            pytest.raises(HabitusError, match=told),
+        ):
             NatNet(server.address)

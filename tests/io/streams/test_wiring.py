@@ -1,4 +1,6 @@
-"""Which point of a stream is which marker: told by values, kept when the stream calls its points something else."""
+"""Which point of a stream is which marker: told by values, kept when the stream calls its points
+something else.
+"""
 
 import numpy as np
 

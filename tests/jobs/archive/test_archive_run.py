@@ -1,4 +1,6 @@
-"""Archives: one shape a subject, every capture once, whatever stops a run; what changed is fitted again and no more."""
+"""Archives: one shape a subject, every capture once, whatever stops a run; what changed is fitted
+again and no more.
+"""
 
 import json
 import os
@@ -21,8 +23,11 @@ from habitus.jobs.archive.manifest import open_manifest
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The captures, and their archive by a run after one that was killed in the middle of its third capture."""
-    captures, out = write_all(tmp_path_factory.mktemp("whole")), tmp_path_factory.mktemp("out")
+    """The captures, and their archive by a run after one that was killed in the middle of its third
+    capture.
+    """
+    captures = write_all(tmp_path_factory.mktemp("whole"))
+    out = tmp_path_factory.mktemp("out")
     child = os.fork()
     if child == 0:
         try:
@@ -56,7 +61,10 @@ def copied(whole, tmp_path):
 
 
 def stamps(out: Path) -> dict[str, int]:
-    return {path.parent.relative_to(out).as_posix(): path.stat().st_mtime_ns for path in out.rglob("body.npz")}
+    return {
+        path.parent.relative_to(out).as_posix(): path.stat().st_mtime_ns
+        for path in out.rglob("body.npz")
+    }
 
 
 def sources(out: Path, subject: str) -> set[str]:
@@ -102,7 +110,9 @@ def test_only_what_is_new_or_changed_is_fitted_and_what_is_broken_is_told(copied
     after = stamps(out)
     assert {name for name in before if after[name] != before[name]} == {unused}
     found = arrays(out)
-    assert (found["ann/new: betas"] == found["ann/one: betas"]).all() and len(found[f"{unused}: trans"]) == 7
+    assert (found["ann/new: betas"] == found["ann/one: betas"]).all() and len(
+        found[f"{unused}: trans"]
+    ) == 7
     (captures / "bob" / "walk.c3d").unlink()
     again = made(captures, out)
     assert (again.fitted, again.kept, again.failed, again.subjects) == (0, 5, (), 1)
@@ -131,9 +141,12 @@ def planned(tallies, tally):
     ids=["nothing", "touched", "frames of the shape", "results gone", "shape gone", "options"],
 )
 def test_what_a_result_depends_on_decides_what_stays(change, kept, copied):
-    more, tallies = change(*copied), []
+    more = change(*copied)
+    tallies = []
     with pytest.raises(Planned):
-        made(*copied, progress=partial(planned, tallies), **(more if isinstance(more, dict) else {}))
+        made(
+            *copied, progress=partial(planned, tallies), **(more if isinstance(more, dict) else {})
+        )
     assert (tallies[0].kept, tallies[0].captures) == (kept, 5)
 
 
@@ -146,14 +159,20 @@ def test_a_table_says_whose_captures_are_whose(copied, tmp_path):
     with sqlite3.connect(out / "archive.sqlite") as manifest:
         told = dict(manifest.execute("SELECT path, subject FROM captures"))
     assert told == {
-        "ann/one.c3d": "Anna", "ann/two.c3d": "Bea", "ann/three.c3d": "Anna", "ann/four.c3d": "Anna",
+        "ann/one.c3d": "Anna",
+        "ann/two.c3d": "Bea",
+        "ann/three.c3d": "Anna",
+        "ann/four.c3d": "Anna",
         "bob/walk.c3d": "bob",
-    }  # fmt: skip
+    }
 
 
 def test_nothing_begins_with_what_cannot_be(whole, tmp_path):
     captures, *_ = whole
-    for folder, words in ((tmp_path / "none", "no folder"), (tmp_path, "no capture in this folder")):
+    for folder, words in (
+        (tmp_path / "none", "no folder"),
+        (tmp_path, "no capture in this folder"),
+    ):
         with pytest.raises(HabitusError, match=words):
             made(folder, tmp_path / "out")
     (tmp_path / "spoilt").mkdir()

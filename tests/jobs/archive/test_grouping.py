@@ -14,7 +14,11 @@ LABELS = tuple(f"M{k}" for k in range(12))
 def worn(subject=None, larger: float = 1.0, rigid: bool = True) -> Worn:
     points = np.random.default_rng(0).uniform(0, larger, (12, 3))
     distances = np.linalg.norm(points[:, None] - points, axis=2)
-    return Worn(subject, LABELS, np.where(distances > 0.1, distances, np.nan) if rigid else np.full((12, 12), np.nan))
+    return Worn(
+        subject,
+        LABELS,
+        np.where(distances > 0.1, distances, np.nan) if rigid else np.full((12, 12), np.nan),
+    )
 
 
 def groups(captures, table=None):
@@ -23,12 +27,28 @@ def groups(captures, table=None):
 
 
 def test_folders_names_and_what_was_worn_part_subjects():
-    captures = [("a/1.c3d", worn()), ("a/2.c3d", worn(larger=1.1)), ("a/3.c3d", worn()), ("a/4.c3d", worn("ann"))]
-    captures += [("b/1.c3d", worn()), ("b/2.c3d", worn(rigid=False)), ("c.c3d", worn()), ("d.c3d", worn("ann"))]
+    captures = [
+        ("a/1.c3d", worn()),
+        ("a/2.c3d", worn(larger=1.1)),
+        ("a/3.c3d", worn()),
+        ("a/4.c3d", worn("ann")),
+    ]
+    captures += [
+        ("b/1.c3d", worn()),
+        ("b/2.c3d", worn(rigid=False)),
+        ("c.c3d", worn()),
+        ("d.c3d", worn("ann")),
+    ]
     assert groups(captures) == {
-        "a/1.c3d": "a", "a/2.c3d": "a (2)", "a/3.c3d": "a", "a/4.c3d": "a/ann", "b/1.c3d": "b", "b/2.c3d": "b (2)",
-        "c.c3d": "top", "d.c3d": "ann",
-    }  # fmt: skip
+        "a/1.c3d": "a",
+        "a/2.c3d": "a (2)",
+        "a/3.c3d": "a",
+        "a/4.c3d": "a/ann",
+        "b/1.c3d": "b",
+        "b/2.c3d": "b (2)",
+        "c.c3d": "top",
+        "d.c3d": "ann",
+    }
 
 
 def test_a_table_joins_folders_and_is_believed_unless_markers_sit_elsewhere():
@@ -40,5 +60,7 @@ def test_a_table_joins_folders_and_is_believed_unless_markers_sit_elsewhere():
 
 def test_people_of_one_file_are_told_apart_by_the_file():
     table = SubjectsTable({PurePosixPath("a"): "eva"})
-    found = grouped_by_subject([("a/1.c3d", "x", worn("x")), ("a/1.c3d", "y", worn("y"))], table, "top")
+    found = grouped_by_subject(
+        [("a/1.c3d", "x", worn("x")), ("a/1.c3d", "y", worn("y"))], table, "top"
+    )
     assert set(found.values()) == {"a/x", "a/y"}

@@ -17,28 +17,48 @@ from habitus.observe.markers import attach
 
 
 def known(layout) -> KnownSubject:
-    body, rng, count = person(), np.random.default_rng(0), len(layout)
+    body = person()
+    rng = np.random.default_rng(0)
+    count = len(layout)
     latent = rng.normal(size=(count, 3))
     attachment = attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces)
-    pose, trans = rng.normal(size=(3, body.num_joints, 3)), rng.normal(size=(3, 3))
-    shape = ShapeFit(rng.normal(size=4), latent, attachment, pose, trans, {"data": 1 / 3}, "converged", 7)
+    pose = rng.normal(size=(3, body.num_joints, 3))
+    trans = rng.normal(size=(3, 3))
+    shape = ShapeFit(
+        rng.normal(size=4), latent, attachment, pose, trans, {"data": 1 / 3}, "converged", 7
+    )
     agreed = Agreed(layout, 0.9, ("a note",), (Suspect("A", "b", 3, True),), ("a doubt",))
-    return KnownSubject(BodyChoice("smplh", 8.0, "female", 0.1, ("told",)), agreed, shape, ((1, 2),), (0,), 1.5, "name")
+    return KnownSubject(
+        BodyChoice("smplh", 8.0, "female", 0.1, ("told",)),
+        agreed,
+        shape,
+        ((1, 2),),
+        (0,),
+        1.5,
+        "name",
+    )
 
 
 def test_what_is_written_is_read(tmp_path):
     for name in list_layouts():
         layout = load_layout(name).with_fingers()
-        free = Marker("free", between=("left_asis", "right_asis", 1 / 3), direction=(0.1, 0.2, 0.3), vertex=3)
+        free = Marker(
+            "free", between=("left_asis", "right_asis", 1 / 3), direction=(0.1, 0.2, 0.3), vertex=3
+        )
         given = known(replace(layout, markers=(*layout.markers, free)))
         digest = write_known(given, tmp_path / "known.npz")
         found = read_known(tmp_path / "known.npz")
         assert found.agreed == given.agreed and found.choice == given.choice
         for field in ("betas", "latent_markers", "pose", "trans"):
             np.testing.assert_array_equal(getattr(found.shape, field), getattr(given.shape, field))
-        np.testing.assert_array_equal(found.shape.attachment.coefficients, given.shape.attachment.coefficients)
+        np.testing.assert_array_equal(
+            found.shape.attachment.coefficients, given.shape.attachment.coefficients
+        )
         assert (found.exchanged, found.misplaced, found.found_layout) == (((1, 2),), (0,), "name")
-        assert found.shape.costs == given.shape.costs and write_known(found, tmp_path / "again.npz") == digest
+        assert (
+            found.shape.costs == given.shape.costs
+            and write_known(found, tmp_path / "again.npz") == digest
+        )
 
 
 def test_the_digest_is_that_of_what_a_fit_depends_on(tmp_path):

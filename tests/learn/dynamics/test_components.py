@@ -9,7 +9,11 @@ from habitus.learn.dynamics.components import principal_components
 
 def _rows(seed=0, frames=90, ways=5):
     rng = np.random.default_rng(seed)
-    return rng.normal(size=(frames, ways)) * [8, 4, 2, 1, 0.5][:ways] @ np.linalg.qr(rng.normal(size=(60, ways)))[0].T
+    return (
+        rng.normal(size=(frames, ways))
+        * [8, 4, 2, 1, 0.5][:ways]
+        @ np.linalg.qr(rng.normal(size=(60, ways)))[0].T
+    )
 
 
 @pytest.mark.parametrize("size", [1, 7, 90])
@@ -27,7 +31,8 @@ def test_blocks_of_any_size_give_the_singular_vectors(size, rank):
 
 
 def test_each_persons_mean_is_the_persons_own():
-    rows, group = _rows(), np.repeat([0, 1, -1], 30)
+    rows = _rows()
+    group = np.repeat([0, 1, -1], 30)
     shift = 20 * np.random.default_rng(1).normal(size=(2, 60))
     plain = principal_components([rows], 2, 30, group)
     moved = rows.copy()

@@ -1,4 +1,6 @@
-"""Planted dynamics are found: blend shapes, regressor, what the shape changes, soft tissue of motions not seen."""
+"""Planted dynamics are found: blend shapes, regressor, what the shape changes, soft tissue of
+motions not seen.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -14,25 +16,36 @@ from habitus.evaluate.dynamics import evaluate_dynamics
 from habitus.learn.dynamics.options import DynamicsOptions
 from habitus.learn.dynamics.train import learn_dynamics, swinging
 
-OPTIONS = DynamicsOptions(components=2, rank=8, personal=False, shape_features=(0, 1), ridge=(1e-7, 1e-4))
+OPTIONS = DynamicsOptions(
+    components=2, rank=8, personal=False, shape_features=(0, 1), ridge=(1e-7, 1e-4)
+)
 
 
 @cache
 def planted(controls="joints", skinning="lbs", noise=0.0):
     truth = soft_tubes(controls=controls, skinning=skinning)
     data = soft_people(truth, frames=120, noise=noise)
-    learned = learn_dynamics(replace(truth, dynamics=None), data, replace(OPTIONS, controls=controls))
+    learned = learn_dynamics(
+        replace(truth, dynamics=None), data, replace(OPTIONS, controls=controls)
+    )
     return truth, learned
 
 
 @pytest.mark.parametrize(("controls", "skinning"), [("joints", "lbs"), ("smpl", "dqbs")])
 def test_planted_dynamics_are_found(controls, skinning):
     truth, found = planted(controls, skinning)
-    ours, theirs = (np.linalg.qr(b.dynamics.directions.reshape(-1, 2))[0] for b in (found.body, truth))
+    ours, theirs = (
+        np.linalg.qr(b.dynamics.directions.reshape(-1, 2))[0] for b in (found.body, truth)
+    )
     assert np.linalg.svd(ours.T @ theirs)[1].min() > 1 - 1e-6  # one span
     np.testing.assert_allclose(found.modes, swinging(truth.dynamics), rtol=1e-2)
-    assert found.shares.sum() > 0.999 and found.choices[0].shape_features == 1 and found.choices[0].error < 0.03
-    motion, betas = shaken(150, seed=77), np.array([0.2, 0.1, 0, 0])
+    assert (
+        found.shares.sum() > 0.999
+        and found.choices[0].shape_features == 1
+        and found.choices[0].error < 0.03
+    )
+    motion = shaken(150, seed=77)
+    betas = np.array([0.2, 0.1, 0, 0])
     surfaces = []
     for body in (found.body, truth):
         delta = simulate_soft_tissue(body, betas, *motion, RATE)
@@ -44,18 +57,25 @@ def test_planted_dynamics_are_found(controls, skinning):
 def test_noise_of_registrations_does_little_harm():
     """12 mm on every coordinate: least squares alone finds motions that die down too fast."""
     truth, found = planted(noise=0.012)
-    best, plain = found.choices[0], min(choice.error for choice in found.choices if choice.rounds == 0)
+    best = found.choices[0]
+    plain = min(choice.error for choice in found.choices if choice.rounds == 0)
     assert best.rounds > 0 and best.error < 0.05 < plain
     np.testing.assert_allclose(found.modes, swinging(truth.dynamics), rtol=0.15)
 
 
 def test_motions_that_were_not_seen_are_told_as_in_the_paper():
     truth, found = planted()
-    (errors,) = evaluate_dynamics(found.body, soft_people(truth, people=1, sequences=1, frames=80, seed=4))
+    (errors,) = evaluate_dynamics(
+        found.body, soft_people(truth, people=1, sequences=1, frames=80, seed=4)
+    )
     without, simulated, fitted = errors.errors
     assert (simulated < 0.25 * without).all() and (fitted < 0.01 * without).all()
-    assert errors.simulated.shape == (80,) and np.corrcoef(errors.simulated, errors.fitted)[0, 1] > 0.9
-    (stiff,) = evaluate_dynamics(found.body, soft_people(truth, people=1, sequences=1, frames=80, seed=4), strength=0.0)
+    assert (
+        errors.simulated.shape == (80,) and np.corrcoef(errors.simulated, errors.fitted)[0, 1] > 0.9
+    )
+    (stiff,) = evaluate_dynamics(
+        found.body, soft_people(truth, people=1, sequences=1, frames=80, seed=4), strength=0.0
+    )
     np.testing.assert_allclose(stiff.errors[1], without, rtol=1e-9)
 
 
@@ -65,18 +85,28 @@ def test_errors_are_those_of_the_definition():
     (errors,) = evaluate_dynamics(found.body, [one])
     wrong = truth(one.betas, one.pose, one.trans).vertices - one.registrations.vertices
     rms = lambda x: np.sqrt((x**2).sum(-1).mean())  # noqa: E731
-    speed, force = 0.5 * RATE * (wrong[2:] - wrong[:-2]), RATE**2 * np.diff(wrong, 2, axis=0)
-    np.testing.assert_allclose(errors.errors[0], [1e3 * rms(wrong), 1e3 * rms(speed), rms(force)], rtol=1e-9)
+    speed = 0.5 * RATE * (wrong[2:] - wrong[:-2])
+    force = RATE**2 * np.diff(wrong, 2, axis=0)
+    np.testing.assert_allclose(
+        errors.errors[0], [1e3 * rms(wrong), 1e3 * rms(speed), rms(force)], rtol=1e-9
+    )
 
 
 def test_a_persons_own_form_is_no_dynamics():
-    """People who only swing in one way, each with bumps of 10 mm that the body's shapes do not have."""
-    truth, rng = soft_tubes(), np.random.default_rng(0)
-    bare, swing, data = replace(truth, dynamics=None), np.sin(np.arange(60) / 5)[:, None, None], []
+    """People who only swing in one way, each with bumps of 10 mm that the body's shapes do not
+    have.
+    """
+    truth = soft_tubes()
+    rng = np.random.default_rng(0)
+    bare = replace(truth, dynamics=None)
+    swing = np.sin(np.arange(60) / 5)[:, None, None]
+    data = []
     for one in soft_people(truth, frames=60, sequences=1):
         own = 0.01 * rng.normal(size=(300, 3)) + swing * truth.dynamics.directions[..., 0]
         meshes = replace(one.registrations, vertices=bare(one.betas).vertices + own)
-        data.append(replace(one, registrations=meshes, pose=np.zeros((60, 10, 3)), trans=np.zeros((60, 3))))
+        data.append(
+            replace(one, registrations=meshes, pose=np.zeros((60, 10, 3)), trans=np.zeros((60, 3)))
+        )
     found = learn_dynamics(bare, data, replace(OPTIONS, components=1, personal=True)).body
     ours, theirs = (body.dynamics.directions[..., 0].ravel() for body in (found, truth))
     assert abs(ours @ theirs) > 0.999 * np.linalg.norm(ours) * np.linalg.norm(theirs)

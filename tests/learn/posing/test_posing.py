@@ -1,4 +1,6 @@
-"""Posing in training is the body's own, linear in what it is said to be linear in, with exact derivatives."""
+"""Posing in training is the body's own, linear in what it is said to be linear in, with exact
+derivatives.
+"""
 
 from dataclasses import replace
 
@@ -22,7 +24,9 @@ def rigs(*shape_features):
     return pytest.mark.parametrize(
         "rig",
         [
-            pytest.param(small_rig(SMALL, 1, skinning, features, s), id=f"{skinning}-{features}-{s}")
+            pytest.param(
+                small_rig(SMALL, 1, skinning, features, s), id=f"{skinning}-{features}-{s}"
+            )
             for skinning in SKINNING
             for features in POSE_FEATURES
             for s in shape_features
@@ -45,12 +49,19 @@ def test_surfaces_are_the_body_models(rig):
     for pose in poses(4, largest=3.0):
         theirs = body(torch.from_numpy(betas), torch.from_numpy(pose))
         assert np.abs(surface(rig, person, pose) - theirs.vertices.numpy()).max() < 1e-12
-        assert np.abs(skeleton(PARENTS, pose).positions(person.joints) - theirs.joints.numpy()).max() < 1e-12
+        assert (
+            np.abs(skeleton(PARENTS, pose).positions(person.joints) - theirs.joints.numpy()).max()
+            < 1e-12
+        )
 
 
 @skinnings
 def test_a_rig_without_blend_shapes_poses_as_well(skinning):
-    rig, (person,), (pose,) = small_rig(SMALL, skinning=skinning, size=None), people(SMALL, 1), poses(1)
+    rig, (person,), (pose,) = (
+        small_rig(SMALL, skinning=skinning, size=None),
+        people(SMALL, 1),
+        poses(1),
+    )
     theirs = as_body(rig, SMALL, np.zeros((len(SMALL.vertices), 3, 1)), person.template)
     found = theirs(torch.zeros(1, dtype=torch.float64), torch.from_numpy(pose)).vertices.numpy()
     assert np.abs(surface(rig, person, pose) - found).max() < 1e-12
@@ -59,12 +70,22 @@ def test_a_rig_without_blend_shapes_poses_as_well(skinning):
 
 @skinnings
 def test_surfaces_are_linear_in_rest_surface_and_joints(skinning):
-    rig, (person,), rng = small_rig(SMALL, skinning=skinning), people(SMALL, 1), np.random.default_rng(1)
+    rig, (person,), rng = (
+        small_rig(SMALL, skinning=skinning),
+        people(SMALL, 1),
+        np.random.default_rng(1),
+    )
     for pose in poses(3, seed=1, largest=3.0):
-        applied, rest = posed(rig, pose), rest_surface(rig, person, pose)
-        more, away = rng.normal(size=rest.shape), rng.normal(size=person.joints.shape)
-        moved = applied.vertices(rest + more, person.joints + away) - applied.vertices(rest, person.joints)
-        by_parts = (applied.turn @ more[..., None])[..., 0] + applied.joint_jacobian() @ away.ravel()
+        applied = posed(rig, pose)
+        rest = rest_surface(rig, person, pose)
+        more = rng.normal(size=rest.shape)
+        away = rng.normal(size=person.joints.shape)
+        moved = applied.vertices(rest + more, person.joints + away) - applied.vertices(
+            rest, person.joints
+        )
+        by_parts = (applied.turn @ more[..., None])[
+            ..., 0
+        ] + applied.joint_jacobian() @ away.ravel()
         assert np.abs(moved - by_parts).max() < 1e-12
 
 
@@ -80,14 +101,18 @@ def test_a_blended_turn_does_not_lengthen(skinning):
 
 @rigs(2)
 def test_derivatives_are_exact(rig):
-    (person,), (pose,) = people(SMALL, 1, shape_features=rig.shape_features), poses(1, seed=3, largest=2.5)
+    (person,), (pose,) = (
+        people(SMALL, 1, shape_features=rig.shape_features),
+        poses(1, seed=3, largest=2.5),
+    )
     moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     given = tuple(torch.from_numpy(x) for x in (person.template, person.joints, pose))
 
     def theirs(template, joints, pose):
         return torch_surface(rig, template, joints, person.descriptor, pose)
 
-    by, rows = torch.autograd.functional.jacobian(theirs, given), np.arange(len(moved))
+    by = torch.autograd.functional.jacobian(theirs, given)
+    rows = np.arange(len(moved))
     assert np.abs(moved - theirs(*given).numpy()).max() < 1e-12
     assert np.abs(pose_jacobian - by[2].flatten(2).numpy()).max() < 1e-10
     assert np.abs(turn - by[0].numpy()[rows, :, rows]).max() < 1e-12
@@ -96,7 +121,11 @@ def test_derivatives_are_exact(rig):
 
 @rigs(0)
 def test_derivatives_by_pose_are_differences(rig):
-    (person,), (pose,), step = people(SMALL, 1, shape_features=rig.shape_features), poses(1, seed=4), 1e-5
+    (person,), (pose,), step = (
+        people(SMALL, 1, shape_features=rig.shape_features),
+        poses(1, seed=4),
+        1e-5,
+    )
     pose_jacobian = surface_jacobians(rig, person, pose)[1]
     for c, along in enumerate(np.eye(pose.size).reshape(-1, *pose.shape)):
         ahead, behind = (surface(rig, person, pose + sign * step * along) for sign in (1, -1))
@@ -127,7 +156,10 @@ def test_turning_the_root_turns_everything_about_its_joint(rig):
 def test_shape_dependent_blend_shapes_are_blocks_summed():
     rig = small_rig(SMALL, shape_features=2)
     first, second, third = np.split(rig.posedirs, 3, axis=-1)
-    assert np.abs(rig.posedirs_for(np.array([2.0, -3.0])) - (first + 2 * second - 3 * third)).max() < 1e-15
+    assert (
+        np.abs(rig.posedirs_for(np.array([2.0, -3.0])) - (first + 2 * second - 3 * third)).max()
+        < 1e-15
+    )
     plain = replace(rig, posedirs=first, shape_features=0)
     assert plain.posedirs_for(np.zeros(0)) is first
 

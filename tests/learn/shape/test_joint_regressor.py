@@ -8,7 +8,8 @@ from habitus.errors import HabitusError
 from habitus.learn.shape import joint_regressor
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
 
-V, J = 120, 5
+V = 120
+J = 5
 MIRROR = np.arange(V).reshape(-1, 2)[:, ::-1].ravel()  # neighbours are partners
 JOINT_MIRROR = np.array([0, 2, 1, 4, 3])
 FLIP = np.array([-1.0, 1.0, 1.0])
@@ -39,7 +40,8 @@ def held_out_error(regressor, truth, seed=7):
 @pytest.mark.parametrize("mirrors", [{}, {"mirror": MIRROR, "joint_mirror": JOINT_MIRROR}])
 @pytest.mark.parametrize("count", [25, 60])  # fewer and more equations than vertices
 def test_a_planted_regressor_is_found(count, mirrors):
-    truth, templates = planted(), subjects(count)
+    truth = planted()
+    templates = subjects(count)
     found = fit_joint_regressor(templates, truth @ templates, nearness=0.0, **mirrors)
     assert held_out_error(found, truth) < 1e-6
     assert np.abs(found - truth).max() < 1e-6
@@ -57,13 +59,19 @@ def test_rows_are_sparse_shares(count):
 
 
 def test_a_row_is_the_nearest_point_of_the_convex_hull():
-    templates, joints = subjects(2), 0.6 + np.zeros((2, 1, 3))
+    templates = subjects(2)
+    joints = 0.6 + np.zeros((2, 1, 3))
     found = fit_joint_regressor(templates, joints, nearness=0.0)
     away = (templates - joints).transpose(0, 2, 1).reshape(6, V)
     gradient = away.T @ (away @ found[0])
-    assert gradient.min() >= gradient @ found[0] - 1e-10  # no vertex is a way down: Karush, Kuhn and Tucker
+    assert (
+        gradient.min() >= gradient @ found[0] - 1e-10
+    )  # no vertex is a way down: Karush, Kuhn and Tucker
     slow = scipy.optimize.minimize(
-        lambda x: ((away @ (x**2) / (x**2).sum()) ** 2).sum(), np.ones(V), method="L-BFGS-B", options={"maxiter": 5000}
+        lambda x: ((away @ (x**2) / (x**2).sum()) ** 2).sum(),
+        np.ones(V),
+        method="L-BFGS-B",
+        options={"maxiter": 5000},
     )
     assert ((away @ found[0]) ** 2).sum() <= slow.fun + 1e-12
 
@@ -100,12 +108,15 @@ def test_mirrored_subjects_give_the_mirrored_regressor():
 
 
 def test_with_mirrors_the_regressor_is_symmetric_and_no_worse():
-    templates, truth = subjects(8), planted()
+    templates = subjects(8)
+    truth = planted()
     joints = truth @ templates + 0.005 * np.random.default_rng(2).normal(size=(8, J, 3))
     found = fit_joint_regressor(templates, joints, mirror=MIRROR, joint_mirror=JOINT_MIRROR)
     assert np.array_equal(found, found[JOINT_MIRROR][:, MIRROR])
     assert (found >= 0).all() and np.abs(found.sum(1) - 1).max() < 1e-14
-    assert held_out_error(found, truth) < held_out_error(fit_joint_regressor(templates, joints), truth)
+    assert held_out_error(found, truth) < held_out_error(
+        fit_joint_regressor(templates, joints), truth
+    )
 
 
 def test_half_a_mirror_is_none():
@@ -117,7 +128,8 @@ def test_half_a_mirror_is_none():
 
 
 def test_only_candidates_get_weight():
-    templates, truth = subjects(30), planted()
+    templates = subjects(30)
+    truth = planted()
     candidates = truth > 0
     candidates[:, ::7] = True
     found = fit_joint_regressor(templates, truth @ templates, candidates=candidates, nearness=0.0)
@@ -125,7 +137,9 @@ def test_only_candidates_get_weight():
 
 
 def test_of_equal_combinations_the_nearest_is_taken():
-    templates = np.array([[[0.1, 0, 0], [-0.1, 0, 0], [0.5, 0, 0], [-0.5, 0, 0], [0, 0.9, 0], [0, -0.9, 0]]])
+    templates = np.array(
+        [[[0.1, 0, 0], [-0.1, 0, 0], [0.5, 0, 0], [-0.5, 0, 0], [0, 0.9, 0], [0, -0.9, 0]]]
+    )
     found = fit_joint_regressor(templates, np.zeros((1, 1, 3)))
     assert np.allclose(found, [[0.5, 0.5, 0, 0, 0, 0]])
 
@@ -140,18 +154,25 @@ def deep(seed=1):
 def people(count, seed=0, span=8):
     """Surfaces that vary in a few directions only, as people do."""
     ways = 0.03 * np.random.default_rng(50).normal(size=(span, V, 3))
-    return subjects(1, variation=0.0) + np.tensordot(np.random.default_rng(seed).normal(size=(count, span)), ways, 1)
+    return subjects(1, variation=0.0) + np.tensordot(
+        np.random.default_rng(seed).normal(size=(count, span)), ways, 1
+    )
 
 
 @pytest.mark.parametrize("mirrors", [{}, {"mirror": MIRROR, "joint_mirror": JOINT_MIRROR}])
 @pytest.mark.parametrize("signs", ["auto", "signed"])
 def test_joints_that_no_convex_combination_follows_are_followed_by_signed_ones(signs, mirrors):
-    truth, known, new = deep(), people(14), people(50, 9)
+    truth = deep()
+    known = people(14)
+    new = people(50, 9)
 
     def off(regressor):
         return np.linalg.norm((regressor - truth) @ new, axis=-1).mean()
 
-    convex, found = (fit_joint_regressor(known, truth @ known, signs=each, **mirrors) for each in ("convex", signs))
+    convex, found = (
+        fit_joint_regressor(known, truth @ known, signs=each, **mirrors)
+        for each in ("convex", signs)
+    )
     assert off(found) < 0.35 * off(convex) and found.min() < 0
     assert np.abs(found.sum(1) - 1).max() < 1e-12
     if mirrors:
@@ -166,7 +187,9 @@ def test_signs_are_free_only_where_they_pay():
     known = people(14)
     truth = np.concatenate([planted()[:2], deep()[2:]])
     joints = truth @ known + 0.004 * np.random.default_rng(5).normal(size=(14, J, 3))
-    convex, found = (fit_joint_regressor(known, joints, signs=signs) for signs in ("convex", "auto"))
+    convex, found = (
+        fit_joint_regressor(known, joints, signs=signs) for signs in ("convex", "auto")
+    )
     assert np.array_equal(convex[:2], found[:2])
     assert (found[2:].min(1) < 0).all()
 
@@ -175,7 +198,8 @@ def test_signs_are_free_only_where_they_pay():
 def test_too_few_people_to_leave_some_out_give_convex_rows(count):
     templates = subjects(count)
     convex, found = (
-        fit_joint_regressor(templates, planted() @ templates + 0.02, signs=s) for s in ("convex", "signed")
+        fit_joint_regressor(templates, planted() @ templates + 0.02, signs=s)
+        for s in ("convex", "signed")
     )
     assert np.array_equal(convex, found)
 
@@ -184,7 +208,10 @@ def test_too_few_people_to_leave_some_out_give_convex_rows(count):
     "change, said",
     [
         ({"joints": np.zeros((4, J, 3))}, "S subjects"),
-        ({"signs": "some"}, "signs of the regressor are 'some'; expected one of auto, convex, signed"),
+        (
+            {"signs": "some"},
+            "signs of the regressor are 'some'; expected one of auto, convex, signed",
+        ),
         ({"templates": np.full((3, V, 3), np.nan)}, "not finite"),
         ({"candidates": np.ones((V, J), bool)}, "candidates"),
         ({"candidates": np.arange(J)[:, None] != np.full(V, 3)}, "joint 3 has no candidate"),

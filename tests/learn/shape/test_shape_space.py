@@ -1,4 +1,6 @@
-"""The shape space against a singular value decomposition of everything at once, and what must hold of it."""
+"""The shape space against a singular value decomposition of everything at once, and what must hold
+of it.
+"""
 
 import tracemalloc
 
@@ -22,7 +24,9 @@ class Streamed:
     """Surfaces that can only be fetched in slices, and that note how many at once."""
 
     def __init__(self, surfaces):
-        self.surfaces, self.shape, self.most = surfaces, surfaces.shape, 0
+        self.surfaces = surfaces
+        self.shape = surfaces.shape
+        self.most = 0
 
     def __getitem__(self, rows):
         self.most = max(self.most, len(self.surfaces[rows]))
@@ -101,7 +105,8 @@ def test_weights_count_like_copies_and_nothing_counts_not_at_all():
 
 def test_signs_hold_for_more_surfaces_and_other_orders():
     surfaces = people(60)
-    one, other = principal_shapes(surfaces, 4), principal_shapes(surfaces[::-1], 4)
+    one = principal_shapes(surfaces, 4)
+    other = principal_shapes(surfaces[::-1], 4)
     assert np.allclose(one.directions, other.directions, atol=1e-9)
     grown = one.mean - one.mean.mean(0)
     assert (np.tensordot(grown, one.directions, 2) > 0).all()
@@ -116,8 +121,10 @@ def test_a_direction_that_does_not_grow_has_its_largest_entry_positive():
 
 
 def test_where_surfaces_stand_moves_only_the_mean():
-    surfaces, place = people(20), np.array([1.0, -2.0, 3.0])
-    one, other = principal_shapes(surfaces, 4), principal_shapes(surfaces + place, 4)
+    surfaces = people(20)
+    place = np.array([1.0, -2.0, 3.0])
+    one = principal_shapes(surfaces, 4)
+    other = principal_shapes(surfaces + place, 4)
     assert np.allclose(other.mean, one.mean + place)
     assert np.allclose(other.directions, one.directions, atol=1e-9)
 

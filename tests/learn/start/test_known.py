@@ -1,4 +1,6 @@
-"""What is known of registrations that were made: started from, held, refused where it does not fit."""
+"""What is known of registrations that were made: started from, held, refused where it does not
+fit.
+"""
 
 from dataclasses import replace
 
@@ -35,7 +37,9 @@ def test_the_start_of_made_registrations_is_what_they_were_made_from(trans):
     assert measure_energy(problem, estimate, ALONE).terms["data"] < 1e-18
     rest = {name: estimate.templates[k] for k, name in enumerate(data.subjects)}
     told = replace(problem, registrations=made(body, betas=None, rest=rest))
-    np.testing.assert_array_equal(initial_estimate(told, template_of(body), ALONE, body).templates, estimate.templates)
+    np.testing.assert_array_equal(
+        initial_estimate(told, template_of(body), ALONE, body).templates, estimate.templates
+    )
 
 
 def test_only_blend_shapes_are_learned_where_all_else_is_known():
@@ -43,7 +47,9 @@ def test_only_blend_shapes_are_learned_where_all_else_is_known():
     truth = body_of()
     start = replace(truth, posedirs=0.5 * truth.posedirs)
     data = made(truth)
-    trained = train_body(data, template_of(start), replace(HOLD, rounds=2, least_effect=0.0), body=start)
+    trained = train_body(
+        data, template_of(start), replace(HOLD, rounds=2, least_effect=0.0), body=start
+    )
     for name in ("skinning_weights", "joint_regressor", "v_template", "shapedirs"):
         assert np.array_equal(getattr(trained.body, name), getattr(start, name)), name
     assert np.array_equal(trained.estimate.pose, data.known.pose)
@@ -53,14 +59,21 @@ def test_only_blend_shapes_are_learned_where_all_else_is_known():
     away = data.vertices - start(known.betas, known.pose, known.trans).vertices
     assert first["poses as known"].terms["data"] == pytest.approx(float((away**2).sum()), rel=1e-9)
     assert first["pose shapes"].total < first["poses as known"].total
-    (second,) = (record for record in trained.history if (record.round, record.step) == (2, "pose shapes"))
+    (second,) = (
+        record for record in trained.history if (record.round, record.step) == (2, "pose shapes")
+    )
     assert second.energy.total == pytest.approx(first["pose shapes"].total, rel=1e-9)
 
 
 def test_known_people_are_held_while_poses_are_found():
     body = body_of()
     data = made(body, pose=None, trans=None)
-    steps = [r.step for r in train_body(data, template_of(body), replace(WARM, fixed=("people",)), body=body).history]
+    steps = [
+        r.step
+        for r in train_body(
+            data, template_of(body), replace(WARM, fixed=("people",)), body=body
+        ).history
+    ]
     assert "subjects" not in steps and "poses" in steps
     trained = train_body(made(body), template_of(body), replace(WARM, fixed=("poses",)), body=body)
     assert np.array_equal(trained.estimate.pose, made(body).known.pose)
@@ -86,6 +99,10 @@ def test_what_is_known_is_checked_and_taken_with_the_registrations():
     data = made(body_of())
     few = data.take(np.array([7, 2]))
     assert np.array_equal(few.known.pose, data.known.pose[[7, 2]])
-    for changes in ({"trans": np.zeros((14, 3))}, {"pose": np.full((15, 6, 3), np.inf)}, {"rest": {"s0": np.zeros(3)}}):
+    for changes in (
+        {"trans": np.zeros((14, 3))},
+        {"pose": np.full((15, 6, 3), np.inf)},
+        {"rest": {"s0": np.zeros(3)}},
+    ):
         with pytest.raises(HabitusError, match="expected"):
             replace(data, known=replace(data.known, **changes))

@@ -1,4 +1,6 @@
-"""Start weights and start joints: what diffusion and rings must do on any mesh, and on the default body."""
+"""Start weights and start joints: what diffusion and rings must do on any mesh, and on the default
+body.
+"""
 
 import numpy as np
 import pytest
@@ -13,8 +15,12 @@ from habitus.mesh.template import Template
 
 
 def tube(length=1.0, radius=0.1, rings=101, around=24, cuts=(0.5,)):
-    """A tube along y with one part between every two cuts (in metres), each the child of the last."""
-    height, angle = np.meshgrid(np.linspace(0, length, rings), np.arange(around) * 2 * np.pi / around, indexing="ij")
+    """A tube along y with one part between every two cuts (in metres), each the child of the
+    last.
+    """
+    height, angle = np.meshgrid(
+        np.linspace(0, length, rings), np.arange(around) * 2 * np.pi / around, indexing="ij"
+    )
     vertices = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], -1).reshape(-1, 3)
     a, b = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
     corner = lambda i, k: (i * around + k % around).ravel()  # noqa: E731
@@ -26,7 +32,13 @@ def tube(length=1.0, radius=0.1, rings=101, around=24, cuts=(0.5,)):
     )
     part = np.searchsorted(cuts, vertices[:, 1])
     count = len(cuts) + 1
-    return Template(vertices, faces, part, tuple(range(-1, count - 1)), tuple(f"joint_{k}" for k in range(count)))
+    return Template(
+        vertices,
+        faces,
+        part,
+        tuple(range(-1, count - 1)),
+        tuple(f"joint_{k}" for k in range(count)),
+    )
 
 
 def changed(template, **fields):
@@ -98,9 +110,12 @@ def test_both_are_symmetric_even_where_the_segmentation_is_not(human):
 
 def test_weights_are_near_those_of_an_animators_body(human):
     template, body = human
-    own, weights = body.skinning_weights, diffuse_weights(template)
+    own = body.skinning_weights
+    weights = diffuse_weights(template)
     hard = np.eye(template.num_joints)[template.part]
-    rows = template.part != template.joint_names.index("head")  # a fifth of the vertices, and hardly any of it blended
+    rows = template.part != template.joint_names.index(
+        "head"
+    )  # a fifth of the vertices, and hardly any of it blended
     moved = lambda w: np.abs(w - own)[rows].sum(1).mean() / 2  # noqa: E731  # weight that sits with another joint
     assert moved(weights) < 0.08 < 0.15 < moved(hard)
 
@@ -116,18 +131,25 @@ def test_ring_regressors_rows_are_means(human):
     regressor = ring_regressor(template)
     assert (regressor >= 0).all() and np.abs(regressor.sum(1) - 1).max() < 1e-12
     own = body.joint_template
-    limbs = [k for k, name in enumerate(template.joint_names) if name.split("_")[-1] in ("knee", "elbow", "wrist")]
+    limbs = [
+        k
+        for k, name in enumerate(template.joint_names)
+        if name.split("_")[-1] in ("knee", "elbow", "wrist")
+    ]
     assert np.linalg.norm((regressor @ template.vertices - own)[limbs], axis=1).max() < 0.028
 
 
 def test_a_part_that_does_not_touch_its_parents_is_named():
     template = changed(tube(cuts=(0.3, 0.6)), parents=(-1, 0, 0))
-    with pytest.raises(HabitusError, match=r"'joint_2' \(960 vertices\) to its parent's, 'joint_0'"):
+    with pytest.raises(
+        HabitusError, match=r"'joint_2' \(960 vertices\) to its parent's, 'joint_0'"
+    ):
         ring_regressor(template)
 
 
 def test_loose_pieces_keep_their_part_and_slivers_do_no_harm():
-    one, other = tube(), tube(rings=5)
+    one = tube()
+    other = tube(rings=5)
     n = one.num_vertices
     vertices = np.concatenate([one.vertices, other.vertices + 1.0, [[5.0, 5.0, 5.0]]])
     flat = [[0, 1, 1], [7, 8, 7]]

@@ -1,4 +1,6 @@
-"""No step of the alternation raises the energy, whatever is trained; and each does its own part only (S 4.3)."""
+"""No step of the alternation raises the energy, whatever is trained; and each does its own part
+only (S 4.3).
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,13 @@ from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import POSE_SHAPES, EnergyWeights
 from habitus.learn.over_relaxation import over_relax
-from habitus.learn.steps.alternation import STEPS, pose_shape_step, pose_step, subject_step, weight_step
+from habitus.learn.steps.alternation import (
+    STEPS,
+    pose_shape_step,
+    pose_step,
+    subject_step,
+    weight_step,
+)
 from habitus.learn.steps.skeletons import remove_mean_rotation
 from habitus.learn.terms import costs, energy_terms, unknowns
 from habitus.parallel.workers import Threads
@@ -32,7 +40,11 @@ def words(variant):
 
 
 def some(seed=0, noise=0.003, **changes):
-    options = {"rank": 5, "l1": 0.01, "weights": EnergyWeights(joints=5.0, pose_shapes=0.5)} | changes
+    options = {
+        "rank": 5,
+        "l1": 0.01,
+        "weights": EnergyWeights(joints=5.0, pose_shapes=0.5),
+    } | changes
     problem, truth = planted(small=SMALL, seed=seed, each=4, noise=noise, **options)
     return problem, truth, disturbed(truth, seed)
 
@@ -60,7 +72,9 @@ def test_going_further_lowers_the_energy_and_keeps_what_was_asked_for(skinning, 
         after = step(problem, after, ALONE)
     known = measure_energy(problem, after, ALONE)
     further, energy = over_relax(problem, before, after, known, ALONE)
-    assert energy == measure_energy(problem, further, ALONE) and (energy.total < known.total or further is after)
+    assert energy == measure_energy(problem, further, ALONE) and (
+        energy.total < known.total or further is after
+    )
     assert further.rig.value.min() >= 0 and np.allclose(further.rig.value.sum(1), 1)
     assert np.array_equal(further.rig.index, after.rig.index)
     if "rank" in str(variant):
@@ -69,13 +83,23 @@ def test_going_further_lowers_the_energy_and_keeps_what_was_asked_for(skinning, 
 
 
 def test_going_further_finds_the_minimum_along_a_line():
-    """Halfway back from the truth the energy falls until it is passed; from the truth on it only rises."""
+    """Halfway back from the truth the energy falls until it is passed; from the truth on it only
+    rises.
+    """
     problem, truth, start = some(noise=0.0, weights=EnergyWeights(pose_shapes=1e-9, joints=1e-9))
     halfway = replace(
-        truth, **{key: (getattr(truth, key) + getattr(start, key)) / 2 for key in ("templates", "joints", "trans")}
+        truth,
+        **{
+            key: (getattr(truth, key) + getattr(start, key)) / 2
+            for key in ("templates", "joints", "trans")
+        },
     )
-    origin = replace(truth, **{key: getattr(start, key) for key in ("templates", "joints", "trans")})
-    found, energy = over_relax(problem, origin, halfway, measure_energy(problem, halfway, ALONE), ALONE)
+    origin = replace(
+        truth, **{key: getattr(start, key) for key in ("templates", "joints", "trans")}
+    )
+    found, energy = over_relax(
+        problem, origin, halfway, measure_energy(problem, halfway, ALONE), ALONE
+    )
     assert np.abs(found.templates - truth.templates).max() < 1e-12
     assert energy.total < 1e-6
     same, kept = over_relax(problem, halfway, found, energy, ALONE)
@@ -105,7 +129,9 @@ def test_each_step_lowers_the_energy_and_leaves_the_rest_alone(skinning):
 
 @skinnings
 @pytest.mark.parametrize("kind", ["full", "l1"])
-def test_each_step_lowers_the_sum_of_the_terms_that_it_names_and_no_other_term_changes(skinning, kind):
+def test_each_step_lowers_the_sum_of_the_terms_that_it_names_and_no_other_term_changes(
+    skinning, kind
+):
     problem, _, estimate = some(skinning=skinning, pose_shapes=kind)
     for step in STEPS.values():
         terms = energy_terms(problem, estimate)
@@ -135,17 +161,24 @@ def test_the_truth_stays_where_it_is_without_noise(skinning):
 @skinnings
 def test_alternation_leads_back_to_planted_registrations(skinning):
     problem, truth, estimate = some(
-        skinning=skinning, pose_shapes="none", noise=0.0, weights=EnergyWeights(joints=1e-3, symmetry=1.0)
+        skinning=skinning,
+        pose_shapes="none",
+        noise=0.0,
+        weights=EnergyWeights(joints=1e-3, symmetry=1.0),
     )
     pose = estimate.pose.copy()
-    for rows in (problem.rows_of(subject) for subject in range(problem.subjects)):  # the zero pose is not sought
+    for rows in (
+        problem.rows_of(subject) for subject in range(problem.subjects)
+    ):  # the zero pose is not sought
         pose[rows] = remove_mean_rotation(truth.rig.parents, truth.pose[rows], pose[rows])
     estimate = replace(estimate, pose=pose)
     for _ in range(10):
         before = estimate
         for step in STEPS.values():
             estimate = step(problem, estimate, ALONE)
-        estimate, _ = over_relax(problem, before, estimate, measure_energy(problem, estimate, ALONE), ALONE)
+        estimate, _ = over_relax(
+            problem, before, estimate, measure_energy(problem, estimate, ALONE), ALONE
+        )
     data = measure_energy(problem, estimate, ALONE).terms["data"]
     assert np.sqrt(data / len(problem.registrations) / len(SMALL.vertices)) < 1e-4  # m
 
@@ -159,7 +192,9 @@ def test_the_order_of_subjects_does_not_matter():
     problem, _, estimate = some(subjects=3)
     order = np.random.default_rng(1).permutation(len(problem.registrations))
     shuffled = replace(problem, registrations=problem.registrations.take(order))
-    people = [problem.registrations.subjects.index(name) for name in shuffled.registrations.subjects]
+    people = [
+        problem.registrations.subjects.index(name) for name in shuffled.registrations.subjects
+    ]
     mixed = replace(
         estimate,
         templates=estimate.templates[people],
@@ -169,7 +204,8 @@ def test_the_order_of_subjects_does_not_matter():
         trans=estimate.trans[order],
     )
     for step in STEPS.values():
-        estimate, mixed = step(problem, estimate, ALONE), step(shuffled, mixed, ALONE)
+        estimate = step(problem, estimate, ALONE)
+        mixed = step(shuffled, mixed, ALONE)
     assert np.abs(mixed.templates - estimate.templates[people]).max() < 1e-8
     assert np.abs(mixed.joints - estimate.joints[people]).max() < 1e-8
     assert np.abs(mixed.pose - estimate.pose[order]).max() < 1e-7
@@ -179,6 +215,8 @@ def test_the_order_of_subjects_does_not_matter():
 
 def test_subjects_have_rows_of_their_own():
     problem, _, estimate = some(subjects=3)
-    assert sorted(np.concatenate([problem.rows_of(k) for k in range(problem.subjects)])) == list(range(12))
+    assert sorted(np.concatenate([problem.rows_of(k) for k in range(problem.subjects)])) == list(
+        range(12)
+    )
     assert problem.rows_of(1).tolist() == [4, 5, 6, 7]
     assert np.array_equal(estimate.person(2).joints, estimate.joints[2])

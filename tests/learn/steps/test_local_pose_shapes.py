@@ -1,4 +1,6 @@
-"""Local pose blend shapes: the exact minimum over the joints near a vertex, and those that matter among them."""
+"""Local pose blend shapes: the exact minimum over the joints near a vertex, and those that matter
+among them.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,8 @@ from habitus.learn.steps.local_pose_shapes import halves, neighbourhoods
 from habitus.learn.steps.pose_shapes import let_go, solve_pose_shapes
 from habitus.parallel.workers import Threads
 
-SMALL, ALONE = small_body(pairs=3, middle=1), Threads(1)
+SMALL = small_body(pairs=3, middle=1)
+ALONE = Threads(1)
 JOINTS = len(PARENTS) - 1
 
 
@@ -24,9 +27,13 @@ def driving(posedirs):
 
 
 def problem_of(**changes):
-    """A problem whose people's flesh is driven by one or two joints a vertex, among those near it."""
+    """A problem whose people's flesh is driven by one or two joints a vertex, among those near
+    it.
+    """
     weights = EnergyWeights(pose_shapes=changes.pop("weight", 1e-6))
-    problem, truth = planted(small=SMALL, subjects=4, each=20, weights=weights, pose_shapes="local", **changes)
+    problem, truth = planted(
+        small=SMALL, subjects=4, each=20, weights=weights, pose_shapes="local", **changes
+    )
     rng = np.random.default_rng(5)
     near = SMALL.weights[:, 1:] > 0.05
     near &= rng.random(near.shape) < 0.7
@@ -36,12 +43,20 @@ def problem_of(**changes):
     from habitus.learn.posing.surface import surface  # registrations of the thinned truth
 
     for row, who in enumerate(problem.registrations.subject_index):
-        vertices[row] = surface(truth.rig, truth.person(int(who)), truth.pose[row]) + truth.trans[row]
-    return replace(problem, registrations=replace(problem.registrations, vertices=vertices)), truth, near
+        vertices[row] = (
+            surface(truth.rig, truth.person(int(who)), truth.pose[row]) + truth.trans[row]
+        )
+    return (
+        replace(problem, registrations=replace(problem.registrations, vertices=vertices)),
+        truth,
+        near,
+    )
 
 
 def bare(estimate):
-    return replace(estimate, rig=replace(estimate.rig, posedirs=np.zeros_like(estimate.rig.posedirs)))
+    return replace(
+        estimate, rig=replace(estimate.rig, posedirs=np.zeros_like(estimate.rig.posedirs))
+    )
 
 
 @pytest.mark.parametrize("skinning", list(SKINNING))
@@ -64,7 +79,8 @@ def test_the_step_is_the_minimum_over_the_joints_near_a_vertex():
     columns = np.arange(9 * JOINTS).reshape(JOINTS, 9)
     allowed = neighbourhoods(problem, start, np.ones(JOINTS, bool), columns)
     assert not allowed.all() and not (driving(table) & ~allowed).any()
-    energy, rng = measure_energy(problem, best, ALONE).total, np.random.default_rng(0)
+    energy = measure_energy(problem, best, ALONE).total
+    rng = np.random.default_rng(0)
     assert energy < measure_energy(problem, start, ALONE).total
     for _ in range(5):
         away = 1e-5 * rng.normal(size=table.shape) * np.repeat(allowed, 9, 1)[:, None]
@@ -75,13 +91,18 @@ def test_the_step_is_the_minimum_over_the_joints_near_a_vertex():
 
 def test_weights_count_and_vertices_that_nobody_shows_keep_what_they_had():
     problem, truth, _ = problem_of(weight=0.1, noise=2e-3)
-    data, rng = problem.registrations, np.random.default_rng(1)
+    data = problem.registrations
+    rng = np.random.default_rng(1)
     weights = np.where(rng.random(data.num_vertices) < 0.3, 0.0, 0.5)
     spoilt = data.vertices + (weights == 0)[:, None] * rng.normal(size=(len(data), 1, 3))
-    given = replace(problem, registrations=replace(data, vertices=spoilt, weights=weights), weighted=True)
+    given = replace(
+        problem, registrations=replace(data, vertices=spoilt, weights=weights), weighted=True
+    )
     found = solve_pose_shapes(given, truth, ALONE)
     assert np.array_equal(found[weights == 0], truth.rig.posedirs[weights == 0])
-    halved = replace(problem, options=replace(problem.options, weights=EnergyWeights(pose_shapes=0.2)))
+    halved = replace(
+        problem, options=replace(problem.options, weights=EnergyWeights(pose_shapes=0.2))
+    )
     alike = solve_pose_shapes(halved, truth, ALONE)[weights > 0]
     np.testing.assert_allclose(found[weights > 0], alike, atol=1e-9)
 
@@ -92,23 +113,31 @@ def test_halves_hold_people_and_their_mirror_images_together():
 
 
 def test_letting_go_is_judged_by_the_other_half():
-    """A group that explains one half's noise alone costs the other nothing; one that both share stays."""
+    """A group that explains one half's noise alone costs the other nothing; one that both share
+    stays.
+    """
     rng = np.random.default_rng(2)
     columns = [rng.normal(size=(30, 6)) for _ in range(2)]
     truth = np.array([1.0, -1.0, 0, 0, 0, 0])
     values = [one @ truth + 0.1 * rng.normal(size=30) for one in columns]
     values[0] += columns[0][:, 2] * 0.3  # nothing of it in the other half
-    grams, pulls = [one.T @ one for one in columns], [one.T @ y for one, y in zip(columns, values, strict=True)]
+    grams = [one.T @ one for one in columns]
+    pulls = [one.T @ y for one, y in zip(columns, values, strict=True)]
     groups = np.arange(6).reshape(3, 2)
     assert kept_groups(grams, pulls, 1e-6, groups, 1.0).tolist() == [0]
     assert not len(kept_groups(grams, pulls, 1e-6, groups, 1e9))
 
 
 def test_what_letting_go_costs_is_what_it_costs():
-    """The first to go is the one whose loss, all else solved for again, the other halves feel least."""
+    """The first to go is the one whose loss, all else solved for again, the other halves feel
+    least.
+    """
     rng = np.random.default_rng(3)
     columns = [rng.normal(size=(40, 8)) for _ in range(2)]
-    values = [one @ np.array([1.0, 1, 0.1, 0.1, -0.5, 0.5, 0, 0.3]) + 0.2 * rng.normal(size=40) for one in columns]
+    values = [
+        one @ np.array([1.0, 1, 0.1, 0.1, -0.5, 0.5, 0, 0.3]) + 0.2 * rng.normal(size=40)
+        for one in columns
+    ]
     groups = rng.permutation(8).reshape(4, 2)
 
     def cost(kept):
@@ -120,11 +149,16 @@ def test_what_letting_go_costs_is_what_it_costs():
             total += ((columns[other][:, kept] @ found - values[other]) ** 2).sum()
         return total
 
-    left, limit = list(range(4)), 12.0
+    left = list(range(4))
+    limit = 12.0
     while left:
-        costs = [cost(groups[[g for g in left if g != k]].ravel()) - cost(groups[left].ravel()) for k in left]
+        costs = [
+            cost(groups[[g for g in left if g != k]].ravel()) - cost(groups[left].ravel())
+            for k in left
+        ]
         if min(costs) >= limit:
             break
         left.pop(int(np.argmin(costs)))
-    grams, pulls = [one.T @ one for one in columns], [one.T @ y for one, y in zip(columns, values, strict=True)]
+    grams = [one.T @ one for one in columns]
+    pulls = [one.T @ y for one, y in zip(columns, values, strict=True)]
     assert kept_groups(grams, pulls, 0.1, groups, limit).tolist() == left and 0 < len(left) < 4

@@ -1,4 +1,6 @@
-"""Penalties on pose blend shapes: each lowers data term and penalty together, and keeps what it promises."""
+"""Penalties on pose blend shapes: each lowers data term and penalty together, and keeps what it
+promises.
+"""
 
 from dataclasses import dataclass
 
@@ -8,12 +10,16 @@ import pytest
 from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
 from habitus.learn.terms import costs
 
-V, F, N = 10, 12, 40
+V = 10
+F = 12
+N = 40
 
 
 @dataclass
 class Data:
-    """Residuals y_n - A_n P f_n, A_n one 3x3 matrix a vertex; features f of unlike sizes, some of them alike."""
+    """Residuals y_n - A_n P f_n, A_n one 3x3 matrix a vertex; features f of unlike sizes, some of
+    them alike.
+    """
 
     blends: np.ndarray
     features: np.ndarray
@@ -31,7 +37,9 @@ class Data:
         return (self.residual(table) ** 2).sum()
 
     def descent(self, table):
-        return np.einsum("nvab,nva,nf->vbf", self.blends, self.residual(table), self.features).reshape(3 * V, F)
+        return np.einsum(
+            "nvab,nva,nf->vbf", self.blends, self.residual(table), self.features
+        ).reshape(3 * V, F)
 
     def curvature(self, along):
         bent = np.einsum("nvab,vbn->nva", self.blends, (along @ self.features.T).reshape(V, 3, N))
@@ -46,7 +54,9 @@ class Data:
 def data(seed=0, shortest=1.0):
     """Rotations where ``shortest`` is 1, else blends that shorten down to that."""
     rng = np.random.default_rng(seed)
-    blends = np.linalg.qr(rng.normal(size=(N, V, 3, 3)))[0] * rng.uniform(shortest, 1.0, (N, V, 1, 3))
+    blends = np.linalg.qr(rng.normal(size=(N, V, 3, 3)))[0] * rng.uniform(
+        shortest, 1.0, (N, V, 1, 3)
+    )
     features = rng.normal(size=(N, F)) * np.geomspace(0.1, 2.0, F)
     features[:, 1] += features[:, 0]
     return Data(blends, features, 0.05 * rng.normal(size=(N, V, 3)))
@@ -83,12 +93,19 @@ every = pytest.mark.parametrize("penalty", ALL, ids=lambda p: f"{type(p).__name_
 
 
 def test_the_test_data_are_consistent():
-    given, rng = data(1, 0.3), np.random.default_rng(2)
+    given = data(1, 0.3)
+    rng = np.random.default_rng(2)
     table, along = rng.normal(size=(2, 3 * V, F))
     step = 1e-4
-    ahead, behind, here = given.energy(table + step * along), given.energy(table - step * along), given.energy(table)
-    assert (ahead - behind) / (2 * step) == pytest.approx(-2 * (given.descent(table) * along).sum(), rel=1e-8)
-    assert (ahead + behind - 2 * here) / step**2 == pytest.approx(2 * (given.curvature(along) * along).sum(), rel=1e-4)
+    ahead = given.energy(table + step * along)
+    behind = given.energy(table - step * along)
+    here = given.energy(table)
+    assert (ahead - behind) / (2 * step) == pytest.approx(
+        -2 * (given.descent(table) * along).sum(), rel=1e-8
+    )
+    assert (ahead + behind - 2 * here) / step**2 == pytest.approx(
+        2 * (given.curvature(along) * along).sum(), rel=1e-4
+    )
     assert (given.curvature(along) * along).sum() <= (along @ given.gram * along).sum()
 
 
@@ -96,7 +113,8 @@ def test_the_test_data_are_consistent():
 @pytest.mark.parametrize("shortest", [1.0, 0.2])
 def test_energy_never_rises(penalty, shortest):
     for seed in range(3):
-        given, table = data(seed, shortest), np.zeros((3 * V, F))
+        given = data(seed, shortest)
+        table = np.zeros((3 * V, F))
         before = total(penalty, given, table)
         for _ in range(6):
             table = solve(penalty, given, table)
@@ -124,21 +142,27 @@ def test_full_is_ridge_regression_at_once_where_blends_are_rotations(weight):
 def test_full_becomes_ridge_regression_where_blends_shorten(shortest):
     given = data(5, shortest)
     wanted = ridge(given, 0.7)
-    assert np.abs(solve(Full(0.7), given, np.zeros((3 * V, F)), 12) - wanted).max() < 1e-6 * np.abs(wanted).max()
+    assert (
+        np.abs(solve(Full(0.7), given, np.zeros((3 * V, F)), 12) - wanted).max()
+        < 1e-6 * np.abs(wanted).max()
+    )
 
 
 @pytest.mark.parametrize("shortest, times", [(1.0, 1), (0.3, 12)])
 def test_sparse_is_ridge_regression_among_what_drives(shortest, times):
-    given, mask = data(6, shortest), driven()
+    given = data(6, shortest)
+    mask = driven()
     start = np.random.default_rng(7).normal(size=(3 * V, F))  # what may not drive is dropped
-    found, rows = solve(Sparse(0.7, mask), given, start, times), np.repeat(mask, 3, axis=0)
+    found = solve(Sparse(0.7, mask), given, start, times)
+    rows = np.repeat(mask, 3, axis=0)
     assert not found[~rows].any() and (found[rows] != 0).all()
     wanted = ridge(given, 0.7, rows.ravel())
     assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
 
 def test_sparse_where_everything_drives_is_full():
-    given, start = data(7, 0.4), np.zeros((3 * V, F))
+    given = data(7, 0.4)
+    start = np.zeros((3 * V, F))
     sparse = solve(Sparse(0.7, np.ones((V, F), bool)), given, start)
     assert np.abs(sparse - solve(Full(0.7), given, start)).max() < 1e-12
 
@@ -152,7 +176,9 @@ def test_low_rank_has_its_rank_and_is_the_best_of_it_where_blends_are_rotations(
     root = np.linalg.cholesky(given.gram + 0.7 * np.eye(F))
     stretched = np.linalg.svd(ridge(given, 0.7) @ root, compute_uv=False)
     whole = total(Full(0.7), given, ridge(given, 0.7))
-    best = whole + (stretched[rank:] ** 2).sum()  # Eckart, Young: what the other directions would have gained
+    best = (
+        whole + (stretched[rank:] ** 2).sum()
+    )  # Eckart, Young: what the other directions would have gained
     assert total(LowRank(0.7, rank), given, found) == pytest.approx(best, rel=1e-10)
 
 
@@ -168,24 +194,30 @@ def test_l1_meets_the_conditions_of_a_minimum(weight, shortest):
     """At numbers other than zero the slope is the weight, at zero it is no larger."""
     given = data(10, shortest)
     found = solve(SparseL1(weight), given, np.zeros((3 * V, F)), 150)
-    slope, zero = 2 * given.descent(found), found == 0
+    slope = 2 * given.descent(found)
+    zero = found == 0
     assert 0.05 < zero.mean() < 0.98
     assert np.abs(slope - weight * np.sign(found))[~zero].max() < 1e-4 * weight
     assert np.abs(slope[zero]).max() <= weight * (1 + 1e-4)
 
 
 def test_more_l1_leaves_fewer_numbers():
-    given, start = data(11), np.zeros((3 * V, F))
-    counts = [(solve(SparseL1(weight), given, start, 20) != 0).sum() for weight in (0.0, 0.05, 0.5, 1e3)]
+    given = data(11)
+    start = np.zeros((3 * V, F))
+    counts = [
+        (solve(SparseL1(weight), given, start, 20) != 0).sum() for weight in (0.0, 0.05, 0.5, 1e3)
+    ]
     assert counts[0] == 3 * V * F and counts[0] > counts[1] > counts[2] > counts[3] == 0
 
 
 @pytest.mark.parametrize("penalty", ALL[:5], ids=lambda p: f"{type(p).__name__}-{p.weight}")
 def test_targets_twice_as_far_give_tables_twice_as_large(penalty):
     given = data(12, 0.5)
-    doubled, start = Data(given.blends, given.features, 2 * given.targets), np.zeros((3 * V, F))
+    doubled = Data(given.blends, given.features, 2 * given.targets)
+    start = np.zeros((3 * V, F))
     stronger = SparseL1(2 * penalty.weight) if isinstance(penalty, SparseL1) else penalty
-    one, two = solve(penalty, given, start, 3), solve(stronger, doubled, start, 3)
+    one = solve(penalty, given, start, 3)
+    two = solve(stronger, doubled, start, 3)
     assert np.abs(two - 2 * one).max() < 1e-10 * np.abs(one).max() and np.abs(one).max() > 1e-3
 
 

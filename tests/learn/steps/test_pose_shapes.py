@@ -1,4 +1,6 @@
-"""Pose blend shapes of a training problem: derivatives are the energy's, solutions those of dense normal equations."""
+"""Pose blend shapes of a training problem: derivatives are the energy's, solutions those of dense
+normal equations.
+"""
 
 from dataclasses import dataclass, field, replace
 
@@ -47,9 +49,12 @@ def data_term(problem, estimate, table):
 
 
 def normal_equations(problem, estimate):
-    """Dense, vertex by vertex: sum of (A (x) f)'(A (x) f) and of (A (x) f)' y, as (V, 3 F, 3 F) and (V, 3 F)."""
+    """Dense, vertex by vertex: sum of (A (x) f)'(A (x) f) and of (A (x) f)' y, as (V, 3 F, 3 F) and
+    (V, 3 F).
+    """
     count = estimate.rig.posedirs.shape[-1]
-    matrix, right = np.zeros((V, 3 * count, 3 * count)), np.zeros((V, 3 * count))
+    matrix = np.zeros((V, 3 * count, 3 * count))
+    right = np.zeros((V, 3 * count))
     bare = replace(estimate.rig, posedirs=np.zeros((V, 3, count)))
     for row, who in enumerate(problem.registrations.subject_index):
         person = estimate.person(int(who))
@@ -68,30 +73,42 @@ def ridge(problem, estimate, weight, mask=None):
     out = np.zeros_like(right)
     for v in range(V):
         few = np.arange(right.shape[1]) if mask is None else np.flatnonzero(np.tile(mask[v], 3))
-        out[v, few] = np.linalg.solve(matrix[v][np.ix_(few, few)] + weight * np.eye(len(few)), right[v, few])
+        out[v, few] = np.linalg.solve(
+            matrix[v][np.ix_(few, few)] + weight * np.eye(len(few)), right[v, few]
+        )
     return out.reshape(V, 3, -1)
 
 
 def noisy(skinning, seed=0, **changes):
-    problem, truth = planted(small=SMALL, seed=seed, skinning=skinning, noise=0.01, each=10, **changes)
+    problem, truth = planted(
+        small=SMALL, seed=seed, skinning=skinning, noise=0.01, each=10, **changes
+    )
     return problem, disturbed(truth, seed, 0.3)
 
 
 @skinnings
-@pytest.mark.parametrize("features, shape_features", [("rotations", 0), ("angles", 1), ("polynomials", 2)])
+@pytest.mark.parametrize(
+    "features, shape_features", [("rotations", 0), ("angles", 1), ("polynomials", 2)]
+)
 def test_descent_and_curvature_are_the_data_terms(monkeypatch, skinning, features, shape_features):
     problem, estimate = noisy(skinning, pose_features=features, shape_features=shape_features)
     recorder = Recorder()
     monkeypatch.setattr(pose_shapes, "penalty", lambda problem, features: recorder)
     solve_pose_shapes(problem, estimate, ALONE)
-    given, rng = recorder.given, np.random.default_rng(1)
+    given = recorder.given
+    rng = np.random.default_rng(1)
     shape = given["start"].shape
     for _ in range(3):
-        table, along = 0.01 * rng.normal(size=shape), rng.normal(size=shape)
+        table = 0.01 * rng.normal(size=shape)
+        along = rng.normal(size=shape)
         here = data_term(problem, estimate, table)
-        ahead, behind = (data_term(problem, estimate, table + sign * 1e-2 * along) for sign in (1, -1))
+        ahead, behind = (
+            data_term(problem, estimate, table + sign * 1e-2 * along) for sign in (1, -1)
+        )
         bent = (given["curvature"](along) * along).sum()
-        assert (ahead - behind) / 2e-2 == pytest.approx(-2 * (given["descent"](table) * along).sum(), rel=1e-7)
+        assert (ahead - behind) / 2e-2 == pytest.approx(
+            -2 * (given["descent"](table) * along).sum(), rel=1e-7
+        )
         assert (ahead + behind - 2 * here) / 1e-4 == pytest.approx(2 * bent, rel=1e-6)
         bound = ((along @ given["gram"]) * along).sum()
         assert bent <= bound * (1 + 1e-12)
@@ -103,7 +120,8 @@ def test_descent_and_curvature_are_the_data_terms(monkeypatch, skinning, feature
 def test_features_are_those_of_the_rig(features):
     problem, estimate = noisy("lbs", pose_features=features, shape_features=2)
     table = np.random.default_rng(2).normal(size=(V, 3, estimate.rig.posedirs.shape[-1]))
-    rows, rig = extended_features(problem, estimate), replace(estimate.rig, posedirs=table)
+    rows = extended_features(problem, estimate)
+    rig = replace(estimate.rig, posedirs=table)
     for k, who in enumerate(problem.registrations.subject_index):
         alone = rig.posedirs_for(estimate.descriptors[who]) @ pose_feature(rig, estimate.pose[k])
         assert np.abs(table @ rows[k] - alone).max() < 1e-12
@@ -115,7 +133,10 @@ def test_full_is_ridge_regression_at_once_with_dual_quaternions(weight, shape_fe
     changes = {"weights": EnergyWeights(pose_shapes=weight), "shape_features": shape_features}
     problem, estimate = noisy("dqbs", **changes)
     wanted = ridge(problem, estimate, weight)
-    assert np.abs(solve_pose_shapes(problem, estimate, ALONE) - wanted).max() < 1e-9 * np.abs(wanted).max()
+    assert (
+        np.abs(solve_pose_shapes(problem, estimate, ALONE) - wanted).max()
+        < 1e-9 * np.abs(wanted).max()
+    )
 
 
 def test_full_becomes_ridge_regression_with_linear_skinning():
@@ -134,7 +155,8 @@ def test_sparse_blend_shapes_hear_only_joints_that_move_a_vertex(skinning, shape
     problem, estimate = noisy(skinning, **changes)
     for _ in range(4):
         estimate = with_table(estimate, solve_pose_shapes(problem, estimate, ALONE))
-    found, joints = estimate.rig.posedirs, problem.initial_weights[:, 1:] > 0
+    found = estimate.rig.posedirs
+    joints = problem.initial_weights[:, 1:] > 0
     mask = np.concatenate([np.repeat(joints, 9, axis=1)] * (1 + shape_features), 1)
     blocks = found.reshape(V, 3, 1 + shape_features, joints.shape[1], 9)
     assert not np.moveaxis(blocks, 3, 1)[~joints].any() and joints.any() and not joints.all()
@@ -156,7 +178,12 @@ def test_planted_blend_shapes_are_found():
 @skinnings
 @pytest.mark.parametrize("kind", ["full", "sparse", "low_rank", "l1"])
 def test_energy_never_rises(skinning, kind):
-    changes = {"pose_shapes": kind, "rank": 4, "l1": 0.02, "weights": EnergyWeights(pose_shapes=0.5)}
+    changes = {
+        "pose_shapes": kind,
+        "rank": 4,
+        "l1": 0.02,
+        "weights": EnergyWeights(pose_shapes=0.5),
+    }
     problem, estimate = noisy(skinning, shape_features=1, **changes)
     before = measure_energy(problem, estimate, ALONE).total
     for _ in range(3):
@@ -181,6 +208,9 @@ def test_the_penalty_is_the_one_asked_for():
     found = penalty(problem, truth.rig.posedirs.shape[-1])
     assert isinstance(found, Sparse) and found.weight == 3.0
     table = np.ones((2, 5)) * [1.0, -2.0, 0.0, 0.5, 1.0]
-    energies = [costs({"": each.term}, {"posedirs": table})[""] for each in (Full(3.0), LowRank(3.0, 7), found)]
+    energies = [
+        costs({"": each.term}, {"posedirs": table})[""]
+        for each in (Full(3.0), LowRank(3.0, 7), found)
+    ]
     assert energies == [3 * 2 * 6.25] * 3
     assert costs({"": SparseL1(0.2).term}, {"posedirs": table})[""] == pytest.approx(0.2 * 2 * 4.5)

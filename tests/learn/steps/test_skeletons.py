@@ -1,4 +1,6 @@
-"""All of one subject at once: the eliminated step is the whole system's, and joints are found where turns crawl."""
+"""All of one subject at once: the eliminated step is the whole system's, and joints are found where
+turns crawl.
+"""
 
 from dataclasses import replace
 
@@ -33,12 +35,16 @@ mirrors = pytest.mark.parametrize("mirror", [True, False])
 
 
 def refined(problem, rig, sample, subject, targets, ring, steps):
-    return refine(problem, rig, sample, subject, [SampledTarget(target) for target in targets], ring, steps)
+    return refine(
+        problem, rig, sample, subject, [SampledTarget(target) for target in targets], ring, steps
+    )
 
 
 def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shape_features=0):
     """A problem of one subject, its sample, a disturbed subject, targets, and the ring's joints."""
-    options = TrainOptions(skinning=skinning, weights=WEIGHTS, pose_features=features, shape_features=shape_features)
+    options = TrainOptions(
+        skinning=skinning, weights=WEIGHTS, pose_features=features, shape_features=shape_features
+    )
     problem, truth = planted(options, small=SMALL, seed=seed, subjects=1, each=5, noise=noise)
     if not mirror:
         problem = replace(problem, anatomy=replace(problem.anatomy, mirror=None, joint_mirror=None))
@@ -50,18 +56,27 @@ def one_subject(skinning, mirror, seed=0, noise=0.01, features="rotations", shap
         person.joints + 0.01 * rng.normal(size=person.joints.shape),
         person.descriptor,
     )
-    subject = SampledSubject(off, truth.pose + 0.1 * rng.normal(size=truth.pose.shape), truth.trans + 0.01)
+    subject = SampledSubject(
+        off, truth.pose + 0.1 * rng.normal(size=truth.pose.shape), truth.trans + 0.01
+    )
     targets = problem.registrations.vertices[:, sample.vertices]
     ring = person.joints + 0.02 * rng.normal(size=person.joints.shape)
     return problem, subset_rig(truth.rig, sample.vertices), sample, subject, targets, ring
 
 
 def residuals(problem, rig, sample, subject, targets, ring):
-    """Everything that is squared and summed, and its derivative: rest vertices, joints, then poses with places."""
-    person, count, joints = subject.person, len(sample.vertices), subject.person.joints.size
-    frames, columns = len(targets), joints + 3
-    width, root = 3 * count + joints + frames * columns, np.sqrt(np.repeat(sample.count, 3))
-    rows, slopes = [], []
+    """Everything that is squared and summed, and its derivative: rest vertices, joints, then poses
+    with places.
+    """
+    person = subject.person
+    count = len(sample.vertices)
+    joints = subject.person.joints.size
+    frames = len(targets)
+    columns = joints + 3
+    width = 3 * count + joints + frames * columns
+    root = np.sqrt(np.repeat(sample.count, 3))
+    rows = []
+    slopes = []
     for k in range(frames):
         moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, subject.pose[k])
         slope = np.zeros((count, 3, width))
@@ -73,8 +88,10 @@ def residuals(problem, rig, sample, subject, targets, ring):
         slope[:, :, first + joints : first + columns] = np.eye(3)
         rows.append(root * (moved + subject.trans[k] - targets[k]).ravel())
         slopes.append(root[:, None] * slope.reshape(3 * count, width))
-    unit, weights = np.eye(width), problem.options.weights
-    rest, bones = unit[: 3 * count].reshape(count, 3, width), unit[3 * count : 3 * count + joints]
+    unit = np.eye(width)
+    weights = problem.options.weights
+    rest = unit[: 3 * count].reshape(count, 3, width)
+    bones = unit[3 * count : 3 * count + joints]
     bones = bones.reshape(-1, 3, width)
     held = [(weights.joints, person.joints - ring, bones)]
     if problem.anatomy.mirror is not None:
@@ -93,27 +110,35 @@ def residuals(problem, rig, sample, subject, targets, ring):
 
 def energy(problem, rig, sample, subject, targets, ring):
     """The same, without derivatives."""
-    person, weights = subject.person, problem.options.weights
+    person = subject.person
+    weights = problem.options.weights
     total = weights.joints * ((person.joints - ring) ** 2).sum()
     for pose, trans, target in zip(subject.pose, subject.trans, targets, strict=True):
         total += sample.count @ ((surface(rig, person, pose) + trans - target) ** 2).sum(1)
     if problem.anatomy.mirror is not None:
         total += weights.symmetry * (
             sample.count @ ((person.template - person.template[sample.partner] * FLIP) ** 2).sum(1)
-            + weights.joint_symmetry * ((person.joints - person.joints[JOINT_MIRROR] * FLIP) ** 2).sum()
+            + weights.joint_symmetry
+            * ((person.joints - person.joints[JOINT_MIRROR] * FLIP) ** 2).sum()
         )
     return total
 
 
 def whole_step(damping, *parts):
-    """The step of the dense system, damped as said: poses first, then what is left once they are eliminated."""
+    """The step of the dense system, damped as said: poses first, then what is left once they are
+    eliminated.
+    """
     row, slope = residuals(*parts)
-    matrix, pull = slope.T @ slope, -slope.T @ row
-    sample, subject = parts[2], parts[3]
+    matrix = slope.T @ slope
+    pull = -slope.T @ row
+    sample = parts[2]
+    subject = parts[3]
     shared = 3 * len(sample.vertices) + subject.person.joints.size
     own = slice(shared, None)
     matrix[own, own] += np.diag(damping * matrix[own, own].diagonal() + 1e-12)
-    left = matrix[:shared, :shared] - matrix[:shared, own] @ np.linalg.solve(matrix[own, own], matrix[own, :shared])
+    left = matrix[:shared, :shared] - matrix[:shared, own] @ np.linalg.solve(
+        matrix[own, own], matrix[own, :shared]
+    )
     matrix[:shared, :shared] += np.diag(damping * np.abs(left.diagonal()) + 1e-9)
     return np.linalg.solve(matrix, pull)
 
@@ -123,17 +148,23 @@ def whole_step(damping, *parts):
 @pytest.mark.parametrize("shape_features", [0, 1])
 def test_a_step_is_that_of_the_whole_system(skinning, mirror, shape_features):
     parts = one_subject(skinning, mirror, shape_features=shape_features)
-    subject, step = parts[3], whole_step(FIRST_DAMPING, *parts)
+    subject = parts[3]
+    step = whole_step(FIRST_DAMPING, *parts)
     moved = refined(*parts, 1)
     assert energy(*parts) == pytest.approx((residuals(*parts)[0] ** 2).sum(), rel=1e-12)
     assert energy(*parts[:3], moved, *parts[4:]) < energy(*parts)
-    rest, joints = subject.person.template.size, subject.person.joints.size
+    rest = subject.person.template.size
+    joints = subject.person.joints.size
     found = np.concatenate(
         [
             (moved.person.template - subject.person.template).ravel(),
             (moved.person.joints - subject.person.joints).ravel(),
             np.concatenate(
-                [(moved.pose - subject.pose).reshape(len(subject.pose), -1), moved.trans - subject.trans], 1
+                [
+                    (moved.pose - subject.pose).reshape(len(subject.pose), -1),
+                    moved.trans - subject.trans,
+                ],
+                1,
             ).ravel(),
         ]
     )
@@ -170,34 +201,50 @@ def test_joints_are_found_where_taking_turns_crawls(skinning):
     weights = EnergyWeights(symmetry=1.0, joint_symmetry=1.0, joints=1e-6)
     options = TrainOptions(skinning=skinning, pose_shapes="none", weights=weights)
     problem, truth = planted(options, small=SMALL, subjects=1, each=7)
-    person, off = truth.person(0), 0.03 * np.random.default_rng(3).normal(size=(len(PARENTS), 3))
+    person = truth.person(0)
+    off = 0.03 * np.random.default_rng(3).normal(size=(len(PARENTS), 3))
     off = (off + off[JOINT_MIRROR] * FLIP) / 2
     ring = person.joints + off
     targets = problem.registrations.vertices
-    everything = Sample(np.arange(len(SMALL.vertices)), np.ones(len(SMALL.vertices)), problem.anatomy.mirror)
-    rig, start = truth.rig, RestPerson(person.template, ring, person.descriptor)
-    fits = [fit_pose(rig, start, t, p, max_iterations=8) for t, p in zip(targets, truth.pose, strict=True)]
+    everything = Sample(
+        np.arange(len(SMALL.vertices)), np.ones(len(SMALL.vertices)), problem.anatomy.mirror
+    )
+    rig = truth.rig
+    start = RestPerson(person.template, ring, person.descriptor)
+    fits = [
+        fit_pose(rig, start, t, p, max_iterations=8)
+        for t, p in zip(targets, truth.pose, strict=True)
+    ]
 
     def missed(joints, turns, places):
-        """How far the posed joints are off (m), but for the root's, which the place makes up for."""
+        """How far the posed joints are off (m), but for the root's, which the place makes up
+        for.
+        """
         apart = [
             skeleton(PARENTS, mine).positions(joints)
             + place
             - skeleton(PARENTS, theirs).positions(person.joints)
             - other
-            for mine, place, theirs, other in zip(turns, places, truth.pose, truth.trans, strict=True)
+            for mine, place, theirs, other in zip(
+                turns, places, truth.pose, truth.trans, strict=True
+            )
         ]
         return np.linalg.norm(np.array(apart)[:, 1:], axis=-1).mean()
 
-    subject = SampledSubject(start, np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits]))
+    subject = SampledSubject(
+        start, np.stack([fit.pose for fit in fits]), np.stack([fit.trans for fit in fits])
+    )
     begun = missed(ring, subject.pose, subject.trans)
     together = refined(problem, rig, everything, subject, targets, ring, 7)
-    in_turns, turns = start, fits
+    in_turns = start
+    turns = fits
     for _ in range(5):
         posed = [PosedTarget(t, fit.pose, fit.trans) for t, fit in zip(targets, turns, strict=True)]
         found = solve_subject(rig, person.descriptor, posed, problem.anatomy, weights)
         in_turns = RestPerson(*found, person.descriptor)
-        turns = [fit_pose(rig, in_turns, t, fit.pose) for t, fit in zip(targets, turns, strict=True)]
+        turns = [
+            fit_pose(rig, in_turns, t, fit.pose) for t, fit in zip(targets, turns, strict=True)
+        ]
     crawled = missed(in_turns.joints, [fit.pose for fit in turns], [fit.trans for fit in turns])
     assert missed(together.person.joints, together.pose, together.trans) < 1e-6
     assert begun > 0.03 and crawled > 0.01
@@ -233,10 +280,14 @@ def test_small_parts_are_taken_whole():
 
 @skinnings
 def test_some_rows_of_a_rig_pose_as_all_of_them(skinning):
-    rig, rows = small_rig(SMALL, 1, skinning, shape_features=1), np.array([5, 2, 30])
+    rig = small_rig(SMALL, 1, skinning, shape_features=1)
+    rows = np.array([5, 2, 30])
     (person,), (pose,) = people(SMALL, 1, shape_features=1), poses(1)
     few = RestPerson(person.template[rows], person.joints, person.descriptor)
-    assert np.abs(surface(subset_rig(rig, rows), few, pose) - surface(rig, person, pose)[rows]).max() < 1e-14
+    assert (
+        np.abs(surface(subset_rig(rig, rows), few, pose) - surface(rig, person, pose)[rows]).max()
+        < 1e-14
+    )
 
 
 def test_what_all_poses_turn_alike_is_turned_back():
@@ -244,10 +295,13 @@ def test_what_all_poses_turn_alike_is_turned_back():
     before = 0.8 * rng.normal(size=(7, len(PARENTS), 3))
     turns = matrix_from_rotvec(torch.from_numpy(0.5 * rng.normal(size=(len(PARENTS), 3)))).numpy()
     world = np.stack([skeleton(PARENTS, pose).world for pose in before]) @ turns
-    above = np.stack([np.eye(3)[None].repeat(7, 0), *(world[:, parent] for parent in PARENTS[1:])], 1)
+    above = np.stack(
+        [np.eye(3)[None].repeat(7, 0), *(world[:, parent] for parent in PARENTS[1:])], 1
+    )
     after = rotvec_from_matrix(torch.from_numpy(above.transpose(0, 1, 3, 2) @ world)).numpy()
     back = remove_mean_rotation(PARENTS, before, after)
     same = [
-        np.abs(skeleton(PARENTS, a).world - skeleton(PARENTS, b).world).max() for a, b in zip(before, back, strict=True)
+        np.abs(skeleton(PARENTS, a).world - skeleton(PARENTS, b).world).max()
+        for a, b in zip(before, back, strict=True)
     ]
     assert np.abs(after - before).max() > 0.3 and max(same) < 1e-9

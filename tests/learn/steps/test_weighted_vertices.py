@@ -1,4 +1,6 @@
-"""Vertices that count less, and holes: every term of training hears the weights, and nothing in a hole is heard."""
+"""Vertices that count less, and holes: every term of training hears the weights, and nothing in a
+hole is heard.
+"""
 
 from dataclasses import replace
 
@@ -15,23 +17,33 @@ from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.surface import surface
 from habitus.learn.start.first_estimate import edge_pose
 from habitus.learn.steps.alternation import STEPS
-from habitus.learn.steps.poses import VertexDistance, edge_distance, fit_pose, pose_terms, surface_jacobians
+from habitus.learn.steps.poses import (
+    VertexDistance,
+    edge_distance,
+    fit_pose,
+    pose_terms,
+    surface_jacobians,
+)
 from habitus.learn.steps.subjects import solve_subject
 from habitus.learn.steps.weights import gather_quadratics, vertex_costs
 from habitus.learn.terms import costs, energy_terms, unknowns
 from habitus.parallel.workers import Threads
 
-SMALL, ALONE = small_body(pairs=6, middle=1), Threads(1)
+SMALL = small_body(pairs=6, middle=1)
+ALONE = Threads(1)
 V = len(SMALL.vertices)
 EDGES = edge_distance(SMALL.faces, V)
 skinnings = pytest.mark.parametrize("skinning", list(SKINNING))
 
 
 def with_holes(registrations, seed=0, fill=np.nan):
-    """A quarter of each registration's vertices unseen, and one everywhere; the others count by chance."""
+    """A quarter of each registration's vertices unseen, and one everywhere; the others count by
+    chance.
+    """
     rng = np.random.default_rng([seed, 77])
     shape = registrations.vertices.shape[:2]
-    holes, weights = rng.random(shape) < 0.25, rng.uniform(0.2, 1.0, shape)
+    holes = rng.random(shape) < 0.25
+    weights = rng.uniform(0.2, 1.0, shape)
     holes[:, 3] = True
     return replace(
         registrations,
@@ -41,15 +53,23 @@ def with_holes(registrations, seed=0, fill=np.nan):
 
 
 def some(fill=np.nan, **changes):
-    options = {"rank": 5, "l1": 0.01, "weights": EnergyWeights(joints=5.0, pose_shapes=0.5)} | changes
+    options = {
+        "rank": 5,
+        "l1": 0.01,
+        "weights": EnergyWeights(joints=5.0, pose_shapes=0.5),
+    } | changes
     problem, truth = planted(small=SMALL, each=5, noise=0.003, **options)
-    return replace(problem, registrations=with_holes(problem.registrations, fill=fill)), disturbed(truth)
+    return replace(problem, registrations=with_holes(problem.registrations, fill=fill)), disturbed(
+        truth
+    )
 
 
 @skinnings
 @pytest.mark.parametrize("kind", POSE_SHAPES)
 def test_no_step_raises_the_energy_and_none_hears_what_is_in_a_hole(skinning, kind):
-    (problem, estimate), (other, _) = (some(fill, skinning=skinning, pose_shapes=kind) for fill in (np.nan, 7.0))
+    (problem, estimate), (other, _) = (
+        some(fill, skinning=skinning, pose_shapes=kind) for fill in (np.nan, 7.0)
+    )
     first = before = measure_energy(problem, estimate, ALONE).total
     start = estimate
     for name, step in STEPS.items():
@@ -58,19 +78,27 @@ def test_no_step_raises_the_energy_and_none_hears_what_is_in_a_hole(skinning, ki
         after = measure_energy(problem, estimate, ALONE)
         assert after.total <= before * (1 + 1e-9), name
         for key, value in unknowns(estimate).items():
-            assert np.isfinite(value).all() and np.allclose(value, unknowns(told)[key], atol=1e-12), (name, key)
+            assert np.isfinite(value).all() and np.allclose(
+                value, unknowns(told)[key], atol=1e-12
+            ), (name, key)
         before = after.total
     estimate, energy = over_relax(problem, start, estimate, after, ALONE)
     assert energy.total <= before and before < 0.3 * first
-    assert energy.total == pytest.approx(sum(costs(energy_terms(problem, estimate), unknowns(estimate)).values()))
+    assert energy.total == pytest.approx(
+        sum(costs(energy_terms(problem, estimate), unknowns(estimate)).values())
+    )
 
 
 @skinnings
 def test_a_registration_counts_as_much_as_two_of_which_each_counts_in_part(skinning):
     rig, (person,) = small_rig(SMALL, 1, skinning), people(SMALL, 1, 1)
     rng = np.random.default_rng(4)
-    places, turns = rng.normal(size=(5, 3)), poses(5, 1)
-    seen = [surface(rig, person, p) + t + 0.01 * rng.normal(size=(V, 3)) for p, t in zip(turns, places, strict=True)]
+    places = rng.normal(size=(5, 3))
+    turns = poses(5, 1)
+    seen = [
+        surface(rig, person, p) + t + 0.01 * rng.normal(size=(V, 3))
+        for p, t in zip(turns, places, strict=True)
+    ]
     whole = [PosedTarget(*each) for each in zip(seen, turns, places, strict=True)]
     parts = rng.uniform(0, 1, (5, V))
     split = [replace(t, weight=w) for t, p in zip(whole, parts, strict=True) for w in (p, 1 - p)]
@@ -81,7 +109,10 @@ def test_a_registration_counts_as_much_as_two_of_which_each_counts_in_part(skinn
             for t in (whole, split)
         )
         assert all(np.allclose(a, b, atol=1e-9) for a, b in zip(one, two, strict=True))
-    one, two = (gather_quadratics(rig, problem.candidates, [(person, t) for t in each]) for each in (whole, split))
+    one, two = (
+        gather_quadratics(rig, problem.candidates, [(person, t) for t in each])
+        for each in (whole, split)
+    )
     assert np.allclose(one.matrix, two.matrix) and np.allclose(one.vector, two.vector)
     one, two = (vertex_costs([rig], [(person, t) for t in each]) for each in (whole, split))
     assert np.allclose(one, two)
@@ -92,13 +123,19 @@ def test_poses_are_fitted_to_what_is_seen(distance):
     """The normal equations are the term's, and noise where weights are zero changes nothing."""
     rng = np.random.default_rng(1)
     rig, (person,) = small_rig(SMALL, 1), people(SMALL, 1, 1)
-    pose, place = poses(1, 4, 0.6)[0], np.array([0.3, -0.2, 0.1])
+    pose = poses(1, 4, 0.6)[0]
+    place = np.array([0.3, -0.2, 0.1])
     weight = np.where(rng.random(V) < 0.2, 0.0, rng.uniform(0.1, 1, V))
     target = surface(rig, person, pose) + place
     spoilt = np.where(weight[:, None] > 0, target, rng.normal(size=(V, 3)))
-    by = VertexDistance(weight) if isinstance(distance, VertexDistance) else distance.weighted(weight)
+    by = (
+        VertexDistance(weight)
+        if isinstance(distance, VertexDistance)
+        else distance.weighted(weight)
+    )
     outcome = pose_terms(rig, person, target, by)[by.name]({"pose": pose + 0.05})
-    jacobian, residual = outcome.jacobians()["pose"], np.asarray(outcome.value)
+    jacobian = outcome.jacobians()["pose"]
+    residual = np.asarray(outcome.value)
     moved = surface(rig, person, pose + 0.05) - target
     assert by.energy(moved) == pytest.approx(residual @ residual, rel=1e-6)
     shift = by.energy(moved + rng.normal(size=3))
@@ -108,7 +145,11 @@ def test_poses_are_fitted_to_what_is_seen(distance):
     assert np.allclose(gradient, jacobian.T @ residual, atol=1e-6)
     assert np.allclose(matrix, jacobian.T @ jacobian, rtol=1e-6, atol=1e-6)
     fit = fit_pose(rig, person, spoilt, pose + 0.05, distance=by, max_iterations=30)
-    assert fit.energy < 1e-8 and np.abs(fit.trans - place).max() < 1e-5 and np.abs(fit.pose - pose).max() < 1e-4
+    assert (
+        fit.energy < 1e-8
+        and np.abs(fit.trans - place).max() < 1e-5
+        and np.abs(fit.pose - pose).max() < 1e-4
+    )
     if by.name == "edges":
         assert edge_pose(rig, person, SMALL.part, spoilt, weight, EDGES).energy < 1e-6
 

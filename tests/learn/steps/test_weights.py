@@ -1,4 +1,6 @@
-"""Skinning weights: of all sparse convex weights the best, and with dual quaternions never worse (S 4.1)."""
+"""Skinning weights: of all sparse convex weights the best, and with dual quaternions never worse (S
+4.1).
+"""
 
 from dataclasses import replace
 from itertools import combinations
@@ -32,16 +34,22 @@ skinnings = pytest.mark.parametrize("skinning", list(SKINNING))
 
 
 def random_quadratics(seed, vertices=30, count=6):
-    """Of points that each candidate would take a vertex to: three equations a frame, as in training."""
+    """Of points that each candidate would take a vertex to: three equations a frame, as in
+    training.
+    """
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(vertices, count, 12))
-    left = (rng.dirichlet(np.ones(count), vertices)[:, :, None] * rows).sum(1) + rng.normal(size=(vertices, 12))
+    left = (rng.dirichlet(np.ones(count), vertices)[:, :, None] * rows).sum(1) + rng.normal(
+        size=(vertices, 12)
+    )
     return Quadratics(rows @ rows.transpose(0, 2, 1), (rows @ left[..., None])[..., 0])
 
 
 def value(quadratics, weights, initial, hold):
     bent = (quadratics.matrix @ weights[..., None])[..., 0]
-    return ((bent - 2 * quadratics.vector) * weights).sum(1) + hold * ((weights - initial) ** 2).sum(1)
+    return ((bent - 2 * quadratics.vector) * weights).sum(1) + hold * (
+        (weights - initial) ** 2
+    ).sum(1)
 
 
 def dense(index, values, joints):
@@ -59,12 +67,20 @@ def cloud_of_weights(rng, vertices, joints):
 
 @pytest.mark.parametrize("hold", [0.0, 0.7])
 def test_with_room_for_all_the_best_weights_meet_the_conditions_of_a_minimum(hold):
-    """Karush, Kuhn and Tucker: among weights above zero slopes are equal, and none below is smaller."""
-    quadratics, rng = random_quadratics(1), np.random.default_rng(2)
-    initial, candidates = cloud_of_weights(rng, 30, 6), np.tile(np.arange(6), (30, 1))
+    """Karush, Kuhn and Tucker: among weights above zero slopes are equal, and none below is
+    smaller.
+    """
+    quadratics = random_quadratics(1)
+    rng = np.random.default_rng(2)
+    initial = cloud_of_weights(rng, 30, 6)
+    candidates = np.tile(np.arange(6), (30, 1))
     found = dense(*minimize_quadratics(quadratics, candidates, initial, hold, 6), 6)
     assert found.min() >= 0 and np.abs(found.sum(1) - 1).max() < 1e-12
-    slope = (quadratics.matrix @ found[..., None])[..., 0] - quadratics.vector + hold * (found - initial)
+    slope = (
+        (quadratics.matrix @ found[..., None])[..., 0]
+        - quadratics.vector
+        + hold * (found - initial)
+    )
     level = (slope * found).sum(1, keepdims=True)
     assert np.abs((slope - level)[found > 0]).max() < 1e-9 and (slope - level).min() > -1e-9
     assert (found == 0).any()
@@ -72,14 +88,20 @@ def test_with_room_for_all_the_best_weights_meet_the_conditions_of_a_minimum(hol
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_best_few_are_the_best_of_all_choices(count):
-    quadratics, rng = random_quadratics(3, vertices=6, count=5), np.random.default_rng(4)
-    initial, candidates = cloud_of_weights(rng, 6, 5), np.tile(np.arange(5), (6, 1))
+    quadratics = random_quadratics(3, vertices=6, count=5)
+    rng = np.random.default_rng(4)
+    initial = cloud_of_weights(rng, 6, 5)
+    candidates = np.tile(np.arange(5), (6, 1))
     found = dense(*minimize_quadratics(quadratics, candidates, initial, 0.3, count), 5)
     assert ((found > 0).sum(1) <= count).all()
     for v in range(6):
         alone = Quadratics(quadratics.matrix[[v]], quadratics.vector[[v]])
-        choices = [brute_force(alone, initial[[v]], list(few)) for few in combinations(range(5), count)]
-        assert value(alone, found[[v]], initial[[v]], 0.3)[0] == pytest.approx(min(choices), abs=1e-6)
+        choices = [
+            brute_force(alone, initial[[v]], list(few)) for few in combinations(range(5), count)
+        ]
+        assert value(alone, found[[v]], initial[[v]], 0.3)[0] == pytest.approx(
+            min(choices), abs=1e-6
+        )
 
 
 def brute_force(quadratics, initial, few):
@@ -90,29 +112,42 @@ def brute_force(quadratics, initial, few):
         weights[0, few] = x
         return value(quadratics, weights, initial, 0.3)[0]
 
-    limit, start = {"type": "eq", "fun": lambda x: x.sum() - 1}, np.full(len(few), 1 / len(few))
-    return minimize(energy, start, bounds=[(0, 1)] * len(few), constraints=limit, options={"ftol": 1e-12}).fun
+    limit = {"type": "eq", "fun": lambda x: x.sum() - 1}
+    start = np.full(len(few), 1 / len(few))
+    return minimize(
+        energy, start, bounds=[(0, 1)] * len(few), constraints=limit, options={"ftol": 1e-12}
+    ).fun
 
 
 def test_no_other_sparse_weights_are_better():
-    quadratics, rng = random_quadratics(5, count=8), np.random.default_rng(6)
-    initial, candidates = cloud_of_weights(rng, 30, 8), np.tile(np.arange(8), (30, 1))
+    quadratics = random_quadratics(5, count=8)
+    rng = np.random.default_rng(6)
+    initial = cloud_of_weights(rng, 30, 8)
+    candidates = np.tile(np.arange(8), (30, 1))
     found = dense(*minimize_quadratics(quadratics, candidates, initial, 0.1, 4), 8)
     least = value(quadratics, found, initial, 0.1)
     for _ in range(500):
         other = np.zeros((30, 8))
-        np.put_along_axis(other, rng.permuted(candidates, axis=1)[:, :4], rng.dirichlet(np.ones(4), 30), 1)
+        np.put_along_axis(
+            other, rng.permuted(candidates, axis=1)[:, :4], rng.dirichlet(np.ones(4), 30), 1
+        )
         assert (value(quadratics, other, initial, 0.1) >= least - 1e-9).all()
 
 
 def test_only_allowed_joints_get_weight():
-    quadratics, rng = random_quadratics(7), np.random.default_rng(8)
-    candidates, initial = rng.permuted(np.tile(np.arange(9), (30, 1)), axis=1)[:, :6], cloud_of_weights(rng, 30, 9)
+    quadratics = random_quadratics(7)
+    rng = np.random.default_rng(8)
+    candidates = rng.permuted(np.tile(np.arange(9), (30, 1)), axis=1)[:, :6]
+    initial = cloud_of_weights(rng, 30, 9)
     allowed = (rng.random((30, 9)) < 0.4).astype(float)
     allowed[np.arange(30), candidates[:, 3]] = 0.2
     index, values = minimize_quadratics(quadratics, candidates, initial, 0.5, 4, allowed)
     found = dense(index, values, 9)
-    assert not found[allowed == 0].any() and np.abs(found.sum(1) - 1).max() < 1e-12 and found.min() >= 0
+    assert (
+        not found[allowed == 0].any()
+        and np.abs(found.sum(1) - 1).max() < 1e-12
+        and found.min() >= 0
+    )
     assert (np.diff(values, axis=1) <= 0).all()  # strongest first
     outside = np.ones((30, 9), bool)
     np.put_along_axis(outside, candidates, False, 1)
@@ -120,7 +155,8 @@ def test_only_allowed_joints_get_weight():
 
 
 def test_a_strong_hold_leaves_weights_where_they_are():
-    initial, candidates = SMALL.weights, candidate_joints(PARENTS, SMALL.weights)
+    initial = SMALL.weights
+    candidates = candidate_joints(PARENTS, SMALL.weights)
     quadratics = random_quadratics(9, V, J)
     found = dense(*minimize_quadratics(quadratics, candidates, initial, 1e9, 4), J)
     assert np.abs(found - initial).max() < 1e-6
@@ -131,10 +167,13 @@ def test_joints_alike_do_not_matter():
     quadratics = random_quadratics(10)
     twice = np.array([0, 1, 2, 3, 4, 5, 0])
     doubled = Quadratics(quadratics.matrix[:, twice][:, :, twice], quadratics.vector[:, twice])
-    candidates, initial = np.tile(np.arange(7), (30, 1)), np.zeros((30, 7))
+    candidates = np.tile(np.arange(7), (30, 1))
+    initial = np.zeros((30, 7))
     found = dense(*minimize_quadratics(doubled, candidates, initial, 0.0, 4), 7)
     least = dense(*minimize_quadratics(quadratics, candidates[:, :6], initial[:, :6], 0.0, 4), 6)
-    assert value(doubled, found, initial, 0) == pytest.approx(value(quadratics, least, initial[:, :6], 0), abs=1e-9)
+    assert value(doubled, found, initial, 0) == pytest.approx(
+        value(quadratics, least, initial[:, :6], 0), abs=1e-9
+    )
 
 
 def test_candidates_are_the_initial_joints_then_their_kin():
@@ -152,9 +191,14 @@ def test_candidates_are_the_initial_joints_then_their_kin():
 
 
 def test_quadratics_are_the_data_term_of_linear_skinning():
-    rig, rng = small_rig(SMALL, 1, shape_features=1), np.random.default_rng(11)
-    persons, some = people(SMALL, 2, 1, 1), poses(6, 1)
-    targets = [PosedTarget(surface(rig, persons[k % 2], p) + 0.1, p, np.full(3, 0.09)) for k, p in enumerate(some)]
+    rig = small_rig(SMALL, 1, shape_features=1)
+    rng = np.random.default_rng(11)
+    persons = people(SMALL, 2, 1, 1)
+    some = poses(6, 1)
+    targets = [
+        PosedTarget(surface(rig, persons[k % 2], p) + 0.1, p, np.full(3, 0.09))
+        for k, p in enumerate(some)
+    ]
     items = [(persons[k % 2], target) for k, target in enumerate(targets)]
     quadratics = gather_quadratics(rig, ALL, iter(items))
     constant = sum(((t.vertices - t.trans) ** 2).sum(1) for t in targets)
@@ -166,17 +210,24 @@ def test_quadratics_are_the_data_term_of_linear_skinning():
 
 
 def test_dual_quaternions_are_linearised_exactly():
-    """Slope and curvature of the quadratics are those of the surface's derivatives by the weights."""
-    rig, rng = small_rig(SMALL, 2, "dqbs"), np.random.default_rng(12)
+    """Slope and curvature of the quadratics are those of the surface's derivatives by the
+    weights.
+    """
+    rig = small_rig(SMALL, 2, "dqbs")
+    rng = np.random.default_rng(12)
     (person,), (pose,) = people(SMALL, 1), poses(1, 2, largest=2.5)
-    target = PosedTarget(surface(rig, person, pose) + 0.05 * rng.normal(size=(V, 3)), pose, np.zeros(3))
+    target = PosedTarget(
+        surface(rig, person, pose) + 0.05 * rng.normal(size=(V, 3)), pose, np.zeros(3)
+    )
     quadratics = gather_quadratics(rig, ALL, [(person, target)])
-    wide, step = replace(rig, index=ALL, value=rig.weights), 1e-6
+    wide = replace(rig, index=ALL, value=rig.weights)
+    step = 1e-6
     assert np.abs(surface(wide, person, pose) - surface(rig, person, pose)).max() < 1e-14
     rows = np.empty((V, J, 3))
     for j in range(J):
         ahead, behind = (
-            surface(replace(wide, value=wide.value + sign * step * np.eye(J)[j]), person, pose) for sign in (1, -1)
+            surface(replace(wide, value=wide.value + sign * step * np.eye(J)[j]), person, pose)
+            for sign in (1, -1)
         )
         rows[:, j] = (ahead - behind) / (2 * step)
     left = target.vertices - surface(rig, person, pose)
@@ -198,7 +249,9 @@ def test_linear_weights_are_found_at_once():
 @pytest.mark.parametrize("hold", [0.0, 1e-4])
 def test_dual_quaternion_weights_are_found(hold):
     """Also where nothing holds them: they do not hear the weights' scale, which the sum settles."""
-    problem, truth = planted(subjects=2, each=8, skinning="dqbs", weights=EnergyWeights(skinning=hold))
+    problem, truth = planted(
+        subjects=2, each=8, skinning="dqbs", weights=EnergyWeights(skinning=hold)
+    )
     problem = replace(problem, candidates=ALL)
     rng = np.random.default_rng(13)
     off = np.where(SMALL.weights > 0, SMALL.weights + 0.2 * rng.random((V, J)), 0.0)
@@ -225,7 +278,11 @@ def test_no_vertex_gets_worse(skinning, hold):
                 row += hold * ((rig.weights - problem.initial_weights) ** 2).sum(1)
             assert (energies[1] <= energies[0] * (1 + 1e-9) + 1e-12).all()
             found = after.rig.weights
-            assert found.min() >= 0 and np.abs(found.sum(1) - 1).max() < 1e-9 and ((found > 0).sum(1) <= 4).all()
+            assert (
+                found.min() >= 0
+                and np.abs(found.sum(1) - 1).max() < 1e-9
+                and ((found > 0).sum(1) <= 4).all()
+            )
             before = after
 
 
@@ -233,10 +290,15 @@ def test_no_vertex_gets_worse(skinning, hold):
 
 
 def test_halfway_lies_between_and_chosen_takes_from_each():
-    one, rng = small_rig(SMALL, count=3), np.random.default_rng(14)
+    one = small_rig(SMALL, count=3)
+    rng = np.random.default_rng(14)
     shuffled = rng.permuted(np.arange(3)[None].repeat(V, 0), axis=1)
-    other = replace(one, index=np.take_along_axis(one.index, shuffled, 1), value=rng.dirichlet(np.ones(3), V))
-    assert np.abs(midpoint_rig(one, other).weights - (one.weights + other.weights) / 2).max() < 1e-15
+    other = replace(
+        one, index=np.take_along_axis(one.index, shuffled, 1), value=rng.dirichlet(np.ones(3), V)
+    )
+    assert (
+        np.abs(midpoint_rig(one, other).weights - (one.weights + other.weights) / 2).max() < 1e-15
+    )
     best = rng.integers(0, 2, V)
     mixed = select_rigs([one, other], best).weights
     assert np.array_equal(mixed, np.where(best[:, None] == 0, one.weights, other.weights))
@@ -246,4 +308,6 @@ def test_vertex_energies_are_squared_distances():
     rig, (person,), (pose,) = small_rig(SMALL, 1), people(SMALL, 1), poses(1)
     away = np.random.default_rng(15).normal(size=(V, 3))
     target = PosedTarget(surface(rig, person, pose) + away + 2.0, pose, np.full(3, 2.0))
-    assert vertex_costs([rig], [(person, target)] * 2)[0] == pytest.approx(2 * (away**2).sum(1), rel=1e-10)
+    assert vertex_costs([rig], [(person, target)] * 2)[0] == pytest.approx(
+        2 * (away**2).sum(1), rel=1e-10
+    )

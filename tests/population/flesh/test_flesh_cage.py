@@ -36,7 +36,9 @@ def test_embedded_points_follow_linear_motion(cage, points):
 
 
 def test_smooth_embedding_is_exact_for_quadratic_motion_inside(cage, points):
-    """Where a node's neighbourhood is symmetric its mean gradient is exact, and so is what the nodes add up to."""
+    """Where a node's neighbourhood is symmetric its mean gradient is exact, and so is what the
+    nodes add up to.
+    """
     inner = points[((points > 0.11) & (points < [0.49, 0.19, 0.19])).all(1)]
     assert len(inner) > 3
 
@@ -54,7 +56,9 @@ def test_numbers_spread_harmonically(cage, points):
     spread = cage.spread(embedding, points @ np.array([[1.0], [2.0], [-1.0]]) + 3, 1e6)
     np.testing.assert_allclose(embedding(spread)[:, 0], points @ [1.0, 2.0, -1.0] + 3, atol=1e-4)
     inner = ((cage.nodes > 0.05) & (cage.nodes < [0.55, 0.25, 0.25])).all(1)
-    np.testing.assert_allclose(spread[inner, 0], cage.nodes[inner] @ [1.0, 2.0, -1.0] + 3, atol=0.02)
+    np.testing.assert_allclose(
+        spread[inner, 0], cage.nodes[inner] @ [1.0, 2.0, -1.0] + 3, atol=0.02
+    )
 
 
 def test_cage_follows_another_skin(cage):
@@ -69,7 +73,9 @@ def test_elastic_warp_takes_over_where_the_harmonic_one_inverts(cage):
     """A dent deeper than the tetrahedra under it."""
     used = np.unique(surface(cage))
     skin = cage.nodes[used].copy()
-    top = (skin[:, 1] > 0.29) & (np.abs(skin[:, 0] - 0.3) < 0.05) & (np.abs(skin[:, 2] - 0.15) < 0.1)
+    top = (
+        (skin[:, 1] > 0.29) & (np.abs(skin[:, 0] - 0.3) < 0.05) & (np.abs(skin[:, 2] - 0.15) < 0.1)
+    )
     skin[top, 1] -= 0.16
     embedding, _ = cage.embed(cage.nodes[used])
     harmonic = cage.nodes + cage.spread(embedding, skin - cage.nodes[used], 20.0)

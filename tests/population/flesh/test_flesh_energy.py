@@ -6,7 +6,8 @@ from habitus.population.flesh.elastic_kernels import energy_density, rotations_o
 
 CORNERS = np.arange(4)[None]
 ALL = np.arange(16, dtype=np.int32)[None]
-MU, LAM = np.array([1.3]), np.array([40.0])
+MU = np.array([1.3])
+LAM = np.array([40.0])
 
 
 @pytest.fixture(scope="module")
@@ -21,24 +22,30 @@ def element(rest):
 
 def derivatives(nodes, rest):
     inverse, volume = element(rest)
-    gradient, blocks = np.zeros((4, 3)), np.zeros((16, 3, 3))
+    gradient = np.zeros((4, 3))
+    blocks = np.zeros((16, 3, 3))
     add_elastic(nodes, CORNERS, inverse, volume, MU, LAM, ALL, gradient, blocks)
     return gradient, blocks.reshape(4, 4, 3, 3).swapaxes(1, 2).reshape(12, 12)
 
 
 def slopes(function, point, step):
     moves = step * np.eye(point.size).reshape(-1, *point.shape)
-    return np.array([(function(point + move) - function(point - move)) / (2 * step) for move in moves])
+    return np.array(
+        [(function(point + move) - function(point - move)) / (2 * step) for move in moves]
+    )
 
 
 @pytest.mark.parametrize(
-    "singular", [(1.2, 0.9, 0.4), (1.0, 1.0, 1.0), (2.0, 1.0, 0.0), (1.5, 0.7, -0.3), (1.0, 0.0, 0.0)]
+    "singular",
+    [(1.2, 0.9, 0.4), (1.0, 1.0, 1.0), (2.0, 1.0, 0.0), (1.5, 0.7, -0.3), (1.0, 0.0, 0.0)],
 )
 def test_singular_values_are_of_rotations(singular):
     q, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
     p, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
     f = (q * np.linalg.det(q)) @ np.diag(singular) @ (p * np.linalg.det(p)).T
-    u, v, sigma = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    u = np.empty((3, 3))
+    v = np.empty((3, 3))
+    sigma = np.empty(3)
     rotations_of(f, u, sigma, v, np.empty((3, 3)))
     np.testing.assert_allclose(u @ np.diag(sigma) @ v.T, f, atol=1e-8)
     for turn in (u, v):
@@ -50,14 +57,18 @@ def test_singular_values_are_of_rotations(singular):
 def test_forces_are_the_slope_of_the_energy(rest, strength):
     nodes = rest + strength * np.random.default_rng(3).normal(size=(4, 3))
     inverse, volume = element(rest)
-    wanted = slopes(lambda x: total_energy(x, CORNERS, inverse, volume, MU, LAM), nodes, 1e-6).reshape(4, 3)
+    wanted = slopes(
+        lambda x: total_energy(x, CORNERS, inverse, volume, MU, LAM), nodes, 1e-6
+    ).reshape(4, 3)
     gradient, _ = derivatives(nodes, rest)
     np.testing.assert_allclose(gradient, wanted, atol=1e-7 * np.abs(wanted).max() + 1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_matrix_is_the_second_derivative_without_negative_modes(rest, seed):
-    """Against the eigenvalues of a 9 x 9 matrix by differences; seeds with J from below 0 to over 10 are among them."""
+    """Against the eigenvalues of a 9 x 9 matrix by differences; seeds with J from below 0 to over
+    10 are among them.
+    """
     nodes = rest + (0.1, 0.5, 0.8, 1.0)[seed] * np.random.default_rng(seed).normal(size=(4, 3))
     inverse, volume = element(rest)
     f = (nodes[1:] - nodes[0]).T @ inverse[0]

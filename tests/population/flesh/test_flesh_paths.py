@@ -26,10 +26,12 @@ def test_flesh_at_rest_stays(hinge):
 
 
 def test_bent_bar_keeps_its_volume_where_skinning_loses_it(hinge):
-    flesh, pose = hinge.flesh, bent(90)
+    flesh = hinge.flesh
+    pose = bent(90)
     [stop] = walk(flesh, hinge, [pose], Walk())
     skinned = carried(hinge, flesh, flesh.cage.nodes, bent(0), pose)
-    flat, full = volumes(flesh, skinned) @ flesh.volume, volumes(flesh, stop.nodes) @ flesh.volume
+    flat = volumes(flesh, skinned) @ flesh.volume
+    full = volumes(flesh, stop.nodes) @ flesh.volume
     assert flat / flesh.volume.sum() < 0.97
     assert full / flesh.volume.sum() == pytest.approx(1, abs=0.01)
     assert volumes(flesh, stop.nodes).min() > 0
@@ -51,9 +53,11 @@ def gaps(flesh, nodes, **rule):
 
 
 def test_contact_is_found_where_parts_meet_and_pushes_them_apart(hinge):
-    flesh, pose = hinge.flesh, bent(150)
+    flesh = hinge.flesh
+    pose = bent(150)
     assert len(gaps(flesh, flesh.cage.nodes)) == 0
-    worst, kept = [], []
+    worst = []
+    kept = []
     for stiffness in (0.0, 1.5):
         way = Walk(most=8, solver=Solver(contact=ContactRule(stiffness=stiffness)))
         [stop] = walk(flesh, hinge, [pose], way)
@@ -64,13 +68,19 @@ def test_contact_is_found_where_parts_meet_and_pushes_them_apart(hinge):
 
 
 def test_inertia_keeps_a_free_flight_going(hinge):
-    """Without bones' pull flesh moves on as it did; with damping towards the carried place it lags."""
+    """Without bones' pull flesh moves on as it did; with damping towards the carried place it
+    lags.
+    """
     flesh = hinge.flesh
     nodes = flesh.cage.nodes
     drift = nodes + np.array([0, 1e-3, 0])
     weight = flesh.mass * 1e9
-    on, _ = newton_step(flesh, nodes, hinge.goal(bent(0)), Solver(), Inertia(drift, weight, nodes, 0.0))
-    held, _ = newton_step(flesh, nodes, hinge.goal(bent(0)), Solver(), Inertia(drift, weight, nodes, 1e9))
+    on, _ = newton_step(
+        flesh, nodes, hinge.goal(bent(0)), Solver(), Inertia(drift, weight, nodes, 0.0)
+    )
+    held, _ = newton_step(
+        flesh, nodes, hinge.goal(bent(0)), Solver(), Inertia(drift, weight, nodes, 1e9)
+    )
     middle = np.argsort(np.abs(nodes[: flesh.free, 0] - 0.3))[:10]
     assert (on - nodes)[middle, 1].mean() == pytest.approx(1e-3, rel=0.05)
     assert (held - nodes)[middle, 1].mean() < 5e-4

@@ -32,11 +32,14 @@ def random(seed: int, *shape: int) -> torch.Tensor:
 
 
 class World:
-    """A scene whose every number is in `numbers`, a random direction for each, and its images as functions of them."""
+    """A scene whose every number is in `numbers`, a random direction for each, and its images as
+    functions of them.
+    """
 
     def __init__(self, name: str, mode: str, channels: int = 3, light_channels: int | None = None):
         found, vertices, self.triangles = scene(name)
-        self.mode, self.camera = mode, found.replace(distortion=torch.tensor(LENS, dtype=torch.float64))
+        self.mode = mode
+        self.camera = found.replace(distortion=torch.tensor(LENS, dtype=torch.float64))
         self.background = random(1, HEIGHT, WIDTH, max(channels, light_channels or 1))
         self.numbers = {
             "vertices": vertices,
@@ -45,7 +48,10 @@ class World:
             "uv": 0.5 + 0.4 * random(3, len(vertices), 2),
             "picture": random(4, 12, 9, channels),
         }
-        self.steps = {name: random(5 + k, *value.shape) for k, (name, value) in enumerate(self.numbers.items())}
+        self.steps = {
+            name: random(5 + k, *value.shape)
+            for k, (name, value) in enumerate(self.numbers.items())
+        }
         self.frame = self.draw(**self.numbers)
 
     def draw(self, vertices, **numbers):
@@ -59,7 +65,9 @@ class World:
 
     def textured(self, values=None, uv_faces=None, mipmaps=True, **numbers):
         texture = Texture.of(numbers["picture"], mipmaps)
-        return self.draw(**numbers).textured(texture, numbers["uv"], uv_faces, values, self.background)
+        return self.draw(**numbers).textured(
+            texture, numbers["uv"], uv_faces, values, self.background
+        )
 
     def changed(self, function, *names: str) -> torch.Tensor:
         """The change of an image, flat, as the numbers of these names move along their steps."""
@@ -88,7 +96,9 @@ def flat(tensor: torch.Tensor) -> np.ndarray:
 
 
 def close(mine, expected, error: float = 1e-9):
-    mine, expected = (np.asarray(x.detach() if isinstance(x, torch.Tensor) else x) for x in (mine, expected))
+    mine, expected = (
+        np.asarray(x.detach() if isinstance(x, torch.Tensor) else x) for x in (mine, expected)
+    )
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(mine, expected, rtol=0, atol=error * np.abs(expected).max())
 
@@ -129,7 +139,10 @@ def test_depth_and_silhouettes(name, mode, behind):
     world = World(name, mode)
     behind = 5 + world.background[..., 0] if behind == "image" else behind
     depth = depth_jacobian(world.frame, behind)
-    close(world.geometry(depth), world.changed(lambda **all: world.draw(**all).depth(behind), *GEOMETRY))
+    close(
+        world.geometry(depth),
+        world.changed(lambda **all: world.draw(**all).depth(behind), *GEOMETRY),
+    )
     if mode != "none":
         mine = world.geometry(silhouette_jacobian(world.frame))
         close(mine, world.changed(lambda **all: world.draw(**all).silhouette(), *GEOMETRY))
@@ -142,7 +155,10 @@ def test_depth_and_silhouettes(name, mode, behind):
 def test_textures(name, mode, own_faces, lit, mipmaps):
     world = World(name, mode)
     count = len(world.numbers["vertices"])
-    kept = {"mipmaps": mipmaps, "uv_faces": (world.triangles.faces * 7 + 3) % count if own_faces else None}
+    kept = {
+        "mipmaps": mipmaps,
+        "uv_faces": (world.triangles.faces * 7 + 3) % count if own_faces else None,
+    }
     names = [*GEOMETRY, "uv", "picture", *(["values"] if lit else [])]
 
     def image(values=None, **numbers):
@@ -158,10 +174,13 @@ def test_one_channel_of_light_or_texture_serves_all(channels, light_channels):
 
 
 def check_texture(world, image, names, mipmaps, uv_faces, lit):
-    numbers, steps = world.numbers, world.steps
+    numbers = world.numbers
+    steps = world.steps
     texture = Texture.of(numbers["picture"], mipmaps)
     values = numbers["values"] if lit else None
-    jacobian = textured_jacobian(world.frame, texture, numbers["uv"], uv_faces, values, world.background)
+    jacobian = textured_jacobian(
+        world.frame, texture, numbers["uv"], uv_faces, values, world.background
+    )
     close(world.geometry(jacobian), world.changed(image, *GEOMETRY))
     close(jacobian.uv @ flat(steps["uv"]), world.changed(image, "uv"))
     texel_tangent = mipmap_matrix(texture) @ steps["picture"].flatten(0, 1).numpy()
@@ -184,13 +203,23 @@ def test_mipmaps_are_a_matrix(size):
 def test_transposed_it_is_reverse_differentiation(name, mode):
     world = World(name, mode)
     leaves = {
-        name: value.clone().requires_grad_() for name, value in world.numbers.items() if name not in ("uv", "picture")
+        name: value.clone().requires_grad_()
+        for name, value in world.numbers.items()
+        if name not in ("uv", "picture")
     }
     frame = world.draw(**leaves)
-    jacobian = image_jacobian(frame, leaves["values"], world.background)  # from a frame that is in the graph
+    jacobian = image_jacobian(
+        frame, leaves["values"], world.background
+    )  # from a frame that is in the graph
     cotangent = random(9, HEIGHT, WIDTH, 3)
     image = frame.image(leaves["values"], world.background)
-    expected = dict(zip(leaves, torch.autograd.grad((image * cotangent).sum(), list(leaves.values())), strict=True))
+    expected = dict(
+        zip(
+            leaves,
+            torch.autograd.grad((image * cotangent).sum(), list(leaves.values())),
+            strict=True,
+        )
+    )
     view = world.looking(**leaves), leaves["vertices"]
     close(jacobian.to_vertices(*view).T @ flat(cotangent), flat(expected["vertices"]))
     close(jacobian.values.T @ cotangent.flatten(0, 1).numpy(), expected["values"])
@@ -201,8 +230,10 @@ def test_transposed_it_is_reverse_differentiation(name, mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_row_knows_only_what_its_pixel_shows(mode):
     world = World("soup", mode)
-    jacobian, visibility = image_jacobian(world.frame, world.numbers["values"]), world.frame.visibility
-    faces, shown = world.triangles.faces.numpy(), [set() for _ in range(WIDTH * HEIGHT)]
+    jacobian = image_jacobian(world.frame, world.numbers["values"])
+    visibility = world.frame.visibility
+    faces = world.triangles.faces.numpy()
+    shown = [set() for _ in range(WIDTH * HEIGHT)]
     for pixel, face in zip(visibility.pixels.tolist(), visibility.faces.tolist(), strict=False):
         shown[pixel].update(faces[face].tolist())
     fragments = visibility.fragments
@@ -211,7 +242,8 @@ def test_a_row_knows_only_what_its_pixel_shows(mode):
             for pixel, face in zip(fragments.pixel.tolist(), sides.tolist(), strict=True):
                 shown[pixel].update(faces[face].tolist() if face >= 0 else [])
     assert {len(some) for some in shown} >= {0, 3}
-    screen, to_vertices = jacobian.screen, jacobian.to_vertices(world.camera, world.numbers["vertices"])
+    screen = jacobian.screen
+    to_vertices = jacobian.to_vertices(world.camera, world.numbers["vertices"])
     for matrix, rows, width in ((screen, 3, 3), (to_vertices, 3, 3), (jacobian.values, 1, 1)):
         for row, (begin, end) in enumerate(zip(matrix.indptr[:-1], matrix.indptr[1:], strict=True)):
             assert set((matrix.indices[begin:end] // width).tolist()) <= shown[row // rows]
@@ -228,7 +260,8 @@ def posed(pose: torch.Tensor, vertices: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("kind", [np.asarray, sparse.csr_array])
 def test_chains_to_parameters_of_ones_own(name, mode, kind):
     world = World(name, mode)
-    rest, pose = world.numbers["vertices"], 0.05 * random(8, 5)
+    rest = world.numbers["vertices"]
+    pose = 0.05 * random(8, 5)
     vertices = posed(pose, rest)
     frame = draw(world.camera, vertices, world.triangles, mode)
 
@@ -243,18 +276,27 @@ def test_chains_to_parameters_of_ones_own(name, mode, kind):
     by_values = jacobian.chain_values(kind(value_derivatives))
     by_vertices = jacobian.chain(world.camera, vertices, kind(derivatives.flatten(0, 1).numpy()))
     assert sparse.issparse(by_values) == sparse.issparse(by_vertices) == (kind is sparse.csr_array)
-    close((by_vertices + by_values).toarray() if kind is sparse.csr_array else by_vertices + by_values, expected)
+    close(
+        (by_vertices + by_values).toarray()
+        if kind is sparse.csr_array
+        else by_vertices + by_values,
+        expected,
+    )
     if kind is np.asarray:
         close(jacobian.chain(world.camera, vertices, derivatives), by_vertices)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_one_step_of_gauss_newton_is_that_of_autodiff(mode):
-    shape, view = cube(), camera()
-    triangles, values = Triangles.of(shape.faces, shape.vertices), random(3, 24, 3)
+    shape = cube()
+    view = camera()
+    triangles = Triangles.of(shape.faces, shape.vertices)
+    values = random(3, 24, 3)
     names = ["rotation", "translation"]
     start = torch.cat([view.rotation, view.translation])
-    observed = draw(view.replace(translation=view.translation + 0.02), shape.vertices, triangles).image(values)
+    observed = draw(
+        view.replace(translation=view.translation + 0.02), shape.vertices, triangles
+    ).image(values)
 
     def residual(x):
         placed = view.replace(rotation=x[:3], translation=x[3:])
@@ -262,7 +304,8 @@ def test_one_step_of_gauss_newton_is_that_of_autodiff(mode):
 
     frame = draw(view, shape.vertices, triangles, mode)
     found = image_jacobian(frame, values).to_camera(view, shape.vertices, names)
-    mine, expected = np.hstack([found[name] for name in names]), torch.func.jacfwd(residual)(start).numpy()
+    mine = np.hstack([found[name] for name in names])
+    expected = torch.func.jacfwd(residual)(start).numpy()
     close(mine, expected)
     right = residual(start).numpy()
     steps = [np.linalg.solve(matrix.T @ matrix, -matrix.T @ right) for matrix in (mine, expected)]
@@ -271,15 +314,20 @@ def test_one_step_of_gauss_newton_is_that_of_autodiff(mode):
 
 @pytest.mark.parametrize("method", ["dogleg", "levenberg", "lbfgs"])
 def test_minimize_takes_them(method):
-    """A camera's translation and a ball's height, by explicit Jacobians; they end where autodiff does."""
-    ball, view = icosphere(2), camera()
-    triangles, values = Triangles.of(ball.faces, ball.vertices), ball.vertices * 0.5 + 0.5
+    """A camera's translation and a ball's height, by explicit Jacobians; they end where autodiff
+    does.
+    """
+    ball = icosphere(2)
+    view = camera()
+    triangles = Triangles.of(ball.faces, ball.vertices)
+    values = ball.vertices * 0.5 + 0.5
     upright = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     start = {"translation": view.translation, "taller": torch.zeros(1, dtype=torch.float64)}
     truth = {name: value + 0.05 for name, value in start.items()}
 
     def picture(translation, taller):
-        moved, vertices = view.replace(translation=translation), ball.vertices * (0.5 + taller * upright)
+        moved = view.replace(translation=translation)
+        vertices = ball.vertices * (0.5 + taller * upright)
         return moved, vertices, draw(moved, vertices, triangles)
 
     observed = picture(**truth)[2].image(values)
@@ -295,7 +343,10 @@ def test_minimize_takes_them(method):
             calls.append(translation)
             jacobian = image_jacobian(frame, values)
             by_camera = jacobian.to_camera(moved, vertices, ["translation"])
-            return {**by_camera, "taller": jacobian.chain(moved, vertices, (ball.vertices * upright)[..., None])}
+            return {
+                **by_camera,
+                "taller": jacobian.chain(moved, vertices, (ball.vertices * upright)[..., None]),
+            }
 
         return frame.image(values) - observed, derivatives
 
@@ -335,7 +386,9 @@ def test_where_nothing_shows_nothing_changes(mode, faces):
 
 def test_what_does_not_fit_is_said():
     world = World("torus", "antialias")
-    frame, vertices, values = world.frame, world.numbers["vertices"], world.numbers["values"]
+    frame = world.frame
+    vertices = world.numbers["vertices"]
+    values = world.numbers["values"]
     jacobian = image_jacobian(frame, values)
     for wrong in (
         lambda: image_jacobian(frame, values[1:]),
@@ -343,7 +396,9 @@ def test_what_does_not_fit_is_said():
         lambda: image_jacobian(frame, values, torch.tensor([torch.inf, 0.0, 0.0])),
         lambda: jacobian.to_vertices(world.camera, vertices[1:]),
         lambda: jacobian.to_vertices(world.camera, vertices + 0.1),
-        lambda: jacobian.to_camera(world.camera.replace(translation=torch.ones(3).double()), vertices),
+        lambda: jacobian.to_camera(
+            world.camera.replace(translation=torch.ones(3).double()), vertices
+        ),
         lambda: jacobian.to_camera(world.camera, vertices, ["zoom"]),
         lambda: jacobian.chain(world.camera, vertices, np.zeros((5, 2))),
         lambda: jacobian.chain_values(np.zeros(3 * len(vertices))),

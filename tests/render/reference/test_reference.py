@@ -1,4 +1,6 @@
-"""Laws of the rasteriser's reference: every point is some face's and no other's, and areas come out exactly."""
+"""Laws of the rasteriser's reference: every point is some face's and no other's, and areas come out
+exactly.
+"""
 
 import math
 
@@ -10,7 +12,14 @@ from habitus.mesh.shapes import cube, icosphere, torus
 from habitus.render.fragment_weights import fragment_weights
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.faces import drawn_faces
-from habitus.render.reference.images import barycentrics, compose, edge_fragments, interpolate, share_of_pixel, visible
+from habitus.render.reference.images import (
+    barycentrics,
+    compose,
+    edge_fragments,
+    interpolate,
+    share_of_pixel,
+    visible,
+)
 from habitus.render.reference.segments import shadow
 from habitus.render.triangles import Triangles, join
 from habitus.render.visibility import Visibility
@@ -28,7 +37,9 @@ def flat(points, depth=2.0) -> torch.Tensor:
 
 
 def on_screen(vertices, focal=40.0, centre=(16.0, 12.0), distance=4.0) -> torch.Tensor:
-    """Vertices (V, 3), y up, on the screen of a camera `distance` before the origin that looks at it."""
+    """Vertices (V, 3), y up, on the screen of a camera `distance` before the origin that looks at
+    it.
+    """
     x, y, z = vertices.unbind(-1)
     depth = distance - z
     return torch.stack([focal * x / depth + centre[0], -focal * y / depth + centre[1], depth], -1)
@@ -42,12 +53,15 @@ def turned(vertices, seed=0) -> torch.Tensor:
 
 
 def clipped(polygon: list, box: list) -> list:
-    """Sutherland and Hodgman: what of a polygon lies in a convex one that runs clockwise on the screen, v down."""
+    """Sutherland and Hodgman: what of a polygon lies in a convex one that runs clockwise on the
+    screen, v down.
+    """
     for (px, py), (qx, qy) in zip(box, box[1:] + box[:1], strict=True):
         sides = [(qx - px) * (y - py) - (qy - py) * (x - px) for x, y in polygon]
         result = []
         for k, (a, b) in enumerate(zip(polygon, polygon[1:] + polygon[:1], strict=True)):
-            s, t = sides[k], sides[(k + 1) % len(polygon)]
+            s = sides[k]
+            t = sides[(k + 1) % len(polygon)]
             if s >= 0:
                 result.append(a)
             if s * t < 0:
@@ -58,7 +72,15 @@ def clipped(polygon: list, box: list) -> list:
 
 
 def area(polygon: list) -> float:
-    return abs(sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True))) / 2
+    return (
+        abs(
+            sum(
+                a[0] * b[1] - a[1] * b[0]
+                for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True)
+            )
+        )
+        / 2
+    )
 
 
 def clockwise(points: torch.Tensor) -> list:
@@ -68,8 +90,14 @@ def clockwise(points: torch.Tensor) -> list:
 
 
 def pixel_areas(polygon: list, width: int, height: int) -> torch.Tensor:
-    boxes = ([(c, r), (c + 1, r), (c + 1, r + 1), (c, r + 1)] for r in range(height) for c in range(width))
-    return torch.tensor([area(clipped(polygon, box)) for box in boxes], dtype=torch.float64).reshape(height, width)
+    boxes = (
+        [(c, r), (c + 1, r), (c + 1, r + 1), (c, r + 1)]
+        for r in range(height)
+        for c in range(width)
+    )
+    return torch.tensor(
+        [area(clipped(polygon, box)) for box in boxes], dtype=torch.float64
+    ).reshape(height, width)
 
 
 def image(screen, triangles, colours, width, height, cull=False) -> torch.Tensor:
@@ -77,7 +105,9 @@ def image(screen, triangles, colours, width, height, cull=False) -> torch.Tensor
     ids = visible(screen, triangles, width, height, cull)
     visibility = Visibility(ids, edge_fragments(screen, triangles, ids, cull))
     weights = fragment_weights(screen, visibility.fragments)
-    return compose(colours[visibility.faces, None], colours[-1:, None], weights, visibility).reshape(height, width)
+    return compose(
+        colours[visibility.faces, None], colours[-1:, None], weights, visibility
+    ).reshape(height, width)
 
 
 def fragments_of(screen, triangles, width=32, height=24):
@@ -121,11 +151,18 @@ def test_coverage_is_exact_around_a_corner_at_a_centre(seed, size):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_shows_of_two_triangles_is_exact_but_where_edges_cross(seed):
     size = 12
-    points, depth = random(seed, 6, 2) * 12, torch.tensor([2.0, 2, 2, 3, 3, 3])
+    points = random(seed, 6, 2) * 12
+    depth = torch.tensor([2.0, 2, 2, 3, 3, 3])
     colours = torch.tensor([3.0, -1.0, 0.5], dtype=torch.float64)
-    near, far = clockwise(points[:3]), clockwise(points[3:])
-    both = pixel_areas(clipped(far, near), size, size) if clipped(far, near) else torch.zeros(size, size).double()
-    a, b = pixel_areas(near, size, size), pixel_areas(far, size, size) - both
+    near = clockwise(points[:3])
+    far = clockwise(points[3:])
+    both = (
+        pixel_areas(clipped(far, near), size, size)
+        if clipped(far, near)
+        else torch.zeros(size, size).double()
+    )
+    a = pixel_areas(near, size, size)
+    b = pixel_areas(far, size, size) - both
     exact = a * colours[0] + b * colours[1] + (1 - a - b) * colours[2]
     found = image(torch.cat([points, depth[:, None]], 1), TWO, colours, size, size)
     crossed = crossings(points[:3], points[3:], size)
@@ -146,28 +183,32 @@ def crossings(p, q, size) -> torch.Tensor:
 
 
 def test_a_part_hides_what_a_wedge_does():
-    """Against midpoints of a fine grid of points that are hidden behind the part, as seen from the centre."""
+    """Against midpoints of a fine grid of points that are hidden behind the part, as seen from the
+    centre.
+    """
     ends = random(5, 30, 2, 2) - 0.5
     side = torch.linspace(-0.5, 0.5, 301, dtype=torch.float64)[:-1] + 1 / 600
     q = torch.cartesian_prod(side, side)
     for (a, b), found in zip(ends, shadow(ends[:, 0], ends[:, 1]), strict=True):
         k = torch.linalg.solve(torch.stack([a, b], 1), q.T)
-        assert found == pytest.approx(float(((k >= 0).all(0) & (k.sum(0) > 1)).double().mean()), abs=4e-3)
+        assert found == pytest.approx(
+            float(((k >= 0).all(0) & (k.sum(0) > 1)).double().mean()), abs=4e-3
+        )
 
 
 def test_fragments_at_the_centre_are_finite_and_one_through_it_cuts_half():
-    zero, right, up = (
-        torch.zeros(1, 2).double(),
-        torch.tensor([[0.5, 0.0]]).double(),
-        torch.tensor([[0.0, -0.5]]).double(),
-    )
+    zero = torch.zeros(1, 2).double()
+    right = torch.tensor([[0.5, 0.0]]).double()
+    up = torch.tensor([[0.0, -0.5]]).double()
     assert shadow(-right, right).item() == shadow(up, -up).item() == 0.5
     assert shadow(zero, right).item() == 0.5 and shadow(-right, zero).item() == 0.0
     assert shadow(up, zero).item() == shadow(zero, -up).item() == 0.25
 
 
 def grid(seed: int, size: int, snap: bool) -> tuple[torch.Tensor, torch.Tensor]:
-    """A jittered grid of triangles with random diagonals and windings that covers the image of (size - 1) pixels."""
+    """A jittered grid of triangles with random diagonals and windings that covers the image of
+    (size - 1) pixels.
+    """
     line = torch.arange(size, dtype=torch.float64) * 2 - 1
     points = torch.cartesian_prod(line, line)
     jitter = (random(seed, *points.shape) - 0.5) * 0.9
@@ -187,7 +228,8 @@ def grid(seed: int, size: int, snap: bool) -> tuple[torch.Tensor, torch.Tensor]:
 def test_a_plane_mesh_has_no_holes_and_no_double_hits(seed, snap, monkeypatch):
     """Corners on pixel centres too (snap), and each face with its own copies of them."""
     points, faces = grid(seed, 12, snap)
-    screen, apart = flat(points[faces.flatten()]), torch.arange(faces.numel()).reshape(-1, 3)
+    screen = flat(points[faces.flatten()])
+    apart = torch.arange(faces.numel()).reshape(-1, 3)
     hits = torch.zeros(20, 20, dtype=torch.long)
     for face in apart:
         hits += visible(screen, Triangles.of(face[None], num_vertices=len(screen)), 20, 20) >= 0
@@ -210,8 +252,10 @@ def test_a_centre_on_an_edge_belongs_to_the_face_below_or_to_the_right():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_nearest_face_shows_and_windings_do_not_matter(seed):
-    points, depth = random(seed, 30, 2) * 20, 1 + random(seed + 50, 30, 1)
-    screen, faces = torch.cat([points, depth], 1), torch.arange(30).reshape(10, 3)
+    points = random(seed, 30, 2) * 20
+    depth = 1 + random(seed + 50, 30, 1)
+    screen = torch.cat([points, depth], 1)
+    faces = torch.arange(30).reshape(10, 3)
     ids = visible(screen, Triangles.of(faces), 20, 20)
     assert (ids == visible(screen, Triangles.of(faces.flip(1)), 20, 20)).all()
     row, column = (ids >= 0).nonzero().unbind(-1)
@@ -225,9 +269,16 @@ def test_the_nearest_face_shows_and_windings_do_not_matter(seed):
 def test_of_equally_near_faces_the_first_shows():
     square = flat([[0.2, 0.1], [7.7, 0.3], [7.9, 7.1], [0.3, 7.6]], 1 / 0.3)
     faces = torch.tensor([[1, 2, 3], [0, 1, 2], [0, 2, 3], [1, 2, 0], [3, 1, 0]])
-    for order in torch.stack([torch.randperm(5, generator=torch.Generator().manual_seed(k)) for k in range(10)]):
+    for order in torch.stack(
+        [torch.randperm(5, generator=torch.Generator().manual_seed(k)) for k in range(10)]
+    ):
         ids = visible(square, Triangles.of(faces[order]), 8, 8)
-        each = torch.stack([visible(square, Triangles.of(f[None], num_vertices=4), 8, 8) >= 0 for f in faces[order]])
+        each = torch.stack(
+            [
+                visible(square, Triangles.of(f[None], num_vertices=4), 8, 8) >= 0
+                for f in faces[order]
+            ]
+        )
         assert (ids == torch.where(each.any(0), each.byte().argmax(0), -1)).all()
 
 
@@ -235,16 +286,23 @@ def test_of_equally_near_faces_the_first_shows():
 def test_fronts_are_what_normals_say_and_culling_leaves_them(seed):
     shape = icosphere(1)
     vertices = turned(shape.vertices, seed)
-    screen, triangles = on_screen(vertices), Triangles.of(shape.faces)
+    screen = on_screen(vertices)
+    triangles = Triangles.of(shape.faces)
     a, b, c = vertices[shape.faces].unbind(1)
-    fronts = ((torch.linalg.cross(b - a, c - a) * (vertices.new_tensor([0, 0, 4]) - a)).sum(-1) > 0).nonzero()[:, 0]
+    fronts = (
+        (torch.linalg.cross(b - a, c - a) * (vertices.new_tensor([0, 0, 4]) - a)).sum(-1) > 0
+    ).nonzero()[:, 0]
     assert drawn_faces(screen, triangles, cull=True).face.equal(fronts)
     assert visible(screen, triangles, 32, 24, cull=True).equal(visible(screen, triangles, 32, 24))
     assert (
-        visible(screen, Triangles.of(shape.faces.flip(1)), 32, 24, cull=True) != visible(screen, triangles, 32, 24)
+        visible(screen, Triangles.of(shape.faces.flip(1)), 32, 24, cull=True)
+        != visible(screen, triangles, 32, 24)
     ).any()
     torch.testing.assert_close(
-        silhouette(screen, triangles, 32, 24, cull=True), silhouette(screen, triangles, 32, 24), rtol=0, atol=1e-12
+        silhouette(screen, triangles, 32, 24, cull=True),
+        silhouette(screen, triangles, 32, 24),
+        rtol=0,
+        atol=1e-12,
     )
 
 
@@ -264,22 +322,31 @@ def test_the_silhouette_of_a_convex_body_is_its_outline(seed):
 def test_fragments_show_as_far_as_nothing_hides_them(seed):
     """A wide triangle behind one with an upright edge: from there on, it shows."""
     edge = 2 + 4 * float(random(seed, 1))
-    screen = torch.cat([flat([[edge, -90], [edge, 90], [-90, 0]], 2.0), flat([[-50, 3.3], [50, 4.1], [0, 90]], 3.0)])
+    screen = torch.cat(
+        [
+            flat([[edge, -90], [edge, 90], [-90, 0]], 2.0),
+            flat([[-50, 3.3], [50, 4.1], [0, 90]], 3.0),
+        ]
+    )
     found = fragments_of(screen, TWO, 8, 8)
     upper = (found.face == 1) & (found.start < found.end)
     first = float((found.start[upper] * 100 - 50).min())
     assert first == pytest.approx(edge, abs=1e-4)
     assert (
-        len(fragments_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel) == (found.face == 0).sum() == 8
+        len(fragments_of(screen, Triangles.of([[0, 1, 2]], num_vertices=6), 8, 8).pixel)
+        == (found.face == 0).sum()
+        == 8
     )
     hidden = torch.cat([flat([[-90, -90], [90, -90], [0, 200]], 2.0), screen[3:]])
     assert len(fragments_of(hidden, TWO, 8, 8).pixel) == 0
 
 
 def test_seams_are_no_silhouettes():
-    soft, hard = cube(hard=False), cube(hard=True)
+    soft = cube(hard=False)
+    hard = cube(hard=True)
     for seed in range(4):
-        a, b = on_screen(turned(soft.vertices, seed)), on_screen(turned(hard.vertices, seed))
+        a = on_screen(turned(soft.vertices, seed))
+        b = on_screen(turned(hard.vertices, seed))
         closed = fragments_of(a, Triangles.of(soft.faces))
         seams = fragments_of(b, Triangles.of(hard.faces, positions=hard.vertices))
         assert not closed.seam.any() and 0 < seams.seam.sum() < len(seams.seam)
@@ -288,7 +355,10 @@ def test_seams_are_no_silhouettes():
         torch.testing.assert_close(closed.weight.sum(), seams.weight[~seams.seam].sum())
         moved = b + 1e-12 * random(seed, len(b), 3)  # copies of a vertex differ by rounding
         again = fragments_of(moved, Triangles.of(hard.faces, positions=hard.vertices))
-        assert again.face.sort()[0].equal(seams.face.sort()[0]) and again.seam.sum() == seams.seam.sum()
+        assert (
+            again.face.sort()[0].equal(seams.face.sort()[0])
+            and again.seam.sum() == seams.seam.sum()
+        )
 
 
 def test_colours_of_a_cubes_sides_are_averaged_exactly():
@@ -308,9 +378,11 @@ def test_colours_of_a_cubes_sides_are_averaged_exactly():
     ids=["sphere", "torus", "cube with seams"],
 )
 def test_coverage_changes_as_weights_say(shape, error):
-    """Total coverage is piecewise quadratic: central differences are exact. Copies of a vertex move together.
+    """Total coverage is piecewise quadratic: central differences are exact. Copies of a vertex move
+    together.
 
-    So near to a corner that shows, a hidden seam is as near as what hides it: 1e-4 pixels of it count as visible.
+    So near to a corner that shows, a hidden seam is as near as what hides it: 1e-4 pixels of it
+    count as visible.
     """
     triangles = Triangles.of(shape.faces, positions=shape.vertices)
     screen = on_screen(turned(shape.vertices, 3)).requires_grad_()
@@ -323,7 +395,13 @@ def test_coverage_changes_as_weights_say(shape, error):
             at = point[(gradient != 0).any(1).nonzero()[seed, 0]]
             step = step * (point == at)[:, None]
         with torch.no_grad():
-            change = sum(s * silhouette(screen + s * 1e-5 * step, triangles, 32, 24).sum() for s in (1, -1)) / 2e-5
+            change = (
+                sum(
+                    s * silhouette(screen + s * 1e-5 * step, triangles, 32, 24).sum()
+                    for s in (1, -1)
+                )
+                / 2e-5
+            )
         assert float((gradient * step).sum()) == pytest.approx(float(change), abs=error)
 
 
@@ -333,18 +411,23 @@ def test_each_pixels_coverage_has_its_own_derivative(seed):
     forward = jacfwd(lambda s: silhouette(s, ONE, 6, 6))(screen)
     leaf = screen.clone().requires_grad_()
     found = silhouette(leaf, ONE, 6, 6)
-    backward = torch.stack([torch.autograd.grad(p, leaf, retain_graph=True)[0] for p in found.flatten()])
+    backward = torch.stack(
+        [torch.autograd.grad(p, leaf, retain_graph=True)[0] for p in found.flatten()]
+    )
     torch.testing.assert_close(forward, backward.reshape(6, 6, 3, 3))
     for vertex in range(3):
         for axis in (0, 1):
             step = torch.zeros_like(screen)
             step[vertex, axis] = 1e-6
             ahead, behind = (pixel_areas(clockwise(screen + s * step), 6, 6) for s in (1, -1))
-            torch.testing.assert_close((ahead - behind) / 2e-6, forward[..., vertex, axis], rtol=0, atol=1e-5)
+            torch.testing.assert_close(
+                (ahead - behind) / 2e-6, forward[..., vertex, axis], rtol=0, atol=1e-5
+            )
 
 
 def test_barycentrics_are_where_the_camera_ray_meets_the_face():
-    vertices, faces = turned(icosphere(1).vertices, 1), icosphere(1).faces
+    vertices = turned(icosphere(1).vertices, 1)
+    faces = icosphere(1).faces
     screen = on_screen(vertices)
     ids = visible(screen, Triangles.of(faces), 32, 24)
     row, column = (ids >= 0).nonzero().unbind(-1)
@@ -353,19 +436,26 @@ def test_barycentrics_are_where_the_camera_ray_meets_the_face():
     shares = barycentrics(screen, corners, centres)
     assert (shares > 0).all()
     torch.testing.assert_close(shares.sum(-1), torch.ones(len(shares), dtype=torch.float64))
-    torch.testing.assert_close(on_screen(interpolate(vertices, corners, shares))[:, :2], centres.double())
+    torch.testing.assert_close(
+        on_screen(interpolate(vertices, corners, shares))[:, :2], centres.double()
+    )
     low = barycentrics(screen.float(), corners, centres)
     assert low.dtype == torch.float32
     torch.testing.assert_close(low.double(), shares, rtol=0, atol=1e-4)
 
 
 def test_barycentrics_and_values_have_their_derivatives():
-    points = torch.tensor([[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64)
+    points = torch.tensor(
+        [[0.3, 0.2], [4.1, 0.9], [1.2, 3.7], [5.2, 4.4], [-2.3, 6.1]], dtype=torch.float64
+    )
     screen = torch.cat([2 * points, 1 + random(1, 5, 1)], 1).requires_grad_()
-    values, corners = random(2, 5, 2).requires_grad_(), torch.tensor([[0, 1, 2], [2, 3, 4], [4, 1, 0]])
+    values = random(2, 5, 2).requires_grad_()
+    corners = torch.tensor([[0, 1, 2], [2, 3, 4], [4, 1, 0]])
     points = screen.detach()[corners, :2].mean(1)
     assert torch.autograd.gradcheck(
-        lambda s, v: interpolate(v, corners, barycentrics(s, corners, points)), (screen, values), check_forward_ad=True
+        lambda s, v: interpolate(v, corners, barycentrics(s, corners, points)),
+        (screen, values),
+        check_forward_ad=True,
     )
 
 
@@ -389,7 +479,9 @@ def test_slivers_speak_for_what_they_cover(triangle, share):
 
     jacobian = torch.func.jacfwd(coordinates)(screen)
     by_point = [
-        barycentrics(screen - torch.tensor([*step, 0.0]).double(), torch.tensor([[0, 1, 2]]), point[None])
+        barycentrics(
+            screen - torch.tensor([*step, 0.0]).double(), torch.tensor([[0, 1, 2]]), point[None]
+        )
         for step in ([1e-6, 0.0], [-1e-6, 0.0], [0.0, 1e-6], [0.0, -1e-6])
     ]
     for axis in range(2):  # the whole triangle moves
@@ -399,10 +491,15 @@ def test_slivers_speak_for_what_they_cover(triangle, share):
 
 def test_faces_without_area_or_not_in_front_are_not_there():
     good = flat([[1, 1], [6, 1], [3, 6]])
-    bad = torch.tensor([[2, 2, math.nan], [math.inf, 2, 1], [2, 2, 0], [2, 2, -1], [1e200, 1, 1], [-1e200, 7, 1]])
+    bad = torch.tensor(
+        [[2, 2, math.nan], [math.inf, 2, 1], [2, 2, 0], [2, 2, -1], [1e200, 1, 1], [-1e200, 7, 1]]
+    )
     screen = torch.cat([good, bad.double()])
-    faces = torch.tensor([[0, 1, 2], [3, 1, 2], [4, 1, 2], [5, 1, 2], [6, 1, 2], [0, 1, 1], [7, 8, 2]])
-    triangles, alone = Triangles.of(faces), Triangles.of(faces[:1], num_vertices=len(screen))
+    faces = torch.tensor(
+        [[0, 1, 2], [3, 1, 2], [4, 1, 2], [5, 1, 2], [6, 1, 2], [0, 1, 1], [7, 8, 2]]
+    )
+    triangles = Triangles.of(faces)
+    alone = Triangles.of(faces[:1], num_vertices=len(screen))
     assert visible(screen, triangles, 8, 8).equal(visible(screen, alone, 8, 8))
     assert silhouette(screen, triangles, 8, 8).equal(silhouette(screen, alone, 8, 8))
     assert silhouette(screen, triangles, 8, 8).sum().item() == pytest.approx(12.5)
@@ -424,31 +521,42 @@ def test_where_nothing_shows_there_is_background_only(screen, faces):
     assert len(fragments_of(screen, triangles, 8, 7).pixel) == 0
     colours = torch.ones(len(triangles.faces) + 1, dtype=torch.float64)
     assert image(screen.double(), triangles, colours, 8, 7).equal(torch.ones(7, 8).double())
-    assert barycentrics(screen, torch.zeros(0, 3, dtype=torch.long), torch.zeros(0, 2)).shape == (0, 3)
+    assert barycentrics(screen, torch.zeros(0, 3, dtype=torch.long), torch.zeros(0, 2)).shape == (
+        0,
+        3,
+    )
 
 
 def test_an_image_of_one_pixel():
     assert silhouette(flat([[0, 0], [1, 0], [0, 1]]), ONE, 1, 1).item() == pytest.approx(0.5)
     assert silhouette(flat([[-9, -9], [30, -9], [-9, 30]]), ONE, 1, 1).item() == 1
-    assert silhouette(flat([[0.1, 0.1], [0.3, 0.1], [0.1, 0.4]]), ONE, 1, 1).item() == pytest.approx(0.03)
+    assert silhouette(
+        flat([[0.1, 0.1], [0.3, 0.1], [0.1, 0.4]]), ONE, 1, 1
+    ).item() == pytest.approx(0.03)
 
 
 def test_all_tensors_are_made_where_the_input_lies():
-    """With another default device, a tensor made without naming one would meet the input and fail."""
+    """With another default device, a tensor made without naming one would meet the input and
+    fail.
+    """
     shape = cube(hard=True)
     one = Triangles.of(shape.faces, positions=shape.vertices)
-    triangles, screen = join(one, one), on_screen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
+    triangles = join(one, one)
+    screen = on_screen(torch.cat([turned(shape.vertices, s) + s for s in (0, 1)]))
     colours = random(2, len(triangles.faces) + 1)
     here = image(screen, triangles, colours, 32, 24)
     with torch.device("meta"):
         there = image(screen, triangles, colours, 32, 24)
         values = interpolate(
-            screen, triangles.faces, barycentrics(screen, triangles.faces, screen[triangles.faces[:, 0], :2])
+            screen,
+            triangles.faces,
+            barycentrics(screen, triangles.faces, screen[triangles.faces[:, 0], :2]),
         )
     assert there.equal(here) and values.device == screen.device
 
 
 def test_nothing_is_mixed_with_an_infinitely_distant_background():
-    screen, colours = flat([[1, 1], [6, 1], [3, 6]]), torch.tensor([2.0, math.inf], dtype=torch.float64)
+    screen = flat([[1, 1], [6, 1], [3, 6]])
+    colours = torch.tensor([2.0, math.inf], dtype=torch.float64)
     found = image(screen, ONE, colours, 8, 8)
     assert found.equal(colours[visible(screen, ONE, 8, 8).long()])

@@ -1,4 +1,6 @@
-"""The page of an archive in a real browser: thousands of rows, sorted and filtered; nothing in a name can spoil it."""
+"""The page of an archive in a real browser: thousands of rows, sorted and filtered; nothing in a
+name can spoil it.
+"""
 
 import json
 import re
@@ -19,15 +21,37 @@ DOT = small_png(np.ones((2, 3), np.uint8), palette())
 
 def capture(k: int) -> dict:
     """Every tenth is doubtful, every hundredth could not be fitted; errors grow."""
-    row = {"path": f"s{k % 40}/c{k:04d}.c3d", "person": "", "folder": f"s{k % 40}/c{k:04d}", "subject": f"s{k % 40}"}
-    row |= {"frames": 100 + k, "rate_hz": 100.0, "picture": DOT, "state": "done", "reason": "", "numbers": {}}
+    row = {
+        "path": f"s{k % 40}/c{k:04d}.c3d",
+        "person": "",
+        "folder": f"s{k % 40}/c{k:04d}",
+        "subject": f"s{k % 40}",
+    }
+    row |= {
+        "frames": 100 + k,
+        "rate_hz": 100.0,
+        "picture": DOT,
+        "state": "done",
+        "reason": "",
+        "numbers": {},
+    }
     if k % 100 == 99:
         return row | {"state": "failed", "reason": f"{NASTY} {k}", "picture": None}
     level, reasons = ("doubtful", [f"a hip seen by nobody {k}"]) if k % 10 == 5 else ("good", [])
     errors = {"pose": {"mean": k / 100, "p95": k / 50}, "soft_tissue": None}
-    numbers = {"verdict": {"level": level, "reasons": reasons}, "marker_error_mm": errors, "frames": 100 + k}
+    numbers = {
+        "verdict": {"level": level, "reasons": reasons},
+        "marker_error_mm": errors,
+        "frames": 100 + k,
+    }
     body = {"height_m": 1.7, "mass_kg": 70.0}
-    more = {"rate_hz": 100.0, "markers": 41, "suspect_markers": [], "body_measurements": body, "layout": "cmu-41"}
+    more = {
+        "rate_hz": 100.0,
+        "markers": 41,
+        "suspect_markers": [],
+        "body_measurements": body,
+        "layout": "cmu-41",
+    }
     return row | {"numbers": numbers | more}
 
 
@@ -35,7 +59,10 @@ def capture(k: int) -> dict:
 def page(tmp_path_factory):
     """Three thousand captures of forty subjects."""
     path = tmp_path_factory.mktemp("archive") / "index.html"
-    subjects = [{"name": f"s{k}", "measured": {"height_m": 1.5 + k / 100}, "picture": DOT} for k in range(40)]
+    subjects = [
+        {"name": f"s{k}", "measured": {"height_m": 1.5 + k / 100}, "picture": DOT}
+        for k in range(40)
+    ]
     write_archive_page(path, NASTY, map(capture, range(COUNT)), subjects, COUNT)
     return path
 
@@ -68,15 +95,30 @@ def test_sorting_and_filters_show_what_they_should(page, tmp_path):
     scripted.write_text(page.read_text("utf-8").replace("</body>", STEPS + "</body>"), "utf-8")
     dom = visit(scripted, tmp_path, fragment="levels=doubtful&sort=-error&subject=s35")
     told = json.loads(unescape(re.search(r'data-told="([^"]*)"', dom)[1]))
-    row, address = told.pop(1), told.pop(6)
-    assert row[1:7] == ["s35/c2995.c3da hip seen by nobody 2995", "s35", "doubtful", "30.0 mm", "59.9 mm", "30.9 s"]
+    row = told.pop(1)
+    address = told.pop(6)
+    assert row[1:7] == [
+        "s35/c2995.c3da hip seen by nobody 2995",
+        "s35",
+        "doubtful",
+        "30.0 mm",
+        "59.9 mm",
+        "30.9 s",
+    ]
     counts = {what: (count, first) for what, count, first, _ in told}
     assert max(drawn for *_, drawn in told) < 60  # of thousands, those in sight
     assert counts["address"] == (75, "s35/c2995.c3da hip seen by nobody 2995")
     assert counts["all"] == (COUNT, "s0/c0000.c3d") and counts["worst"] == (COUNT, "s38/c2998.c3d")
     assert (counts["doubtful"][0], counts["from 20 mm"][0]) == (300, 100)
-    assert counts["of s5"][0] == sum(k % 10 == 5 and k % 40 == 5 and k >= 2000 for k in range(COUNT))
-    assert set(address[1:].split("&")) == {"sort=-error", "levels=doubtful", "least=20", "subject=s5"}
+    assert counts["of s5"][0] == sum(
+        k % 10 == 5 and k % 40 == 5 and k >= 2000 for k in range(COUNT)
+    )
+    assert set(address[1:].split("&")) == {
+        "sort=-error",
+        "levels=doubtful",
+        "least=20",
+        "subject=s5",
+    }
     assert counts["search"][0] == sum("c00" in f"c{k:04d}" and k % 40 == 7 for k in range(COUNT))
     assert counts["reasons"][0] == 30 and NASTY[:8] in counts["reasons"][1]
     assert counts["subjects"] == (40, "s0") and counts["a subject"][0] == 75

@@ -1,4 +1,6 @@
-"""Small pictures: people stand on the floor of the picture, as tall as they are, and a PNG is what readers expect."""
+"""Small pictures: people stand on the floor of the picture, as tall as they are, and a PNG is what
+readers expect.
+"""
 
 import io
 
@@ -8,7 +10,14 @@ from PIL import Image
 from planted import person
 from synthetic_fit import synthetic_fit
 
-from habitus.report.archive.pictures import HEIGHT, MOMENTS, TALL, motion_picture, palette, shape_picture
+from habitus.report.archive.pictures import (
+    HEIGHT,
+    MOMENTS,
+    TALL,
+    motion_picture,
+    palette,
+    shape_picture,
+)
 from habitus.report.png import png, small_png
 
 
@@ -27,7 +36,8 @@ def test_png_files_hold_their_pixels():
 
 
 def test_a_person_is_as_tall_as_the_body_and_stands_on_the_floor():
-    body, betas = person(), np.zeros(4)
+    body = person()
+    betas = np.zeros(4)
     seen = opened(shape_picture(body, betas))[..., 3] > 0
     rows = np.flatnonzero(seen.any(axis=1))
     tall = np.ptp(np.asarray(body.rest_vertices(betas))[:, 1])

@@ -17,7 +17,9 @@ from habitus.report.metrics import finite
 def rows():
     """Two captures that were fitted, one that was not."""
     plain = finite(metrics(synthetic_fit(frames=20)))
-    marked = plain | {"suspect_markers": [{"label": "a'b", "reason": "ghost", "frames": 3, "corrected": False}]}
+    marked = plain | {
+        "suspect_markers": [{"label": "a'b", "reason": "ghost", "frames": 3, "corrected": False}]
+    }
     marked |= {"warnings": ['odd "words", \n and lines'], "age_years": 8.0}
     base = {
         "person": "",
@@ -31,7 +33,15 @@ def rows():
     return [
         base | {"path": "a.c3d", "folder": "a", "numbers": plain, "picture": b"x"},
         base | {"path": "b's.c3d", "folder": "b's", "numbers": marked, "picture": b"x"},
-        base | {"path": "c.c3d", "folder": "c", "state": "failed", "reason": "no", "numbers": {}, "picture": None},
+        base
+        | {
+            "path": "c.c3d",
+            "folder": "c",
+            "state": "failed",
+            "reason": "no",
+            "numbers": {},
+            "picture": None,
+        },
     ]
 
 
@@ -46,9 +56,19 @@ def test_every_number_is_in_the_table(rows, tmp_path):
         assert row["marker_error_mm.pose.mean"] == pose["mean"] and row["frames"] == 20
         assert row["marker_error_mm.pose.per_marker"] == pose["per_marker"]
         assert row["body_measurements.height_m"] == numbers["body_measurements"]["height_m"]
-        assert row["verdict.level"] == numbers["verdict"]["level"] and row["warnings"] == numbers["warnings"]
-        assert row["suspect_markers"] == numbers["suspect_markers"] and row["age_years"] == numbers["age_years"]
-    assert (found[2]["state"], found[2]["reason"], found[2]["marker_error_mm.pose.mean"]) == ("failed", "no", None)
+        assert (
+            row["verdict.level"] == numbers["verdict"]["level"]
+            and row["warnings"] == numbers["warnings"]
+        )
+        assert (
+            row["suspect_markers"] == numbers["suspect_markers"]
+            and row["age_years"] == numbers["age_years"]
+        )
+    assert (found[2]["state"], found[2]["reason"], found[2]["marker_error_mm.pose.mean"]) == (
+        "failed",
+        "no",
+        None,
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"it's.parquet"}
 
 
@@ -57,7 +77,10 @@ def test_page_and_table_tell_the_same(rows, tmp_path):
     write_archive_page(tmp_path / "index.html", "all", rows, [], 3)
     text = (tmp_path / "index.html").read_text("utf-8")
     shown = json.loads(re.search(r'id="captures-data">(.*?)</script>', text, re.DOTALL)[1])
-    sql = 'SELECT capture, coalesce("marker_error_mm.soft_tissue.mean", "marker_error_mm.pose.mean"), frames FROM'
+    sql = (
+        'SELECT capture, coalesce("marker_error_mm.soft_tissue.mean", '
+        '"marker_error_mm.pose.mean"), frames FROM'
+    )
     told = duckdb.sql(f"{sql} '{tmp_path / 'all.parquet'}'").fetchall()
     assert [row[0] for row in shown] == [row[0] for row in told]
     for row, (_, mean, frames) in zip(shown[:2], told, strict=False):

@@ -22,7 +22,11 @@ def test_every_tape_is_drawn_and_every_measurement_told():
     assert len(said) == len(found)
     assert "Waist 93.3 cm" in said or f"Waist {100 * found['waist_circumference_m']:.1f} cm" in said
     width, height = (float(root.get(key)) for key in ("width", "height"))
-    lines = [each for each in root.iter("{http://www.w3.org/2000/svg}path") if each.get("stroke-width") == "2"]
+    lines = [
+        each
+        for each in root.iter("{http://www.w3.org/2000/svg}path")
+        if each.get("stroke-width") == "2"
+    ]
     rings = sum(len(tape.rings) for tape in body.measuring_kit.tapes)
     assert len(lines) >= rings
     for line in lines:

@@ -24,10 +24,14 @@ def page_of(a, b, names=("first", "second")):
 
 def test_strings_from_outside_stay_strings():
     labels = tuple(f"{NASTY}{k}" for k in range(12))
-    fit = synthetic_fit(frames=8, labels=labels, capture_name=NASTY, layout_name=NASTY, body_name=NASTY)
+    fit = synthetic_fit(
+        frames=8, labels=labels, capture_name=NASTY, layout_name=NASTY, body_name=NASTY
+    )
     page = page_of(fit, fit, (NASTY, "second"))
     assert "</script><b>" not in page and page.count("<script") == 4
-    assert NASTY in unescape(page) and "href='../a/report.html'" in page and "Report of B" not in page
+    assert (
+        NASTY in unescape(page) and "href='../a/report.html'" in page and "Report of B" not in page
+    )
 
 
 PROBE = """
@@ -52,17 +56,31 @@ document.body.dataset.probe = JSON.stringify(found);
 def test_both_bodies_move_on_one_clock(tmp_path):
     chromium()
     fit = synthetic_fit(frames=60, rate_hz=60.0, soft=False)
-    pose, joint = fit.pose.copy(), fit.body.joint_names.index("left_hip")
+    pose = fit.pose.copy()
+    joint = fit.body.joint_names.index("left_hip")
     pose[20:40, joint, 0] += 0.3
-    slow = replace(BodyMotion.of(replace(fit, pose=pose)), pose=pose[::2], trans=fit.trans[::2], rate_hz=30.0)
+    slow = replace(
+        BodyMotion.of(replace(fit, pose=pose)), pose=pose[::2], trans=fit.trans[::2], rate_hz=30.0
+    )
     page = tmp_path / "compare.html"
     page.write_text(page_of(fit, slow).replace("</body>", PROBE), "utf-8")
     tag = re.search(r"<body[^>]*>", visit(page, tmp_path, size=(420, 900)))[0]
     assert 'data-ready="yes"' in tag and "data-errors" not in tag, tag
     found = json.loads(unescape(re.search(r'data-probe="([^"]*)"', tag)[1]))
     turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # z up to y up
-    np.testing.assert_allclose(found["knees"], [turn @ m.joints(k)[4] for m, k in ((fit, 30), (slow, 15))], atol=2e-3)
+    np.testing.assert_allclose(
+        found["knees"], [turn @ m.joints(k)[4] for m, k in ((fit, 30), (slow, 15))], atol=2e-3
+    )
     joints = len(fit.body.joint_names)
-    assert found["mode"] == "over" and found["beside"] == joints - 1 and found["over"] == 2 * (joints - 1)
+    assert (
+        found["mode"] == "over"
+        and found["beside"] == joints - 1
+        and found["over"] == 2 * (joints - 1)
+    )
     assert found["marked"] == [1, 0]  # 12 cm at the knee under the hip that was turned
-    assert 0.33 < found["time"] < 0.67 and found["curves"] == 4 and found["angles"] == 4 and found["wide"] <= 0
+    assert (
+        0.33 < found["time"] < 0.67
+        and found["curves"] == 4
+        and found["angles"] == 4
+        and found["wide"] <= 0
+    )

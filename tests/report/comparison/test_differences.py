@@ -27,16 +27,25 @@ def cut(fit, rows, rate_hz=RATE):
     """The motion of some frames only."""
     soft = None if fit.soft_tissue is None else fit.soft_tissue[rows]
     return replace(
-        BodyMotion.of(fit), pose=fit.pose[rows], trans=fit.trans[rows], soft_tissue=soft, rate_hz=rate_hz
-    )  # fmt: skip
+        BodyMotion.of(fit),
+        pose=fit.pose[rows],
+        trans=fit.trans[rows],
+        soft_tissue=soft,
+        rate_hz=rate_hz,
+    )
 
 
 def test_a_result_is_not_apart_from_itself(fit):
     found = differences(fit, fit)
     told = numbers(found, ("a", "b"))
-    assert max(found.skin.max(), found.joints.max(), found.at_rest.max()) < 1e-9 and not notes(found)
+    assert max(found.skin.max(), found.joints.max(), found.at_rest.max()) < 1e-9 and not notes(
+        found
+    )
     assert found.turned.max() < 1e-5 and np.nanmax(found.markers.apart) == 0
-    assert told["compared"]["moments"] == 60 and told["joints_mm"]["per_joint"]["left_knee"]["max"] == 0
+    assert (
+        told["compared"]["moments"] == 60
+        and told["joints_mm"]["per_joint"]["left_knee"]["max"] == 0
+    )
     assert told["a"]["verdict"] == told["b"]["verdict"] and told["a"]["marker_error_mm"]["mean"] > 1
 
 
@@ -44,7 +53,11 @@ def test_a_step_aside_is_what_is_measured(fit):
     aside = replace(fit, trans=fit.trans + np.array([0.012, 0, 0.016]))
     found = differences(fit, aside)
     assert found.skin == pytest.approx(20.0) and found.joints == pytest.approx(20.0)
-    assert found.centred == pytest.approx(0.0, abs=1e-9) and found.turned.max() < 1e-5 and found.at_rest.max() == 0
+    assert (
+        found.centred == pytest.approx(0.0, abs=1e-9)
+        and found.turned.max() < 1e-5
+        and found.at_rest.max() == 0
+    )
     assert not found.place.told
 
 
@@ -62,10 +75,14 @@ def test_another_world_is_found_and_told(fit):
     elsewhere = moved(fit, Placing(TURN, np.array([0.5, -2.0, 0.1])), "+z")
     found = differences(fit, elsewhere)
     assert found.skin.max() < 1e-2 and "turned by" in notes(found)[0]
-    assert found.place.degrees == pytest.approx(np.degrees(Rotation.from_matrix(TURN).magnitude()), abs=1e-3)
+    assert found.place.degrees == pytest.approx(
+        np.degrees(Rotation.from_matrix(TURN).magnitude()), abs=1e-3
+    )
     plain = differences(fit, elsewhere, align="none")
     assert plain.joints.mean() > 300 and not any("turned" in note for note in notes(plain))
-    assert "not the same moments" in notes(plain)[0] and not plain.same_moments and found.same_moments
+    assert (
+        "not the same moments" in notes(plain)[0] and not plain.same_moments and found.same_moments
+    )
     told = numbers(plain, ("a", "b"))
     assert "do not compare them" in head(plain, told, ("a", "b"))
     assert "banner" not in head(found, numbers(found, ("a", "b")), ("a", "b"))
@@ -73,7 +90,11 @@ def test_another_world_is_found_and_told(fit):
 
 def test_another_up_is_no_difference(fit):
     turn = Rotation.from_euler("x", -90, degrees=True).as_matrix()  # z up to y up
-    found = differences(BodyMotion.of(fit), moved(BodyMotion.of(fit), Placing(turn, np.zeros(3)), "+y"), align="none")
+    found = differences(
+        BodyMotion.of(fit),
+        moved(BodyMotion.of(fit), Placing(turn, np.zeros(3)), "+y"),
+        align="none",
+    )
     assert found.skin.max() < 1e-2 and "turned so that +z is up" in notes(found)[0]
 
 
@@ -83,7 +104,12 @@ def test_rates_and_ranges_are_told(fit, swap):
     found = differences(*((half, fit) if swap else (fit, half)))
     assert len(found.pairing.times) == 20 and found.skin.max() < 1e-6
     said = " ".join(notes(found))
-    assert "60" in said and "30" in said and "0.67 s are compared" in said and "interpolated" not in said
+    assert (
+        "60" in said
+        and "30" in said
+        and "0.67 s are compared" in said
+        and "interpolated" not in said
+    )
 
 
 def test_between_frames_the_faster_one_is_interpolated(fit):
@@ -92,14 +118,20 @@ def test_between_frames_the_faster_one_is_interpolated(fit):
     )  # the same walk, sampled anew
     fast = synthetic_fit(frames=60, rate_hz=60.0, body=tube_body(posedirs=True), soft=False)
     found = differences(BodyMotion.of(slow), BodyMotion.of(fast))
-    assert found.skin.max() < 2.0 and "interpolated" in notes(found)[0]  # a foot's acceleration times dt²/8
+    assert (
+        found.skin.max() < 2.0 and "interpolated" in notes(found)[0]
+    )  # a foot's acceleration times dt²/8
 
 
 def test_an_offset_brings_moments_together(fit):
     later = cut(fit, slice(12, None))
     assert differences(fit, later).skin.mean() > 20
     found = differences(fit, later, offset=12 / RATE)
-    assert found.skin.max() < 1e-6 and found.pairing.times[0] == pytest.approx(0.2) and len(found.pairing.times) == 48
+    assert (
+        found.skin.max() < 1e-6
+        and found.pairing.times[0] == pytest.approx(0.2)
+        and len(found.pairing.times) == 48
+    )
     with pytest.raises(HabitusError, match="no moment in common"):
         differences(fit, later, offset=5.0)
 
@@ -110,16 +142,25 @@ def test_the_worst_moment_is_where_it_was_made(fit):
     pose[40:44, joint] += [0.2, 0, 0]
     found = differences(fit, replace(fit, pose=pose))
     worst = worst_moments(found)
-    assert 40 <= worst[0]["frame_a"] < 44 and worst[0]["worst_joint"] in ("right_ankle", "right_foot")
+    assert 40 <= worst[0]["frame_a"] < 44 and worst[0]["worst_joint"] in (
+        "right_ankle",
+        "right_foot",
+    )
     assert found.turned[41, joint] == pytest.approx(np.degrees(0.2), abs=1e-3) and len(worst) == 1
     assert np.delete(found.turned[41], joint).max() < 1e-5
 
 
 def test_other_meshes_are_compared_by_joints_and_markers(fit):
     body = tube_body(posedirs=True)
-    other = replace(fit, body=replace(body, faces=body.faces[:, [1, 2, 0]], name="others"), body_name="others")
+    other = replace(
+        fit, body=replace(body, faces=body.faces[:, [1, 2, 0]], name="others"), body_name="others"
+    )
     found = differences(fit, other)
-    assert found.skin is found.at_rest is None and found.joints.max() < 1e-6 and found.markers is not None
+    assert (
+        found.skin is found.at_rest is None
+        and found.joints.max() < 1e-6
+        and found.markers is not None
+    )
     assert found.apart.max() < 1e-6 and "different meshes (tubes, others)" in notes(found)[0]
     told = numbers(found, ("a", "b"))
     assert told["skin_mm"] is None and not told["compared"]["skin"] and told["worst_moments"]

@@ -33,9 +33,15 @@ def done(tmp_path_factory):
     paths = written_tubes(folder)
     models = [paths[name] for name in ("tubes", "scape")]
     found = evaluate(
-        models, paths["noisy"], folder / "out", clean=paths["clean"], plain=True, counts=(1, 2, 3, 4), repeats=2,
+        models,
+        paths["noisy"],
+        folder / "out",
+        clean=paths["clean"],
+        plain=True,
+        counts=(1, 2, 3, 4),
+        repeats=2,
         workers=Threads(1),
-    )  # fmt: skip
+    )
     return found, folder / "out"
 
 
@@ -54,7 +60,9 @@ class Parsed(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.tags, self.rows = [], [], []
+        self.open = []
+        self.tags = []
+        self.rows = []
         self.feed(text)
         self.close()
         assert self.open == []
@@ -87,12 +95,22 @@ def test_page_is_alone_and_whole(page):
     assert len(ids) == len(set(ids))
     sources = [attributes["src"] for tag, attributes in parsed.tags if tag == "img"]
     assert all(source.startswith("data:image/png;base64,") for source in sources)
-    aims = {found for _, attributes in parsed.tags for found in re.findall(r"#([\w-]+)", attributes.get("href") or "")}
+    aims = {
+        found
+        for _, attributes in parsed.tags
+        for found in re.findall(r"#([\w-]+)", attributes.get("href") or "")
+    }
     assert aims and aims <= set(ids)
 
 
 def test_every_figure_is_there(done, page, numbers):
-    plots = {"model_generalisation", "pose_generalisation", "cumulative_variance", "run_time", "neck_twist"}
+    plots = {
+        "model_generalisation",
+        "pose_generalisation",
+        "cumulative_variance",
+        "run_time",
+        "neck_twist",
+    }
     parsed = Parsed(page)
     ids = {attributes.get("id") for _, attributes in parsed.tags}
     assert {f"figure-{name}" for name in plots} <= ids
@@ -136,11 +154,21 @@ def test_the_table_says_what_the_json_says(page, numbers):
 def test_json_has_every_number_of_the_evaluation(done, numbers):
     found, folder = done
     assert [model["name"] for model in numbers["models"]] == ["tubes", "tubes, plain", "scape"]
-    assert numbers["shown"] == 2 and numbers["dataset"]["subjects"] == ["ann", "bob", "ann", "bob", "eve"]
+    assert numbers["shown"] == 2 and numbers["dataset"]["subjects"] == [
+        "ann",
+        "bob",
+        "ann",
+        "bob",
+        "eve",
+    ]
     with np.load(folder / "per_vertex.npz") as maps:
         for entry, model in zip(found.models, numbers["models"], strict=True):
-            np.testing.assert_allclose(model["model_generalisation"]["errors_mm"], 1e3 * entry.shape.errors)
-            np.testing.assert_allclose(model["pose_generalisation"]["clean_mean_mm"], 1e3 * entry.pose.clean_means)
+            np.testing.assert_allclose(
+                model["model_generalisation"]["errors_mm"], 1e3 * entry.shape.errors
+            )
+            np.testing.assert_allclose(
+                model["pose_generalisation"]["clean_mean_mm"], 1e3 * entry.pose.clean_means
+            )
             np.testing.assert_allclose(model["run_time"]["median_ms"], 1e3 * entry.times.medians)
             assert model["run_time"]["counts"][0] == 0
             key = re.sub(r"[^A-Za-z0-9.-]+", "_", entry.name) + "/pose/clean"
@@ -155,8 +183,13 @@ def test_json_has_every_number_of_the_evaluation(done, numbers):
 def test_what_pose_shapes_remove_is_against_the_same_model_without(numbers):
     full, plain = numbers["models"][:2]
     errors = [np.array(model["pose_generalisation"]["clean_mean_mm"]) for model in (full, plain)]
-    np.testing.assert_allclose(full["removed_by_pose_shapes"]["percent"], 100 * (1 - errors[0] / errors[1]))
-    assert plain["removed_by_pose_shapes"] is None and full["removed_by_pose_shapes"]["percent"][-1] > 50
+    np.testing.assert_allclose(
+        full["removed_by_pose_shapes"]["percent"], 100 * (1 - errors[0] / errors[1])
+    )
+    assert (
+        plain["removed_by_pose_shapes"] is None
+        and full["removed_by_pose_shapes"]["percent"][-1] > 50
+    )
 
 
 def test_words_say_who_is_best(page):
@@ -167,7 +200,9 @@ def test_words_say_who_is_best(page):
 def test_without_second_poses_and_clean_meshes_less_is_shown(done):
     found, _ = done
     models = tuple(replace(entry, pose=None, twist=None) for entry in found.models)
-    bare = [replace(e, shape=replace(e.shape, clean_errors=None, clean_per_vertex=None)) for e in models]
+    bare = [
+        replace(e, shape=replace(e.shape, clean_errors=None, clean_per_vertex=None)) for e in models
+    ]
     numbers = evaluation_numbers(replace(found, clean=None, models=tuple(bare)))
     plots = figures(numbers)
     page = training_page(numbers, plots, [])
@@ -181,7 +216,9 @@ def test_strings_cannot_break_out(done):
     first = found.models[0]
     shape = replace(first.shape, registrations=tuple(NASTY for _ in first.shape.registrations))
     label = replace(first.model, label=NASTY)
-    numbers = evaluation_numbers(replace(found, dataset=NASTY, models=(replace(first, model=label, shape=shape),)))
+    numbers = evaluation_numbers(
+        replace(found, dataset=NASTY, models=(replace(first, model=label, shape=shape),))
+    )
     picture = Picture("neck", NASTY, "x.png", NASTY, b"", (0.0, 1.0))
     page = training_page(numbers, figures(numbers), [picture, replace(picture, kind="worst fits")])
     assert "<p class='facts'>1 model · " in page
@@ -200,7 +237,7 @@ def test_written_again_old_figures_go(done, tmp_path):
     assert after < before and "mine.png" in after and not any("scape" in name for name in after)
 
 
-# -- figures ----------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 
 
 def test_figures_follow_the_page(numbers):
@@ -208,7 +245,11 @@ def test_figures_follow_the_page(numbers):
     assert plots == figures(numbers)
     for name, svg in plots.items():
         text = inline(svg, name)
-        assert not re.search("|".join(SERIES), text) and "var(--series-0)" in text and "var(--ink)" in text
+        assert (
+            not re.search("|".join(SERIES), text)
+            and "var(--series-0)" in text
+            and "var(--ink)" in text
+        )
         assert "<style" not in text and "<metadata" not in text
 
 
@@ -218,7 +259,7 @@ def test_models_keep_their_colours_and_twins_share_them(numbers):
     assert looks["tubes, plain"]["linestyle"] == "--" and looks["tubes"]["linestyle"] == "-"
 
 
-# -- pictures ---------------------------------------------------------------------------------------------------------
+# -- pictures --------------------------------------------------------------------------------------
 
 
 def test_png_is_read_back():
@@ -234,9 +275,14 @@ def test_colours_run_from_the_first_to_the_last_and_are_cut_off():
 
 def test_what_is_in_front_is_seen_where_it_is():
     body = tube_people().body
-    vertices, faces = body.v_template, body.faces
-    colours = np.where(vertices[:, :1] > 0.2, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]])  # the left arm is red
-    front, back = (pictures.picture(vertices, faces, colours, (0, 0, side), height=200) for side in (1, -1))
+    vertices = body.v_template
+    faces = body.faces
+    colours = np.where(
+        vertices[:, :1] > 0.2, [[1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0]]
+    )  # the left arm is red
+    front, back = (
+        pictures.picture(vertices, faces, colours, (0, 0, side), height=200) for side in (1, -1)
+    )
     for image, side in ((front, 1), (back, -1)):
         red = (image[..., 0] > 60) & (image[..., 2] < 20) & (image[..., 3] > 200)
         columns = np.flatnonzero(red.any(0)) - image.shape[1] / 2

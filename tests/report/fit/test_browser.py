@@ -1,4 +1,6 @@
-"""The report in a real browser (headless Chromium, software WebGL): it runs, and it draws the right body."""
+"""The report in a real browser (headless Chromium, software WebGL): it runs, and it draws the right
+body.
+"""
 
 import json
 import re
@@ -49,7 +51,9 @@ def body_tag(dom: str) -> dict[str, str]:
     return {key: unescape(value) for key, value in re.findall(r'data-([a-z]+)="([^"]*)"', tag)}
 
 
-def silhouette(vertices: np.ndarray, faces: np.ndarray, camera: np.ndarray, width: int, height: int) -> np.ndarray:
+def silhouette(
+    vertices: np.ndarray, faces: np.ndarray, camera: np.ndarray, width: int, height: int
+) -> np.ndarray:
     """Pixels (row 0 at the bottom) that triangles cover."""
     clip = np.c_[vertices, np.ones(len(vertices))] @ camera.reshape(4, 4)
     screen = (clip[:, :2] / clip[:, 3:] + 1) * [width / 2, height / 2]
@@ -58,7 +62,10 @@ def silhouette(vertices: np.ndarray, faces: np.ndarray, camera: np.ndarray, widt
         low = np.maximum(np.floor(np.minimum(np.minimum(a, b), c)), 0).astype(int)
         high = np.minimum(np.ceil(np.maximum(np.maximum(a, b), c)), [width, height]).astype(int)
         x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
-        edges = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))]
+        edges = [
+            (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
+            for p, q in ((a, b), (b, c), (c, a))
+        ]
         inside = np.all([e >= 0 for e in edges], axis=0) | np.all([e <= 0 for e in edges], axis=0)
         covered[low[1] : high[1], low[0] : high[0]] |= inside
     return covered
@@ -69,23 +76,32 @@ def test_the_player_draws_the_body_of_the_fit(folder, stage):
     frame = 37
     fit = synthetic_fit(rate_hz=60.0, body=tube_body(posedirs=True))
     page = folder / f"{stage}.html"
-    page.write_text(report_page(fit).replace("</body>", PROBE % (frame, stage) + "</body>"), "utf-8")
+    page.write_text(
+        report_page(fit).replace("</body>", PROBE % (frame, stage) + "</body>"), "utf-8"
+    )
     tag = body_tag(visit(page, folder, size=(700, 700)))
     assert tag["webgl"] == tag["ready"] == "yes" and "errors" not in tag
     probe = json.loads(tag["probe"])
     soft = fit.soft_tissue[frame] if stage == "soft_tissue" else 0
     inputs = (torch.as_tensor(a) for a in (fit.betas + soft, fit.pose[frame], fit.trans[frame]))
-    surface, turn = fit.body(*inputs), up_rotation("+z").T
+    surface = fit.body(*inputs)
+    turn = up_rotation("+z").T
     joints = np.array(probe["bones"]).reshape(-1, 16)[:, 12:15]
-    assert np.abs(joints - surface.joints.numpy() @ turn).max() < 0.02  # soft tissue shifts nodes by (I - R) d
+    assert (
+        np.abs(joints - surface.joints.numpy() @ turn).max() < 0.02
+    )  # soft tissue shifts nodes by (I - R) d
     seen = np.array(list(probe["bits"])).reshape(probe["height"], probe["width"]) == "1"
-    camera, faces = np.array(probe["camera"]), fit.body.faces
-    expected = silhouette(surface.vertices.numpy() @ turn, faces, camera, probe["width"], probe["height"])
+    camera = np.array(probe["camera"])
+    faces = fit.body.faces
+    expected = silhouette(
+        surface.vertices.numpy() @ turn, faces, camera, probe["width"], probe["height"]
+    )
     assert expected.sum() > 3000
     assert (seen & expected).sum() / (seen | expected).sum() > 0.975
 
 
-# Goes through links to moments, as whoever clicks them would, and waits for what each of them draws.
+# Goes through links to moments, as whoever clicks them would, and waits for what each of them
+# draws.
 STATES = """
 <script>(async () => {
 const drawn = () => new Promise(rest => setTimeout(rest, 60)), { player } = habitusReport, told = [];
@@ -103,13 +119,23 @@ document.body.dataset.probe = JSON.stringify(told);
 def test_page_is_alive_in_every_state(folder):
     page = folder / "states.html"
     everything = "body,glass,observed,predicted,errors,skeleton,names"
-    links = ("view=placement&theme=dark", f"t=0.3&stage=pose&follow=no&marker=M03&layers={everything}&theme=light")
-    page.write_text(report_page(synthetic_fit()).replace("</body>", STATES % json.dumps(links)), "utf-8")
+    links = (
+        "view=placement&theme=dark",
+        f"t=0.3&stage=pose&follow=no&marker=M03&layers={everything}&theme=light",
+    )
+    page.write_text(
+        report_page(synthetic_fit()).replace("</body>", STATES % json.dumps(links)), "utf-8"
+    )
     dom = visit(page, folder)
     tag = body_tag(dom)
     assert tag.get("ready") == "yes" and "errors" not in tag, tag
     placed, seen = json.loads(tag["probe"])
-    assert placed == ["placement", "soft_tissue", -1, "dark"] and seen == ["motion", "pose", 3, "light"]
+    assert placed == ["placement", "soft_tissue", -1, "dark"] and seen == [
+        "motion",
+        "pose",
+        3,
+        "light",
+    ]
     assert (
         len(re.findall('class="bar( suspect)?"', dom)) == 12
         and dom.count('class="line ') == 2 + 2  # errors, angles
@@ -121,7 +147,9 @@ def test_strings_from_outside_stay_strings(folder):
     nasty = "</script><img src=x onerror=\"document.body.dataset.errors='hacked'\"><b>&"
     labels = tuple(f"{nasty}{k}" for k in range(12))
     page = folder / "nasty.html"
-    page.write_text(report_page(synthetic_fit(labels=labels, capture_name=nasty, warnings=(nasty,))), "utf-8")
+    page.write_text(
+        report_page(synthetic_fit(labels=labels, capture_name=nasty, warnings=(nasty,))), "utf-8"
+    )
     dom = visit(page, folder)
     assert body_tag(dom).get("ready") == "yes" and "errors" not in body_tag(dom)
     assert "<img" not in dom and "&lt;img src=x" in dom
@@ -129,7 +157,8 @@ def test_strings_from_outside_stay_strings(folder):
 
 @pytest.mark.parametrize("size", [(1280, 1000), (420, 1500)])
 def test_picture_is_not_blank(folder, size):
-    page, picture = folder / "picture.html", folder / f"picture-{size[0]}.png"
+    page = folder / "picture.html"
+    picture = folder / f"picture-{size[0]}.png"
     page.write_text(report_page(synthetic_fit()), "utf-8")
     visit(page, folder, fragment="t=0.2&theme=light&layers=body", size=size, picture=picture)
     pixels = np.asarray(Image.open(picture).convert("RGB"), dtype=int)
@@ -186,7 +215,9 @@ def test_a_click_on_a_bar_leaves_the_player_in_sight(folder, size):
         found.home = !player.classList.contains('docked')
     """
     found = probed(folder, synthetic_fit(markers=40), script, size=size, fragment="t=0")
-    assert found["lost"] and found["kept"] and found["bar"] and found["closed"] and found["home"], found
+    assert found["lost"] and found["kept"] and found["bar"] and found["closed"] and found["home"], (
+        found
+    )
     assert found["chosen"] == "true" and found["jump"] <= 2
 
 
@@ -230,14 +261,32 @@ def test_the_parts_of_the_page_do_what_they_say(folder):
         player.set({ speed: 0.5 }); tick(2750); found.half = player.time
     """
     found = probed(folder, synthetic_fit(frames=240, rate_hz=60.0, soft=False), script)
-    assert found["without"] == 0 and 12 * 20 < found["all"] < 12 * 35 and 20 < found["one"] < 70 and found["placed"]
-    assert found["taped"] == found["waist"] > 2 and found["said"] == "true" and found["allTaped"] == found["points"]
-    assert found["guessed"] > 3 and found["atRest"] == found["unmarked"] == 0  # twelve markers tell little
+    assert (
+        found["without"] == 0
+        and 12 * 20 < found["all"] < 12 * 35
+        and 20 < found["one"] < 70
+        and found["placed"]
+    )
+    assert (
+        found["taped"] == found["waist"] > 2
+        and found["said"] == "true"
+        and found["allTaped"] == found["points"]
+    )
+    assert (
+        found["guessed"] > 3 and found["atRest"] == found["unmarked"] == 0
+    )  # twelve markers tell little
     assert "Knee flexion" in found["names"] and found["curves"] == 2 and found["pressed"] == "true"
-    assert 5 < found["low"] < 15 and 35 < found["high"] < 45  # the walk's knees bend by .15 to .7 rad
-    assert found["time"] == pytest.approx(239 / 60 / 2, abs=0.05) and found["selected"] == found["first"] == 1
+    assert (
+        5 < found["low"] < 15 and 35 < found["high"] < 45
+    )  # the walk's knees bend by .15 to .7 rad
+    assert (
+        found["time"] == pytest.approx(239 / 60 / 2, abs=0.05)
+        and found["selected"] == found["first"] == 1
+    )
     assert found["states"] == ["seen", "missing", "far from the body, so down-weighted"]
-    assert found["late"] == pytest.approx(1.25, abs=0.01) and found["half"] == pytest.approx(1.5, abs=0.01)
+    assert found["late"] == pytest.approx(1.25, abs=0.01) and found["half"] == pytest.approx(
+        1.5, abs=0.01
+    )
 
 
 def first_marker(fit):
@@ -288,7 +337,8 @@ def test_what_was_put_right_is_painted_apart(folder):
     assert "(9 frames; put right)" in dom and '<li class="bad">\u2068M05' in dom
 
 
-# Composes a picture with names, then films a turn by a clock of its own, and writes down what came of both.
+# Composes a picture with names, then films a turn by a clock of its own, and writes down what came
+# of both.
 FILMING = """
 <script>
 const { player } = habitusReport, { recorder, camera } = player, began = camera.yaw, sheet = recorder.compose();
@@ -318,7 +368,9 @@ for (let ms = 1000; ms < 8000; ms += 250) for (const act of waiting.splice(0)) a
 
 def test_a_picture_and_a_turn_of_the_body_can_be_saved(folder):
     page = folder / "filmed.html"
-    page.write_text(report_page(synthetic_fit(rate_hz=60.0)).replace("</body>", FILMING + "</body>"), "utf-8")
+    page.write_text(
+        report_page(synthetic_fit(rate_hz=60.0)).replace("</body>", FILMING + "</body>"), "utf-8"
+    )
     tag = body_tag(visit(page, folder, size=(700, 700)))
     assert "errors" not in tag
     told = json.loads(tag["filmed"])

@@ -1,4 +1,6 @@
-"""The index over several captures: it grows with each run, and nothing in a folder of results can spoil it."""
+"""The index over several captures: it grows with each run, and nothing in a folder of results can
+spoil it.
+"""
 
 import json
 import re
@@ -17,12 +19,17 @@ NASTY = "</td><script>alert(1)</script>\u202e&'\x1b"
 def result(folder, numbers) -> None:
     folder.mkdir(parents=True)
     (folder / "report.html").write_text("")
-    (folder / "metrics.json").write_text(numbers if isinstance(numbers, str) else json.dumps(numbers))
+    (folder / "metrics.json").write_text(
+        numbers if isinstance(numbers, str) else json.dumps(numbers)
+    )
 
 
 def rows(page: str) -> list[list[str]]:
     found = re.findall(r"<tr>(.*?)</tr>", page.split("<tbody>")[1], re.DOTALL)
-    return [[unescape(re.sub("<[^>]*>", "", cell)) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)] for row in found]
+    return [
+        [unescape(re.sub("<[^>]*>", "", cell)) for cell in re.findall(r"<t[hd].*?</t[hd]>", row)]
+        for row in found
+    ]
 
 
 def test_one_row_a_capture_and_it_grows(tmp_path):
@@ -35,15 +42,25 @@ def test_one_row_a_capture_and_it_grows(tmp_path):
     page = write_index(tmp_path).read_text("utf-8")
     (row,) = rows(page)
     final = numbers["marker_error_mm"]["soft_tissue"]
-    assert row[:6] == ["b", "doubtful", f"{final['mean']:.1f} mm", f"{final['p95']:.1f} mm", "20 at 120 Hz", "12"]
-    assert "a hip seen by nobody" in page and 'href="http' not in page and page.count("<script") == 1
+    assert row[:6] == [
+        "b",
+        "doubtful",
+        f"{final['mean']:.1f} mm",
+        f"{final['p95']:.1f} mm",
+        "20 at 120 Hz",
+        "12",
+    ]
+    assert (
+        "a hip seen by nobody" in page and 'href="http' not in page and page.count("<script") == 1
+    )
     result(tmp_path / "a" / "deeper", {"frames": 3})
     assert [row[0] for row in rows(write_index(tmp_path).read_text("utf-8"))] == ["a/deeper", "b"]
 
 
 @pytest.mark.parametrize(
     "numbers",
-    ["", "[1, 2", "[]", "null", '{"frames": NaN, "marker_error_mm": 3, "verdict": "good", "suspect_markers": {}}',
+    ["", "[1, 2", "[]", "null", '{"frames": NaN, "marker_error_mm": 3, "verdict": "good", '
+                                '"suspect_markers": {}}',
      '{"verdict": {"level": ["x"], "reasons": 5}, "body_measurements": {"height_m": "tall"}}', "[" * 100_000],
 )  # fmt: skip
 def test_a_spoilt_file_is_a_row_and_no_error(tmp_path, numbers):
@@ -59,7 +76,12 @@ def test_names_are_safe_and_links_lead_to_their_pages(tmp_path):
     result(tmp_path / ".half-written", {})
     (tmp_path / "elsewhere").symlink_to(tmp_path / name)
     page = write_index(tmp_path).read_text("utf-8")
-    assert page.count("<script") == 1 and "\x1b" not in page and "\u202e" not in page and len(rows(page)) == 1
+    assert (
+        page.count("<script") == 1
+        and "\x1b" not in page
+        and "\u202e" not in page
+        and len(rows(page)) == 1
+    )
     assert (tmp_path / unquote(unescape(re.search(r"href='(.*?)'", page)[1]))).is_file()
 
 

@@ -23,18 +23,29 @@ NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
 
 
 def data_of(page: str) -> dict:
-    return json.loads(re.search(r'<script type="application/json" id="report-data">(.*?)</script>', page, re.DOTALL)[1])
+    return json.loads(
+        re.search(
+            r'<script type="application/json" id="report-data">(.*?)</script>', page, re.DOTALL
+        )[1]
+    )
 
 
 def array_of(page: str, name: str) -> np.ndarray:
-    text = re.search(r'<script type="text/plain" id="report-arrays">(.*?)</script>', page, re.DOTALL)[1]
+    text = re.search(
+        r'<script type="text/plain" id="report-arrays">(.*?)</script>', page, re.DOTALL
+    )[1]
     entry = data_of(page)["arrays"][name]
     count = int(np.prod(entry["shape"]))
-    kind, packed = np.dtype(f"<{entry['type']}"), zlib.decompress(base64.b64decode(text))
+    kind = np.dtype(f"<{entry['type']}")
+    packed = zlib.decompress(base64.b64decode(text))
     assert len(packed) == data_of(page)["bytes"]
     flat = np.frombuffer(packed, kind, count, entry["start"]).reshape(entry["shape"])
     if entry.get("steps"):
-        planes = np.frombuffer(packed, "u1", count * kind.itemsize, entry["start"]).reshape(kind.itemsize, -1).T
+        planes = (
+            np.frombuffer(packed, "u1", count * kind.itemsize, entry["start"])
+            .reshape(kind.itemsize, -1)
+            .T
+        )
         steps = np.ascontiguousarray(planes).view(f"<u{kind.itemsize}").reshape(entry["shape"])
         flat = np.cumsum(steps, axis=0, dtype=f"u{kind.itemsize}").view(kind)
     if "step" not in entry:
@@ -46,13 +57,20 @@ def test_page_is_alone_and_whole(tmp_path):
     write_report(synthetic_fit(), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text("utf-8")
     assert page.startswith("<!doctype html>") and page.rstrip().endswith("</html>")
-    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:)""", page) and "@import" not in page and "url(" not in page
+    assert (
+        not re.search(r"""(?:src|href)\s*=\s*["'](?!data:)""", page)
+        and "@import" not in page
+        and "url(" not in page
+    )
     assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
 
 
 def test_held_out_errors_at_told_places_have_a_column_of_their_own():
     held, told = (HeldOut(("CHIN",), np.full((3, 1), error), None) for error in (0.0321, 0.0054))
-    plain, both = (report_page(synthetic_fit(3, held_out=held, **more)) for more in ({}, {"held_out_told": told}))
+    plain, both = (
+        report_page(synthetic_fit(3, held_out=held, **more))
+        for more in ({}, {"held_out_told": told})
+    )
     assert "32.1 mm" in plain and "5.4 mm" not in plain and "places told" not in plain
     assert "32.1 mm" in both and "5.4 mm" in both and "Pose stage, places told" in both
 
@@ -60,9 +78,17 @@ def test_held_out_errors_at_told_places_have_a_column_of_their_own():
 def test_strings_cannot_break_out():
     labels = tuple(f"{NASTY}{k}" for k in range(12))
     fit = synthetic_fit(
-        labels=labels, capture_name=NASTY, layout_name=NASTY, body_name=NASTY, warnings=(NASTY,), status=NASTY,
-        settings={NASTY: NASTY}, recorded={NASTY: NASTY}, costs={NASTY: 1.0}, suspects=(Suspect(labels[0], NASTY, 3),),
-    )  # fmt: skip
+        labels=labels,
+        capture_name=NASTY,
+        layout_name=NASTY,
+        body_name=NASTY,
+        warnings=(NASTY,),
+        status=NASTY,
+        settings={NASTY: NASTY},
+        recorded={NASTY: NASTY},
+        costs={NASTY: 1.0},
+        suspects=(Suspect(labels[0], NASTY, 3),),
+    )
     page = report_page(fit)
     assert "alert(1)</script>" not in page and "<script>alert" not in page
     assert page.count("<script") == 3 and page.count("</script>") == 3
@@ -77,7 +103,9 @@ def test_the_verdict_stands_above_everything_else(level):
     page = report_page(fit, numbers)
     banner = re.search(r"<div class='banner (\w+)'.*?</div>", page, re.DOTALL)
     told = unescape(banner[0])
-    assert banner[1] == level and "First." in told and shown(NASTY) in told and "<b>" not in banner[0]
+    assert (
+        banner[1] == level and "First." in told and shown(NASTY) in told and "<b>" not in banner[0]
+    )
     assert page.index("<h1>") < banner.start() < page.index("<dl class='tiles'>")
     assert ("is off the markers" in page) == (level == "failed")
     assert f".banner.{level} " in page
@@ -91,11 +119,15 @@ def test_json_in_script_round_trips(value):
 
 def test_markers_survive_packing():
     fit = synthetic_fit(rate_hz=60.0)
-    page, turned = report_page(fit), lambda points: points[..., [0, 2, 1]] * [1, 1, -1]
+    page = report_page(fit)
+    turned = lambda points: points[..., [0, 2, 1]] * [1, 1, -1]  # noqa: E731
     observed = array_of(page, "observed")
     assert np.array_equal(np.isnan(observed), np.isnan(fit.observed_markers))
     assert np.nanmax(np.abs(observed - turned(fit.observed_markers))) < 1e-4
-    assert np.abs(array_of(page, "soft_tissue/predicted") - turned(fit.predicted_soft_tissue)).max() < 1e-4
+    assert (
+        np.abs(array_of(page, "soft_tissue/predicted") - turned(fit.predicted_soft_tissue)).max()
+        < 1e-4
+    )
 
 
 def test_ghost_far_away_does_not_cost_precision():
@@ -117,7 +149,8 @@ def test_long_captures_are_thinned_and_say_so():
 
 
 @pytest.mark.parametrize(
-    ("stride", "words"), [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (321, "321st"), (1312, "1,312th")]
+    ("stride", "words"),
+    [(2, "2nd"), (3, "3rd"), (4, "4th"), (11, "11th"), (321, "321st"), (1312, "1,312th")],
 )
 def test_every_so_manieth_frame_is_said_in_english(stride, words):
     assert _every(stride) == f"every {words}"
@@ -146,13 +179,15 @@ def test_plots_of_very_long_captures_are_binned():
 
 @pytest.mark.parametrize("kind", ["u1", "i1", "u2", "i2"])
 def test_steps_between_rows_lose_nothing(kind):
-    rng, bounds = np.random.default_rng(0), np.iinfo(kind)
+    rng = np.random.default_rng(0)
+    bounds = np.iinfo(kind)
     given = rng.integers(bounds.min, bounds.max, (50, 3, 2), dtype=kind, endpoint=True)
     blob = Blob()
     blob.add("first", np.zeros(3, "u1"))
     blob.add("given", given, True)
     page = (
-        f'<script type="application/json" id="report-data">{json.dumps({"arrays": blob.contents, "bytes": blob.size})}'
+        '<script type="application/json" '
+        f'id="report-data">{json.dumps({"arrays": blob.contents, "bytes": blob.size})}'
         f'</script><script type="text/plain" id="report-arrays">{blob.base64()}</script>'
     )
     assert np.array_equal(array_of(page, "given"), given)
@@ -188,17 +223,27 @@ def test_what_is_guessed_is_said_and_packed():
     blind = replace(fit, marker_weights=np.where(arm, 0.0, fit.marker_weights))
     pages = [report_page(one) for one in (fit, blind)]
     assert ['data-layer="guessed"' in page for page in pages] == [False, True]
-    assert "Guessed, as no marker tells: left forearm, left hand." in pages[1] and "striped" in pages[1]
+    assert (
+        "Guessed, as no marker tells: left forearm, left hand." in pages[1]
+        and "striped" in pages[1]
+    )
     levels = array_of(pages[1], "guessed")
     names = fit.body.joint_names
-    assert (levels[:, names.index("left_elbow")] == 255).all() and not levels[:, names.index("right_elbow")].any()
-    assert {one["joint"] for one in metrics(blind)["guessed_segments"]} == {"left_elbow", "left_wrist"}
+    assert (levels[:, names.index("left_elbow")] == 255).all() and not levels[
+        :, names.index("right_elbow")
+    ].any()
+    assert {one["joint"] for one in metrics(blind)["guessed_segments"]} == {
+        "left_elbow",
+        "left_wrist",
+    }
 
 
 def test_tapes_lie_where_they_measure():
     fit = synthetic_fit(frames=2)
     page = report_page(fit)
-    rest, kit, points = fit.body.rest_vertices(fit.betas), fit.body.measuring_kit, array_of(page, "tapes")
+    rest = fit.body.rest_vertices(fit.betas)
+    kit = fit.body.measuring_kit
+    points = array_of(page, "tapes")
     laid = [ring.tape(rest) for tape in kit.tapes for ring in tape.rings]
     np.testing.assert_allclose(points, np.concatenate(laid), atol=1e-6)
     told = data_of(page)["scene"]["tapes"]

@@ -1,4 +1,6 @@
-"""The live viewer: a board that is never read half written, and a page served by a process of its own."""
+"""The live viewer: a board that is never read half written, and a page served by a process of its
+own.
+"""
 
 import multiprocessing
 import threading
@@ -44,7 +46,13 @@ def test_the_page_is_served_and_ends_when_it_is_told():
     pytest.importorskip("viser")
     body = synthetic_body("smpl")
     board = Board(CONTEXT, body.num_joints, 5)
-    told = (board, {name: getattr(body, name) for name in NEEDED}, np.zeros(body.num_betas), "+z", 8951)
+    told = (
+        board,
+        {name: getattr(body, name) for name in NEEDED},
+        np.zeros(body.num_betas),
+        "+z",
+        8951,
+    )
     process = CONTEXT.Process(target=serve, args=told, daemon=True)
     process.start()
     until = time.monotonic() + 60

@@ -50,11 +50,28 @@ def fit():
     surface = model + 0.004 * normals
     away = np.linspace(0.0, 0.004, len(surface))
     return ScanFit(
-        scan_name=NASTY, body_name="default", body=body, betas=np.zeros(body.num_betas), pose=pose, trans=np.zeros(3),
-        vertices=surface, model_vertices=model, rest_vertices=surface, weights=np.linspace(0.0, 1.0, len(surface)),
-        cloud=Cloud(surface, normals), to_surface=away, to_model=away, far_from_surface=away, matched=1.0, lost=0.0,
-        rival=None, pose_distance=0.5, to_body=np.eye(4), up_axis="+y", notes=(NASTY,),
-    )  # fmt: skip
+        scan_name=NASTY,
+        body_name="default",
+        body=body,
+        betas=np.zeros(body.num_betas),
+        pose=pose,
+        trans=np.zeros(3),
+        vertices=surface,
+        model_vertices=model,
+        rest_vertices=surface,
+        weights=np.linspace(0.0, 1.0, len(surface)),
+        cloud=Cloud(surface, normals),
+        to_surface=away,
+        to_model=away,
+        far_from_surface=away,
+        matched=1.0,
+        lost=0.0,
+        rival=None,
+        pose_distance=0.5,
+        to_body=np.eye(4),
+        up_axis="+y",
+        notes=(NASTY,),
+    )
 
 
 def test_it_is_one_whole_file_and_strings_stay_strings(fit):
@@ -62,12 +79,21 @@ def test_it_is_one_whole_file_and_strings_stay_strings(fit):
     assert page.count("<script") == 3 and "<b>&" not in page and page.count(NASTY) == 0
     assert NASTY in unescape(page) and "http" not in page.replace("http-equiv", "")
     links = re.findall(r"<a href='(.*?)' download>", page)
-    assert links == ["surface.ply", "surface.glb", "model.ply", "rest.ply", "body.npz", "metrics.json"]
+    assert links == [
+        "surface.ply",
+        "surface.glb",
+        "model.ply",
+        "rest.ply",
+        "body.npz",
+        "metrics.json",
+    ]
 
 
 def test_every_look_is_drawn(fit, tmp_path):
     path = tmp_path / "report.html"
-    path.write_text(scan_page(fit, scan_metrics(fit)).replace("</body>", f"{PROBE}</body>"), "utf-8")
+    path.write_text(
+        scan_page(fit, scan_metrics(fit)).replace("</body>", f"{PROBE}</body>"), "utf-8"
+    )
     dom = visit(path, tmp_path)
     assert 'data-ready="yes"' in dom and 'data-webgl="yes"' in dom and "data-errors=" not in dom
     told = json.loads(unescape(re.findall(r'<pre id="told">(.*?)</pre>', dom)[-1]))
@@ -77,5 +103,7 @@ def test_every_look_is_drawn(fit, tmp_path):
     red, grey = (found[name][0] - found[name][2] for name in ("Distances", "Surface"))
     assert red > 0.1 > abs(grey) and found["over"][0] > found["Surface"][0]
     assert (
-        np.abs(found["Surface"][:3] - found["Model"][:3]).max() < 0.02 < np.abs(found["Weights"] - found["Model"]).max()
+        np.abs(found["Surface"][:3] - found["Model"][:3]).max()
+        < 0.02
+        < np.abs(found["Weights"] - found["Model"]).max()
     )

@@ -1,8 +1,10 @@
-"""Bones of the default body as points that springs hold: placed on the mean woman and man, carried to people by joints.
+"""Bones of the default body as points that springs hold: placed on the mean woman and man, carried
+to people by joints.
 
-A point lies between two joints, at a share of the way and an offset that grows with the skeleton, not with the flesh.
-Offsets come from landmarks over bones (crest, trochanter, epicondyles, olecranon, kneecap, shoulder blade, clavicle),
-moved inward by the tissue over them; ribs lie under the skin of the chest, a breast left out.
+A point lies between two joints, at a share of the way and an offset that grows with the skeleton,
+not with the flesh. Offsets come from landmarks over bones (crest, trochanter, epicondyles,
+olecranon, kneecap, shoulder blade, clavicle), moved inward by the tissue over them; ribs lie under
+the skin of the chest, a breast left out.
 """
 
 from __future__ import annotations
@@ -17,15 +19,23 @@ from habitus.body.model import BodyModel
 from .frames import QUARTERS, SIDES, Frames
 
 STATION = 0.012  # metres between stations along a bone
-LIMB, RIB, PELVIS = 0.09, 0.135, 0.135  # mu m a point
+LIMB = 0.09
+RIB = 0.135
+PELVIS = 0.135  # mu m a point
 CLAVICLE = 0.045
 COVER = 0.010  # metres of tissue over a bone at least
-SCALES = {"limb": ("hip", "ankle"), "trunk": ("left_shoulder", "right_shoulder"), "pelvis": ("left_hip", "right_hip")}
+SCALES = {
+    "limb": ("hip", "ankle"),
+    "trunk": ("left_shoulder", "right_shoulder"),
+    "pelvis": ("left_hip", "right_hip"),
+}
 
 
 @dataclass(frozen=True)
 class Bones:
-    """S points: between which joints, how far along, offset (m) and by what it scales; which frames they follow."""
+    """S points: between which joints, how far along, offset (m) and by what it scales; which frames
+    they follow.
+    """
 
     between: np.ndarray  # (S, 2) joints
     along: np.ndarray  # (S,)
@@ -63,7 +73,8 @@ class _Drawing:
     """Points gathered on the left side and the middle of a body; `mirrored` adds the right."""
 
     def __init__(self, body: BodyModel):
-        self.body, self.joints = body, body.rest_joints()
+        self.body = body
+        self.joints = body.rest_joints()
         self.frames = Frames(body.joint_names, body.parents, self.joints).names
         self.rows: list[tuple] = []
 
@@ -83,10 +94,13 @@ class _Drawing:
         stiffness: float = LIMB,
     ) -> None:
         """A point, told by the projection on the way between two joints."""
-        a, b = self.place(ends[0]), self.place(ends[1])
+        a = self.place(ends[0])
+        b = self.place(ends[1])
         along = float((point - a) @ (b - a) / ((b - a) @ (b - a)))
         frames = frames if len(frames) == 2 else (frames[0], (frames[0][0], 0.0))
-        self.rows.append((ends, along, point - a - along * (b - a), scale, frames, stiffness, group))
+        self.rows.append(
+            (ends, along, point - a - along * (b - a), scale, frames, stiffness, group)
+        )
 
     def mirrored(self) -> Bones:
         rows = list(self.rows)
@@ -95,7 +109,9 @@ class _Drawing:
             if any(word.startswith("left_") for word in words):
                 other = tuple((_other(name), share) for name, share in frames)
                 turned = offset * np.array([-1, 1, 1])
-                rows.append((tuple(map(_other, ends)), along, turned, scale, other, stiffness, group))
+                rows.append(
+                    (tuple(map(_other, ends)), along, turned, scale, other, stiffness, group)
+                )
         joint = self.body.joint_names.index
         return Bones(
             np.array([[joint(name) for name in row[0]] for row in rows]),
@@ -166,7 +182,9 @@ def _legs(drawing: _Drawing) -> None:
 
 
 def _arms(drawing: _Drawing) -> None:
-    shoulder, elbow, wrist = (drawing.place(f"left_{name}") for name in ("shoulder", "elbow", "wrist"))
+    shoulder, elbow, wrist = (
+        drawing.place(f"left_{name}") for name in ("shoulder", "elbow", "wrist")
+    )
     length = np.linalg.norm(elbow - shoulder)
     for t in np.arange(0.02 / length, 1 - 0.02 / length, STATION / length):
         centre = shoulder + t * (elbow - shoulder)
@@ -191,11 +209,16 @@ def _shoulder(drawing: _Drawing) -> None:
     outer = drawing.mark("left_acromion") + _by(-0.012, -0.024, -0.004)
     ends = ("left_collar", "left_shoulder")
     for t in np.linspace(0.1, 1, int(np.linalg.norm(outer - inner) / STATION)):
-        drawing.add(inner + t * (outer - inner), ends, (("left_collar", 1.0),), "limb", "trunk", CLAVICLE)
+        drawing.add(
+            inner + t * (outer - inner), ends, (("left_collar", 1.0),), "limb", "trunk", CLAVICLE
+        )
     upper, middle, lower = (
-        drawing.mark(f"left_scapula_{name}") + _by(0, 0, 0.016) for name in ("upper", "mid", "lower")
+        drawing.mark(f"left_scapula_{name}") + _by(0, 0, 0.016)
+        for name in ("upper", "mid", "lower")
     )
-    spine = drawing.mark("left_acromion") * [0.6, 1, 0] + _by(0.4 * upper[0], -0.03, middle[2] + 0.012)
+    spine = drawing.mark("left_acromion") * [0.6, 1, 0] + _by(
+        0.4 * upper[0], -0.03, middle[2] + 0.012
+    )
     for a, b in ((upper, lower), (upper, middle), (spine, upper), (spine, lower), (middle, lower)):
         for t in (0.0, 0.35, 0.7):
             drawing.add(a + t * (b - a), ends, (("left_scapula", 1.0),), "ribs", "trunk")
@@ -206,17 +229,21 @@ def _spine(drawing: _Drawing) -> None:
     places = [drawing.place(name) for name in names]
     places[0] = np.array([0, places[0][1], places[1][2] - 0.02])
     for k in range(5):
-        a, b = places[k], places[k + 1]
+        a = places[k]
+        b = places[k + 1]
         length = np.linalg.norm(b - a)
         slim = names[k] == "neck"
         for t in np.arange(0, 1, STATION / length):
             other, part = (k - 1, 0.5 - t) if t < 0.5 else (k + 1, t - 0.5)
             if other < 0:
-                other, part = k, 0.0
+                other = k
+                part = 0.0
             frames = ((names[k], 1 - part), (names[other], part))
             for dx, dz in ((0, 0), (0.018, -0.006), (-0.018, -0.006), (0, -0.016)):
                 offset = np.array([dx, 0, dz]) * (0.6 if slim else 1.0)
-                drawing.add(a + t * (b - a) + offset, (names[k], names[k + 1]), frames, "spine", "trunk")
+                drawing.add(
+                    a + t * (b - a) + offset, (names[k], names[k + 1]), frames, "spine", "trunk"
+                )
 
 
 def _pelvis(drawing: _Drawing) -> None:
@@ -227,7 +254,14 @@ def _pelvis(drawing: _Drawing) -> None:
     sacrum = drawing.mark("sacrum") + _by(0, 0, 0.018)
     pubis = np.array([0.018, hip[1] - 0.012, asis[2] - 0.035])
     wing = hip + _by(-0.005, 0.055, -0.02)
-    lines = [(asis, crest), (crest, psis), (psis, sacrum), (wing, asis), (wing, crest), (wing, psis)]
+    lines = [
+        (asis, crest),
+        (crest, psis),
+        (psis, sacrum),
+        (wing, asis),
+        (wing, crest),
+        (wing, psis),
+    ]
     lines += [(sacrum, sacrum + _by(0, -0.05, 0.01)), (pubis, pubis * [-1, 1, 1])]
     for a, b in lines:
         for t in np.linspace(0, 1, max(2, int(np.linalg.norm(b - a) / 0.016))):
@@ -241,14 +275,18 @@ def _pelvis(drawing: _Drawing) -> None:
 
 
 def _ribs(drawing: _Drawing) -> None:
-    body, spacing, depth = drawing.body, 0.026, 0.028
-    vertices, faces = body.v_template, body.faces
+    body = drawing.body
+    spacing = 0.026
+    depth = 0.028
+    vertices = body.v_template
+    faces = body.faces
     normals = igl.per_vertex_normals(vertices, faces)
     names = body.joint_names
     trunk = [names.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
     weights = np.zeros((len(vertices), len(names)))
     np.put_along_axis(weights, body.skinning_index, body.skinning_value, 1)
-    high, low = drawing.mark("jugular_notch")[1], drawing.mark("xiphoid")[1]
+    high = drawing.mark("jugular_notch")[1]
+    low = drawing.mark("xiphoid")[1]
     back = drawing.mark("t12")[1]
     front = np.clip((vertices[:, 2] + 0.03) / 0.12, 0, 1)
     over = vertices[:, 1] > back + front * (low - back)
@@ -256,7 +294,9 @@ def _ribs(drawing: _Drawing) -> None:
     points = vertices - depth * normals
     heights = [drawing.mark(name) for name in ("xiphoid", "sternum_mid", "jugular_notch")]
     limit = np.interp(vertices[:, 1], [p[1] for p in heights], [p[2] for p in heights]) - 0.012
-    points[:, 2] = np.minimum(points[:, 2], limit - 0.25 * np.abs(points[:, 0]) * (normals[:, 2] > 0))
+    points[:, 2] = np.minimum(
+        points[:, 2], limit - 0.25 * np.abs(points[:, 0]) * (normals[:, 2] > 0)
+    )
     kept: list[np.ndarray] = []
     ends = ("spine2", "spine3")
     for v in np.flatnonzero(chosen & (vertices[:, 0] > 0.004)):
@@ -266,7 +306,10 @@ def _ribs(drawing: _Drawing) -> None:
         share = weights[v, trunk] / weights[v, trunk].sum()
         two = np.argsort(-share)[:2]
         part = share[two] / share[two].sum()
-        frames = tuple((("spine1", "spine2", "spine3", "neck")[k], float(p)) for k, p in zip(two, part, strict=True))
+        frames = tuple(
+            (("spine1", "spine2", "spine3", "neck")[k], float(p))
+            for k, p in zip(two, part, strict=True)
+        )
         drawing.add(points[v], ends, frames, "ribs", "trunk", RIB)
         mirror = points[v] * [-1, 1, 1]
         drawing.add(mirror, ends, frames, "ribs", "trunk", RIB)
@@ -288,4 +331,6 @@ def under_skin(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> n
 
 def only(bones: Bones, some: np.ndarray) -> Bones:
     """Those of some points."""
-    return replace(bones, **{name: getattr(bones, name)[some] for name in bones.__dataclass_fields__})
+    return replace(
+        bones, **{name: getattr(bones, name)[some] for name in bones.__dataclass_fields__}
+    )

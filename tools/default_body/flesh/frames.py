@@ -1,11 +1,16 @@
 """Rigid frames that bones follow: the joints, and a few between them that a joint skeleton lacks.
 
-- *Forearm*: its bones share the wrist's twist (pronation), none at the elbow, all at the wrist, in quarters.
-- *Kneecap*: turns with the femur by half the knee's angle about the knee's joint, and sinks between the condyles, by
+- *Forearm*: its bones share the wrist's twist (pronation), none at the elbow, all at the wrist, in
+  quarters.
+- *Kneecap*: turns with the femur by half the knee's angle about the knee's joint, and sinks between
+  the condyles, by
   `SINK` of the shank where the knee is fully bent.
-- *Shoulder blade*: goes with the collar, and turns in its own plane, about a point midway between shoulder and upper
-  spine, by a third of the arm's elevation (scapulohumeral rhythm, Inman et al. 1944), from -10 to +25 degrees, zero in
-  the T-pose. The range is a choice: further down the blade's upper edge would push the trapezius up.
+- *Shoulder blade*: goes with the collar, and turns in its own plane, about a point midway between
+  shoulder and upper
+  spine, by a third of the arm's elevation (scapulohumeral rhythm, Inman et al. 1944), from -10 to
+  +25 degrees, zero in
+  the T-pose. The range is a choice: further down the blade's upper edge would push the trapezius
+  up.
 """
 
 from __future__ import annotations
@@ -37,7 +42,10 @@ class Frames:
         """The joints', then forearm quarters 1 to 4, kneecap and shoulder blade of each side."""
         more = []
         for side in SIDES:
-            more += [f"{side}_forearm{k}" for k in range(1, QUARTERS + 1)] + [f"{side}_patella", f"{side}_scapula"]
+            more += [f"{side}_forearm{k}" for k in range(1, QUARTERS + 1)] + [
+                f"{side}_patella",
+                f"{side}_scapula",
+            ]
         return self.joint_names + tuple(more)
 
     def place(self, name: str) -> np.ndarray:
@@ -69,7 +77,9 @@ class Frames:
         return [_then(motions[elbow], share * angle * axis, self.joints[elbow]) for share in shares]
 
     def _patella(self, side: str, pose: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        hip, knee, ankle = (self.joint_names.index(f"{side}_{name}") for name in ("hip", "knee", "ankle"))
+        hip, knee, ankle = (
+            self.joint_names.index(f"{side}_{name}") for name in ("hip", "knee", "ankle")
+        )
         back = SINK * np.linalg.norm(self.joints[ankle] - self.joints[knee])
         back *= (1 - np.cos(np.linalg.norm(pose[knee]))) / 2
         turned = _then(motions[hip], 0.5 * pose[knee], self.joints[knee])
@@ -77,7 +87,9 @@ class Frames:
         return turned
 
     def _scapula(self, side: str, pose: np.ndarray, motions: np.ndarray) -> np.ndarray:
-        collar, shoulder, elbow = (self.joint_names.index(f"{side}_{n}") for n in ("collar", "shoulder", "elbow"))
+        collar, shoulder, elbow = (
+            self.joint_names.index(f"{side}_{n}") for n in ("collar", "shoulder", "elbow")
+        )
         arm = matrix_from_rotvec(pose[shoulder]) @ (self.joints[elbow] - self.joints[shoulder])
         up = np.arcsin(np.clip(arm[1] / np.linalg.norm(arm), -1, 1))
         angle = np.clip(RHYTHM * up, BLADE_DOWN, BLADE_UP) * (1 if side == "left" else -1)
@@ -89,4 +101,6 @@ def _then(motion: np.ndarray, rotvec: np.ndarray, centre: np.ndarray) -> np.ndar
     """(3, 4): first a rotation about a rest point, then a motion."""
     turn = matrix_from_rotvec(rotvec)
     shift = centre - turn @ centre
-    return np.concatenate([motion[:, :3] @ turn, (motion[:, :3] @ shift + motion[:, 3])[:, None]], 1)
+    return np.concatenate(
+        [motion[:, :3] @ turn, (motion[:, :3] @ shift + motion[:, 3])[:, None]], 1
+    )

@@ -13,14 +13,18 @@ from .person import Person
 from .studio import SKIN, below
 
 LIMBS = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
-MOST_PAIRS, WHOLE, LIMB = 20, 1.0, 3.0  # pairs of triangles, per cent of the volume
+MOST_PAIRS = 20
+WHOLE = 1.0
+LIMB = 3.0  # pairs of triangles, per cent of the volume
 
 
 @dataclass(frozen=True)
 class Gauge:
-    """Inverted tetrahedra and the least J; volume of skin and of the limb that changes most (%); new intersecting pairs
+    """Inverted tetrahedra and the least J; volume of skin and of the limb that changes most (%);
+    new intersecting pairs
 
-    of triangles; 95th percentile of bones' distances from their places (mm) by group; Newton steps at the end.
+    of triangles; 95th percentile of bones' distances from their places (mm) by group; Newton steps
+    at the end.
     """
 
     inverted: int
@@ -34,7 +38,12 @@ class Gauge:
     @property
     def passes(self) -> bool:
         """Whether the pose is fit to be learned from."""
-        return self.inverted == 0 and self.pairs <= MOST_PAIRS and abs(self.whole) <= WHOLE and abs(self.limb) <= LIMB
+        return (
+            self.inverted == 0
+            and self.pairs <= MOST_PAIRS
+            and abs(self.whole) <= WHOLE
+            and abs(self.limb) <= LIMB
+        )
 
     def words(self) -> dict:
         """For JSON."""
@@ -58,12 +67,16 @@ class Ruler:
 
     def gauge(self, pose: np.ndarray, nodes: np.ndarray, vertices: np.ndarray, steps: int) -> Gauge:
         """The measures of nodes (N, 3) and the full body's vertices (V, 3) in a pose."""
-        person, flesh = self.person, self.person.flesh
+        person = self.person
+        flesh = self.person.flesh
         det = np.empty(len(flesh.tets))
         determinants(nodes, flesh.tets, flesh.inverse, det)
-        skin, faces = vertices[:SKIN], person.studio.faces
+        skin = vertices[:SKIN]
+        faces = person.studio.faces
         errors = 1000 * person.bone_errors(pose, nodes)
-        groups = {str(word): errors[person.bones.group == word] for word in np.unique(person.bones.group)}
+        groups = {
+            str(word): errors[person.bones.group == word] for word in np.unique(person.bones.group)
+        }
         limbs = [_change(nodes, flesh.cage.nodes, flesh.cage.tets[tets]) for tets in self.limbs]
         return Gauge(
             int((det <= 0).sum()),
@@ -84,7 +97,9 @@ def ruler(person: Person) -> Ruler:
     for name in LIMBS:
         weight = studio.weights[:, below(studio.body, name)].sum(1)
         limbs.append(np.flatnonzero(weight[studio.cage.tets].mean(1) > 0.5))
-    return Ruler(person, volume(skin, studio.faces), meeting(skin, studio.faces, person.moving), tuple(limbs))
+    return Ruler(
+        person, volume(skin, studio.faces), meeting(skin, studio.faces, person.moving), tuple(limbs)
+    )
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -94,7 +109,9 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def meeting(vertices: np.ndarray, faces: np.ndarray, moving: np.ndarray) -> frozenset:
-    """Pairs of triangles that cut each other, one of them simulated: toes and fingers are skinning's."""
+    """Pairs of triangles that cut each other, one of them simulated: toes and fingers are
+    skinning's.
+    """
     pairs = intersecting_pairs(vertices, faces)
     simulated = moving[faces[pairs]].any((1, 2))
     return frozenset(map(tuple, pairs[simulated].tolist()))

@@ -1,8 +1,10 @@
-"""A simple model of muscles that bulge: flesh around a muscle's belly is to be shorter along its bone, and thicker.
+"""A simple model of muscles that bulge: flesh around a muscle's belly is to be shorter along its
+bone, and thicker.
 
-A muscle lies at a share of the way between two joints, on one side of the bone. Where it is fully contracted, its belly
-wants a length of 1 - `strength`, and a width of the inverse root, so that its volume stays. How far it contracts is a
-smooth step of one joint's angle. These are choices, not measurements; what they stand for is in `docs/default-body.md`.
+A muscle lies at a share of the way between two joints, on one side of the bone. Where it is fully
+contracted, its belly wants a length of 1 - `strength`, and a width of the inverse root, so that its
+volume stays. How far it contracts is a smooth step of one joint's angle. These are choices, not
+measurements; what they stand for is in `docs/default-body.md`.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ from .frames import SIDES, Frames
 
 @dataclass(frozen=True)
 class Muscle:
-    """Belly between two joints at `along`, on the side `towards` (x is outward), and what contracts it."""
+    """Belly between two joints at `along`, on the side `towards` (x is outward), and what contracts
+    it.
+    """
 
     start: str
     end: str
@@ -32,17 +36,25 @@ class Muscle:
 
 
 MUSCLES = (
-    Muscle("shoulder", "elbow", 0.55, 0.22, (0, 0, 1), "elbow", (0, -1, 0), (20, 130), 0.25),  # biceps
+    Muscle(
+        "shoulder", "elbow", 0.55, 0.22, (0, 0, 1), "elbow", (0, -1, 0), (20, 130), 0.25
+    ),  # biceps
     Muscle("hip", "knee", 0.60, 0.22, (0, 0, -1), "knee", (1, 0, 0), (30, 130), 0.15),  # hamstrings
     Muscle("knee", "ankle", 0.28, 0.16, (0, 0, -1), "ankle", (1, 0, 0), (5, 40), 0.20),  # calf
-    Muscle("shoulder", "elbow", 0.12, 0.20, (0, 1, 0), "shoulder", (0, 0, 1), (10, 80), 0.20),  # deltoid
-    Muscle("hip", "knee", 0.45, 0.25, (0, 0, 1), "hip", (-1, 0, 0), (40, 110), 0.08),  # rectus femoris
+    Muscle(
+        "shoulder", "elbow", 0.12, 0.20, (0, 1, 0), "shoulder", (0, 0, 1), (10, 80), 0.20
+    ),  # deltoid
+    Muscle(
+        "hip", "knee", 0.45, 0.25, (0, 0, 1), "hip", (-1, 0, 0), (40, 110), 0.08
+    ),  # rectus femoris
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Muscles:
-    """M muscles in T tetrahedra: how much of each is muscle, along which direction, and what contracts them."""
+    """M muscles in T tetrahedra: how much of each is muscle, along which direction, and what
+    contracts them.
+    """
 
     share: np.ndarray  # (M, T)
     direction: np.ndarray  # (M, 3) at rest
@@ -68,7 +80,9 @@ class Muscles:
             length = 1 - effort[m] * self.share[m, some]
             u = self.direction[m]
             along = np.outer(u, u)
-            back = np.sqrt(length)[:, None, None] * (np.eye(3) - along) + along / length[:, None, None]
+            back = (
+                np.sqrt(length)[:, None, None] * (np.eye(3) - along) + along / length[:, None, None]
+            )
             changed = changed.copy() if changed is inverse else changed
             changed[some] = changed[some] @ back
         return changed
@@ -90,12 +104,17 @@ def draw_muscles(flesh: Flesh, frames: Frames, muscles: tuple[Muscle, ...] = MUS
 
 
 def _of_side(vector: tuple[float, float, float], side: str, turns: bool = False) -> np.ndarray:
-    flip = np.ones(3) if side == "left" else np.array([1, -1, -1]) if turns else np.array([-1, 1, 1])
+    flip = (
+        np.ones(3) if side == "left" else np.array([1, -1, -1]) if turns else np.array([-1, 1, 1])
+    )
     return np.asarray(vector, float) * flip
 
 
-def _belly(muscle: Muscle, side: str, centres: np.ndarray, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
-    start, end = frames.place(f"{side}_{muscle.start}"), frames.place(f"{side}_{muscle.end}")
+def _belly(
+    muscle: Muscle, side: str, centres: np.ndarray, frames: Frames
+) -> tuple[np.ndarray, np.ndarray]:
+    start = frames.place(f"{side}_{muscle.start}")
+    end = frames.place(f"{side}_{muscle.end}")
     bone = end - start
     length = np.linalg.norm(bone)
     direction = bone / length

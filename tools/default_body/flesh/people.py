@@ -1,4 +1,6 @@
-"""Whom to simulate: the mean person first, then people spread from thin to fat, some of them young or old."""
+"""Whom to simulate: the mean person first, then people spread from thin to fat, some of them young
+or old.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,25 @@ from habitus.body.model import BodyModel
 
 DRAWN = 240  # people that the spread ones are chosen from
 LARGEST = 2.6  # no beta beyond
-AGES = (None, None, 20, None, 40, None, 60, None, None, 80)  # None: the space's own mean age, about 50
+AGES = (
+    None,
+    None,
+    20,
+    None,
+    40,
+    None,
+    60,
+    None,
+    None,
+    80,
+)  # None: the space's own mean age, about 50
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A person: name, betas (B,), age in years (None: that of the body's template), and m^3 over height squared."""
+    """A person: name, betas (B,), age in years (None: that of the body's template), and m^3 over
+    height squared.
+    """
 
     name: str
     betas: np.ndarray
@@ -29,12 +44,16 @@ class Shape:
 
 
 def people(body: BodyModel, sex: str, count: int, seed: int) -> list[Shape]:
-    """`count` people of a body: the mean one, then betas drawn from N(0, I), evenly spaced by stoutness."""
+    """`count` people of a body: the mean one, then betas drawn from N(0, I), evenly spaced by
+    stoutness.
+    """
     rng = np.random.default_rng([seed, sorted(("female", "male")).index(sex)])
     betas = np.clip(rng.normal(size=(DRAWN, body.num_betas)), -LARGEST, LARGEST)
     stout = _stoutness(body, np.vstack([betas, np.zeros(body.num_betas)]))
     order = np.argsort(stout[:-1])
-    chosen = order[(np.linspace(0.02, 0.98, count - 1) * DRAWN).astype(int)] if count > 1 else order[:0]
+    chosen = (
+        order[(np.linspace(0.02, 0.98, count - 1) * DRAWN).astype(int)] if count > 1 else order[:0]
+    )
     spread = chosen[_alternating(len(chosen))]
     found = [Shape(f"{sex}00", np.zeros(body.num_betas), None, stout[-1])]
     return found + [
@@ -55,7 +74,9 @@ def _stoutness(body: BodyModel, betas: np.ndarray) -> np.ndarray:
 
 
 def _alternating(count: int) -> np.ndarray:
-    """0..count in an order of which every beginning is spread over all: by reversed binary digits."""
+    """0..count in an order of which every beginning is spread over all: by reversed binary
+    digits.
+    """
     bits = max(1, int(np.ceil(np.log2(max(2, count)))))
     back = [int(format(k, f"0{bits}b")[::-1], 2) for k in range(2**bits)]
     return np.array([k for k in back if k < count])

@@ -56,7 +56,9 @@ class Person:
         return np.einsum("vij,vj->vi", mixed[:, :, :3], self.rest) + mixed[:, :, 3]
 
     def surface(self, pose: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """(V, 3) of the simulated skin; what lies in held tetrahedra, linings and eyeballs follow skinning."""
+        """(V, 3) of the simulated skin; what lies in held tetrahedra, linings and eyeballs follow
+        skinning.
+        """
         vertices = self.skinned(pose)
         vertices[:SKIN][self.moving] = (self.smooth @ nodes)[self.moving]
         return vertices
@@ -69,7 +71,8 @@ class Person:
 def make_person(
     studio: Studio, rest: np.ndarray, joints: np.ndarray, felt_edge: float = FELT, every: int = 1
 ) -> Person:
-    """The flesh of a person with a skin (V, 3) and joints (J, 3) at rest; `every` so manieth vertex looks for contact.
+    """The flesh of a person with a skin (V, 3) and joints (J, 3) at rest; `every` so manieth vertex
+    looks for contact.
 
     Raises HabitusError where no cage fits.
     """
@@ -88,4 +91,6 @@ def make_person(
     skin = make_skin(cage, felt, faces, probes[::every])
     flesh = make_flesh(cage, studio.free, held, bones.stiffness, skin)
     smooth = cage.smooth(own, skin_rest)
-    return Person(studio, flesh, rest, frames, bones, places, draw_muscles(flesh, frames), smooth, moving)
+    return Person(
+        studio, flesh, rest, frames, bones, places, draw_muscles(flesh, frames), smooth, moving
+    )

@@ -1,8 +1,9 @@
 """Poses to simulate: what single joints can do over their range, and combinations.
 
-A *unit* is the way of one limb through a few stops, in degrees on the left side. Limbs that are far apart move at the
-same time: a *session* takes one unit for each arm, leg, trunk and neck, in another pairing and with other amplitudes
-for each person, so that no joint is bound to another. The right side's units are mirrored ones.
+A *unit* is the way of one limb through a few stops, in degrees on the left side. Limbs that are far
+apart move at the same time: a *session* takes one unit for each arm, leg, trunk and neck, in
+another pairing and with other amplitudes for each person, so that no joint is bound to another. The
+right side's units are mirrored ones.
 """
 
 from __future__ import annotations
@@ -21,18 +22,25 @@ def _one(joint: str, *stops: tuple[float, float, float]) -> Stops:
 ARM: dict[str, Stops] = {
     "elbow": _one("elbow", (0, -40, 0), (0, -75, 0), (0, -105, 0), (0, -125, 0), (0, -140, 0)),
     "arm_down": tuple(
-        {"shoulder": (0, 0, z), "collar": (0, 0, c)} for z, c in ((-25, 0), (-50, -3), (-70, -8), (-80, -8))
+        {"shoulder": (0, 0, z), "collar": (0, 0, c)}
+        for z, c in ((-25, 0), (-50, -3), (-70, -8), (-80, -8))
     ),
-    "arm_up": tuple({"shoulder": (0, 0, z), "collar": (0, 0, c)} for z, c in ((25, 5), (45, 12), (60, 20), (72, 26))),
+    "arm_up": tuple(
+        {"shoulder": (0, 0, z), "collar": (0, 0, c)}
+        for z, c in ((25, 5), (45, 12), (60, 20), (72, 26))
+    ),
     "arm_forward": tuple(
-        {"shoulder": (0, y, 0), "collar": (0, c, 0)} for y, c in ((-30, 0), (-60, -5), (-90, -12), (-115, -18))
+        {"shoulder": (0, y, 0), "collar": (0, c, 0)}
+        for y, c in ((-30, 0), (-60, -5), (-90, -12), (-115, -18))
     ),
     "arm_back": (
         {"shoulder": (0, 25, 0)},
         {"shoulder": (0, 40, -30), "collar": (0, 8, 0)},
         {"shoulder": (0, 35, -60), "collar": (0, 8, -5)},
     ),
-    "arm_twist": _one("shoulder", (35, 0, 0), (70, 0, 0), (30, 0, -60), (-35, 0, -60), (-60, 0, 0), (-85, 0, 0)),
+    "arm_twist": _one(
+        "shoulder", (35, 0, 0), (70, 0, 0), (30, 0, -60), (-35, 0, -60), (-60, 0, 0), (-85, 0, 0)
+    ),
     "arm_front_up": (
         {"shoulder": (0, -85, 0), "collar": (0, -10, 0)},
         {"shoulder": (0, -80, 45), "collar": (0, -10, 15)},
@@ -43,8 +51,12 @@ ARM: dict[str, Stops] = {
         {"shoulder": (-40, 0, -75), "elbow": (0, -100, 0)},
         {"shoulder": (45, -10, -70), "elbow": (0, -130, 0)},
     ),
-    "wrist_twist": _one("wrist", (45, 0, 0), (75, 0, 0), (92, 0, 0), (-40, 0, 0), (-70, 0, 0), (-90, 0, 0)),
-    "wrist": _one("wrist", (0, 0, -40), (0, 0, -70), (0, 25, 0), (0, -30, 0), (0, 0, 40), (0, 0, 65)),
+    "wrist_twist": _one(
+        "wrist", (45, 0, 0), (75, 0, 0), (92, 0, 0), (-40, 0, 0), (-70, 0, 0), (-90, 0, 0)
+    ),
+    "wrist": _one(
+        "wrist", (0, 0, -40), (0, 0, -70), (0, 25, 0), (0, -30, 0), (0, 0, 40), (0, 0, 65)
+    ),
     "collar": _one("collar", (0, 0, 14), (0, 0, 28), (0, -20, 0), (0, 18, 0), (0, 0, -10)),
     "behind_head": (
         {"shoulder": (0, 0, 30), "elbow": (0, -60, 0), "collar": (0, 0, 10)},
@@ -53,7 +65,12 @@ ARM: dict[str, Stops] = {
     "across": (
         {"shoulder": (0, -60, -30), "elbow": (0, -50, 0)},
         {"shoulder": (20, -80, -50), "elbow": (0, -80, 0), "collar": (0, -12, 0)},
-        {"shoulder": (30, -85, -55), "elbow": (0, -110, 0), "collar": (0, -16, 0), "wrist": (30, 0, 0)},
+        {
+            "shoulder": (30, -85, -55),
+            "elbow": (0, -110, 0),
+            "collar": (0, -16, 0),
+            "wrist": (30, 0, 0),
+        },
     ),
 }
 LEG: dict[str, Stops] = {
@@ -76,8 +93,12 @@ LEG: dict[str, Stops] = {
         {"hip": (22, 0, 0), "knee": (50, 0, 0)},
         {"hip": (15, 0, 8), "knee": (100, 0, 0)},
     ),
-    "hip_twist": _one("hip", (0, 25, 5), (0, 42, 8), (-60, 30, 15), (-60, -25, 5), (0, -25, 2), (0, -38, 4)),
-    "ankle": _one("ankle", (22, 0, 0), (45, 0, 0), (15, 0, 18), (10, 0, -18), (-12, 0, 0), (-24, 0, 0)),
+    "hip_twist": _one(
+        "hip", (0, 25, 5), (0, 42, 8), (-60, 30, 15), (-60, -25, 5), (0, -25, 2), (0, -38, 4)
+    ),
+    "ankle": _one(
+        "ankle", (22, 0, 0), (45, 0, 0), (15, 0, 18), (10, 0, -18), (-12, 0, 0), (-24, 0, 0)
+    ),
     "toes": (
         {"foot": (-25, 0, 0)},
         {"foot": (-45, 0, 0), "ankle": (35, 0, 0)},
@@ -87,7 +108,10 @@ LEG: dict[str, Stops] = {
         {"hip": (-60, 20, 20), "knee": (60, 0, 0)},
         {"hip": (-80, 40, 40), "knee": (110, 0, 0)},
     ),
-    "kick": ({"hip": (-50, 0, 0), "knee": (60, 0, 0)}, {"hip": (-85, 0, 5), "knee": (20, 0, 0), "ankle": (30, 0, 0)}),
+    "kick": (
+        {"hip": (-50, 0, 0), "knee": (60, 0, 0)},
+        {"hip": (-85, 0, 5), "knee": (20, 0, 0), "ankle": (30, 0, 0)},
+    ),
     "squat": (
         {"hip": (-50, 0, 10), "knee": (55, 0, 0), "ankle": (-12, 0, 0)},
         {"hip": (-90, 0, 16), "knee": (95, 0, 0), "ankle": (-18, 0, 0)},
@@ -96,7 +120,11 @@ LEG: dict[str, Stops] = {
 }
 
 
-def _spine(*stops: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]) -> Stops:
+def _spine(
+    *stops: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ],
+) -> Stops:
     return tuple(dict(zip(("spine1", "spine2", "spine3"), stop, strict=True)) for stop in stops)
 
 
@@ -145,13 +173,20 @@ def mirrored_pose(pose: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
 def _partners(joint_names: tuple[str, ...]) -> list[int]:
     swap = {"left": "right", "right": "left"}
     words = [name.split("_", 1) for name in joint_names]
-    return [joint_names.index(f"{swap[w[0]]}_{w[1]}") if w[0] in swap else k for k, w in enumerate(words)]
+    return [
+        joint_names.index(f"{swap[w[0]]}_{w[1]}") if w[0] in swap else k
+        for k, w in enumerate(words)
+    ]
 
 
-def sessions(rng: np.random.Generator, joint_names: tuple[str, ...], turn: int = 0) -> list[Session]:
+def sessions(
+    rng: np.random.Generator, joint_names: tuple[str, ...], turn: int = 0
+) -> list[Session]:
     """The sessions of one person: every unit once, on one side or the other."""
-    arms, legs = _shuffled(rng, ARM), _shuffled(rng, LEG)
-    trunks, necks = _shuffled(rng, TRUNK), _shuffled(rng, NECK)
+    arms = _shuffled(rng, ARM)
+    legs = _shuffled(rng, LEG)
+    trunks = _shuffled(rng, TRUNK)
+    necks = _shuffled(rng, NECK)
     found = []
     for k in range(max((len(arms) + 1) // 2, (len(legs) + 1) // 2, len(trunks))):
         lanes = {
@@ -175,14 +210,17 @@ def _pick(names: list[str], k: int) -> str | None:
     return names[k] if k < len(names) else None
 
 
-def _session(rng: np.random.Generator, name: str, lanes: dict, joint_names: tuple[str, ...]) -> Session:
+def _session(
+    rng: np.random.Generator, name: str, lanes: dict, joint_names: tuple[str, ...]
+) -> Session:
     legs = [lanes[lane][1] for lane in ("left_leg", "right_leg")]
     for both in BOTH_LEGS:
         if both in legs:
             lanes = {**lanes, "left_leg": (LEG, both), "right_leg": (LEG, both)}
     used = {lane: (unit, units[unit]) for lane, (units, unit) in lanes.items() if unit is not None}
     count = max(len(stops) for _, stops in used.values())
-    poses, names = np.zeros((count, len(joint_names), 3)), []
+    poses = np.zeros((count, len(joint_names), 3))
+    names = []
     for lane, (_, stops) in used.items():
         side = lane.split("_")[0] + "_" if "_" in lane else ""
         flip = rng.random() < 0.5 if not side else side == "right_"
@@ -194,11 +232,15 @@ def _session(rng: np.random.Generator, name: str, lanes: dict, joint_names: tupl
                 full = joint if joint in MIDDLE else side + joint
                 poses[k, joint_names.index(full)] = turn * ([1, -1, -1] if flip else [1, 1, 1])
     for k in range(count):
-        names.append(f"{name}_{k}: " + ", ".join(f"{lane} {unit}" for lane, (unit, _) in used.items()))
+        names.append(
+            f"{name}_{k}: " + ", ".join(f"{lane} {unit}" for lane, (unit, _) in used.items())
+        )
     return Session(name, poses, tuple(names))
 
 
-def named(joint_names: tuple[str, ...], degrees: dict[str, tuple[float, float, float]]) -> np.ndarray:
+def named(
+    joint_names: tuple[str, ...], degrees: dict[str, tuple[float, float, float]]
+) -> np.ndarray:
     """(J, 3) from degrees by joint."""
     pose = np.zeros((len(joint_names), 3))
     for joint, turn in degrees.items():

@@ -3,9 +3,9 @@
     pip install pytetwild==0.2.3            # build-time only: meshes the two cages, once
     python tools/default_body/flesh/run.py --out FOLDER [--motions fit.npz ...] [--threads N | --cluster ADDRESS]
 
-Every session of a person is a file FOLDER/<person>/<session>.npz, written whole or not at all: start the command again
-to go on. `--gather FOLDER` writes what passes the gates as registrations that `habitus train` reads, a folder a sex,
-each person with the mirror image, and prints the table.
+Every session of a person is a file FOLDER/<person>/<session>.npz, written whole or not at all:
+start the command again to go on. `--gather FOLDER` writes what passes the gates as registrations
+that `habitus train` reads, a folder a sex, each person with the mirror image, and prints the table.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ TOGETHER = 3  # poses of real motions that one session holds
 
 
 def tasks(options: argparse.Namespace) -> list[Task]:
-    """All files: a block of people goes through every unit once, then again with real motions, then comes the next.
+    """All files: a block of people goes through every unit once, then again with real motions, then
+    comes the next.
 
     One person of each sex in turn; the first ones are spread over all already.
     """
@@ -45,14 +46,19 @@ def tasks(options: argparse.Namespace) -> list[Task]:
         for k, shape in enumerate(people(body, sex, options.people, options.seed)):
             for turn in range(ROUNDS):
                 rng = np.random.default_rng([options.seed, k, SEXES.index(sex), turn])
-                found += [(k // BLOCK, turn, k, Task(sex, shape, one)) for one in sessions(rng, body.joint_names, turn)]
+                found += [
+                    (k // BLOCK, turn, k, Task(sex, shape, one))
+                    for one in sessions(rng, body.joint_names, turn)
+                ]
             rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
             moments = _from_motions(options, rng, len(body.joint_names))
             found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in moments]
     return [row[-1] for row in sorted(found, key=lambda row: row[:3])]
 
 
-def _from_motions(options: argparse.Namespace, rng: np.random.Generator, joints: int) -> list[Session]:
+def _from_motions(
+    options: argparse.Namespace, rng: np.random.Generator, joints: int
+) -> list[Session]:
     if not options.motions:
         return []
     poses = motion_poses(options.motions, options.moments, joints)
@@ -79,17 +85,29 @@ def main() -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of cages and results")
     parser.add_argument("--sexes", nargs="+", choices=SEXES, default=SEXES)
     parser.add_argument("--people", type=int, default=20, help="of each sex")
-    parser.add_argument("--motions", nargs="*", type=Path, default=[], help="fitted motions (npz with `poses`)")
-    parser.add_argument("--moments", type=int, default=60, help="far-apart poses taken from the motions")
-    parser.add_argument("--moments-each", type=int, default=12, help="of them, drawn for each person")
+    parser.add_argument(
+        "--motions", nargs="*", type=Path, default=[], help="fitted motions (npz with `poses`)"
+    )
+    parser.add_argument(
+        "--moments", type=int, default=60, help="far-apart poses taken from the motions"
+    )
+    parser.add_argument(
+        "--moments-each", type=int, default=12, help="of them, drawn for each person"
+    )
     parser.add_argument("--threads", type=int, help="all cores if left out")
-    parser.add_argument("--cluster", help="address of a Dask scheduler, tcp://host:8786 say, which you trust")
+    parser.add_argument(
+        "--cluster", help="address of a Dask scheduler, tcp://host:8786 say, which you trust"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--gather", type=Path, help="write what passes into this folder, and print the table")
+    parser.add_argument(
+        "--gather", type=Path, help="write what passes into this folder, and print the table"
+    )
     return parser.parse_args()
 
 

@@ -3,11 +3,12 @@
     pip install pytetwild==0.2.3            # build-time only: meshes the two cages, once
     python tools/default_body/flesh/shake.py --out FOLDER --motions FIT/body.npz ... [--threads N | --cluster ADDRESS]
 
-Six people of each sex, from soft to muscular (from stout to lean of the people that `run.py` poses), go through every
-piece of the motions, every other one through its mirror image. Files FOLDER/<person>/<piece>.npz, which
-`habitus train-dynamics` reads, are written whole or not at all: start the command again to go on. Each has surfaces in
-motion (`vertices`) and at rest in the same poses (`still_vertices`) of the skin that is simulated (`vertex_ids`), the
-motion and the person; and of each frame the least J of a tetrahedron (`least`) and how far the flesh is from rest
+Six people of each sex, from soft to muscular (from stout to lean of the people that `run.py`
+poses), go through every piece of the motions, every other one through its mirror image. Files
+FOLDER/<person>/<piece>.npz, which `habitus train-dynamics` reads, are written whole or not at all:
+start the command again to go on. Each has surfaces in motion (`vertices`) and at rest in the same
+poses (`still_vertices`) of the skin that is simulated (`vertex_ids`), the motion and the person;
+and of each frame the least J of a tetrahedron (`least`) and how far the flesh is from rest
 (`farthest`, m).
 """
 
@@ -38,10 +39,20 @@ from habitus.population.flesh.assembly_kernels import determinants
 from habitus.population.flesh.dynamics import Matter, Swing, at_rest, stills, swing
 
 SEXES = ("female", "male")
-RANKS = {"soft": 0.95, "average": 0.5, "muscular": 0.1, "plump": 0.8, "trim": 0.65, "firm": 0.3}  # share who are leaner
+RANKS = {
+    "soft": 0.95,
+    "average": 0.5,
+    "muscular": 0.1,
+    "plump": 0.8,
+    "trim": 0.65,
+    "firm": 0.3,
+}  # share who are leaner
 BLOCK = 3  # people of each sex that are finished before the next
-SOFTEST, FIRMEST = 4e3, 16e3  # Pa, shear modulus of the stoutest and of the leanest; see docs/dynamics.md
-FELT, EVERY = 0.2, 3  # m: longest edge of the skin that feels contact (it is not refined); a third of it looks for it
+SOFTEST = 4e3
+FIRMEST = 16e3  # Pa, shear modulus of the stoutest and of the leanest; see docs/dynamics.md
+FELT = 0.2
+# m: longest edge of the skin that feels contact (it is not refined); a third of it looks for it
+EVERY = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +98,23 @@ def shake(_: None, task: Shake) -> str:
     words["name"] = [f"{task.person}-{task.piece.name}:{t}" for t in range(frames)]
     ids = np.flatnonzero(person.moving)
     found |= {key: np.array(value) for key, value in words.items()}
-    found |= {"pose": task.piece.poses[own], "trans": task.piece.trans[own], "betas": task.shape.betas}
-    found |= {"rate_hz": np.array(RATE), "vertex_ids": ids, "faces": _faces(person.studio.faces, ids)}
+    found |= {
+        "pose": task.piece.poses[own],
+        "trans": task.piece.trans[own],
+        "betas": task.shape.betas,
+    }
+    found |= {
+        "rate_hz": np.array(RATE),
+        "vertex_ids": ids,
+        "faces": _faces(person.studio.faces, ids),
+    }
     task.path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(task.path) as temporary, temporary.open("wb") as file:
         np.savez(file, **found)
     each = (time.thread_time() - begin) / (frames + SETTLE)
     return (
-        f"{task.person} {task.piece.name}: {frames} frames, {each:.3f} s each, J >= {found['least'].min():.2f}, "
+        f"{task.person} {task.piece.name}: {frames} frames, {each:.3f} s each, J >= "
+        f"{found['least'].min():.2f}, "
         f"{1e3 * found['farthest'].max():.0f} mm"
     )
 
@@ -106,8 +126,11 @@ def _person(folder: Path, sex: str, shape: Shape) -> Person:
 
 
 def _moved(person: Person, piece: Piece, way: Swing) -> dict[str, np.ndarray]:
-    """Of the frames that are kept: vertices (T, V, 3) in motion and at rest, the least J and the longest way."""
-    flesh, smooth = person.flesh, person.smooth[person.moving]
+    """Of the frames that are kept: vertices (T, V, 3) in motion and at rest, the least J and the
+    longest way.
+    """
+    flesh = person.flesh
+    smooth = person.smooth[person.moving]
     start = at_rest(flesh, person, piece.poses[0], way)
     moving = swing(flesh, person, piece.poses, piece.trans, RATE, way, start)
     resting = stills(flesh, person, piece.poses, way, start)
@@ -117,7 +140,8 @@ def _moved(person: Person, piece: Piece, way: Swing) -> dict[str, np.ndarray]:
         if t < SETTLE:
             continue
         determinants(nodes, flesh.tets, flesh.inverse, det)
-        here, rest = smooth @ nodes, smooth @ still
+        here = smooth @ nodes
+        rest = smooth @ still
         found["vertices"].append((here + piece.trans[t]).astype(np.float32))
         found["still_vertices"].append((rest + piece.trans[t]).astype(np.float32))
         found["least"].append(det.min())
@@ -134,29 +158,46 @@ def _faces(faces: np.ndarray, ids: np.ndarray) -> np.ndarray:
 
 
 def tasks(options: argparse.Namespace) -> list[Shake]:
-    """All files; lively pieces first, people in turn, so that what is done early is of everybody."""
+    """All files; lively pieces first, people in turn, so that what is done early is of
+    everybody.
+    """
     found = []
     for sex in options.sexes:
         body = load_body(sex, detail="full", joints="smplx")
         some = people(body, sex, options.people, options.seed)
-        lean = sorted((shape for shape in some[1:] if shape.age is None), key=lambda shape: shape.stoutness)
+        lean = sorted(
+            (shape for shape in some[1:] if shape.age is None), key=lambda shape: shape.stoutness
+        )
         for n, (build, rank) in enumerate(RANKS.items()):
             shape = lean[round(rank * (len(lean) - 1))]
-            parts = [one for path in options.motions for one in pieces(path, body.joint_names, n % 2 == 1)]
+            parts = [
+                one
+                for path in options.motions
+                for one in pieces(path, body.joint_names, n % 2 == 1)
+            ]
             parts.sort(key=lambda one: -one.vigour)
-            found += [(n // BLOCK, k, Shake(options.out, sex, build, shape, one)) for k, one in enumerate(parts)]
+            found += [
+                (n // BLOCK, k, Shake(options.out, sex, build, shape, one))
+                for k, one in enumerate(parts)
+            ]
     return [task for *_, task in sorted(found, key=lambda row: row[:2]) if not task.path.exists()]
 
 
 def main() -> None:
     """Simulate what is missing."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder of cages and results; not that of run.py")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder of cages and results; not that of run.py"
+    )
     parser.add_argument("--motions", nargs="+", type=Path, required=True, help="fitted motions")
     parser.add_argument("--sexes", nargs="+", choices=SEXES, default=SEXES)
     parser.add_argument("--people", type=int, default=20, help="of each sex, of whom six are taken")
     parser.add_argument("--threads", type=int, help="all cores if left out")
-    parser.add_argument("--cluster", help="address of a Dask scheduler, tcp://host:8786 say, which you trust")
+    parser.add_argument(
+        "--cluster", help="address of a Dask scheduler, tcp://host:8786 say, which you trust"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     for sex in options.sexes:

@@ -19,21 +19,34 @@ from default_body.asset import DESCRIPTION, LEARNED, VERSION, write_asset
 REPOSITORY = Path(__file__).resolve().parents[3]
 
 
-def shipped(own: dict[str, np.ndarray], learned: dict[str, np.ndarray], space: str) -> dict[str, np.ndarray]:
+def shipped(
+    own: dict[str, np.ndarray], learned: dict[str, np.ndarray], space: str
+) -> dict[str, np.ndarray]:
     """A body's arrays with the pose blend shapes of a trained model of the same mesh.
 
     Raises ValueError for a model whose template is another one.
     """
     if not np.array_equal(own["v_template"], learned["v_template"]):
-        raise ValueError(f"the model's template is not that of {space}; expected one trained with --template {space}")
-    drivers = {"posedirs": learned["posedirs"].astype(np.float16), "posedirs_joints": learned["posedirs_joints"]}
-    words = {"description": np.array(DESCRIPTION.format(space=space, pose=LEARNED)), "version": np.array(VERSION)}
+        raise ValueError(
+            f"the model's template is not that of {space}; expected one trained with --template "
+            f"{space}"
+        )
+    drivers = {
+        "posedirs": learned["posedirs"].astype(np.float16),
+        "posedirs_joints": learned["posedirs_joints"],
+    }
+    words = {
+        "description": np.array(DESCRIPTION.format(space=space, pose=LEARNED)),
+        "version": np.array(VERSION),
+    }
     return own | drivers | words
 
 
 def main() -> None:
     """Read both, write the body."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("space", choices=("female", "male", "neutral"))
     parser.add_argument("model", type=Path)
     parser.add_argument("--bodies", type=Path, default=REPOSITORY / "src/habitus/assets/bodies")
@@ -42,7 +55,9 @@ def main() -> None:
     with np.load(path) as own, np.load(options.model) as learned:
         arrays = shipped(dict(own), dict(learned), options.space)
     write_asset(arrays, path)
-    print(f"{path}: {len(arrays['posedirs_joints'])} joints drive, {path.stat().st_size / 1e6:.1f} MB")
+    print(
+        f"{path}: {len(arrays['posedirs_joints'])} joints drive, {path.stat().st_size / 1e6:.1f} MB"
+    )
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ STEPS = 12  # Newton steps at most where a path stops; they end before where no 
 
 @dataclass(frozen=True)
 class Workshop:
-    """What all sessions share: where cages and results lie, and how paths are walked. It travels to other machines."""
+    """What all sessions share: where cages and results lie, and how paths are walked. It travels to
+    other machines.
+    """
 
     folder: Path
     way: Walk = field(default_factory=lambda: Walk(most=STEPS))
@@ -50,22 +52,30 @@ def _studio(sex: str, folder: Path) -> Studio:
 
 
 @lru_cache(maxsize=2)
-def _person(sex: str, name: str, betas: tuple[float, ...], age: float | None, folder: Path) -> Person:
+def _person(
+    sex: str, name: str, betas: tuple[float, ...], age: float | None, folder: Path
+) -> Person:
     studio = _studio(sex, folder)
     return make_person(studio, *Shape(name, np.array(betas), age, 0.0).rest(studio.body))
 
 
 def simulate(shop: Workshop, task: Task) -> str:
-    """Do a task unless its file is there; gives a line about it. What cannot be simulated is told, not raised."""
+    """Do a task unless its file is there; gives a line about it. What cannot be simulated is told,
+    not raised.
+    """
     path = task.path(shop.folder)
     if path.exists():
         return f"{path.stem} of {task.shape.name}: there already"
     begin = time.thread_time()
     try:
-        person = _person(task.sex, task.shape.name, tuple(task.shape.betas), task.shape.age, shop.folder)
+        person = _person(
+            task.sex, task.shape.name, tuple(task.shape.betas), task.shape.age, shop.folder
+        )
     except HabitusError as error:
         return f"{task.shape.name}: {error}"
-    gauge, rows, told = ruler(person), [], []
+    gauge = ruler(person)
+    rows = []
+    told = []
     for stop in walk(person.flesh, person, list(task.session.poses), shop.way):
         vertices = person.surface(stop.pose, stop.nodes)
         rows.append(vertices.astype(np.float32))
@@ -73,10 +83,15 @@ def simulate(shop: Workshop, task: Task) -> str:
     seconds = time.thread_time() - begin
     _write(path, task, person, np.stack(rows), told, seconds)
     bad = sum(not one["passes"] for one in told)
-    return f"{task.shape.name} {task.session.name}: {len(rows)} poses, {seconds:.1f} s, {bad} outside the gates"
+    return (
+        f"{task.shape.name} {task.session.name}: {len(rows)} poses, {seconds:.1f} s, {bad} "
+        "outside the gates"
+    )
 
 
-def _write(path: Path, task: Task, person: Person, vertices: np.ndarray, told: list[dict], seconds: float) -> None:
+def _write(
+    path: Path, task: Task, person: Person, vertices: np.ndarray, told: list[dict], seconds: float
+) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(

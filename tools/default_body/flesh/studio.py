@@ -1,4 +1,6 @@
-"""The cage of a mean body and what is known of it: meshing, weights of its nodes, which of them skinning holds."""
+"""The cage of a mean body and what is known of it: meshing, weights of its nodes, which of them
+skinning holds.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ class Studio:
         """(SKIN,) True for the linings of mouth and eye sockets."""
         mesh = self.body.mesh
         assert mesh is not None
-        quads, inner = np.asarray(mesh.quads), np.asarray(mesh.hidden)
+        quads = np.asarray(mesh.quads)
+        inner = np.asarray(mesh.hidden)
         only = np.setdiff1d(quads[inner], quads[~inner])
         return np.isin(np.arange(SKIN), only)
 

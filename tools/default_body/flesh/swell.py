@@ -1,11 +1,14 @@
-"""Learn the bodies' dynamics from people that `shake.py` moved, measure them, put them into the bodies' files.
+"""Learn the bodies' dynamics from people that `shake.py` moved, measure them, put them into the
+bodies' files.
 
-    python tools/default_body/flesh/swell.py --shakes FOLDER --out FOLDER [--bodies female male neutral] [--ship FOLDER]
+    python tools/default_body/flesh/swell.py --shakes FOLDER --out FOLDER [--bodies female male
+    neutral] [--ship FOLDER]
 
-Kept out of the learning, and measured on: every piece of the motion `--test-motion` (a new motion of known people), and
-everything of the build `--test-build` (a new person). The neutral body learns from both sexes, whose people it tells by
-the betas nearest to their rest surfaces. FOLDER/<body>/ receives what `habitus train-dynamics` writes and swell.json.
-With `--ship` the dynamics of FOLDER/<body>/model.npz are put into SHIP/<body>.npz, and nothing is learned.
+Kept out of the learning, and measured on: every piece of the motion `--test-motion` (a new motion
+of known people), and everything of the build `--test-build` (a new person). The neutral body learns
+from both sexes, whose people it tells by the betas nearest to their rest surfaces. FOLDER/<body>/
+receives what `habitus train-dynamics` writes and swell.json. With `--ship` the dynamics of
+FOLDER/<body>/model.npz are put into SHIP/<body>.npz, and nothing is learned.
 """
 
 from __future__ import annotations
@@ -33,7 +36,8 @@ from habitus.learn.dynamics.sequences import MovingSurface
 
 BODIES = {"female": ("female",), "male": ("male",), "neutral": ("female", "male")}
 STEP = 2e-5  # m: blend shapes are kept in multiples of it, so that the file packs them well
-FARTHEST, FOLDED = 0.15, 0.05  # m, share of frames: beyond, a piece is left out
+FARTHEST = 0.15
+FOLDED = 0.05  # m, share of frames: beyond, a piece is left out
 
 
 def learn(name: str, options: argparse.Namespace) -> dict:
@@ -41,7 +45,9 @@ def learn(name: str, options: argparse.Namespace) -> dict:
     shown, kept = _sequences(name, options)
     found = train_dynamics(shown, options.out / name, body=name, test=kept, workers=options.threads)
     groups = {
-        "new motion, known people": [one for one in found.errors if _build(one.subject) != options.test_build],
+        "new motion, known people": [
+            one for one in found.errors if _build(one.subject) != options.test_build
+        ],
         "new person": [one for one in found.errors if _build(one.subject) == options.test_build],
     }
     numbers = {
@@ -56,24 +62,39 @@ def learn(name: str, options: argparse.Namespace) -> dict:
         "prediction": prediction(found.body, kept or shown),
         "seconds": found.seconds,
     }
-    (options.out / name / "swell.json").write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    (options.out / name / "swell.json").write_text(
+        json.dumps(numbers, indent=1) + "\n", encoding="utf-8"
+    )
     return numbers
 
 
-def _sequences(name: str, options: argparse.Namespace) -> tuple[list[MovingSurface], list[MovingSurface]]:
+def _sequences(
+    name: str, options: argparse.Namespace
+) -> tuple[list[MovingSurface], list[MovingSurface]]:
     """Those to learn from, and those kept out; with betas of the body."""
-    shown, kept = [], []
+    shown = []
+    kept = []
     for sex in BODIES[name]:
-        source, target = (habitus.load_body(each, detail="full", joints="smplx") for each in (sex, name))
+        source, target = (
+            habitus.load_body(each, detail="full", joints="smplx") for each in (sex, name)
+        )
         for path in sorted(options.shakes.glob(f"{sex}_*/*.npz")):
             with np.load(path) as told:
-                farthest, folded = told["farthest"].max(), (told["least"] < 0).mean()
+                farthest = told["farthest"].max()
+                folded = (told["least"] < 0).mean()
             if farthest > FARTHEST or folded > FOLDED:
-                print(f"{path}: goes {1e3 * farthest:.0f} mm, inside out in {100 * folded:.0f} % of frames; left out")
+                print(
+                    f"{path}: goes {1e3 * farthest:.0f} mm, inside out in {100 * folded:.0f} % of "
+                    "frames; left out"
+                )
                 continue
             for one in open_moving_surfaces(path):
-                moved = one if sex == name else replace(one, betas=_betas_of(target, source, one.betas))
-                new = _build(one.subject) == options.test_build or path.stem.startswith(options.test_motion)
+                moved = (
+                    one if sex == name else replace(one, betas=_betas_of(target, source, one.betas))
+                )
+                new = _build(one.subject) == options.test_build or path.stem.startswith(
+                    options.test_motion
+                )
                 (kept if new else shown).append(moved)
     if not shown:
         raise HabitusError(f"{options.shakes}: nobody to learn {name} from; simulate first")
@@ -81,7 +102,9 @@ def _sequences(name: str, options: argparse.Namespace) -> tuple[list[MovingSurfa
 
 
 def _betas_of(target: BodyModel, source: BodyModel, betas: np.ndarray | None) -> np.ndarray:
-    """The betas of a body whose rest surface is nearest to that of another with its betas, held towards the mean."""
+    """The betas of a body whose rest surface is nearest to that of another with its betas, held
+    towards the mean.
+    """
     away = source.rest_vertices(betas) - target.v_template
     directions = target.shapedirs.reshape(away.size, -1)
     held = directions.T @ directions + 1e-4 * away.size / 3 * 1e-4 * np.eye(directions.shape[1])
@@ -97,23 +120,30 @@ def _mean(errors: list[DynamicsErrors]) -> dict[str, dict[str, float]]:
     weights = np.array([len(one.fitted) for one in errors], float)
     squares = np.average([one.errors**2 for one in errors], axis=0, weights=weights)
     return {
-        way: dict(zip(QUANTITIES, row, strict=True)) for way, row in zip(WAYS, np.sqrt(squares).tolist(), strict=True)
+        way: dict(zip(QUANTITIES, row, strict=True))
+        for way, row in zip(WAYS, np.sqrt(squares).tolist(), strict=True)
     }
 
 
 def prediction(body: BodyModel, sequences: list[MovingSurface]) -> dict[str, float]:
-    """Ten minutes of motions one after the other, then two seconds of rest: size by the minute, what is left, speed."""
+    """Ten minutes of motions one after the other, then two seconds of rest: size by the minute,
+    what is left, speed.
+    """
     dynamics = body.dynamics
     assert dynamics is not None
-    rate, sequences = dynamics.regressor.rate_hz, [one.for_body(body) for one in sequences]
+    rate = dynamics.regressor.rate_hz
+    sequences = [one.for_body(body) for one in sequences]
     betas = sequences[0].betas
-    frames, stop = int(600 * rate), int(2 * rate)
+    frames = int(600 * rate)
+    stop = int(2 * rate)
     pose, trans = _on_and_on(sequences, frames)
     pose = np.concatenate([pose, np.repeat(pose[-1:], stop + 2, 0)])
     trans = np.concatenate([trans, np.repeat(trans[-1:], stop + 2, 0)])
-    began, mine = time.perf_counter(), time.thread_time()
+    began = time.perf_counter()
+    mine = time.thread_time()
     found = np.asarray(habitus.simulate_soft_tissue(body, betas, pose, trans, rate))
-    seconds, own = time.perf_counter() - began, time.thread_time() - mine
+    seconds = time.perf_counter() - began
+    own = time.thread_time() - mine
     size = np.abs(found).max(1)
     minutes = size[:frames].reshape(10, -1).max(1)
     return {
@@ -125,7 +155,9 @@ def prediction(body: BodyModel, sequences: list[MovingSurface]) -> dict[str, flo
 
 
 def _on_and_on(sequences: list[MovingSurface], frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Motions to and fro, so that they are one without jumps: the first sequence that is long, as often as needed."""
+    """Motions to and fro, so that they are one without jumps: the first sequence that is long, as
+    often as needed.
+    """
     one = max(sequences, key=len)
     assert one.pose is not None and one.trans is not None
     there = np.concatenate([np.arange(len(one)), np.arange(len(one) - 2, 0, -1)])
@@ -135,12 +167,14 @@ def _on_and_on(sequences: list[MovingSurface], frames: int) -> tuple[np.ndarray,
 
 def ship(name: str, options: argparse.Namespace) -> str:
     """Put the dynamics that were learned into a body's file; gives a line about it."""
-    path, learned = options.ship / f"{name}.npz", options.out / name / "model.npz"
+    path = options.ship / f"{name}.npz"
+    learned = options.out / name / "model.npz"
     with np.load(path) as old, np.load(learned) as new:
         arrays = {key: old[key] for key in old.files if not key.startswith("dynamics")}
         if len(new["dynamicsdirs"]) != len(arrays["v_template"]):
             raise HabitusError(
-                f"{learned}: {len(new['dynamicsdirs'])} vertices; {path} has {len(arrays['v_template'])}"
+                f"{learned}: {len(new['dynamicsdirs'])} vertices; {path} has "
+                f"{len(arrays['v_template'])}"
             )
         arrays |= {key: new[key] for key in new.files if key.startswith("dynamics")}
     before = path.stat().st_size
@@ -153,23 +187,35 @@ def ship(name: str, options: argparse.Namespace) -> str:
 
 def table(numbers: dict) -> str:
     """What one body learned, as lines."""
-    lines = [f"{numbers['body']}: {numbers['frames']} frames of {numbers['people']} people, {numbers['seconds']:.0f} s"]
-    lines += ["  swings: " + ", ".join(f"{hz:.1f} Hz ({ratio:.2f})" for hz, ratio in numbers["modes"])]
+    lines = [
+        f"{numbers['body']}: {numbers['frames']} frames of {numbers['people']} people, "
+        f"{numbers['seconds']:.0f} s"
+    ]
+    lines += [
+        "  swings: " + ", ".join(f"{hz:.1f} Hz ({ratio:.2f})" for hz, ratio in numbers["modes"])
+    ]
     for group, errors in numbers["errors"].items():
         lines += [f"  {group} (place mm, velocity mm/s, acceleration m/s²)"]
-        lines += [f"    {way:10}" + "".join(f"{errors[way][key]:10.2f}" for key in QUANTITIES) for way in WAYS]
+        lines += [
+            f"    {way:10}" + "".join(f"{errors[way][key]:10.2f}" for key in QUANTITIES)
+            for way in WAYS
+        ]
     told = numbers["prediction"]
     minutes = told["largest_coefficient_by_minute"]
     lines += [
-        f"  ten minutes: largest coefficient {min(minutes):.2f} to {max(minutes):.2f} by the minute, "
-        f"{100 * told['left_after_2_s']:.2g} % left after 2 s; {told['frames_per_second']:,.0f} frames/s"
+        f"  ten minutes: largest coefficient {min(minutes):.2f} to {max(minutes):.2f} by the "
+        "minute, "
+        f"{100 * told['left_after_2_s']:.2g} % left after 2 s; {told['frames_per_second']:,.0f} "
+        "frames/s"
     ]
     return "\n".join(lines)
 
 
 def main() -> None:
     """Learn, or ship what was learned."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--shakes", type=Path, help="what shake.py made")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--bodies", nargs="+", choices=tuple(BODIES), default=tuple(BODIES))
@@ -179,7 +225,10 @@ def main() -> None:
     parser.add_argument("--ship", type=Path, help="folder of the bodies' files")
     options = parser.parse_args()
     for name in options.bodies:
-        print(ship(name, options) if options.ship is not None else table(learn(name, options)), flush=True)
+        print(
+            ship(name, options) if options.ship is not None else table(learn(name, options)),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Skin that touches skin, drawn a little apart: blend shapes are never exact, and what touches would pass through.
+"""Skin that touches skin, drawn a little apart: blend shapes are never exact, and what touches
+would pass through.
 
-Where a vertex has skin of another place before it, nearer than `GAP`, both give way by half of what is missing, along
-their own normals; what gives way is spread over the neighbours, so that no dent has an edge.
+Where a vertex has skin of another place before it, nearer than `GAP`, both give way by half of what
+is missing, along their own normals; what gives way is spread over the neighbours, so that no dent
+has an edge.
 """
 
 from __future__ import annotations
@@ -18,9 +20,14 @@ SPREAD = 3  # rounds of spreading to neighbours
 
 
 def drawn_apart(
-    vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray, neighbours: sparse.csr_matrix, gap: float = GAP
+    vertices: np.ndarray,
+    rest: np.ndarray,
+    faces: np.ndarray,
+    neighbours: sparse.csr_matrix,
+    gap: float = GAP,
 ) -> np.ndarray:
-    """Vertices (V, 3) of a posed skin, its faces (F, 3), with touching places `gap` apart; rest (V, 3) is the person.
+    """Vertices (V, 3) of a posed skin, its faces (F, 3), with touching places `gap` apart; rest (V,
+    3) is the person.
 
     `neighbours` (V, V) averages over the vertices next to each, as `averaging` gives it.
     """

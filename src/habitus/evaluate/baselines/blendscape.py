@@ -1,9 +1,10 @@
 """BlendSCAPE, the model of triangle deformations that S 5.1 compares with (Hirshberg et al. 2012).
 
-Each triangle t of the template is deformed by ``B_t(pose) S_t(betas) Q_t(pose)``: a deformation that is linear in the
-joints' rotations, then the person's, then the rotations of the parts that it belongs to, blended with its skinning
-weights. The pieces are stitched together by least squares. There are no joint locations: how parts hang together
-follows from the stitching, and the place is that of the vertices' mean.
+Each triangle t of the template is deformed by ``B_t(pose) S_t(betas) Q_t(pose)``: a deformation
+that is linear in the joints' rotations, then the person's, then the rotations of the parts that it
+belongs to, blended with its skinning weights. The pieces are stitched together by least squares.
+There are no joint locations: how parts hang together follows from the stitching, and the place is
+that of the vertices' mean.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,12 +24,14 @@ from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec
 
 @dataclass(frozen=True, eq=False)
 class BlendScape(FittedToSurfaces):
-    """A trained BlendSCAPE model; vertices in metres, poses as rotation vectors (rad) relative to the parent.
+    """A trained BlendSCAPE model; vertices in metres, poses as rotation vectors (rad) relative to
+    the parent.
 
-    ``template`` (V, 3) are the undeformed triangles, ``influence`` (V, J) the skinning weights of its vertices.
-    ``mean_shape`` and ``shape_directions`` are triangle deformations, a unit of a coefficient one standard deviation;
-    ``shape_variances`` are all variances of the training. ``pose_regression`` takes vec(R - I) of all joints but the
-    root (body.blendshapes.pose_feature) to what is added to the identity.
+    ``template`` (V, 3) are the undeformed triangles, ``influence`` (V, J) the skinning weights of
+    its vertices. ``mean_shape`` and ``shape_directions`` are triangle deformations, a unit of a
+    coefficient one standard deviation; ``shape_variances`` are all variances of the training.
+    ``pose_regression`` takes vec(R - I) of all joints but the root (body.blendshapes.pose_feature)
+    to what is added to the identity.
     """
 
     name: str
@@ -42,7 +45,9 @@ class BlendScape(FittedToSurfaces):
     shape_variances: Float[np.ndarray, " S"] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {item.name: getattr(self, item.name) for item in fields(self)}  # factored matrices do not travel
+        return {
+            item.name: getattr(self, item.name) for item in fields(self)
+        }  # factored matrices do not travel
 
     @property
     def num_betas(self) -> int:
@@ -59,8 +64,12 @@ class BlendScape(FittedToSurfaces):
         """Skinning weights of triangles: means over their corners."""
         return self.influence[self.faces].mean(1)
 
-    def surface(self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
-        """Vertices (m) of the first so many shape coefficients and a pose; their mean is that of the template."""
+    def surface(
+        self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]
+    ) -> Float[np.ndarray, "V 3"]:
+        """Vertices (m) of the first so many shape coefficients and a pose; their mean is that of
+        the template.
+        """
         turns, world = part_rotations(pose, self.parents)
         blended = mixed(self.triangle_weights, world)
         return self.stitched.vertices(blended @ self.shape(betas) @ self.pose_deformations(turns))
@@ -78,12 +87,16 @@ class BlendScape(FittedToSurfaces):
 
     @cached_property
     def _listeners(self) -> list[tuple[slice | np.ndarray, np.ndarray]]:
-        """For each joint but the root the triangles that hear it, and their part of the regression (9, n, 3, 3)."""
+        """For each joint but the root the triangles that hear it, and their part of the regression
+        (9, n, 3, 3).
+        """
         found = []
         for first in range(0, len(self.pose_regression), 9):
             slopes = self.pose_regression[first : first + 9]
             heard = slopes.any((0, 2, 3))
-            found.append((slice(None), slopes) if heard.all() else (np.flatnonzero(heard), slopes[:, heard]))
+            found.append(
+                (slice(None), slopes) if heard.all() else (np.flatnonzero(heard), slopes[:, heard])
+            )
         return found
 
     def columns(
@@ -92,13 +105,18 @@ class BlendScape(FittedToSurfaces):
         """The surface and its exact derivatives, through the stitching, in one block."""
         turns, world = part_rotations(pose, self.parents)
         blended = mixed(self.triangle_weights, world)
-        person, posed = self.shape(betas), self.pose_deformations(turns)
+        person = self.shape(betas)
+        posed = self.pose_deformations(turns)
         sides = [self._by_pose(pose, turns, world, blended @ person, person @ posed)]
         if by_betas and len(betas):
             sides.insert(0, self._by_betas(len(betas), blended, posed))
         right = np.concatenate([self.stitched.gather(blended @ person @ posed), *sides], 1)
         found = self.stitched.solve(right)
-        yield slice(None), found[:, :3] + self.stitched.mean, found[:, 3:].reshape(len(found), -1, 3).swapaxes(1, 2)
+        yield (
+            slice(None),
+            found[:, :3] + self.stitched.mean,
+            found[:, 3:].reshape(len(found), -1, 3).swapaxes(1, 2),
+        )
 
     def _by_betas(
         self, count: int, blended: Float[np.ndarray, "F 3 3"], posed: Float[np.ndarray, "F 3 3"]
@@ -119,8 +137,9 @@ class BlendScape(FittedToSurfaces):
     ) -> Float[np.ndarray, "V C"]:
         """Right-hand sides of the derivatives, [joint, entry of its vector, coordinate].
 
-        A small turn m of joint j in the world turns the rotations of all that hangs on it: d B_t = [m]x C_tj, and [m]x
-        can wait until after the triangles are gathered. ``outer`` is B S, ``inner`` S Q.
+        A small turn m of joint j in the world turns the rotations of all that hangs on it: d B_t =
+        [m]x C_tj, and [m]x can wait until after the triangles are gathered. ``outer`` is B S,
+        ``inner`` S Q.
         """
         local = left_jacobian(pose)
         above = np.stack([world[p] if p >= 0 else np.eye(3) for p in self.parents])
@@ -129,7 +148,9 @@ class BlendScape(FittedToSurfaces):
         below = descends(self.parents)
         sides = np.empty((len(self.template), len(turns), 3, 3))
         for j in range(len(turns)):
-            carried = self.stitched.gather(mixed(self.triangle_weights, world * below[j][:, None, None]) @ inner)
+            carried = self.stitched.gather(
+                mixed(self.triangle_weights, world * below[j][:, None, None]) @ inner
+            )
             sides[:, j] = np.einsum("mcd,vd->vmc", axes[j], carried)
             if j:
                 heard, regression = self._listeners[j - 1]
@@ -154,7 +175,9 @@ def part_rotations(
     return turns, world
 
 
-def mixed(weights: Float[np.ndarray, "F J"], matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "F 3 3"]:
+def mixed(
+    weights: Float[np.ndarray, "F J"], matrices: Float[np.ndarray, "J 3 3"]
+) -> Float[np.ndarray, "F 3 3"]:
     """Weighted sums of joints' matrices."""
     return (weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
 

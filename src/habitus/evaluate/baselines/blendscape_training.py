@@ -1,9 +1,11 @@
-"""Training of BlendSCAPE: each person's triangle deformations and one regression from pose, in turns (S 5.1).
+"""Training of BlendSCAPE: each person's triangle deformations and one regression from pose, in
+turns (S 5.1).
 
-As published, the model is fitted to triangles, not to vertices: with the pose known, a registration's triangles are
-turned back into the rest pose, and ``S_t Q_t(pose)`` shall give their edges. Given Q, each S_t is a least-squares
-problem of three by three; given S, Q is a ridge regression. Edges (with the normal, see `triangle_frames`) are
-compared in metres, so that slivers do not outweigh the rest.
+As published, the model is fitted to triangles, not to vertices: with the pose known, a
+registration's triangles are turned back into the rest pose, and ``S_t Q_t(pose)`` shall give their
+edges. Given Q, each S_t is a least-squares problem of three by three; given S, Q is a ridge
+regression. Edges (with the normal, see `triangle_frames`) are compared in metres, so that slivers
+do not outweigh the rest.
 """
 
 from collections.abc import Iterable, Iterator
@@ -45,18 +47,21 @@ def train_blendscape(
     name: str = "BlendSCAPE",
     workers: Workers = _ALONE,
 ) -> BlendScape:
-    """BlendSCAPE from the registrations of the sets "pose" and "shape", given their poses (rotation vectors, rad).
+    """BlendSCAPE from the registrations of the sets "pose" and "shape", given their poses (rotation
+    vectors, rad).
 
-    Deformations and regression come from the set "pose"; the principal components of people's deformations from the set
-    "shape", or where that is empty from the people of "pose". Which joints' rotations a triangle listens to (those that
-    it is skinned to and their neighbours, or all) and the ridge are chosen by the error on every fifth registration.
+    Deformations and regression come from the set "pose"; the principal components of people's
+    deformations from the set "shape", or where that is empty from the people of "pose". Which
+    joints' rotations a triangle listens to (those that it is skinned to and their neighbours, or
+    all) and the ridge are chosen by the error on every fifth registration.
 
-    ``sweeps`` are as published. ``through_stitching`` more of them go beyond: S 7 supposes that SCAPE could be trained
-    for the error of what is stitched, at a cost. Stitching projects edges on those that fit together, so that adding
-    the part that it takes away to the wanted edges makes the stitched error fall from sweep to sweep.
+    ``sweeps`` are as published. ``through_stitching`` more of them go beyond: S 7 supposes that
+    SCAPE could be trained for the error of what is stitched, at a cost. Stitching projects edges on
+    those that fit together, so that adding the part that it takes away to the wanted edges makes
+    the stitched error fall from sweep to sweep.
 
-    Memory: four tables of 9 (J - 1) by 9 F numbers and 36 F bytes a person. Raises HabitusError where shapes do not fit
-    together or shapes are to be learned from fewer than two people.
+    Memory: four tables of 9 (J - 1) by 9 F numbers and 36 F bytes a person. Raises HabitusError
+    where shapes do not fit together or shapes are to be learned from fewer than two people.
     """
     _check(registrations, template, poses, weights)
     model = _untrained(template, weights, name)
@@ -72,7 +77,9 @@ def train_blendscape(
         for _ in range(through_stitching):
             persons = _persons(replace(shaped, model=model, persons=persons), workers)
     if len(persons) < 2:
-        raise HabitusError(f"there are {len(persons)} people to learn shapes from; expected at least two")
+        raise HabitusError(
+            f"there are {len(persons)} people to learn shapes from; expected at least two"
+        )
     space = principal_shapes(persons.reshape(len(persons), -1, 3), min(num_betas, len(persons) - 1))
     directions = np.ascontiguousarray(np.moveaxis(space.directions, -1, 0))
     return replace(
@@ -85,9 +92,11 @@ def train_blendscape(
 
 @dataclass(frozen=True, eq=False)
 class _Unposed:
-    """Registrations with their rotations taken off: triangles' frames as S and Q alone should make them.
+    """Registrations with their rotations taken off: triangles' frames as S and Q alone should make
+    them.
 
-    With ``persons`` (S, F, 3, 3), what stitching takes away from the frames of ``model`` is added to those wanted.
+    With ``persons`` (S, F, 3, 3), what stitching takes away from the frames of ``model`` is added
+    to those wanted.
     """
 
     model: BlendScape
@@ -99,13 +108,19 @@ class _Unposed:
         return len(self.registrations)
 
     def frames(self, k: int) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "F 3 3"]]:
-        """The joints' rotations of registration k, and the frames (m) that B_t shall take to those wanted."""
+        """The joints' rotations of registration k, and the frames (m) that B_t shall take to those
+        wanted.
+        """
         model = self.model
         turns, world = part_rotations(self.poses[k], model.parents)
         blended = mixed(model.triangle_weights, world)
         wanted = triangle_frames(self.registrations.read(k), model.faces)
         if self.persons is not None:
-            made = blended @ self.persons[self.registrations.subject_index[k]] @ model.pose_deformations(turns)
+            made = (
+                blended
+                @ self.persons[self.registrations.subject_index[k]]
+                @ model.pose_deformations(turns)
+            )
             stitched = triangle_frames(model.stitched.vertices(made), model.faces)
             wanted += made @ triangle_frames(model.template, model.faces) - stitched
         return turns, np.linalg.solve(blended, wanted)
@@ -113,7 +128,8 @@ class _Unposed:
 
 def _untrained(template: Template, weights: Float[np.ndarray, "V J"], name: str) -> BlendScape:
     """Blended rotations only."""
-    faces, count = np.asarray(template.faces), 9 * (template.num_joints - 1)
+    faces = np.asarray(template.faces)
+    count = 9 * (template.num_joints - 1)
     return BlendScape(
         name=name,
         template=np.asarray(template.vertices, float),
@@ -126,13 +142,17 @@ def _untrained(template: Template, weights: Float[np.ndarray, "V J"], name: str)
     )
 
 
-def _unposed(model: BlendScape, registrations: Registrations, poses: np.ndarray, key: str) -> _Unposed:
+def _unposed(
+    model: BlendScape, registrations: Registrations, poses: np.ndarray, key: str
+) -> _Unposed:
     rows = np.flatnonzero(np.array(registrations.set) == key)
     return _Unposed(model, registrations.take(rows), poses[rows])
 
 
 def _persons(posed: _Unposed, workers: Workers) -> Float[np.ndarray, "S F 3 3"]:
-    """S_t of each subject, all its registrations together; in float32, for there may be thousands."""
+    """S_t of each subject, all its registrations together; in float32, for there may be
+    thousands.
+    """
     people = len(posed.registrations.subjects)
     found = np.empty((people, *posed.model.mean_shape.shape), np.float32)
     for s, person in enumerate(workers.map(_person, posed, range(people))):
@@ -141,9 +161,12 @@ def _persons(posed: _Unposed, workers: Workers) -> Float[np.ndarray, "S F 3 3"]:
 
 
 def _person(posed: _Unposed, subject: int) -> Float[np.ndarray, "F 3 3"]:
-    """argmin |frames - S Q frames of the template|^2 over a subject's registrations: one 3 x 3 system a triangle."""
+    """argmin |frames - S Q frames of the template|^2 over a subject's registrations: one 3 x 3
+    system a triangle.
+    """
     rest = triangle_frames(posed.model.template, posed.model.faces)
-    both, square = np.zeros_like(rest), np.zeros_like(rest)
+    both = np.zeros_like(rest)
+    square = np.zeros_like(rest)
     for k in np.flatnonzero(posed.registrations.subject_index == subject).tolist():
         turns, frames = posed.frames(k)
         made = posed.model.pose_deformations(turns) @ rest
@@ -155,7 +178,9 @@ def _person(posed: _Unposed, subject: int) -> Float[np.ndarray, "F 3 3"]:
 def _regression(
     posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], workers: Workers
 ) -> Float[np.ndarray, "P F 3 3"]:
-    """Q's regression given S: ridge and joints by the error on held-out registrations, then from all of them."""
+    """Q's regression given S: ridge and joints by the error on held-out registrations, then from
+    all of them.
+    """
     rows = np.arange(len(posed))
     held = rows % _HOLD_OUT == _HOLD_OUT - 1
     training, testing = (_sums(posed, persons, rows[use], workers) for use in (~held, held))
@@ -185,13 +210,17 @@ class _Sums:
         damping = max(ridge * np.trace(self.gram) / len(self.gram), 1e-12)
         patterns, which = np.unique(joints[:, 1:], axis=0, return_inverse=True)
         for k, pattern in enumerate(patterns):
-            features, triangles = np.flatnonzero(pattern.repeat(9)), np.flatnonzero(which.ravel() == k)
+            features = np.flatnonzero(pattern.repeat(9))
+            triangles = np.flatnonzero(which.ravel() == k)
             if len(features) == 0:
                 continue
             matrix = self.gram[np.ix_(features, features)] + damping * np.eye(len(features))
             factor = scipy.linalg.cho_factor(matrix)
             for first in range(0, len(triangles), _TRIANGLES):
-                where = np.ix_(features, (9 * triangles[first : first + _TRIANGLES, None] + np.arange(9)).ravel())
+                where = np.ix_(
+                    features,
+                    (9 * triangles[first : first + _TRIANGLES, None] + np.arange(9)).ravel(),
+                )
                 yield where, scipy.linalg.cho_solve(factor, self.cross[where])
 
     def error(self, parts: Iterable[_Part]) -> float:
@@ -204,11 +233,18 @@ class _Sums:
 
 
 def _sums(
-    posed: _Unposed, persons: Float[np.ndarray, "S F 3 3"], rows: Int[np.ndarray, " n"], workers: Workers
+    posed: _Unposed,
+    persons: Float[np.ndarray, "S F 3 3"],
+    rows: Int[np.ndarray, " n"],
+    workers: Workers,
 ) -> _Sums:
-    """Sums over registrations, some at a time, of pose features and what Q adds to the template's frames."""
-    count, size = len(posed.model.pose_regression), persons[0].size
-    gram, cross = np.zeros((count, count)), np.zeros((count, size))
+    """Sums over registrations, some at a time, of pose features and what Q adds to the template's
+    frames.
+    """
+    count = len(posed.model.pose_regression)
+    size = persons[0].size
+    gram = np.zeros((count, count))
+    cross = np.zeros((count, size))
     for block in in_blocks(len(rows), _CHUNK):
         some = rows[block.start : block.stop].tolist()
         pairs = list(workers.map(_feature_and_change, (posed, persons), some))
@@ -225,7 +261,9 @@ def _feature_and_change(
     posed, persons = shared
     turns, frames = posed.frames(k)
     person = persons[posed.registrations.subject_index[k]].astype(float)
-    change = np.linalg.solve(person, frames) - triangle_frames(posed.model.template, posed.model.faces)
+    change = np.linalg.solve(person, frames) - triangle_frames(
+        posed.model.template, posed.model.faces
+    )
     return (turns[1:] - np.eye(3)).ravel(), change.ravel()
 
 
@@ -239,13 +277,23 @@ def _near_joints(model: BlendScape) -> Bool[np.ndarray, "F J"]:
     return near
 
 
-def _check(registrations: Registrations, template: Template, poses: np.ndarray, weights: np.ndarray) -> None:
-    joints, vertices = template.num_joints, template.num_vertices
-    if registrations.num_vertices != vertices or not np.array_equal(registrations.faces, template.faces):
-        raise HabitusError("the registrations have other triangles than the template; expected the same topology")
+def _check(
+    registrations: Registrations, template: Template, poses: np.ndarray, weights: np.ndarray
+) -> None:
+    joints = template.num_joints
+    vertices = template.num_vertices
+    if registrations.num_vertices != vertices or not np.array_equal(
+        registrations.faces, template.faces
+    ):
+        raise HabitusError(
+            "the registrations have other triangles than the template; expected the same topology"
+        )
     if poses.shape != (len(registrations), joints, 3):
         raise HabitusError(
-            f"poses have shape {poses.shape}; expected a pose for each registration, {(len(registrations), joints, 3)}"
+            f"poses have shape {poses.shape}; expected a pose for each registration, "
+            f"{(len(registrations), joints, 3)}"
         )
     if weights.shape != (vertices, joints):
-        raise HabitusError(f"skinning weights have shape {weights.shape}; expected {(vertices, joints)}")
+        raise HabitusError(
+            f"skinning weights have shape {weights.shape}; expected {(vertices, joints)}"
+        )

@@ -17,7 +17,8 @@ _SKINNING = {"lbs": "Linear", "dqbs": "DualQuaternion"}
 def add_skeleton(objects: Objects, animation: Animation) -> list[np.int64]:
     """A limb a joint, as the person rests."""
     models: list[np.int64] = []
-    parents, places = animation.body.parents, CM * animation.rest_joints
+    parents = animation.body.parents
+    places = CM * animation.rest_joints
     for joint, (name, parent) in enumerate(zip(animation.body.joint_names, parents, strict=True)):
         offset = places[joint] - (places[parent] if parent >= 0 else 0.0)
         model = objects.add("Model", name, "LimbNode", _model_nodes(offset))
@@ -39,25 +40,46 @@ def add_mesh(objects: Objects, animation: Animation, name: str) -> tuple[np.int6
     return model, geometry
 
 
-def add_skin(objects: Objects, animation: Animation, mesh: np.int64, geometry: np.int64, limbs: list[np.int64]) -> None:
+def add_skin(
+    objects: Objects,
+    animation: Animation,
+    mesh: np.int64,
+    geometry: np.int64,
+    limbs: list[np.int64],
+) -> None:
     """Which limb carries which vertex, and where all stood when that was said."""
     skinning = Node("SkinningType", (_SKINNING[animation.body.skinning],))
     skin = objects.add(
-        "Deformer", "skin", "Skin", [Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)), skinning]
+        "Deformer",
+        "skin",
+        "Skin",
+        [Node("Version", (101,)), Node("Link_DeformAcuracy", (50.0,)), skinning],
     )
     objects.link(skin, geometry)
-    weights, binds = animation.body.skinning_weights, [_matrix(CM * joint) for joint in animation.rest_joints]
+    weights = animation.body.skinning_weights
+    binds = [_matrix(CM * joint) for joint in animation.rest_joints]
     weights = weights / weights.sum(axis=1, keepdims=True)
     for joint, limb in enumerate(limbs):
         carried = np.flatnonzero(weights[:, joint])
         if len(carried):
-            nodes = _cluster_nodes(carried, weights[carried, joint], CM * animation.rest_joints[joint])
-            cluster = objects.add("Deformer", animation.body.joint_names[joint], "Cluster", nodes, "SubDeformer")
+            nodes = _cluster_nodes(
+                carried, weights[carried, joint], CM * animation.rest_joints[joint]
+            )
+            cluster = objects.add(
+                "Deformer", animation.body.joint_names[joint], "Cluster", nodes, "SubDeformer"
+            )
             objects.link(cluster, skin)
             objects.link(limb, cluster)
     posed = [(mesh, _matrix(np.zeros(3))), *zip(limbs, binds, strict=True)]
-    pose = [Node("PoseNode", (), [Node("Node", (number,)), Node("Matrix", (bind,))]) for number, bind in posed]
-    told = [Node("Type", ("BindPose",)), Node("Version", (100,)), Node("NbPoseNodes", (len(posed),))]
+    pose = [
+        Node("PoseNode", (), [Node("Node", (number,)), Node("Matrix", (bind,))])
+        for number, bind in posed
+    ]
+    told = [
+        Node("Type", ("BindPose",)),
+        Node("Version", (100,)),
+        Node("NbPoseNodes", (len(posed),)),
+    ]
     objects.add("Pose", "bind", "BindPose", [*told, *pose])
 
 
@@ -102,13 +124,23 @@ def _geometry_nodes(animation: Animation) -> list[Node]:
     if faces.uv is not None and faces.uv_corners is not None:
         index = Node("UVIndex", (faces.uv_corners.astype(np.int32),))
         layers.append(
-            _layer("LayerElementUV", "UVMap", "ByPolygonVertex", "IndexToDirect", Node("UV", (faces.uv,)), index)
+            _layer(
+                "LayerElementUV",
+                "UVMap",
+                "ByPolygonVertex",
+                "IndexToDirect",
+                Node("UV", (faces.uv,)),
+                index,
+            )
         )
     smooth = Node("Smoothing", (np.ones(len(corners), np.int32),))
     layers.append(_layer("LayerElementSmoothing", "", "ByPolygon", "Direct", smooth))
     material = Node("Materials", (np.zeros(1, np.int32),))
     layers.append(_layer("LayerElementMaterial", "", "AllSame", "IndexToDirect", material))
-    elements = [Node("LayerElement", (), [Node("Type", (layer.name,)), Node("TypedIndex", (0,))]) for layer in layers]
+    elements = [
+        Node("LayerElement", (), [Node("Type", (layer.name,)), Node("TypedIndex", (0,))])
+        for layer in layers
+    ]
     return [
         Node("GeometryVersion", (124,)),
         Node("Vertices", (_rounded(CM * animation.rest_vertices),)),
@@ -120,8 +152,16 @@ def _geometry_nodes(animation: Animation) -> list[Node]:
 
 def _layer(name: str, called: str, mapping: str, reference: str, *values: Node) -> Node:
     version = 102 if name in ("LayerElementNormal", "LayerElementSmoothing") else 101
-    told = (("Name", called), ("MappingInformationType", mapping), ("ReferenceInformationType", reference))
-    return Node(name, (0,), [Node("Version", (version,)), *(Node(key, (text,)) for key, text in told), *values])
+    told = (
+        ("Name", called),
+        ("MappingInformationType", mapping),
+        ("ReferenceInformationType", reference),
+    )
+    return Node(
+        name,
+        (0,),
+        [Node("Version", (version,)), *(Node(key, (text,)) for key, text in told), *values],
+    )
 
 
 def _material_nodes() -> list[Node]:
@@ -130,7 +170,10 @@ def _material_nodes() -> list[Node]:
         Node("Version", (102,)),
         Node("ShadingModel", ("lambert",)),
         Node("MultiLayer", (0,)),
-        props(prop("DiffuseColor", "Color", "", "A", *colour), prop("Diffuse", "Vector3D", "Vector", "", *colour)),
+        props(
+            prop("DiffuseColor", "Color", "", "A", *colour),
+            prop("Diffuse", "Vector3D", "Vector", "", *colour),
+        ),
     ]
 
 

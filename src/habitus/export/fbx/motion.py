@@ -1,4 +1,6 @@
-"""The motion in an FBX file: one take, a key a frame for what moves, straight lines between them."""
+"""The motion in an FBX file: one take, a key a frame for what moves, straight lines between
+them.
+"""
 
 from collections.abc import Sequence
 
@@ -22,9 +24,13 @@ class Curves:
     def __init__(self, objects: Objects, take: str, frames: int, rate_hz: float) -> None:
         times = ticks(np.arange(frames), rate_hz)
         span = (("LocalStart", times[0]), ("LocalStop", times[-1]), ("ReferenceStart", times[0]))
-        named = (prop(name, "KTime", "Time", "", at) for name, at in (*span, ("ReferenceStop", times[-1])))
+        named = (
+            prop(name, "KTime", "Time", "", at)
+            for name, at in (*span, ("ReferenceStop", times[-1]))
+        )
         stack = objects.add("AnimationStack", take, "", [props(*named)], "AnimStack")
-        self.objects, self.layer = objects, objects.add("AnimationLayer", "BaseLayer", "", (), "AnimLayer")
+        self.objects = objects
+        self.layer = objects.add("AnimationLayer", "BaseLayer", "", (), "AnimLayer")
         objects.link(self.layer, stack)
         self._times: Packed = packed(times)
         linear = np.array([0.0, 0.0, 9.419963346924634e-30, 0.0], np.float32)
@@ -46,25 +52,41 @@ class Curves:
         """Move the property ``name`` of an object; nothing is added where it stays as it rests."""
         if np.abs(values - rest).max() < _STILL:
             return
-        told = (prop(f"d|{part}", "Number", "", "A", float(value)) for part, value in zip(parts, rest, strict=True))
+        told = (
+            prop(f"d|{part}", "Number", "", "A", float(value))
+            for part, value in zip(parts, rest, strict=True)
+        )
         node = self.objects.add("AnimationCurveNode", short, "", [props(*told)], "AnimCurveNode")
         self.objects.link(node, self.layer)
         self.objects.link(node, target, name)
         for part, column, value in zip(parts, values.T, rest, strict=True):
-            keys = Node("KeyTime", (self._times,)), Node("KeyValueFloat", (column.astype(np.float32),))
-            nodes = [Node("Default", (float(value),)), Node("KeyVer", (4009,)), *keys, *self._attributes]
+            keys = (
+                Node("KeyTime", (self._times,)),
+                Node("KeyValueFloat", (column.astype(np.float32),)),
+            )
+            nodes = [
+                Node("Default", (float(value),)),
+                Node("KeyVer", (4009,)),
+                *keys,
+                *self._attributes,
+            ]
             curve = self.objects.add("AnimationCurve", "", "", nodes, "AnimCurve")
             self.objects.link(curve, node, f"d|{part}")
 
 
 def add_motion(
-    objects: Objects, animation: Animation, take: str, limbs: Sequence[np.int64], channels: Sequence[np.int64]
+    objects: Objects,
+    animation: Animation,
+    take: str,
+    limbs: Sequence[np.int64],
+    channels: Sequence[np.int64],
 ) -> None:
     """One take: joints turn and, where shape moves them, move; blend channels rise and fall."""
     track = animation.tracks[0]
     curves = Curves(objects, take, len(track.quaternions), animation.rate_hz)
     angles = continuous_angles(track.quaternions, "xyz")
-    places, joints = CM * track.joint_translations, CM * animation.rest_joints
+    places = CM * track.joint_translations
+    joints = CM * animation.rest_joints
     for joint, limb in enumerate(limbs):
         parent = animation.body.parents[joint]
         rest = joints[joint] - (joints[parent] if parent >= 0 else 0.0)
@@ -72,4 +94,6 @@ def add_motion(
         curves.add(limb, "Lcl Rotation", "R", "XYZ", angles[:, joint], np.zeros(3))
     for channel, weights in zip(channels, track.morph_weights.T, strict=True):
         percent = 100.0 * weights[:, None]
-        curves.add(channel, "DeformPercent", "DeformPercent", ["DeformPercent"], percent, np.zeros(1))
+        curves.add(
+            channel, "DeformPercent", "DeformPercent", ["DeformPercent"], percent, np.zeros(1)
+        )

@@ -1,7 +1,7 @@
 """Binary FBX 7.4: a tree of named nodes with typed values, between a header and a footer.
 
-The format has no published specification; its layout is known from readers and writers under free licences (ufbx and
-ufbx_write by Samuli Raivio among them).
+The format has no published specification; its layout is known from readers and writers under free
+licences (ufbx and ufbx_write by Samuli Raivio among them).
 """
 
 import struct
@@ -15,14 +15,21 @@ from habitus.errors import HabitusError
 
 VERSION = 7400
 CREATED = "1970-01-01 10:00:00:000"
-"""A file's time. Its two identities are checksums of that; files of one motion are the same to the last byte."""
+"""A file's time. Its two identities are checksums of that; files of one motion are the same to the
+last byte.
+"""
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
 _FOOTER_ID = bytes.fromhex("fabcab09d0c8d466b176fb831cf7267e")
 _FOOTER_END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
 _HEADER = b"Kaydara FBX Binary  \x00\x1a\x00" + struct.pack("<I", VERSION)
 _NULL = bytes(13)
 _ARRAYS = {"f4": b"f", "f8": b"d", "i4": b"i", "i8": b"l"}
-_SINGLES = ((bool, b"C", "<?"), (np.int64, b"L", "<q"), (int, b"I", "<i"), (float, b"D", "<d"))  # bools are ints, too
+_SINGLES = (
+    (bool, b"C", "<?"),
+    (np.int64, b"L", "<q"),
+    (int, b"I", "<i"),
+    (float, b"D", "<d"),
+)  # bools are ints, too
 _LEAST_TO_PACK = 128
 _LEVEL = 5
 _LARGEST = 2**32 - 1
@@ -39,8 +46,9 @@ Value = str | bytes | bool | int | float | np.int64 | np.ndarray | Packed
 class Node:
     """A node: its name, its values and the nodes in it.
 
-    A Python int is written as a 32-bit number, ``np.int64`` as one of 64 bits, a float as a double, bool as one byte,
-    str as text, bytes as they are; arrays of float32, float64, int32 and int64 flat, packed where they are long.
+    A Python int is written as a 32-bit number, ``np.int64`` as one of 64 bits, a float as a double,
+    bool as one byte, str as text, bytes as they are; arrays of float32, float64, int32 and int64
+    flat, packed where they are long.
     """
 
     name: str
@@ -56,23 +64,31 @@ def packed(array: np.ndarray) -> Packed:
         raise TypeError(f"arrays of {flat.dtype} have no form in FBX")
     raw = flat.astype(flat.dtype.newbyteorder("<"), copy=False).tobytes()
     data = zlib.compress(raw, _LEVEL) if len(raw) > _LEAST_TO_PACK else raw
-    return Packed(code + struct.pack("<III", len(flat), len(raw) > _LEAST_TO_PACK, len(data)) + data)
+    return Packed(
+        code + struct.pack("<III", len(flat), len(raw) > _LEAST_TO_PACK, len(data)) + data
+    )
 
 
 def document(nodes: Sequence[Node]) -> bytes:
-    """A whole file of these top nodes. Raises HabitusError where it would be larger than its offsets can tell."""
-    parts, at = [_HEADER], len(_HEADER)
+    """A whole file of these top nodes. Raises HabitusError where it would be larger than its
+    offsets can tell.
+    """
+    parts = [_HEADER]
+    at = len(_HEADER)
     for node in nodes:
         parts.append(_encoded(node, at))
         at += len(parts[-1])
     footer = _NULL + _FOOTER_ID
     padding = bytes(16 - (at + len(footer)) % 16)
-    return b"".join([*parts, footer, padding, struct.pack("<II", 0, VERSION), bytes(120), _FOOTER_END])
+    return b"".join(
+        [*parts, footer, padding, struct.pack("<II", 0, VERSION), bytes(120), _FOOTER_END]
+    )
 
 
 def _encoded(node: Node, at: int) -> bytes:
     """A node's bytes, that begin ``at`` bytes into the file: ends are told as places in it."""
-    name, values = node.name.encode("ascii"), b"".join(map(_value, node.values))
+    name = node.name.encode("ascii")
+    values = b"".join(map(_value, node.values))
     inside = at + 13 + len(name) + len(values)
     parts = []
     for child in node.nodes:
@@ -82,7 +98,9 @@ def _encoded(node: Node, at: int) -> bytes:
         parts.append(_NULL)
         inside += len(_NULL)
     if inside > _LARGEST:
-        raise HabitusError("the FBX file would be larger than 4 GB, which its version cannot hold; lower --fps")
+        raise HabitusError(
+            "the FBX file would be larger than 4 GB, which its version cannot hold; lower --fps"
+        )
     head = struct.pack("<IIIB", inside, len(node.values), len(values), len(name))
     return b"".join([head, name, values, *parts])
 

@@ -1,4 +1,6 @@
-"""What an FBX file is made of beside its objects: settings, their counts, how they hang together, takes."""
+"""What an FBX file is made of beside its objects: settings, their counts, how they hang together,
+takes.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -24,7 +26,9 @@ class Objects:
         self.links: list[Node] = []
         self._kinds: Counter[str] = Counter()
 
-    def add(self, kind: str, name: str, form: str, nodes: Sequence[Node] = (), said: str = "") -> np.int64:
+    def add(
+        self, kind: str, name: str, form: str, nodes: Sequence[Node] = (), said: str = ""
+    ) -> np.int64:
         """An object of a kind ("Model"), of a form of that ("LimbNode"); its number comes back.
 
         ``said`` is what it is called where that differs from the kind.
@@ -42,8 +46,14 @@ class Objects:
     def definitions(self) -> Node:
         """How many objects there are of each kind."""
         kinds = {"GlobalSettings": 1, **self._kinds}
-        each = [Node("ObjectType", (kind,), [Node("Count", (count,))]) for kind, count in kinds.items()]
-        return Node("Definitions", (), [Node("Version", (100,)), Node("Count", (sum(kinds.values()),)), *each])
+        each = [
+            Node("ObjectType", (kind,), [Node("Count", (count,))]) for kind, count in kinds.items()
+        ]
+        return Node(
+            "Definitions",
+            (),
+            [Node("Version", (100,)), Node("Count", (sum(kinds.values()),)), *each],
+        )
 
 
 def prop(name: str, kind: str, label: str, flags: str, *values: Value) -> Node:
@@ -81,7 +91,10 @@ def ticks(frames: np.ndarray, rate_hz: float) -> np.ndarray:
 
 def _header() -> Node:
     parts = (("Version", 1000), ("Year", 1970), ("Month", 1), ("Day", 1), ("Hour", 10))
-    stamp = [Node(name, (value,)) for name, value in (*parts, ("Minute", 0), ("Second", 0), ("Millisecond", 0))]
+    stamp = [
+        Node(name, (value,))
+        for name, value in (*parts, ("Minute", 0), ("Second", 0), ("Millisecond", 0))
+    ]
     return Node(
         "FBXHeaderExtension",
         (),
@@ -96,7 +109,9 @@ def _header() -> Node:
 
 
 def _settings(rate_hz: float, end: np.int64) -> Node:
-    """Centimetres, +y up, the front +z, x to the right of who looks at it: what most programs take without asking."""
+    """Centimetres, +y up, the front +z, x to the right of who looks at it: what most programs take
+    without asking.
+    """
     mode = _TIME_MODES.get(int(rate_hz), _CUSTOM) if rate_hz == int(rate_hz) else _CUSTOM
     axes = (("UpAxis", 1), ("FrontAxis", 2), ("CoordAxis", 0), ("OriginalUpAxis", 1))
     numbers = [pair for name, axis in axes for pair in ((name, axis), (f"{name}Sign", 1))]
@@ -127,5 +142,10 @@ def _documents(take: str) -> Node:
 def _takes(take: str, end: np.int64) -> Node:
     spans = [Node(name, (np.int64(0), end)) for name in ("LocalTime", "ReferenceTime")]
     return Node(
-        "Takes", (), [Node("Current", (take,)), Node("Take", (take,), [Node("FileName", (f"{take}.tak",)), *spans])]
+        "Takes",
+        (),
+        [
+            Node("Current", (take,)),
+            Node("Take", (take,), [Node("FileName", (f"{take}.tak",)), *spans]),
+        ],
     )

@@ -1,4 +1,6 @@
-"""FBX 7.4, binary: the body with its skeleton, skin, blend channels and motion, for Maya, Unity, Unreal, Blender."""
+"""FBX 7.4, binary: the body with its skeleton, skin, blend channels and motion, for Maya, Unity,
+Unreal, Blender.
+"""
 
 import os
 from typing import TYPE_CHECKING
@@ -20,15 +22,18 @@ def write_fbx(
 ) -> Animation:
     """Write a motion as one binary .fbx, atomically; what was written comes back.
 
-    Centimetres, +y up, the motion's own rate, one take with the capture's name. The mesh is the shaped body at rest,
-    quads and texture coordinates where the body has them; the skeleton's limbs are the body's joints under their names,
-    all at rest turned like the world. Pose blend shapes and soft tissue are blend channels between 0 and 100 percent
-    (``correctives``: `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft tissue
-    joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted. Raises HabitusError where pose blend
-    shapes are not linear in vec(R - I), and where the file cannot be written.
+    Centimetres, +y up, the motion's own rate, one take with the capture's name. The mesh is the
+    shaped body at rest, quads and texture coordinates where the body has them; the skeleton's limbs
+    are the body's joints under their names, all at rest turned like the world. Pose blend shapes
+    and soft tissue are blend channels between 0 and 100 percent (``correctives``:
+    `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft
+    tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted. Raises
+    HabitusError where pose blend shapes are not linear in vec(R - I), and where the file cannot be
+    written.
     """
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
-    take, objects = shown(fit.capture_name, 200), Objects()
+    take = shown(fit.capture_name, 200)
+    objects = Objects()
     limbs = add_skeleton(objects, animation)
     mesh, geometry = add_mesh(objects, animation, "body")
     add_skin(objects, animation, mesh, geometry, limbs)

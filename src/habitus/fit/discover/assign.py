@@ -1,8 +1,9 @@
-"""Which label sits where on the skin, softly: expectation maximisation over bodies in several frames at once.
+"""Which label sits where on the skin, softly: expectation maximisation over bodies in several
+frames at once.
 
-A label m has a posterior over the K places of a skin, from its squared distances to them averaged over the frames,
-since it sits at one place in all of them. A place is drawn to the mean of the labels that may sit there. What is
-further than `OUTLIER` sigmas from everything may sit nowhere.
+A label m has a posterior over the K places of a skin, from its squared distances to them averaged
+over the frames, since it sits at one place in all of them. A place is drawn to the mean of the
+labels that may sit there. What is further than `OUTLIER` sigmas from everything may sit nowhere.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,9 @@ from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.solve.sequence.solver import SequenceOptions
 
 DATA = 7500.0
-"""Weight of squared distances where places are known well (M eq. 3), per m^2; less by how firm the pose prior is."""
+"""Weight of squared distances where places are known well (M eq. 3), per m^2; less by how firm the
+pose prior is.
+"""
 OUTLIER = 3.5
 _LEAST = 0.02  # a place that has less of all labels than this is nobody's
 
@@ -29,7 +32,9 @@ Schedule = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True)
 class Bodies:
-    """N bodies in the same F frames each: pose, trans, cost of each, and the posteriors of M labels over K places."""
+    """N bodies in the same F frames each: pose, trans, cost of each, and the posteriors of M labels
+    over K places.
+    """
 
     pose: Float[np.ndarray, "N F J 3"]
     trans: Float[np.ndarray, "N F 3"]
@@ -40,10 +45,13 @@ class Bodies:
 def squared_distances(
     places: Float[np.ndarray, "N F K 3"], observed: Float[np.ndarray, "F M 3"]
 ) -> Float[np.ndarray, "N M K"]:
-    """Squared distances of labels from places, averaged over the frames in which a label is seen (m^2)."""
+    """Squared distances of labels from places, averaged over the frames in which a label is seen
+    (m^2).
+    """
     seen = np.isfinite(observed[..., 0])
     middle = np.nan_to_num(observed).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
-    x, s = np.where(seen[..., None], observed - middle[:, None], 0.0), places - middle[:, None]
+    x = np.where(seen[..., None], observed - middle[:, None], 0.0)
+    s = places - middle[:, None]
     count = np.maximum(seen.sum(axis=0), 1)
     own = np.sum(x**2, axis=(0, 2)) / count
     theirs = np.einsum("fm,nfk->nmk", seen / count, np.sum(s**2, axis=3), optimize=True)
@@ -55,7 +63,9 @@ def squared_distances(
 def posteriors(
     squared: Float[np.ndarray, "N M K"], sigma: float, known: Known = 0.0
 ) -> tuple[Float[np.ndarray, "N M K"], Float[np.ndarray, "N M"]]:
-    """Posteriors over places, which sum to less than 1 for a label that may sit nowhere, and free energies (m^2)."""
+    """Posteriors over places, which sum to less than 1 for a label that may sit nowhere, and free
+    energies (m^2).
+    """
     likely = np.exp(known - squared / (2.0 * sigma**2))
     total = likely.sum(axis=2, keepdims=True) + np.exp(-0.5 * OUTLIER**2)
     return likely / total, -2.0 * sigma**2 * np.log(total[..., 0])
@@ -71,19 +81,33 @@ def posed(
     firmness: float,
     sweeps: int = 3,
 ) -> tuple[Float[np.ndarray, "N F J 3"], Float[np.ndarray, "N F 3"], Float[np.ndarray, "N F"]]:
-    """Poses that bring places to their labels, ``firmness`` times the pose prior, and each frame's cost."""
+    """Poses that bring places to their labels, ``firmness`` times the pose prior, and each frame's
+    cost.
+    """
     seen = np.isfinite(observed[..., 0]).astype(float)
     weight = np.einsum("fm,nmk->nfk", seen, posterior, optimize=True)
     mass = np.einsum("fmd,nmk->nfkd", np.nan_to_num(observed), posterior, optimize=True)
-    target = np.where((weight < _LEAST)[..., None], np.nan, mass / np.maximum(weight, _LEAST)[..., None])
+    target = np.where(
+        (weight < _LEAST)[..., None], np.nan, mass / np.maximum(weight, _LEAST)[..., None]
+    )
     options = SequenceOptions(strides=(1,), sweeps=sweeps, tolerance=1e-2)
     settings = SequenceSettings(data=DATA / firmness, acceleration=0.0, options=options)
     n, f, k = weight.shape
     start = (pose.reshape(n * f, -1, 3), trans.reshape(n * f, 3))
     found = fit_sequence(
-        rig, target.reshape(n * f, k, 3), weight.reshape(n * f, k), None, prior, *start, settings=settings
+        rig,
+        target.reshape(n * f, k, 3),
+        weight.reshape(n * f, k),
+        None,
+        prior,
+        *start,
+        settings=settings,
     )
-    return found.pose.reshape(pose.shape), found.trans.reshape(trans.shape), found.frame_costs.reshape(n, f)
+    return (
+        found.pose.reshape(pose.shape),
+        found.trans.reshape(trans.shape),
+        found.frame_costs.reshape(n, f),
+    )
 
 
 def settled(
@@ -97,7 +121,9 @@ def settled(
 ) -> Bodies:
     """Posteriors and poses in turn, through a schedule."""
     for sigma, firmness in schedule:
-        posterior, _ = posteriors(squared_distances(places_of(rig, pose, trans), observed), sigma, known)
+        posterior, _ = posteriors(
+            squared_distances(places_of(rig, pose, trans), observed), sigma, known
+        )
         pose, trans, _ = posed(rig, observed, posterior, prior, pose, trans, firmness)
     squared = squared_distances(places_of(rig, pose, trans), observed)
     posterior, energy = posteriors(squared, schedule[-1][0], known)
@@ -107,7 +133,9 @@ def settled(
 
 
 UNSURE = 10.0
-"""How much less than `DATA` squared distances weigh in the cost: a body that is not this person's errs in all alike."""
+"""How much less than `DATA` squared distances weigh in the cost: a body that is not this person's
+errs in all alike.
+"""
 
 
 def places_of(

@@ -6,12 +6,16 @@ from jaxtyping import Float
 RIGID = 0.004
 """Metres: the spread of a distance within one part, skin moving over bone included."""
 MOVED = 0.02
-"""Metres: a label all of whose distances spread less than this in the middle tells nothing: nobody moved."""
+"""Metres: a label all of whose distances spread less than this in the middle tells nothing: nobody
+moved.
+"""
 _MOST = 4
 
 
 def companions(markers: Float[np.ndarray, "F M 3"]) -> list[tuple[int, ...]]:
-    """For each label the columns of those that keep their distance to it, the most rigid first; none where most do."""
+    """For each label the columns of those that keep their distance to it, the most rigid first;
+    none where most do.
+    """
     count = markers.shape[1]
     spread = np.full((count, count), np.inf)
     for column in range(count):

@@ -20,13 +20,15 @@ ROUNDS = (0.06, 0.06, 0.04, 0.04)
 """How unsure places are, metres, round by round."""
 _SETTINGS = MoshSettings(annealing=(4.0, 2.0, 1.0))
 _SIGMA = 0.02  # metres: how well a body of the right shape tells a place
-_CERTAINTY = 0.025  # metres: the same where confidences are stated, so that they are right as often as they say
+# metres: the same where confidences are stated, so that they are right as often as they say
+_CERTAINTY = 0.025
 
 
 @dataclass(frozen=True)
 class Seated:
-    """M labels seated on a body: the vertex of each (M,), how surely (M,), the shape stage's result on F frames, errors
-    (F, M) in metres, the cost of it all, and the posterior over the skin's places.
+    """M labels seated on a body: the vertex of each (M,), how surely (M,), the shape stage's result
+    on F frames, errors (F, M) in metres, the cost of it all, and the posterior over the skin's
+    places.
     """
 
     vertices: np.ndarray
@@ -51,15 +53,21 @@ def seated(
     known: Known = 0.0,
     rounds: tuple[float, ...] = ROUNDS,
 ) -> Seated:
-    """Labels each at its best place, then shape, latent markers and poses, round by round; in the end each label is
-    where its latent marker came to lie.
+    """Labels each at its best place, then shape, latent markers and poses, round by round; in the
+    end each label is where its latent marker came to lie.
     """
     count = observed.shape[1]
     for spread in rounds:
-        vertices = skin.vertices[np.argmax(_likely(body, skin, observed, betas, pose, trans, known), axis=1)]
+        vertices = skin.vertices[
+            np.argmax(_likely(body, skin, observed, betas, pose, trans, known), axis=1)
+        ]
         lengths = (np.full(count, length) for length in (OFF_SKIN, OFF_SPREAD, spread))
-        shape = shape_stage(body, Placement(vertices, *lengths), observed, prior, pose, trans, _SETTINGS)
-        betas, pose, trans = shape.betas, shape.pose, shape.trans
+        shape = shape_stage(
+            body, Placement(vertices, *lengths), observed, prior, pose, trans, _SETTINGS
+        )
+        betas = shape.betas
+        pose = shape.pose
+        trans = shape.trans
     predicted = predict(marked_body(body, betas, shape.attachment), pose, trans)
     exponent = _likely(body, skin, observed, betas, pose, trans, known) * (_SIGMA / _CERTAINTY) ** 2
     posterior = np.exp(exponent - exponent.max(axis=1, keepdims=True))
@@ -70,18 +78,24 @@ def seated(
 
 def _likely(body, skin, observed, betas, pose, trans, known) -> Float[np.ndarray, "M K"]:
     """Logarithms of how likely each label is at each place, but for a constant."""
-    squared = squared_distances(places_of(skin.on(body, betas), pose[None], trans[None]), observed)[0]
+    squared = squared_distances(places_of(skin.on(body, betas), pose[None], trans[None]), observed)[
+        0
+    ]
     return known - squared / (2.0 * _SIGMA**2)
 
 
-def within(seated: Seated, skin: Skin, template: Float[np.ndarray, "V 3"], reach: float) -> Float[np.ndarray, " M"]:
+def within(
+    seated: Seated, skin: Skin, template: Float[np.ndarray, "V 3"], reach: float
+) -> Float[np.ndarray, " M"]:
     """How likely each label sits within ``reach`` metres of the place that was found (M,)."""
     away = np.linalg.norm(skin.points[None] - template[seated.vertices][:, None], axis=2)
     return np.sum(seated.posterior * (away < reach), axis=1)
 
 
 def off_body(seated: Seated, most: float) -> Bool[np.ndarray, " M"]:
-    """Labels that lie further than ``most`` metres from where they would sit, at the median of the frames."""
+    """Labels that lie further than ``most`` metres from where they would sit, at the median of the
+    frames.
+    """
     errors = np.where(np.isfinite(seated.errors), seated.errors, np.inf)
     count = np.isfinite(seated.errors).sum(axis=0)
     middle = np.sort(errors, axis=0)[np.maximum(count - 1, 0) // 2, np.arange(errors.shape[1])]

@@ -10,10 +10,11 @@ from habitus.markers.layouts import MarkerLayout
 class Discovery:
     """A layout found by fitting.
 
-    layout: of the labels that sit on the body, each with a ``confidence``: how likely it sits within 5 cm of its place.
-    left_out: label -> why. doubts: what is not decided or speaks against it all, a sentence each. notes: what else a
-    person should know. companions: label -> the labels that keep their distance to it, which sit on the same part.
-    margin: how much more the best other reading of the capture costs, as a share; None where there was none to try.
+    layout: of the labels that sit on the body, each with a ``confidence``: how likely it sits
+    within 5 cm of its place. left_out: label -> why. doubts: what is not decided or speaks against
+    it all, a sentence each. notes: what else a person should know. companions: label -> the labels
+    that keep their distance to it, which sit on the same part. margin: how much more the best other
+    reading of the capture costs, as a share; None where there was none to try.
     """
 
     layout: MarkerLayout

@@ -13,23 +13,31 @@ CLEAR = 0.03
 
 
 def named_sides(labels: Sequence[str]) -> Float[np.ndarray, " M"]:
-    """1 for labels that say left, -1 for right, 0 for what says nothing: only one of a pair (``LTHI``, ``RTHI``) does.
+    """1 for labels that say left, -1 for right, 0 for what says nothing: only one of a pair
+    (``LTHI``, ``RTHI``) does.
 
     All 0 where fewer than `FEWEST` pairs are named so.
     """
-    known, sides = set(labels), np.zeros(len(labels))
+    known = set(labels)
+    sides = np.zeros(len(labels))
     for column, label in enumerate(labels):
         for side, (mine, other) in ((s, pair[::s]) for pair in _WORDS for s in (1, -1)):
-            if any(_exchanged(label, mine, other, start) in known for start in _starts(label, mine)):
+            if any(
+                _exchanged(label, mine, other, start) in known for start in _starts(label, mine)
+            ):
                 sides[column] = side
                 break
     return sides if (sides != 0).sum() >= 2 * FEWEST else np.zeros(len(labels))
 
 
 def agreement(sides: Float[np.ndarray, " M"], across: Float[np.ndarray, " M"]) -> float | None:
-    """Share of the named labels whose place (its x on the template, m) lies on the side they name; None without any."""
+    """Share of the named labels whose place (its x on the template, m) lies on the side they name;
+    None without any.
+    """
     told = (sides != 0) & (np.abs(across) > CLEAR)
-    return float(np.mean(np.sign(across[told]) == sides[told])) if told.sum() >= 2 * FEWEST else None
+    return (
+        float(np.mean(np.sign(across[told]) == sides[told])) if told.sum() >= 2 * FEWEST else None
+    )
 
 
 def _starts(label: str, part: str) -> list[int]:

@@ -14,14 +14,17 @@ OFF_SKIN = 0.0125
 """Metres from the skin to the centre of a marker of which nothing is known."""
 _FINGERS = ("_pip", "_dip", "_tip", "_ip")
 _ARM = ("hand", "wrist", "index", "middle", "ring", "pinky", "thumb", "elbow", "forearm")
-_NEAR = 0.04  # metres: a vertex this near to a finger's landmark, and nearer than to others of the arm, is the finger's
-_SOLE, _LOW = -0.6, 0.06  # the normal's share of down, and metres: nobody walks on markers
+# metres: a vertex this near to a finger's landmark, and nearer than to others of the arm, is the
+# finger's
+_NEAR = 0.04
+_SOLE = -0.6
+_LOW = 0.06  # the normal's share of down, and metres: nobody walks on markers
 
 
 @dataclass(frozen=True)
 class Skin:
-    """K places on a body's skin: their vertices (K,), where they lie on the template (K, 3), and each one's place on
-    the other side of the body, or the nearest there is (K,).
+    """K places on a body's skin: their vertices (K,), where they lie on the template (K, 3), and
+    each one's place on the other side of the body, or the nearest there is (K,).
     """
 
     vertices: Int[np.ndarray, " K"]
@@ -35,7 +38,9 @@ class Skin:
 
 
 def spread_places(body: BodyModel, count: int) -> Skin:
-    """``count`` places as far apart as can be (farthest points of the template); fingers and soles have none."""
+    """``count`` places as far apart as can be (farthest points of the template); fingers and soles
+    have none.
+    """
     template = np.asarray(body.v_template, dtype=float)
     usable = np.flatnonzero(wearable(body))
     points = template[usable]
@@ -52,7 +57,9 @@ def spread_places(body: BodyModel, count: int) -> Skin:
 
 
 def wearable(body: BodyModel) -> Bool[np.ndarray, " V"]:
-    """Whether a marker may sit on a vertex: not on fingers, whose bending few sets tell, nor on soles."""
+    """Whether a marker may sit on a vertex: not on fingers, whose bending few sets tell, nor on
+    soles.
+    """
     template = np.asarray(body.v_template, dtype=float)
     normals = vertex_normals(template, body.faces, np.arange(len(template)))
     free = (template[:, 1] > template[:, 1].min() + _LOW) | (normals[:, 1] > _SOLE)
@@ -67,10 +74,14 @@ def wearable(body: BodyModel) -> Bool[np.ndarray, " V"]:
 
 def betas_of_height(body: BodyModel, height: float) -> Float[np.ndarray, " B"]:
     """The likeliest betas of a body that is ``height`` metres tall."""
-    template, directions = np.asarray(body.v_template, dtype=float), np.asarray(body.shapedirs, dtype=float)
-    top, bottom = int(np.argmax(template[:, 1])), int(np.argmin(template[:, 1]))
+    template = np.asarray(body.v_template, dtype=float)
+    directions = np.asarray(body.shapedirs, dtype=float)
+    top = int(np.argmax(template[:, 1]))
+    bottom = int(np.argmin(template[:, 1]))
     slope = directions[top, 1] - directions[bottom, 1]
     squared = float(slope @ slope)
     return (
-        slope * (height - (template[top, 1] - template[bottom, 1])) / squared if squared > 0 else np.zeros(len(slope))
+        slope * (height - (template[top, 1] - template[bottom, 1])) / squared
+        if squared > 0
+        else np.zeros(len(slope))
     )

@@ -1,4 +1,6 @@
-"""Where a discovery begins: bodies in a few single frames, from plain poses, in many directions, of two sizes."""
+"""Where a discovery begins: bodies in a few single frames, from plain poses, in many directions, of
+two sizes.
+"""
 
 from itertools import product
 
@@ -14,15 +16,33 @@ from habitus.mesh.mirror import mirrored_joints
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
 
-SINGLE: Schedule = ((0.15, 100.0), (0.12, 50.0), (0.12, 20.0), (0.12, 6.0), (0.09, 4.0), (0.07, 3.0), (0.06, 2.0))
+SINGLE: Schedule = (
+    (0.15, 100.0),
+    (0.12, 50.0),
+    (0.12, 20.0),
+    (0.12, 6.0),
+    (0.09, 4.0),
+    (0.07, 3.0),
+    (0.06, 2.0),
+)
 _LOOKED_AT = 3  # frames: those in which the markers reach furthest
 _APART = 0.04  # metres: bodies whose labels sit nearer than this on average are one
 _KEPT = 8
 _POSES = (
     *PLAIN_POSES,
     {"hip": (-0.1, 0.0, 0.1), "knee": (1.7, 0.0, 0.0), "shoulder": (0.0, -0.3, -1.2)},
-    {"hip": (-0.4, 0.0, 0.2), "knee": (2.2, 0.0, 0.0), "shoulder": (0.0, -0.6, -0.8), "elbow": (0.0, -0.6, 0.0)},
-    {"hip": (-1.4, 0.0, 0.1), "knee": (1.4, 0.0, 0.0), "shoulder": (0.0, -1.3, -0.2), "elbow": (0.0, -0.1, 0.0)},
+    {
+        "hip": (-0.4, 0.0, 0.2),
+        "knee": (2.2, 0.0, 0.0),
+        "shoulder": (0.0, -0.6, -0.8),
+        "elbow": (0.0, -0.6, 0.0),
+    },
+    {
+        "hip": (-1.4, 0.0, 0.1),
+        "knee": (1.4, 0.0, 0.0),
+        "shoulder": (0.0, -1.3, -0.2),
+        "elbow": (0.0, -0.1, 0.0),
+    },
 )  # the last three kneel, and are on all fours
 
 
@@ -36,7 +56,9 @@ def bodies_of_single_frames(
 ) -> Bodies:
     """The cheapest bodies that differ, of single frames; each once more turned about (`turned`)."""
     directions = _directions()
-    pose = np.array([plain_pose(body.joint_names, angles) for angles in _POSES]).repeat(len(directions), axis=0)
+    pose = np.array([plain_pose(body.joint_names, angles) for angles in _POSES]).repeat(
+        len(directions), axis=0
+    )
     pose[:, 0] = np.tile(directions, (len(_POSES), 1))
     around = np.median(places_of(rig, pose[:, None], np.zeros((len(pose), 1, 3)))[:, 0], axis=1)
     found = []
@@ -44,15 +66,22 @@ def bodies_of_single_frames(
         here = observed[frame : frame + 1]
         trans = np.nanmedian(here[0], axis=0) - around
         found.append(settled(rig, here, prior, pose[:, None], trans[:, None], SINGLE, known))
-    fields = (np.concatenate([getattr(each, name) for each in found]) for name in Bodies.__annotations__)
+    fields = (
+        np.concatenate([getattr(each, name) for each in found]) for name in Bodies.__annotations__
+    )
     kept = _that_differ(Bodies(*fields), skin)
     about = turned(body, kept, skin)
-    return Bodies(*(np.concatenate(pair) for pair in zip(vars(kept).values(), vars(about).values(), strict=True)))
+    return Bodies(
+        *(
+            np.concatenate(pair)
+            for pair in zip(vars(kept).values(), vars(about).values(), strict=True)
+        )
+    )
 
 
 def turned(body: BodyModel, bodies: Bodies, skin: Skin) -> Bodies:
-    """The bodies half a turn about their long axis, left and right exchanged: what fits the same markers nearly as well
-    where no joint bends.
+    """The bodies half a turn about their long axis, left and right exchanged: what fits the same
+    markers nearly as well where no joint bends.
     """
     across = mirrored_joints(body.joint_names, body.parents)
     pose = bodies.pose[:, :, across] * np.array([1.0, -1.0, -1.0])
@@ -62,19 +91,33 @@ def turned(body: BodyModel, bodies: Bodies, skin: Skin) -> Bodies:
 
 
 def in_all_frames(
-    body: BodyModel, rig: MarkedBody, observed: Float[np.ndarray, "F M 3"], bodies: Bodies, prior: PosePrior
+    body: BodyModel,
+    rig: MarkedBody,
+    observed: Float[np.ndarray, "F M 3"],
+    bodies: Bodies,
+    prior: PosePrior,
 ) -> Bodies:
-    """Bodies of one frame in all frames, each by itself from every plain pose, labels where the one frame says."""
-    count, frames = len(bodies.pose), len(observed)
-    plain = [np.repeat(plain_pose(body.joint_names, angles)[None], count, axis=0) for angles in _POSES]
+    """Bodies of one frame in all frames, each by itself from every plain pose, labels where the one
+    frame says.
+    """
+    count = len(bodies.pose)
+    frames = len(observed)
+    plain = [
+        np.repeat(plain_pose(body.joint_names, angles)[None], count, axis=0) for angles in _POSES
+    ]
     tries = []
     for start in (*plain, bodies.pose[:, 0]):
         pose, trans = _aligned(rig, start, observed, bodies.posterior)
         for firmness in (20.0, 2.0):
-            pose, trans, cost = posed(rig, observed, bodies.posterior, prior, pose, trans, firmness, sweeps=6)
+            pose, trans, cost = posed(
+                rig, observed, bodies.posterior, prior, pose, trans, firmness, sweeps=6
+            )
         tries.append((pose, trans, cost))
     pose, trans, cost = (np.stack(each) for each in zip(*tries, strict=True))
-    best = (np.argmin(cost, axis=0), *np.meshgrid(np.arange(count), np.arange(frames), indexing="ij"))
+    best = (
+        np.argmin(cost, axis=0),
+        *np.meshgrid(np.arange(count), np.arange(frames), indexing="ij"),
+    )
     return Bodies(pose[best], trans[best], cost[best].sum(axis=1), bodies.posterior)
 
 
@@ -84,8 +127,11 @@ def _aligned(
     observed: Float[np.ndarray, "F M 3"],
     posterior: Float[np.ndarray, "N M K"],
 ) -> tuple[Float[np.ndarray, "N F J 3"], Float[np.ndarray, "N F 3"]]:
-    """One pose a body in every frame, its root where the labels' mean places fall on the labels (Procrustes)."""
-    count, frames = len(pose), len(observed)
+    """One pose a body in every frame, its root where the labels' mean places fall on the labels
+    (Procrustes).
+    """
+    count = len(pose)
+    frames = len(observed)
     upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)
     places = places_of(rig, upright[:, None], np.zeros((count, 1, 3)))[:, 0]
     certain = np.maximum(posterior.sum(axis=2), 1e-3)
@@ -99,8 +145,12 @@ def _aligned(
 
 
 def _directions() -> Float[np.ndarray, "D 3"]:
-    """Rotation vectors of a body: the 24 rotations of a cube, and those between the upright ones of every axis."""
-    signed = [np.diag(signs)[list(order)] for order in _ORDERS for signs in product((1.0, -1.0), repeat=3)]
+    """Rotation vectors of a body: the 24 rotations of a cube, and those between the upright ones of
+    every axis.
+    """
+    signed = [
+        np.diag(signs)[list(order)] for order in _ORDERS for signs in product((1.0, -1.0), repeat=3)
+    ]
     cube = np.array([matrix for matrix in signed if np.linalg.det(matrix) > 0])
     half = matrix_from_rotvec(np.array([0.0, np.pi / 4, 0.0]))
     return rotvec_from_matrix(np.concatenate([cube, cube @ half]))
@@ -113,7 +163,9 @@ def _widest(observed: Float[np.ndarray, "F M 3"]) -> Int[np.ndarray, " f"]:
     """The frames in which the markers reach furthest from their middle."""
     away = np.linalg.norm(observed - np.nanmedian(observed, axis=1, keepdims=True), axis=2)
     seen = np.isfinite(away)
-    return np.argsort(-np.nan_to_num(away).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), kind="stable")[:_LOOKED_AT]
+    return np.argsort(
+        -np.nan_to_num(away).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), kind="stable"
+    )[:_LOOKED_AT]
 
 
 def _that_differ(bodies: Bodies, skin: Skin) -> Bodies:
@@ -122,7 +174,9 @@ def _that_differ(bodies: Bodies, skin: Skin) -> Bodies:
     places = bodies.posterior[order] @ skin.points
     chosen: list[int] = []
     for k in range(len(order)):
-        if len(chosen) < _KEPT and all(np.linalg.norm(places[k] - places[j], axis=1).mean() > _APART for j in chosen):
+        if len(chosen) < _KEPT and all(
+            np.linalg.norm(places[k] - places[j], axis=1).mean() > _APART for j in chosen
+        ):
             chosen.append(k)
     some = order[chosen]
     return Bodies(bodies.pose[some], bodies.trans[some], bodies.cost[some], bodies.posterior[some])

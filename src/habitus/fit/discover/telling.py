@@ -1,4 +1,6 @@
-"""What a discovery says: places in words, how sure they are, what is not decided, what else there is to know."""
+"""What a discovery says: places in words, how sure they are, what is not decided, what else there
+is to know.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +23,8 @@ DECIDED = 0.3
 REACH = 0.05
 """Metres: a confidence is the chance that a marker sits within this of its place."""
 PLACE_SPREAD = 0.04
-_POOR = 0.0075  # metres of mean error in the frames looked at: right readings left 1 to 6.6 mm on real captures
+# metres of mean error in the frames looked at: right readings left 1 to 6.6 mm on real captures
+_POOR = 0.0075
 
 
 def told(
@@ -52,7 +55,9 @@ def told(
     )
     mean = float(np.nanmean(found.errors))
     groups = {
-        label: tuple(labels[k] for k in group) for label, group in zip(labels, companions(frames), strict=True) if group
+        label: tuple(labels[k] for k in group)
+        for label, group in zip(labels, companions(frames), strict=True)
+        if group
     }
     named = agreement(named_sides(labels), across)
     doubts = (*_undecided(margin, named), *_contradicted(named, undecided), *_poor(mean))
@@ -67,21 +72,30 @@ def _undecided(margin: float | None, named: float | None) -> list[str]:
     how = f"another reading of the capture costs only {100 * abs(margin):.0f} % more"
     if named is not None and named > 0.5:
         return [
-            f"Left and right, or front and back, are taken from the labels' names: {how}; bending joints would tell."
+            f"Left and right, or front and back, are taken from the labels' names: {how}; bending "
+            "joints would tell."
         ]
-    return [f"Left and right, or front and back, are not decided: {how}; a capture with bending joints would tell."]
+    return [
+        f"Left and right, or front and back, are not decided: {how}; a capture with bending "
+        "joints would tell."
+    ]
 
 
 def _contradicted(named: float | None, undecided: bool) -> list[str]:
     if named is None or named > 0.5 or undecided:
         return []
     return [
-        f"The labels' names say the other side for {100 * (1 - named):.0f} % of the markers: mirrored, or misnamed?"
+        f"The labels' names say the other side for {100 * (1 - named):.0f} % of the markers: "
+        "mirrored, or misnamed?"
     ]
 
 
 def _poor(mean: float) -> list[str]:
-    return [] if mean < _POOR else [f"The places found explain the markers poorly ({1e3 * mean:.0f} mm)."]
+    return (
+        []
+        if mean < _POOR
+        else [f"The places found explain the markers poorly ({1e3 * mean:.0f} mm)."]
+    )
 
 
 def _notes(
@@ -93,10 +107,15 @@ def _notes(
 ) -> Iterator[str]:
     template = np.asarray(body.v_template, dtype=float)
     if left_out:
-        yield "labels left out: " + listed([f"{label} ({why})" for label, why in left_out.items()], 4, "; ")
+        yield "labels left out: " + listed(
+            [f"{label} ({why})" for label, why in left_out.items()], 4, "; "
+        )
     for label, vertex in zip(labels, found.vertices, strict=True):
         if label in known:
             usual = MarkerLayout("known", (replace(known[label], label=label),)).vertices(body)[0]
             away = float(np.linalg.norm(template[usual] - template[vertex]))
             if away > 2 * REACH:
-                yield f"{label} usually means {known[label].place}; it was found {100 * away:.0f} cm from there"
+                yield (
+                    f"{label} usually means {known[label].place}; it was found {100 * away:.0f} "
+                    "cm from there"
+                )

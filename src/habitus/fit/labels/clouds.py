@@ -8,14 +8,16 @@ from jaxtyping import Float, Int
 
 from habitus.fit.labels.kernels import link
 
-_GATE, _SPEED = 0.02, 5.0
+_GATE = 0.02
+_SPEED = 5.0
 _LONGEST_GAP = 4
 _CLEARLY = 1.6
 
 
 @dataclass(frozen=True)
 class Clouds:
-    """P points of T frames, one frame after the other: ``points[start[t] : start[t + 1]]`` are those of frame t.
+    """P points of T frames, one frame after the other: ``points[start[t] : start[t + 1]]`` are
+    those of frame t.
 
     ``column``: where each point stood among its frame's. Metres.
     """
@@ -52,9 +54,13 @@ class Clouds:
 
 
 def tracklets(clouds: Clouds) -> Int[np.ndarray, " P"]:
-    """The tracklet of each point, numbered from 0: pieces of trajectories in which each step is beyond doubt."""
+    """The tracklet of each point, numbered from 0: pieces of trajectories in which each step is
+    beyond doubt.
+    """
     gate = max(_GATE, 1.5 / clouds.rate_hz)
-    found = link(clouds.points, clouds.start, gate, _SPEED / clouds.rate_hz + 0.005, _LONGEST_GAP, _CLEARLY)
+    found = link(
+        clouds.points, clouds.start, gate, _SPEED / clouds.rate_hz + 0.005, _LONGEST_GAP, _CLEARLY
+    )
     return np.unique(found, return_inverse=True)[1]
 
 

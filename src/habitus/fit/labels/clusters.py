@@ -1,8 +1,10 @@
-"""Markers that a layout has at one place: which is called what nobody can tell, but each is followed by where it sits.
+"""Markers that a layout has at one place: which is called what nobody can tell, but each is
+followed by where it sits.
 
-A gait lab tapes plates of three or four markers to thighs and shanks, and a layout knows little more than where the
-plate is. Seeds name such markers at random. So the points of a plate are taken into the frame of the skin under it,
-where each marker stands still, and shared out anew: no two of one frame to one marker, each near its own place.
+A gait lab tapes plates of three or four markers to thighs and shanks, and a layout knows little
+more than where the plate is. Seeds name such markers at random. So the points of a plate are taken
+into the frame of the skin under it, where each marker stands still, and shared out anew: no two of
+one frame to one marker, each near its own place.
 """
 
 import numpy as np
@@ -37,18 +39,24 @@ def told_apart(
     frames: Int[np.ndarray, " F"],
     state: tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]],
 ) -> MarkerAttachment:
-    """The attachment with the markers of each cluster where their points sit; others stay as they are.
+    """The attachment with the markers of each cluster where their points sit; others stay as they
+    are.
 
     frames, state: poses in which points near a cluster, of its labels or of none, are looked at.
     """
     groups = clusters(placement)
     if not groups:
         return attachment
-    triangles, coefficients = attachment.triangles.copy(), attachment.coefficients.copy()
-    nearest = _nearest_group(groups, marked_body(body, betas, attachment), clouds, label, frames, state)
+    triangles = attachment.triangles.copy()
+    coefficients = attachment.coefficients.copy()
+    nearest = _nearest_group(
+        groups, marked_body(body, betas, attachment), clouds, label, frames, state
+    )
     for g, members in enumerate(groups):
         carrier = triangles[members[0]]
-        found = _places(_points(body, betas, carrier, clouds, nearest == g, frames, state), len(members))
+        found = _places(
+            _points(body, betas, carrier, clouds, nearest == g, frames, state), len(members)
+        )
         if found is not None:
             triangles[members], coefficients[members] = carrier, found
     return MarkerAttachment(triangles, coefficients)
@@ -63,7 +71,8 @@ def _nearest_group(
     state: tuple[np.ndarray, np.ndarray],
 ) -> Int[np.ndarray, " P"]:
     """The cluster that each point without another name is nearest to, within reach; -1 for none."""
-    found, free = np.full(len(label), -1), np.isin(label, np.append(np.concatenate(groups), -1))
+    found = np.full(len(label), -1)
+    free = np.isin(label, np.append(np.concatenate(groups), -1))
     predicted = predict(rig, *state)
     middles = np.stack([predicted[:, members].mean(axis=1) for members in groups], axis=1)
     for middle, t in zip(middles, frames, strict=True):
@@ -84,7 +93,9 @@ def _points(
     state: tuple[np.ndarray, np.ndarray],
 ) -> list[Float[np.ndarray, "n 3"]]:
     """Of each frame the chosen points in the basis of a triangle of the posed body, metres."""
-    tripod = MarkerAttachment(np.tile(carrier, (4, 1)), np.concatenate([np.zeros((1, 3)), np.eye(3)]))
+    tripod = MarkerAttachment(
+        np.tile(carrier, (4, 1)), np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    )
     corners = predict(marked_body(body, betas, tripod), *state)
     found = []
     for (origin, *ends), t in zip(corners, frames, strict=True):
@@ -94,7 +105,9 @@ def _points(
 
 
 def _places(points: list[Float[np.ndarray, "n 3"]], count: int) -> Float[np.ndarray, "k 3"] | None:
-    """Where ``count`` markers sit that gave these points, frame by frame; None where no frame shows them all."""
+    """Where ``count`` markers sit that gave these points, frame by frame; None where no frame shows
+    them all.
+    """
     full = [each for each in points if len(each) == count]
     if not full:
         return None
@@ -102,8 +115,12 @@ def _places(points: list[Float[np.ndarray, "n 3"]], count: int) -> Float[np.ndar
     return min(tries, key=lambda each: each[0])[1]
 
 
-def _settled(places: np.ndarray, points: list[np.ndarray]) -> tuple[float, Float[np.ndarray, "k 3"]]:
-    """Cost and places: in turns points to markers, one to one in each frame, and places to medians of their points."""
+def _settled(
+    places: np.ndarray, points: list[np.ndarray]
+) -> tuple[float, Float[np.ndarray, "k 3"]]:
+    """Cost and places: in turns points to markers, one to one in each frame, and places to medians
+    of their points.
+    """
     for _ in range(ROUNDS):
         shared: list[list[np.ndarray]] = [[] for _ in places]
         cost = 0.0
@@ -114,7 +131,9 @@ def _settled(places: np.ndarray, points: list[np.ndarray]) -> tuple[float, Float
             for k, n in zip(rows.tolist(), columns.tolist(), strict=True):
                 shared[k].append(each[n])
         before = places
-        places = np.array([np.median(own, axis=0) if own else places[k] for k, own in enumerate(shared)])
+        places = np.array(
+            [np.median(own, axis=0) if own else places[k] for k, own in enumerate(shared)]
+        )
         if np.array_equal(places, before):
             break
     return cost, places

@@ -1,6 +1,8 @@
-"""Near twins told apart: what it would cost to exchange labels, by where the markers sit and by how joints bend.
+"""Near twins told apart: what it would cost to exchange labels, by where the markers sit and by how
+joints bend.
 
-A wrong label pulls the fit along and then looks right; so poses are found anew for each exchange, in some frames.
+A wrong label pulls the fit along and then looks right; so poses are found anew for each exchange,
+in some frames.
 """
 
 from types import SimpleNamespace
@@ -18,7 +20,9 @@ NEAR = 0.16
 SWEEPS = 6
 ROUNDS = 4
 SURE = 2.0
-"""What exchanges cost more or less (a frame's energy in the mean) is told from nothing by so much a unit."""
+"""What exchanges cost more or less (a frame's energy in the mean) is told from nothing by so much a
+unit.
+"""
 
 
 def untangle(
@@ -31,8 +35,8 @@ def untangle(
     state: tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]],
     weights: Float[np.ndarray, " M"],
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " M"]]:
-    """Labels with those exchanged, tracklet by tracklet, whose exchange is cheaper; and how sure each label is of its
-    nearest rival (0.5: not at all).
+    """Labels with those exchanged, tracklet by tracklet, whose exchange is cheaper; and how sure
+    each label is of its nearest rival (0.5: not at all).
 
     frames and their state: what is looked at. weights: of the markers' squared distances, per m^2.
     """
@@ -49,7 +53,9 @@ def untangle(
     sure = np.ones(rig.num_markers)
     known = np.isfinite(change)
     mean = np.where(known, change, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    each = np.where(known.any(axis=1), 1.0 / (1.0 + np.exp(-SURE * np.clip(mean, -50.0, 50.0))), 1.0)
+    each = np.where(
+        known.any(axis=1), 1.0 / (1.0 + np.exp(-SURE * np.clip(mean, -50.0, 50.0))), 1.0
+    )
     for side in range(2):
         np.minimum.at(sure, pairs[:, side], each)
     return label, sure
@@ -62,7 +68,9 @@ def near_pairs(predicted: Float[np.ndarray, "F M 3"]) -> Int[np.ndarray, "K 2"]:
     return np.stack([first, second], axis=1)
 
 
-def _columns(clouds: Clouds, label: np.ndarray, frames: np.ndarray, count: int) -> Int[np.ndarray, "F M"]:
+def _columns(
+    clouds: Clouds, label: np.ndarray, frames: np.ndarray, count: int
+) -> Int[np.ndarray, "F M"]:
     """The point of each label in some frames, -1 for none."""
     found = np.full((len(frames), count), -1)
     for row, t in enumerate(frames):
@@ -91,14 +99,18 @@ def _changes(
     return np.where(seen, costs[1:] - costs[0], np.nan)
 
 
-def _cheaper(change: np.ndarray, columns: np.ndarray, tracklet: np.ndarray, pairs: np.ndarray) -> dict[int, int]:
+def _cheaper(
+    change: np.ndarray, columns: np.ndarray, tracklet: np.ndarray, pairs: np.ndarray
+) -> dict[int, int]:
     """Tracklet -> its new label, for exchanges that save something and do not touch each other."""
     offers: list[tuple[float, int, dict[int, int]]] = []
     for k, (i, j) in enumerate(pairs.tolist()):
         pieces = np.where(columns[:, [i, j]] >= 0, tracklet[columns[:, [i, j]]], -1)
         for a, b in np.unique(pieces, axis=0).tolist():
             rows = (pieces == (a, b)).all(axis=1)
-            saved = -float(np.nanmean(change[k, rows])) if np.isfinite(change[k, rows]).any() else 0.0
+            saved = (
+                -float(np.nanmean(change[k, rows])) if np.isfinite(change[k, rows]).any() else 0.0
+            )
             if saved > 1e-3:
                 moved = {piece: new for piece, new in ((a, j), (b, i)) if piece >= 0}
                 offers.append((saved * rows.sum(), k, moved))
@@ -121,20 +133,26 @@ def exchange_costs(
     weights: Float[np.ndarray, " M"],
     orders: Int[np.ndarray, "K M"],
 ) -> Float[np.ndarray, "K F"]:
-    """What each frame costs with its markers in each order (order[i] is the column that marker i takes), the poses
-    found anew.
+    """What each frame costs with its markers in each order (order[i] is the column that marker i
+    takes), the poses found anew.
     """
     given = observed[:, orders].transpose(1, 0, 2, 3).reshape(-1, *observed.shape[1:])
     share = np.broadcast_to(weights, given.shape[:2])
-    problem = marker_sequence(rig, given, share, None, prior, SequenceSettings(data=1.0, acceleration=0.0), 0)
-    states = problem.pack(np.tile(pose, (len(orders), 1, 1)), np.tile(trans, (len(orders), 1)), None)
+    problem = marker_sequence(
+        rig, given, share, None, prior, SequenceSettings(data=1.0, acceleration=0.0), 0
+    )
+    states = problem.pack(
+        np.tile(pose, (len(orders), 1, 1)), np.tile(trans, (len(orders), 1)), None
+    )
     level = side_by_side(states, problem.pose_end, 10.0)
     for _ in range(SWEEPS):
         problem.visit(level, level.frames)
     return level.costs.reshape(len(orders), len(observed))
 
 
-def side_by_side(states: Float[np.ndarray, "F N"], pose_end: int, damping: float) -> SimpleNamespace:
+def side_by_side(
+    states: Float[np.ndarray, "F N"], pose_end: int, damping: float
+) -> SimpleNamespace:
     """States as a level of `habitus.solve.sequence.level` without links: each frame by itself."""
     count = len(states)
     return SimpleNamespace(

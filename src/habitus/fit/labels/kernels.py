@@ -1,4 +1,5 @@
-"""The inner loops of labelling, compiled: links between frames, soft and firm matches of points and markers.
+"""The inner loops of labelling, compiled: links between frames, soft and firm matches of points and
+markers.
 
 Points of all frames lie behind each other; those of frame t are start[t] : start[t + 1].
 """
@@ -10,15 +11,21 @@ from habitus.kernels.jit import jit
 
 @jit
 def link(points, start, gate, first_gate, longest_gap, clearly):
-    """The tracklet of each point (P,): its prediction and it are nearest to each other, and nothing else is as near.
+    """The tracklet of each point (P,): its prediction and it are nearest to each other, and nothing
+    else is as near.
 
-    gate: how far (m) a point may be from where its tracklet's last motion leads, first_gate where it has none of its
-    own yet; longest_gap: frames that a tracklet may miss; clearly: how many times further the next candidate must be.
+    gate: how far (m) a point may be from where its tracklet's last motion leads, first_gate where
+    it has none of its own yet; longest_gap: frames that a tracklet may miss; clearly: how many
+    times further the next candidate must be.
     """
     tracklet = np.full(len(points), -1)
-    place, speed = np.empty((len(points), 3)), np.zeros((len(points), 3))
-    last, length = np.full(len(points), -1), np.zeros(len(points), np.int64)
-    active, count, number = np.empty(2 * len(points), np.int64), 0, 0
+    place = np.empty((len(points), 3))
+    speed = np.zeros((len(points), 3))
+    last = np.full(len(points), -1)
+    length = np.zeros(len(points), np.int64)
+    active = np.empty(2 * len(points), np.int64)
+    count = 0
+    number = 0
     for t in range(len(start) - 1):
         kept = 0
         for a in range(count):
@@ -26,7 +33,8 @@ def link(points, start, gate, first_gate, longest_gap, clearly):
                 active[kept] = active[a]
                 kept += 1
         count = kept
-        first, size = start[t], start[t + 1] - start[t]
+        first = start[t]
+        size = start[t + 1] - start[t]
         distance = np.empty((count, size))
         for a in range(count):
             k = active[a]
@@ -51,14 +59,16 @@ def link(points, start, gate, first_gate, longest_gap, clearly):
                     if distance[a, j] < clearly * near:
                         _end(tracklet[first : first + size], active[a], last)
         for j in range(size):
-            k, p = tracklet[first + j], points[first + j]
+            k = tracklet[first + j]
+            p = points[first + j]
             if k >= 0:
                 speed[k] = (p - place[k]) / (t - last[k])
                 place[k], last[k] = p, t
                 length[k] += 1
         for j in range(size):
             if tracklet[first + j] < 0:
-                k, p = number, points[first + j]
+                k = number
+                p = points[first + j]
                 number += 1
                 tracklet[first + j], place[k], last[k], length[k] = k, p, t, 1
                 near = 0.4
@@ -85,8 +95,12 @@ def _apart(place, speed, ahead, point):
 
 @jit
 def _clear_choice(distance, j, clearly):
-    """The row that is nearest to column j where no other row, and to it no other column, is nearly as near; or -1."""
-    best, second, chosen = np.inf, np.inf, -1
+    """The row that is nearest to column j where no other row, and to it no other column, is nearly
+    as near; or -1.
+    """
+    best = np.inf
+    second = np.inf
+    chosen = -1
     for a in range(len(distance)):
         if distance[a, j] < best:
             best, second, chosen = distance[a, j], best, a
@@ -111,7 +125,8 @@ def _end(taken, k, last):
 
 @jit
 def soft_targets(predicted, points, start, frames, spread, beyond, targets, weights):
-    """For each state h, of frame frames[h]: where the points that each marker explains lie in the mean, and how many.
+    """For each state h, of frame frames[h]: where the points that each marker explains lie in the
+    mean, and how many.
 
     A point is shared among the markers by exp(-d^2 / 2 spread^2), with ``beyond`` for none of them.
     """
@@ -149,27 +164,34 @@ def soft_targets(predicted, points, start, frames, spread, beyond, targets, weig
 
 @jit
 def hungarian(cost, row_of):
-    """The cheapest match of n rows to m >= n columns; row_of (m,) receives the row of each column or -1.
+    """The cheapest match of n rows to m >= n columns; row_of (m,) receives the row of each column
+    or -1.
 
     The shortest augmenting paths of Jonker and Volgenant, as in Kuhn's method with potentials.
     """
     n, m = cost.shape
-    u, v = np.zeros(n + 1), np.zeros(m + 1)
-    match, way = np.full(m + 1, -1), np.zeros(m + 1, np.int64)
+    u = np.zeros(n + 1)
+    v = np.zeros(m + 1)
+    match = np.full(m + 1, -1)
+    way = np.zeros(m + 1, np.int64)
     for row in range(n):
         match[m] = row
         column = m
-        least, used = np.full(m, np.inf), np.zeros(m + 1, np.bool_)
+        least = np.full(m, np.inf)
+        used = np.zeros(m + 1, np.bool_)
         while match[column] >= 0:
             used[column] = True
-            i, delta, following = match[column], np.inf, 0
+            i = match[column]
+            delta = np.inf
+            following = 0
             for j in range(m):
                 if not used[j]:
                     reduced = cost[i, j] - u[i] - v[j]
                     if reduced < least[j]:
                         least[j], way[j] = reduced, column
                     if least[j] < delta:
-                        delta, following = least[j], j
+                        delta = least[j]
+                        following = j
             for j in range(m + 1):
                 if used[j]:
                     u[match[j]] += delta
@@ -185,8 +207,8 @@ def hungarian(cost, row_of):
 
 @jit
 def matched(cost, gate, out):
-    """Match rows (markers) to columns (points) below a gate; out (rows,) receives the column or -1. The total cost:
-    unmatched ones of the scarcer side cost the gate.
+    """Match rows (markers) to columns (points) below a gate; out (rows,) receives the column or -1.
+    The total cost: unmatched ones of the scarcer side cost the gate.
     """
     rows, columns = cost.shape
     clipped = np.minimum(cost, gate)
@@ -215,11 +237,12 @@ def matched(cost, gate, out):
 
 @jit
 def firm_matches(predicted, points, start, frames, gate, match, cost):
-    """For each state the point (index into points) of each marker, -1 for none, and the total of squared distances,
-    cut at gate^2.
+    """For each state the point (index into points) of each marker, -1 for none, and the total of
+    squared distances, cut at gate^2.
     """
     for h in range(len(predicted)):
-        first, size = start[frames[h]], start[frames[h] + 1] - start[frames[h]]
+        first = start[frames[h]]
+        size = start[frames[h] + 1] - start[frames[h]]
         squared = np.empty((predicted.shape[1], size))
         for i in range(predicted.shape[1]):
             for j in range(size):
@@ -236,12 +259,14 @@ def firm_matches(predicted, points, start, frames, gate, match, cost):
 
 @jit
 def assign_frames(costs, start, gates, label):
-    """Frame by frame the cheapest match of points (rows of costs (P, M)) to markers; label (P,) receives it or -1.
+    """Frame by frame the cheapest match of points (rows of costs (P, M)) to markers; label (P,)
+    receives it or -1.
 
     gates (P,) is what leaving a point without a label costs.
     """
     for t in range(len(start) - 1):
-        first, size = start[t], start[t + 1] - start[t]
+        first = start[t]
+        size = start[t + 1] - start[t]
         if size == 0:
             continue
         markers = costs.shape[1]
@@ -262,7 +287,9 @@ def assign_frames(costs, start, gates, label):
 
 @jit
 def squared_distances(points, start, predicted, most, out):
-    """Squared distance (P, M) of each point from each predicted marker (T, M, 3) of its frame, at most ``most``."""
+    """Squared distance (P, M) of each point from each predicted marker (T, M, 3) of its frame, at
+    most ``most``.
+    """
     for t in range(len(start) - 1):
         for j in range(start[t], start[t + 1]):
             for i in range(predicted.shape[1]):

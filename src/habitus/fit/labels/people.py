@@ -1,8 +1,10 @@
-"""Points of several people in one volume, parted before they are labelled and once more by the bodies that were found.
+"""Points of several people in one volume, parted before they are labelled and once more by the
+bodies that were found.
 
-First by where people stand: in each frame the points' places on the ground fall into so many heaps, followed from frame
-to frame, and a tracklet belongs to the heap that it is nearest to on average. An arm that reaches over another person
-is wrong then; so when each person's body is known, every tracklet goes to the body whose markers pass nearest to it.
+First by where people stand: in each frame the points' places on the ground fall into so many heaps,
+followed from frame to frame, and a tracklet belongs to the heap that it is nearest to on average.
+An arm that reaches over another person is wrong then; so when each person's body is known, every
+tracklet goes to the body whose markers pass nearest to it.
 """
 
 from collections.abc import Sequence
@@ -31,25 +33,38 @@ def heaps(clouds: Clouds, tracklet: Int[np.ndarray, " P"], count: int) -> Int[np
 def nearest_bodies(
     clouds: Clouds, tracklet: Int[np.ndarray, " P"], predicted: Sequence[Float[np.ndarray, "T M 3"]]
 ) -> Int[np.ndarray, " P"]:
-    """The person of each point, by the predicted markers (of each person) that its tracklet passes nearest to."""
+    """The person of each point, by the predicted markers (of each person) that its tracklet passes
+    nearest to.
+    """
     nearest = [averaged(distances(clouds, markers), tracklet).min(axis=1) for markers in predicted]
     return np.argmin(nearest, axis=0)
 
 
 def only(clouds: Clouds, chosen: Bool[np.ndarray, " P"]) -> Clouds:
     """Some of the points, frames as they were."""
-    start = np.concatenate([[0], np.cumsum(np.bincount(clouds.frame[chosen], minlength=len(clouds)))])
-    return replace(clouds, points=clouds.points[chosen], start=start.astype(np.int64), column=clouds.column[chosen])
+    start = np.concatenate(
+        [[0], np.cumsum(np.bincount(clouds.frame[chosen], minlength=len(clouds)))]
+    )
+    return replace(
+        clouds,
+        points=clouds.points[chosen],
+        start=start.astype(np.int64),
+        column=clouds.column[chosen],
+    )
 
 
 def _followed(
     ground: Float[np.ndarray, "P 2"], start: Int[np.ndarray, " T1"], count: int
 ) -> Float[np.ndarray, "T K 2"]:
-    """The middles of the heaps in every frame, from the frame in which they lie clearest apart to both ends."""
+    """The middles of the heaps in every frame, from the frame in which they lie clearest apart to
+    both ends.
+    """
     frames = len(start) - 1
     sizes = np.diff(start)
     full = np.flatnonzero(sizes >= count)[:: max(1, frames // TRIED)]
-    first, middles = max(((t, _heaped(ground[start[t] : start[t + 1]], count)) for t in full), key=_clearness)
+    first, middles = max(
+        ((t, _heaped(ground[start[t] : start[t + 1]], count)) for t in full), key=_clearness
+    )
     found = np.empty((frames, count, 2))
     for way in (range(first, frames), range(first, -1, -1)):
         here = middles
@@ -75,13 +90,24 @@ def _heaped(points: Float[np.ndarray, "n 2"], count: int) -> Float[np.ndarray, "
     return _settled(points, np.array(begin))
 
 
-def _settled(points: Float[np.ndarray, "n 2"], middles: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
-    """Medians of the points nearest to each middle, in turns; a heap without points stays where it is."""
+def _settled(
+    points: Float[np.ndarray, "n 2"], middles: Float[np.ndarray, "K 2"]
+) -> Float[np.ndarray, "K 2"]:
+    """Medians of the points nearest to each middle, in turns; a heap without points stays where it
+    is.
+    """
     before = middles
     for _ in range(ROUNDS):
-        own = np.linalg.norm(points[:, None] - middles, axis=2).argmin(axis=1) if len(points) else np.empty(0, int)
+        own = (
+            np.linalg.norm(points[:, None] - middles, axis=2).argmin(axis=1)
+            if len(points)
+            else np.empty(0, int)
+        )
         found = np.array(
-            [np.median(points[own == k], axis=0) if (own == k).any() else m for k, m in enumerate(middles)]
+            [
+                np.median(points[own == k], axis=0) if (own == k).any() else m
+                for k, m in enumerate(middles)
+            ]
         )
         if np.array_equal(found, middles):
             break

@@ -1,7 +1,8 @@
 """A body registered to single frames of points without names, from many poses and headings.
 
-An articulated expectation-maximisation: each point is shared among the markers near it, the body moves to what its
-markers got, and the reach of the sharing shrinks; in the end points and markers are matched one to one.
+An articulated expectation-maximisation: each point is shared among the markers near it, the body
+moves to what its markers got, and the reach of the sharing shrinks; in the end points and markers
+are matched one to one.
 """
 
 from dataclasses import dataclass
@@ -23,8 +24,16 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 APART = SequenceSettings(acceleration=0.0)
 HEADINGS = 8
 # spread of the sharing (m), weight of the pose prior, hypotheses of a frame that go on
-SOFT = ((0.15, 100.0, 99), (0.12, 50.0, 99), (0.12, 20.0, 16), (0.12, 6.0, 99), (0.09, 4.0, 6), (0.07, 3.0, 99),
-        (0.05, 2.0, 99), (0.04, 1.0, 4))  # fmt: skip
+SOFT = (
+    (0.15, 100.0, 99),
+    (0.12, 50.0, 99),
+    (0.12, 20.0, 16),
+    (0.12, 6.0, 99),
+    (0.09, 4.0, 6),
+    (0.07, 3.0, 99),
+    (0.05, 2.0, 99),
+    (0.04, 1.0, 4),
+)
 FIRM = (0.20, 0.16, 0.12, 0.12)
 SWEEPS = 3
 BEYOND = 0.011
@@ -33,8 +42,9 @@ RANKING_GATE = 0.25
 
 @dataclass(frozen=True)
 class Registered:
-    """A body in F frames: frames (F,), pose (F, J, 3), trans (F, 3), the point of each marker (F, M), -1 for none, and
-    what it costs (F,): squared distances cut at the last gate and the pose prior, as in `habitus.fit.mosh.sequence`.
+    """A body in F frames: frames (F,), pose (F, J, 3), trans (F, 3), the point of each marker (F,
+    M), -1 for none, and what it costs (F,): squared distances cut at the last gate and the pose
+    prior, as in `habitus.fit.mosh.sequence`.
     """
 
     frames: Int[np.ndarray, " F"]
@@ -45,7 +55,9 @@ class Registered:
 
     def of(self, chosen: np.ndarray) -> "Registered":
         """Some of the frames."""
-        return Registered(*(getattr(self, name)[chosen] for name in ("frames", "pose", "trans", "match", "cost")))
+        return Registered(
+            *(getattr(self, name)[chosen] for name in ("frames", "pose", "trans", "match", "cost"))
+        )
 
     def observed(self, clouds: Clouds) -> Float[np.ndarray, "F M 3"]:
         """The markers' points, NaN where there is none."""
@@ -59,7 +71,9 @@ def register(
     frames: Int[np.ndarray, " F"],
     poses: Float[np.ndarray, "N J 3"],
 ) -> Registered:
-    """The cheapest registration of each frame, from every pose (roots left out) in every heading about the up axis."""
+    """The cheapest registration of each frame, from every pose (roots left out) in every heading
+    about the up axis.
+    """
     states = _starts(rig, clouds, frames, poses)
     batch = _Batch(rig, prior, clouds, np.repeat(frames, len(states[0]) // len(frames)), *states)
     for spread, firmness, most in SOFT:
@@ -81,7 +95,9 @@ def upright(up_axis: str) -> Float[np.ndarray, "3 3"]:
     return np.stack([side, up, np.cross(side, up)], axis=1)
 
 
-def _starts(rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _starts(
+    rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Poses and trans (F N headings) with the middles of markers and points on each other."""
     turns = np.zeros((HEADINGS, 3))
     turns[:, 1] = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
@@ -90,7 +106,9 @@ def _starts(rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarr
     bank[:, :, 0] = roots
     bank = bank.reshape(-1, *poses.shape[1:])
     middle = np.median(predict(rig, bank, np.zeros((len(bank), 3))), axis=1)
-    points = [np.median(clouds.points[clouds.start[t] : clouds.start[t + 1]], axis=0) for t in frames]
+    points = [
+        np.median(clouds.points[clouds.start[t] : clouds.start[t + 1]], axis=0) for t in frames
+    ]
     trans = np.array(points)[:, None] - middle[None]
     return np.tile(bank, (len(frames), 1, 1)), trans.reshape(-1, 3)
 
@@ -107,7 +125,10 @@ class _Batch:
         pose: np.ndarray,
         trans: np.ndarray,
     ):
-        self.rig, self.prior, self.clouds, self.frames = rig, prior, clouds, np.ascontiguousarray(frames)
+        self.rig = rig
+        self.prior = prior
+        self.clouds = clouds
+        self.frames = np.ascontiguousarray(frames)
         nothing = np.full((len(frames), rig.num_markers, 3), np.nan)
         self.problem = marker_sequence(rig, nothing, None, None, prior, APART, 0)
         self._precision = self.problem.data.precision.copy()
@@ -124,10 +145,20 @@ class _Batch:
         return predict(self.rig, *self._state)
 
     def share(self, spread: float, firmness: float) -> None:
-        """Points shared among markers within ``spread``, and the bodies moved; ``firmness`` weighs the pose prior."""
-        data, cloud = self.problem.data, self.clouds
+        """Points shared among markers within ``spread``, and the bodies moved; ``firmness`` weighs
+        the pose prior.
+        """
+        data = self.problem.data
+        cloud = self.clouds
         soft_targets(
-            self.predicted(), cloud.points, cloud.start, self.frames, spread, BEYOND, data.observed, data.weights
+            self.predicted(),
+            cloud.points,
+            cloud.start,
+            self.frames,
+            spread,
+            BEYOND,
+            data.observed,
+            data.weights,
         )
         self._solve(firmness)
 
@@ -137,7 +168,9 @@ class _Batch:
             match, _ = self._matched(gate)
             found = match >= 0
             self.problem.data.weights[:] = found
-            self.problem.data.observed[:] = np.where(found[..., None], self.clouds.points[match], 0.0)
+            self.problem.data.observed[:] = np.where(
+                found[..., None], self.clouds.points[match], 0.0
+            )
             self._solve(1.0)
         match, cost = self._matched(gates[-1])
         order = self._cheapest(cost + self._prior_cost(), 1)
@@ -151,7 +184,9 @@ class _Batch:
             return self
         chosen = self._cheapest(self._matched(RANKING_GATE)[1] + self._prior_cost(), most)
         pose, trans = self._state
-        return _Batch(self.rig, self.prior, self.clouds, self.frames[chosen], pose[chosen], trans[chosen])
+        return _Batch(
+            self.rig, self.prior, self.clouds, self.frames[chosen], pose[chosen], trans[chosen]
+        )
 
     def _cheapest(self, cost: np.ndarray, most: int) -> np.ndarray:
         chosen = []
@@ -163,7 +198,9 @@ class _Batch:
     def _matched(self, gate: float) -> tuple[np.ndarray, np.ndarray]:
         match = np.empty((len(self.frames), self.rig.num_markers), dtype=np.int64)
         cost = np.empty(len(self.frames))
-        firm_matches(self.predicted(), self.clouds.points, self.clouds.start, self.frames, gate, match, cost)
+        firm_matches(
+            self.predicted(), self.clouds.points, self.clouds.start, self.frames, gate, match, cost
+        )
         return match, 0.5 * APART.data * cost
 
     def _prior_cost(self) -> Float[np.ndarray, " H"]:

@@ -9,12 +9,16 @@ from habitus.fit.labels.clouds import Clouds
 def packed(
     clouds: Clouds, tracklet: Int[np.ndarray, " P"], chosen: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "T K 3"]:
-    """The chosen points (T, K, 3), those of a tracklet in one column, NaN where a column has none."""
+    """The chosen points (T, K, 3), those of a tracklet in one column, NaN where a column has
+    none.
+    """
     points = np.flatnonzero(chosen)
-    frame, piece = clouds.frame[points], tracklet[points]
+    frame = clouds.frame[points]
+    piece = tracklet[points]
     ends: list[int] = []
     column = np.empty(int(tracklet.max(initial=0)) + 1, dtype=np.int64)
-    first, last = np.full(len(column), len(clouds)), np.full(len(column), -1)
+    first = np.full(len(column), len(clouds))
+    last = np.full(len(column), -1)
     np.minimum.at(first, piece, frame)
     np.maximum.at(last, piece, frame)
     for k in np.argsort(first, kind="stable"):

@@ -1,4 +1,6 @@
-"""What each tracklet is called: costs averaged over its points, matched frame by frame, and how sure that is."""
+"""What each tracklet is called: costs averaged over its points, matched frame by frame, and how
+sure that is.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,7 +22,9 @@ def distances(clouds: Clouds, predicted: Float[np.ndarray, "T M 3"]) -> Float[np
     return out
 
 
-def averaged(values: Float[np.ndarray, "P M"], tracklet: Int[np.ndarray, " P"]) -> Float[np.ndarray, "P M"]:
+def averaged(
+    values: Float[np.ndarray, "P M"], tracklet: Int[np.ndarray, " P"]
+) -> Float[np.ndarray, "P M"]:
     """Each point's values as the mean over its tracklet."""
     order = np.argsort(tracklet, kind="stable")
     first = np.flatnonzero(np.diff(tracklet[order], prepend=-1))
@@ -29,8 +33,12 @@ def averaged(values: Float[np.ndarray, "P M"], tracklet: Int[np.ndarray, " P"]) 
     return (sums / counts[:, None])[tracklet]
 
 
-def assign(costs: Float[np.ndarray, "P M"], clouds: Clouds, gates: Float[np.ndarray, " P"]) -> Int[np.ndarray, " P"]:
-    """The label of each point, -1 where every one costs more than its gate; no label twice in a frame."""
+def assign(
+    costs: Float[np.ndarray, "P M"], clouds: Clouds, gates: Float[np.ndarray, " P"]
+) -> Int[np.ndarray, " P"]:
+    """The label of each point, -1 where every one costs more than its gate; no label twice in a
+    frame.
+    """
     label = np.empty(len(costs), dtype=np.int64)
     assign_frames(np.ascontiguousarray(costs), clouds.start, gates, label)
     return label
@@ -43,7 +51,9 @@ def judged(
     clouds: Clouds,
     sure: Float[np.ndarray, " M"],
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Labels less those that are not likely, and each point's confidence in its label or in the best one refused."""
+    """Labels less those that are not likely, and each point's confidence in its label or in the
+    best one refused.
+    """
     known = label >= 0
     rows = np.flatnonzero(known)
     own = np.sqrt(squared[rows, label[rows]])
@@ -51,7 +61,11 @@ def judged(
     typical = np.median(own) if len(own) else LEAST_SPREAD
     for i in range(len(spread)):
         mine = own[label[rows] == i]
-        spread[i] = np.clip(np.median(mine) if len(mine) else typical, LEAST_SPREAD, max(2.0 * typical, LEAST_SPREAD))
+        spread[i] = np.clip(
+            np.median(mine) if len(mine) else typical,
+            LEAST_SPREAD,
+            max(2.0 * typical, LEAST_SPREAD),
+        )
     off = averaged(np.minimum(squared / (2.0 * spread**2), 50.0), tracklet)
     alone = np.minimum(squared / (2.0 * spread**2), 50.0)
     likely = np.exp(-off)

@@ -24,9 +24,9 @@ from habitus.parallel.blocks import mapped
 
 @dataclass(frozen=True)
 class Subject:
-    """What is found once for a subject: the shape stage's result, the rig it gives, pairs of exchanged labels, and
-    markers (columns) that sit too far from their places to be the ones meant. ``sources``: the recordings, by number,
-    whose frames the shape stage looked at.
+    """What is found once for a subject: the shape stage's result, the rig it gives, pairs of
+    exchanged labels, and markers (columns) that sit too far from their places to be the ones meant.
+    ``sources``: the recordings, by number, whose frames the shape stage looked at.
     """
 
     shape: ShapeFit
@@ -39,8 +39,9 @@ class Subject:
 
 @dataclass(frozen=True)
 class PoseStage:
-    """What the pose stage found: its result, the markers with exchanged labels put right (T, M, 3), what the result was
-    held against, the robust scales (M,) in metres, pairs put back (`find_swaps`), and markers that slide.
+    """What the pose stage found: its result, the markers with exchanged labels put right (T, M, 3),
+    what the result was held against, the robust scales (M,) in metres, pairs put back
+    (`find_swaps`), and markers that slide.
     """
 
     result: SequenceResult
@@ -62,15 +63,20 @@ def assemble(
     settings: MoshSettings,
 ) -> MarkerFit:
     """The fit of one capture."""
-    posed, observed = found.result, found.observed
+    posed = found.result
+    observed = found.observed
     final = soft or posed
     predicted = predict(subject.rig, posed.pose, posed.trans)
     off = mapped(np.subtract, observed, predicted)
     few = few_markers(observed)
     place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
-    change, moving, moved = None, None, None
+    change = None
+    moving = None
+    moved = None
     if soft is not None and soft.soft_tissue is not None:
-        marked = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
+        marked = marked_body(
+            body, subject.shape.betas, subject.shape.attachment, settings.soft_space
+        )
         change, moving = parted(body, settings.soft_space, soft.soft_tissue)
         moved = predict(marked, soft.pose, soft.trans, soft.soft_tissue)
     always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
@@ -109,7 +115,8 @@ def assemble(
         recorded=recording.recorded,
         layout_confidence=recording.layout_confidence,
         doubts=recording.doubts,
-        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1) / layout.place_spreads(),
+        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1)
+        / layout.place_spreads(),
     )
 
 

@@ -1,4 +1,6 @@
-"""A fit that failed is tried again before it is called so: other frames, other starts, the worst labels left out."""
+"""A fit that failed is tried again before it is called so: other frames, other starts, the worst
+labels left out.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -42,16 +44,25 @@ class _Case:
         return replace(rest.fit(), left_out=tuple(labels))
 
     def fitting(self, fit: MarkerFit, labels: Sequence[str]) -> tuple[str, ...]:
-        """Which of the labels that were left out lie where the layout puts them on the body found without them."""
+        """Which of the labels that were left out lie where the layout puts them on the body found
+        without them.
+        """
         held = self._only(labels)
         errors = held_out_errors(fit, held.layout, held.recording.observed).pose
-        middle = [np.median(each[np.isfinite(each)]) if np.isfinite(each).any() else np.inf for each in errors.T]
-        return tuple(label for label, error in zip(held.layout.labels, middle, strict=True) if error < NEAR)
+        middle = [
+            np.median(each[np.isfinite(each)]) if np.isfinite(each).any() else np.inf
+            for each in errors.T
+        ]
+        return tuple(
+            label for label, error in zip(held.layout.labels, middle, strict=True) if error < NEAR
+        )
 
     def _only(self, labels: Sequence[str]) -> "_Case":
         kept = [k for k, label in enumerate(self.layout.labels) if label in labels]
         markers = tuple(self.layout.markers[k] for k in kept)
-        recording = replace(self.recording, observed=mapped(lambda part: part[:, kept], self.recording.observed))
+        recording = replace(
+            self.recording, observed=mapped(lambda part: part[:, kept], self.recording.observed)
+        )
         return replace(self, layout=replace(self.layout, markers=markers), recording=recording)
 
 
@@ -63,14 +74,17 @@ def iterate_attempts(
     settings: MoshSettings | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> Iterator[MarkerFit]:
-    """`iterate_fits`, where a fit that failed is tried again; the best attempt is kept and says what was done.
+    """`iterate_fits`, where a fit that failed is tried again; the best attempt is kept and says
+    what was done.
 
     A capture of several is tried again by itself, so that its shape is then its own.
     """
     settings = settings or MoshSettings()
     fits = iterate_fits(body, prior, layout, recordings, settings, progress)
     for recording, fit in zip(recordings, fits, strict=True):
-        yield attempted(fit, body, prior, layout, recording, settings, len(recordings) > 1, progress)
+        yield attempted(
+            fit, body, prior, layout, recording, settings, len(recordings) > 1, progress
+        )
 
 
 def attempted(
@@ -83,7 +97,9 @@ def attempted(
     several: bool,
     progress: Progress = lambda stage, share: None,
 ) -> MarkerFit:
-    """The fit of a recording, or a better one of it where that has failed; ``several``: it is one of a subject's."""
+    """The fit of a recording, or a better one of it where that has failed; ``several``: it is one
+    of a subject's.
+    """
     if not may_improve(fit):
         return fit
     progress(f"{recording.name}: again", 0.0)
@@ -100,7 +116,10 @@ def _try_again(fit: MarkerFit, case: _Case, several: bool) -> MarkerFit:
     said = ", ".join(f"{words} ({_mean_mm(found):.0f} mm)" for words, found in attempts[1:])
     kept = "the first is kept" if best == 0 else f"that with {attempts[best][0]} is kept"
     alone = ", fitted apart from the other captures" if several and best else ""
-    text = f"A first attempt failed ({_mean_mm(fit):.0f} mm); it was tried again with {said}: {kept}{alone}."
+    text = (
+        f"A first attempt failed ({_mean_mm(fit):.0f} mm); it was tried again with {said}: "
+        f"{kept}{alone}."
+    )
     return replace(attempts[best][1], tried=(text,))
 
 
@@ -121,7 +140,9 @@ def _attempts(case: _Case, before: list[tuple[str, MarkerFit]]) -> Iterator[tupl
 
 
 def worst_labels(fit: MarkerFit) -> tuple[str, ...]:
-    """Labels whose markers the fit distrusts in most frames in which it sees them, the worst first."""
+    """Labels whose markers the fit distrusts in most frames in which it sees them, the worst
+    first.
+    """
     count = np.maximum(fit.visible.sum(axis=0), 1)
     share = (fit.visible & mapped(lambda part: part < HALF, fit.marker_weights)).sum(axis=0) / count
     order = np.argsort(-share, kind="stable")[: max(0, len(fit.labels) - FEWEST_MARKERS)]

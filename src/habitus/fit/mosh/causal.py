@@ -1,6 +1,8 @@
-"""Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh filters (M 6).
+"""Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh
+filters (M 6).
 
-The energy of a step is that of `habitus.fit.mosh.sequence_terms` for three frames, the first two held.
+The energy of a step is that of `habitus.fit.mosh.sequence_terms` for three frames, the first two
+held.
 """
 
 from typing import NamedTuple
@@ -20,13 +22,19 @@ from habitus.parallel.blocks import blocks, distances, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 CLOSE = 3e-2
-"""A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second is needed."""
+"""A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second
+is needed.
+"""
 LASTS = 0.95
-"""Share of the velocity that lasts from frame to frame while too few markers are seen to place a body."""
+"""Share of the velocity that lasts from frame to frame while too few markers are seen to place a
+body.
+"""
 
 
 class CausalFrame(NamedTuple):
-    """Pose (J, 3) rad and trans (3,) m of a frame, and its own cost as in `habitus.fit.mosh.sequence`."""
+    """Pose (J, 3) rad and trans (3,) m of a frame, and its own cost as in
+    `habitus.fit.mosh.sequence`.
+    """
 
     pose: Float[np.ndarray, "J 3"]
     trans: Float[np.ndarray, " 3"]
@@ -36,8 +44,9 @@ class CausalFrame(NamedTuple):
 class CausalSolver:
     """Fits frames one by one, from what it has seen so far; for one stream and one thread.
 
-    start_pose (J, 3), start_trans (3,): a rough guess of the first frame (30 degrees off will do). scales: s of each
-    marker in metres (`habitus.fit.mosh.sequence`), None for squares. iterations: most steps of a later frame.
+    start_pose (J, 3), start_trans (3,): a rough guess of the first frame (30 degrees off will do).
+    scales: s of each marker in metres (`habitus.fit.mosh.sequence`), None for squares. iterations:
+    most steps of a later frame.
     """
 
     def __init__(
@@ -50,11 +59,16 @@ class CausalSolver:
         scales: Float[np.ndarray, " M"] | None = None,
         iterations: int = 2,
     ):
-        self.settings, self.iterations, self.frames = settings or SequenceSettings(), iterations, 0
+        self.settings = settings or SequenceSettings()
+        self.iterations = iterations
+        self.frames = 0
         nothing = np.full((1, marked.num_markers, 3), np.nan)
         self._problem = marker_sequence(marked, nothing, None, scales, prior, self.settings, 0)
-        start = self._problem.pack(np.asarray(start_pose)[None], np.asarray(start_trans)[None], None)
-        states, links = np.repeat(start, 3, axis=0), np.zeros((5, start.shape[1]))
+        start = self._problem.pack(
+            np.asarray(start_pose)[None], np.asarray(start_trans)[None], None
+        )
+        states = np.repeat(start, 3, axis=0)
+        links = np.zeros((5, start.shape[1]))
         self._level = LevelArrays(
             frames=np.zeros(3, dtype=np.int64),
             states=states,
@@ -66,9 +80,13 @@ class CausalSolver:
             relaxations=np.ones(3),
         )
 
-    def step(self, observed: Float[np.ndarray, "M 3"], weights: Float[np.ndarray, " M"] | None = None) -> CausalFrame:
+    def step(
+        self, observed: Float[np.ndarray, "M 3"], weights: Float[np.ndarray, " M"] | None = None
+    ) -> CausalFrame:
         """Fit the next frame; `observed` in metres, NaN where missing."""
-        problem, level, options = self._problem, self._level, self.settings.options
+        problem = self._problem
+        level = self._level
+        options = self.settings.options
         seen = np.all(np.isfinite(observed), axis=1, keepdims=True)
         problem.data.observed[0] = np.where(seen, observed, 0.0)
         problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
@@ -85,7 +103,9 @@ class CausalSolver:
         return CausalFrame(pose[0], trans[0], float(level.costs[2]))
 
     def rehearse(self) -> None:
-        """Solve the last frame once more for nothing: what a step needs is then near the processor when one comes."""
+        """Solve the last frame once more for nothing: what a step needs is then near the processor
+        when one comes.
+        """
         level = LevelArrays(*(array.copy() for array in self._level))
         self._problem.visit_again(level, 2, 1, 0.0)
         self._problem.markers(level.states[2:])
@@ -95,7 +115,9 @@ class CausalSolver:
         return self._problem.markers(self._level.states[2:])[0]
 
     def _advance(self, lasts: float) -> None:
-        """Move on by a frame: two states to remember, and the third where so much of their velocity leads."""
+        """Move on by a frame: two states to remember, and the third where so much of their velocity
+        leads.
+        """
         states = self._level.states
         if self.frames == 2:
             self._level.links[2] = self._problem.link_weights()
@@ -120,7 +142,9 @@ def fit_causally(
     """
     solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale)
     count = len(observed)
-    pose, trans, costs = room((count, marked.num_joints, 3)), room((count, 3)), np.empty(count)
+    pose = room((count, marked.num_joints, 3))
+    trans = room((count, 3))
+    costs = np.empty(count)
     for part in blocks(count):
         for frame in range(part.start, part.stop):
             pose[frame], trans[frame], costs[frame] = solver.step(observed[frame])
@@ -128,4 +152,6 @@ def fit_causally(
     distance = distances(observed, predict(marked, pose, trans))
     weights = mapped(lambda each: np.nan_to_num(geman_mcclure_weight(each, scale)), distance)
     total = float(costs.sum())
-    return SequenceResult(pose, trans, None, {"frames": total}, costs, weights, "causal", count, (total,))
+    return SequenceResult(
+        pose, trans, None, {"frames": total}, costs, weights, "causal", count, (total,)
+    )

@@ -1,8 +1,10 @@
-"""Markers that slide over the skin through a capture: their latent places hold the mean of the way, and nobody sees it.
+"""Markers that slide over the skin through a capture: their latent places hold the mean of the way,
+and nobody sees it.
 
-A marker's residual in its limb's own axes has no trend while it stays where it is, except for what skin and pose do to
-it. A trend is called drift when it is long (`FAR`), steady against its own scatter (`STEADY`) and longer than
-other markers' (`ALONE`), measured where the marker itself had no say in the pose.
+A marker's residual in its limb's own axes has no trend while it stays where it is, except for what
+skin and pose do to it. A trend is called drift when it is long (`FAR`), steady against its own
+scatter (`STEADY`) and longer than other markers' (`ALONE`), measured where the marker itself had no
+say in the pose.
 """
 
 import warnings
@@ -24,12 +26,16 @@ from habitus.observe.markers import MarkerAttachment
 from habitus.rotations import matrix_from_rotvec
 
 FRAMES, PARTS, FEWEST_PARTS = 120, 10, 6
-"""How many frames are looked at, in how many parts of time, and in how many of them a marker must be seen."""
+"""How many frames are looked at, in how many parts of time, and in how many of them a marker must
+be seen.
+"""
 LIKELY, FAR = 0.018, 0.035
 """Metres: shorter trends are not looked into, or not called drift."""
 SHORTEST = 1.0
 STEADY, ALONE, COMPANY = 5.0, 1.3, 2
-"""Times its own scatter, times any other marker's trend but those of so many that may slide as well."""
+"""Times its own scatter, times any other marker's trend but those of so many that may slide as
+well.
+"""
 TRIES = 8
 
 
@@ -51,15 +57,19 @@ def find_drifts(
     posed: SequenceResult,
     settings: SequenceSettings,
 ) -> tuple[Drift, ...]:
-    """Markers that slide, longest way first; observed in metres, NaN where missing; scale of the robust loss (m).
+    """Markers that slide, longest way first; observed in metres, NaN where missing; scale of the
+    robust loss (m).
 
     In captures of less than `SHORTEST` seconds nobody does.
     """
     if len(observed) < max(2 * PARTS, SHORTEST * rate_hz):
         return ()
     some = np.unique(np.linspace(0, len(observed) - 1, FRAMES).astype(int))
-    pose, trans, markers = posed.pose[some], posed.trans[some], np.ascontiguousarray(observed[some])
-    limbs, apart = limb_of(body, attachment), replace(settings, acceleration=0.0)
+    pose = posed.pose[some]
+    trans = posed.trans[some]
+    markers = np.ascontiguousarray(observed[some])
+    limbs = limb_of(body, attachment)
+    apart = replace(settings, acceleration=0.0)
 
     def trends_without(left_out: list[int]) -> tuple[np.ndarray, np.ndarray]:
         weights = np.ones(markers.shape[:2])
@@ -71,8 +81,12 @@ def find_drifts(
     return _one_by_one(trends_without, len(limbs))
 
 
-def _one_by_one(trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarray]], count: int) -> tuple[Drift, ...]:
-    """Leave the most likely marker out; its trend then tells whether it slides or was pulled by one that does."""
+def _one_by_one(
+    trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarray]], count: int
+) -> tuple[Drift, ...]:
+    """Leave the most likely marker out; its trend then tells whether it slides or was pulled by one
+    that does.
+    """
     found: list[Drift] = []
     cleared = np.zeros(count, dtype=bool)
     way, steady = trends_without([])
@@ -85,17 +99,24 @@ def _one_by_one(trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarr
             break
         alone, sure = trends_without([*out, worst])
         others = np.sort(np.delete(alone, [*out, worst]))[::-1]
-        if alone[worst] > max(FAR, ALONE * others[COMPANY:].max(initial=0.0)) and sure[worst] > STEADY:
+        if (
+            alone[worst] > max(FAR, ALONE * others[COMPANY:].max(initial=0.0))
+            and sure[worst] > STEADY
+        ):
             found.append(Drift(worst, float(alone[worst])))
-            way, steady = alone, sure
+            way = alone
+            steady = sure
         else:
             cleared[worst] = True
     return tuple(sorted(found, key=lambda drift: -drift.way))
 
 
-def trends(off: Float[np.ndarray, "T M 3"]) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
-    """How far each marker's residual (in its limb's axes, metres, NaN where missing) goes through all frames, and that
-    in standard errors. 0 where a marker is far off in many frames, or hardly seen.
+def trends(
+    off: Float[np.ndarray, "T M 3"],
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """How far each marker's residual (in its limb's axes, metres, NaN where missing) goes through
+    all frames, and that in standard errors. 0 where a marker is far off in many frames, or hardly
+    seen.
     """
     parts = np.array_split(np.arange(len(off)), PARTS)
     with warnings.catch_warnings():
@@ -110,7 +131,9 @@ def trends(off: Float[np.ndarray, "T M 3"]) -> tuple[Float[np.ndarray, " M"], Fl
     values = np.where(seen[..., None], values - values.sum(axis=0) / count[:, None], 0.0)
     spread = np.maximum(np.sum(time**2, axis=0), 1e-9)
     slope = np.einsum("pm,pmk->mk", time, values) / spread[:, None]
-    left = np.sum((values - time[..., None] * slope) ** 2, axis=(0, 2)) / np.maximum(3 * (count - 2), 1)
+    left = np.sum((values - time[..., None] * slope) ** 2, axis=(0, 2)) / np.maximum(
+        3 * (count - 2), 1
+    )
     way = np.where((count >= FEWEST_PARTS) & (rough < 0.3), np.linalg.norm(slope, axis=1), 0.0)
     return way, way / np.maximum(np.sqrt(left / spread), 1e-4)
 
@@ -126,4 +149,6 @@ def limb_of(body: BodyModel, attachment: MarkerAttachment) -> np.ndarray:
 
 def limb_axes(body: BodyModel, pose: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3 3"]:
     """World rotation of each joint's limb."""
-    return world_motions(matrix_from_rotvec(pose), np.zeros((*pose.shape[:2], 3)), body.parents)[..., :3]
+    return world_motions(matrix_from_rotvec(pose), np.zeros((*pose.shape[:2], 3)), body.parents)[
+        ..., :3
+    ]

@@ -1,4 +1,6 @@
-"""What speaks for a fit and against it, as numbers: errors, trust, shape, limbs without markers, tilt, rate."""
+"""What speaks for a fit and against it, as numbers: errors, trust, shape, limbs without markers,
+tilt, rate.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,10 +12,13 @@ from habitus.body.kinematics import descends
 from habitus.fit.mosh.result import MarkerFit
 from habitus.parallel.blocks import mapped
 
-MOST_FRAMES, FEW_FRAMES = 4000, 200  # enough to judge by; more cost memory and say no more
+MOST_FRAMES = 4000
+FEW_FRAMES = 200  # enough to judge by; more cost memory and say no more
 HALF = 0.5
 STRAIGHT = 0.97  # of the way from ankle over knee, hip and spine to the neck: who stands
-CLOSE, TORN, LEVEL = 0.15, 0.4, 0.3  # metres: markers this close at rest, this much further apart, and this level
+CLOSE = 0.15
+TORN = 0.4
+LEVEL = 0.3  # metres: markers this close at rest, this much further apart, and this level
 SIDES = ("left", "right")
 
 
@@ -21,14 +26,16 @@ SIDES = ("left", "right")
 class Evidence:
     """Of one fit. Shares are 0..1; what cannot be told is None.
 
-    mean_mm, p95_mm: of the pose stage's errors; motion: how fast markers move against the body's middle, m/s, at the
-    median. distrusted: share of samples that the robust loss counts for less than half. displaced: how far markers sit
-    from the layout's places, in the layout's spreads, at the median. unseen: joint -> share of frames in which no
-    marker sits on it or on what hangs from it; parents: joint -> the joint that it hangs from. tilt_deg: of the body
-    against up, at the median; standing: only over frames of a straight body. size: of the observed markers as a
-    multiple of the body's. torn: share of the pairs close together on the body that are seen far apart; torn_level: how
-    many of these at one height. age, stature: the body's age, if it was brought to one (years), and how tall its mean
-    person is (m). tried: what was done before. doubts: what was not decided of the markers' places.
+    mean_mm, p95_mm: of the pose stage's errors; motion: how fast markers move against the body's
+    middle, m/s, at the median. distrusted: share of samples that the robust loss counts for less
+    than half. displaced: how far markers sit from the layout's places, in the layout's spreads, at
+    the median. unseen: joint -> share of frames in which no marker sits on it or on what hangs from
+    it; parents: joint -> the joint that it hangs from. tilt_deg: of the body against up, at the
+    median; standing: only over frames of a straight body. size: of the observed markers as a
+    multiple of the body's. torn: share of the pairs close together on the body that are seen far
+    apart; torn_level: how many of these at one height. age, stature: the body's age, if it was
+    brought to one (years), and how tall its mean person is (m). tried: what was done before.
+    doubts: what was not decided of the markers' places.
     """
 
     mean_mm: float | None
@@ -69,7 +76,9 @@ def evidence(fit: MarkerFit) -> Evidence:
     distance = 1e3 * np.linalg.norm(observed - fit.predicted_pose_stage[rows], axis=2)
     seen = np.isfinite(distance)
     weights = fit.marker_weights[rows]
-    empty = mapped(lambda part: np.isnan(part[..., 0]).all(axis=1), np.asarray(fit.observed_markers))
+    empty = mapped(
+        lambda part: np.isnan(part[..., 0]).all(axis=1), np.asarray(fit.observed_markers)
+    )
     tilt, standing = _tilt(fit)
     torn, level = _torn(fit, observed)
     names = fit.body.joint_names
@@ -92,7 +101,8 @@ def evidence(fit: MarkerFit) -> Evidence:
         confidence=fit.layout_confidence,
         tilt_deg=tilt,
         standing=standing,
-        size=_extent(observed) / max(_extent(np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)), 1e-9),
+        size=_extent(observed)
+        / max(_extent(np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)), 1e-9),
         torn=torn,
         torn_level=level,
         rate_hz=fit.rate_hz,
@@ -114,7 +124,10 @@ def limbs_of(fit: MarkerFit) -> Bool[np.ndarray, "M J"]:
 
 def _unseen(fit: MarkerFit, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
     told = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
-    return {name: float(1.0 - share) for name, share in zip(fit.body.joint_names, told.mean(axis=0), strict=True)}
+    return {
+        name: float(1.0 - share)
+        for name, share in zip(fit.body.joint_names, told.mean(axis=0), strict=True)
+    }
 
 
 def _motion(fit: MarkerFit) -> float:
@@ -123,7 +136,10 @@ def _motion(fit: MarkerFit) -> float:
     if fit.num_frames < 2:
         return 0.0
     step = fit.predicted_pose_stage[first + 1] - fit.predicted_pose_stage[first]
-    return float(np.median(np.linalg.norm(step - step.mean(axis=1, keepdims=True), axis=2))) * fit.rate_hz
+    return (
+        float(np.median(np.linalg.norm(step - step.mean(axis=1, keepdims=True), axis=2)))
+        * fit.rate_hz
+    )
 
 
 def _speed(fit: MarkerFit) -> float:
@@ -139,20 +155,28 @@ def _longest(flags: Bool[np.ndarray, " T"]) -> int:
 
 
 def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
-    """Degrees between the capture's up and the way from the ankles to the neck; over straight bodies where there are.
+    """Degrees between the capture's up and the way from the ankles to the neck; over straight
+    bodies where there are.
 
     Nobody who stands straight leans far; bent bodies may.
     """
     names = {name: k for k, name in enumerate(fit.body.joint_names)}
-    chain = [[f"{side}_{part}" for side in SIDES] for part in ("ankle", "knee", "hip")] + [["pelvis"], ["neck"]]
+    chain = [[f"{side}_{part}" for side in SIDES] for part in ("ankle", "knee", "hip")] + [
+        ["pelvis"],
+        ["neck"],
+    ]
     if not all(name in names for part in chain for name in part):
         return None, False
     rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // FEW_FRAMES))
     joints = np.asarray(fit.joints(rows.tolist()))
-    points = np.stack([joints[:, [names[name] for name in part]].mean(axis=1) for part in chain], axis=1)
-    way, legs = points[:, -1] - points[:, 0], np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    points = np.stack(
+        [joints[:, [names[name] for name in part]].mean(axis=1) for part in chain], axis=1
+    )
+    way = points[:, -1] - points[:, 0]
+    legs = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
     length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
-    sign, axis = (-1.0 if fit.up_axis.startswith("-") else 1.0), "xyz".index(fit.up_axis[-1])
+    sign = -1.0 if fit.up_axis.startswith("-") else 1.0
+    axis = "xyz".index(fit.up_axis[-1])
     angle = np.degrees(np.arccos(np.clip(sign * way[:, axis] / length, -1, 1)))
     straight = length > STRAIGHT * legs
     standing = bool(straight.mean() > 0.1)
@@ -160,9 +184,11 @@ def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
 
 
 def _torn(fit: MarkerFit, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
-    """Share of the pairs close together on one part of the body that are seen far apart; how many of these level.
+    """Share of the pairs close together on one part of the body that are seen far apart; how many
+    of these level.
 
-    Two people stand beside each other, so what is torn between them is level; exchanged labels are at any height.
+    Two people stand beside each other, so what is torn between them is level; exchanged labels are
+    at any height.
     """
     part = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1).argmax(axis=1)
     first, second = np.triu_indices(len(part), 1)
@@ -180,7 +206,9 @@ def _torn(fit: MarkerFit, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, 
 
 
 def _extent(points: Float[np.ndarray, "T M 3"]) -> float:
-    """Twice the distance (m) from the middle that holds nine in ten of a frame's markers, at the median over frames."""
+    """Twice the distance (m) from the middle that holds nine in ten of a frame's markers, at the
+    median over frames.
+    """
     some = points[:: max(1, len(points) // FEW_FRAMES)]
     some = some[np.isfinite(some[..., 0]).any(axis=1)]
     if not len(some):

@@ -1,8 +1,10 @@
-"""Gaps of a capture filled from its fit: where the body carries the marker (M 10, "fixing occlusions").
+"""Gaps of a capture filled from its fit: where the body carries the marker (M 10, "fixing
+occlusions").
 
-Beside a gap the marker is off the predicted one by something that moves with the skin: placement, noise, what the body
-cannot do. That offset, in the axes of the marker's triangle, goes on a straight line through the gap from its value
-before to that after it, so that what is filled joins what was seen.
+Beside a gap the marker is off the predicted one by something that moves with the skin: placement,
+noise, what the body cannot do. That offset, in the axes of the marker's triangle, goes on a
+straight line through the gap from its value before to that after it, so that what is filled joins
+what was seen.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,15 +18,18 @@ from habitus.fit.mosh.result import MarkerFit
 from habitus.observe.markers import MarkerAttachment, predict_markers, triangle_bases
 
 TRUSTED = 0.5
-"""Weight of the robust loss below which a sample beside a gap does not tell where the marker sits."""
+"""Weight of the robust loss below which a sample beside a gap does not tell where the marker sits.
+"""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A marker's frames ``first`` to ``last`` without a sample; ``why`` says why it stays empty, "" where it is filled.
+    """A marker's frames ``first`` to ``last`` without a sample; ``why`` says why it stays empty, ""
+    where it is filled.
 
-    ``nearby`` is the median number of other markers that were seen meanwhile on the same part of the body or a part
-    beside it: what is filled where that is 0 rests on the pose prior and the frames around.
+    ``nearby`` is the median number of other markers that were seen meanwhile on the same part of
+    the body or a part beside it: what is filled where that is 0 rests on the pose prior and the
+    frames around.
     """
 
     label: str
@@ -41,7 +46,9 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """The markers with their gaps filled (T, M, 3), which samples these are (T, M), and every gap."""
+    """The markers with their gaps filled (T, M, 3), which samples these are (T, M), and every
+    gap.
+    """
 
     labels: tuple[str, ...]
     markers: Float[np.ndarray, "T M 3"]
@@ -50,26 +57,37 @@ class Filling:
 
 
 def fill_gaps(
-    fit: MarkerFit, observed: Float[np.ndarray, "T M 3"], left_out: Mapping[str, str] = MappingProxyType({})
+    fit: MarkerFit,
+    observed: Float[np.ndarray, "T M 3"],
+    left_out: Mapping[str, str] = MappingProxyType({}),
 ) -> Filling:
-    """The gaps of ``observed``, in metres, the fit's frames and the order of its labels, filled where the fit knows.
+    """The gaps of ``observed``, in metres, the fit's frames and the order of its labels, filled
+    where the fit knows.
 
-    Empty stay frames with too few markers, gaps of markers under suspicion (what a label carries is not sure then),
-    gaps whose ends do not lie on the body, and labels that are ``left_out`` for the reason given.
+    Empty stay frames with too few markers, gaps of markers under suspicion (what a label carries is
+    not sure then), gaps whose ends do not lie on the body, and labels that are ``left_out`` for the
+    reason given.
     """
-    missing, refused = ~np.isfinite(observed[..., 0]), _suspicious(fit) | dict(left_out)
+    missing = ~np.isfinite(observed[..., 0])
+    refused = _suspicious(fit) | dict(left_out)
     predicted, bases = _carried(fit)
     beside = _beside(fit)
-    markers, filled, gaps = np.array(observed), np.zeros_like(missing), []
+    markers = np.array(observed)
+    filled = np.zeros_like(missing)
+    gaps = []
     for marker, label in enumerate(fit.labels):
         for first, last in runs(missing[:, marker]):
-            gap, ends = slice(first, last + 1), [t for t in (first - 1, last + 1) if 0 <= t < len(observed)]
+            gap = slice(first, last + 1)
+            ends = [t for t in (first - 1, last + 1) if 0 <= t < len(observed)]
             near = int(np.median((~missing[gap][:, beside[marker]]).sum(1)))
             why = refused.get(label) or _refusal(fit, marker, gap, ends)
             if not why:
-                off = [bases[t, marker].T @ (observed[t, marker] - predicted[t, marker]) for t in ends]
+                off = [
+                    bases[t, marker].T @ (observed[t, marker] - predicted[t, marker]) for t in ends
+                ]
                 placed = (
-                    predicted[gap, marker] + (bases[gap, marker] @ _between(off, last - first + 1)[..., None])[..., 0]
+                    predicted[gap, marker]
+                    + (bases[gap, marker] @ _between(off, last - first + 1)[..., None])[..., 0]
                 )
                 known = ~fit.flagged_frames[gap]
                 markers[gap, marker] = np.where(known[:, None], placed, np.nan)
@@ -79,7 +97,9 @@ def fill_gaps(
 
 
 def _suspicious(fit: MarkerFit) -> dict[str, str]:
-    return {each.label: f"under suspicion: {each.reason}" for each in fit.suspects if not each.corrected}
+    return {
+        each.label: f"under suspicion: {each.reason}" for each in fit.suspects if not each.corrected
+    }
 
 
 def _refusal(fit: MarkerFit, marker: int, gap: slice, ends: list[int]) -> str:
@@ -91,7 +111,9 @@ def _refusal(fit: MarkerFit, marker: int, gap: slice, ends: list[int]) -> str:
 
 
 def _between(ends: list[np.ndarray], frames: int) -> Float[np.ndarray, "G 3"]:
-    """Offsets in a gap: on the straight way from one end's to the other's, or as at the only end."""
+    """Offsets in a gap: on the straight way from one end's to the other's, or as at the only
+    end.
+    """
     share = np.arange(1, frames + 1)[:, None] / (frames + 1)
     return ends[0] + share * (ends[-1] - ends[0])
 
@@ -108,8 +130,10 @@ def _beside(fit: MarkerFit) -> Bool[np.ndarray, "M M"]:
     """Which other markers ride on the same joint as a marker, or on one next to it in the tree."""
     body = fit.body
     strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
-    joint, parents = strongest[fit.attachment.triangles[:, 0]], np.array(body.parents)
-    one, other = joint[:, None], joint[None]
+    joint = strongest[fit.attachment.triangles[:, 0]]
+    parents = np.array(body.parents)
+    one = joint[:, None]
+    other = joint[None]
     near = (one == other) | (parents[one] == other) | (parents[other] == one)
     np.fill_diagonal(near, False)
     return near

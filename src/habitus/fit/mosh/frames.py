@@ -1,4 +1,6 @@
-"""Which frames the shape stage looks at: the paper's random ones, or spread poses with complete markers."""
+"""Which frames the shape stage looks at: the paper's random ones, or spread poses with complete
+markers.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -7,17 +9,23 @@ PAIRS = 150
 CANDIDATES = 600
 
 
-def random_frames(observed: Float[np.ndarray, "T M 3"], count: int, seed: int) -> Int[np.ndarray, " F"]:
+def random_frames(
+    observed: Float[np.ndarray, "T M 3"], count: int, seed: int
+) -> Int[np.ndarray, " F"]:
     """``count`` frames with a marker in them, drawn at random (MoSh 6: 12 random frames)."""
     usable = np.flatnonzero(np.isfinite(observed[..., 0]).any(axis=1))
     chosen = np.random.default_rng(seed).choice(usable, size=min(count, len(usable)), replace=False)
     return np.sort(chosen)
 
 
-def spread_frames(observed: Float[np.ndarray, "T M 3"], count: int, seed: int) -> Int[np.ndarray, " F"]:
-    """``count`` frames whose poses differ most among the most complete ones, each marker seen where it can be.
+def spread_frames(
+    observed: Float[np.ndarray, "T M 3"], count: int, seed: int
+) -> Int[np.ndarray, " F"]:
+    """``count`` frames whose poses differ most among the most complete ones, each marker seen where
+    it can be.
 
-    Poses are compared by distances between pairs of markers, which do not change when the body moves as a whole.
+    Poses are compared by distances between pairs of markers, which do not change when the body
+    moves as a whole.
     """
     seen = np.isfinite(observed[..., 0])
     usable = np.flatnonzero(seen.any(axis=1))
@@ -49,7 +57,9 @@ def _farthest(features: np.ndarray, count: int) -> list[int]:
 
 
 def _cover(frames: list[int], seen: np.ndarray, times: int = 3) -> list[int]:
-    """Frames added until each marker that is ever seen is seen ``times`` times, as far as it can be."""
+    """Frames added until each marker that is ever seen is seen ``times`` times, as far as it can
+    be.
+    """
     for marker in range(seen.shape[1]):
         lacking = times - int(seen[frames, marker].sum())
         others = np.setdiff1d(np.flatnonzero(seen[:, marker]), frames)

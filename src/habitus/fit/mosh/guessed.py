@@ -10,7 +10,8 @@ GUESSED = 0.06
 
 
 class Guessed(NamedTuple):
-    """How well each joint's segment is known: ``spread`` (F, J) in metres, in the spans of frames from ``edges`` (F,).
+    """How well each joint's segment is known: ``spread`` (F, J) in metres, in the spans of frames
+    from ``edges`` (F,).
 
     It is the standard deviation of where the segment's skin is; zero for a joint that carries none.
     """

@@ -1,4 +1,6 @@
-"""Which parts of the body a fit only guesses: where no marker tells, and the prior over poses leaves much open."""
+"""Which parts of the body a fit only guesses: where no marker tells, and the prior over poses
+leaves much open.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -25,7 +27,9 @@ TRUSTED = 0.5  # of a marker's full weight
 
 
 def guess(fit: "MarkerFit", prior: PosePrior) -> Guessed:
-    """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the body's."""
+    """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the
+    body's.
+    """
     if not fit.labels:
         return Guessed(np.zeros(1, np.int64), np.full((1, fit.body.num_joints), np.inf))
     frames = len(fit.pose)
@@ -33,12 +37,16 @@ def guess(fit: "MarkerFit", prior: PosePrior) -> Guessed:
     return Guessed(edges, segment_spread(fit, prior, edges))
 
 
-def segment_spread(fit: "MarkerFit", prior: PosePrior, edges: Int[np.ndarray, " F"]) -> Float[np.ndarray, "F J"]:
-    """How well the skin of each joint's segment is known (m), in the spans of frames that begin at ``edges``.
+def segment_spread(
+    fit: "MarkerFit", prior: PosePrior, edges: Int[np.ndarray, " F"]
+) -> Float[np.ndarray, "F J"]:
+    """How well the skin of each joint's segment is known (m), in the spans of frames that begin at
+    ``edges``.
 
-    The standard deviation of its place given the markers that are seen and trusted in some frame of the span, each off
-    by `habitus.fit.mosh.spread.PLACE` and its noise, and the prior over poses; shape is taken as found. Spans that see
-    the same markers share one number, from the pose in the middle of the first of them.
+    The standard deviation of its place given the markers that are seen and trusted in some frame of
+    the span, each off by `habitus.fit.mosh.spread.PLACE` and its noise, and the prior over poses;
+    shape is taken as found. Spans that see the same markers share one number, from the pose in the
+    middle of the first of them.
     """
     told = _told(fit, edges)
     patterns, first, which = np.unique(told, axis=0, return_index=True, return_inverse=True)
@@ -62,16 +70,25 @@ def segment_spread(fit: "MarkerFit", prior: PosePrior, edges: Int[np.ndarray, " 
 def _told(fit: "MarkerFit", edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
     """Which markers are seen and trusted in some frame of each span."""
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
-    weights, observed = fit.marker_weights, fit.observed_markers
-    return np.array([((weights[a:b] >= TRUSTED) & np.isfinite(observed[a:b, :, 0])).any(0) for a, b in spans], bool)
+    weights = fit.marker_weights
+    observed = fit.observed_markers
+    return np.array(
+        [((weights[a:b] >= TRUSTED) & np.isfinite(observed[a:b, :, 0])).any(0) for a, b in spans],
+        bool,
+    )
 
 
 def _moved(
-    fit: "MarkerFit", pose: Float[np.ndarray, "f J 3"], trans: Float[np.ndarray, "f 3"], rows: Int[np.ndarray, " P"]
+    fit: "MarkerFit",
+    pose: Float[np.ndarray, "f J 3"],
+    trans: Float[np.ndarray, "f 3"],
+    rows: Int[np.ndarray, " P"],
 ) -> tuple[Float[np.ndarray, "f 3M N"], Float[np.ndarray, "f 3P N"]]:
     """How markers, and vertices, move with pose and place."""
     markers = marker_jacobian(fit.body, fit.attachment, fit.betas, pose, trans).by_pose
-    probes = np.asarray(surface_jacobian(fit.body, fit.betas, pose, trans, vertices=rows).vertices_pose)
+    probes = np.asarray(
+        surface_jacobian(fit.body, fit.betas, pose, trans, vertices=rows).vertices_pose
+    )
     both = (_with_trans(points.reshape(*points.shape[:3], -1)) for points in (markers, probes))
     first, second = (points.reshape(len(pose), -1, points.shape[-1]) for points in both)
     return first, second
@@ -86,14 +103,21 @@ def _precision(inner: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N N"]:
 
 
 def _with_trans(by_pose: Float[np.ndarray, "F M 3 n"]) -> Float[np.ndarray, "F M 3 N"]:
-    return np.concatenate([by_pose, np.broadcast_to(np.eye(3), (*by_pose.shape[:2], 3, 3))], axis=-1)
+    return np.concatenate(
+        [by_pose, np.broadcast_to(np.eye(3), (*by_pose.shape[:2], 3, 3))], axis=-1
+    )
 
 
 def _probes(body: BodyModel) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
-    """Vertices far apart on each joint's segment, and whose they are; none of a joint that carries no skin."""
-    rows, owners = [], []
+    """Vertices far apart on each joint's segment, and whose they are; none of a joint that carries
+    no skin.
+    """
+    rows = []
+    owners = []
     weight = np.zeros((body.num_vertices, body.num_joints))
-    np.add.at(weight, (np.arange(body.num_vertices)[:, None], body.skinning_index), body.skinning_value)
+    np.add.at(
+        weight, (np.arange(body.num_vertices)[:, None], body.skinning_index), body.skinning_value
+    )
     for joint in range(body.num_joints):
         own = np.flatnonzero((weight[:, joint] >= _MOST) & (weight.argmax(1) == joint))
         if len(own):

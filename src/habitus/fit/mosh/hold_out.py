@@ -1,7 +1,9 @@
-"""Held-out markers: left out of everything, then predicted where the prior over placements expects them (MoSh 8.1).
+"""Held-out markers: left out of everything, then predicted where the prior over placements expects
+them (MoSh 8.1).
 
-MoSh expects them at the layout's place. Here the same hands put on all markers of a person: what a marker's twin on the
-other side was found off its place, the marker is expected to be off its own, as far as people's sides are alike.
+MoSh expects them at the layout's place. Here the same hands put on all markers of a person: what a
+marker's twin on the other side was found off its place, the marker is expected to be off its own,
+as far as people's sides are alike.
 """
 
 from collections.abc import Sequence
@@ -21,7 +23,8 @@ from habitus.parallel.blocks import distances
 
 @dataclass(frozen=True)
 class HeldMarkers:
-    """Markers that a fit did not see: their default places, and one (T, H, 3) array of observations a recording.
+    """Markers that a fit did not see: their default places, and one (T, H, 3) array of observations
+    a recording.
 
     others: those that the fit saw, where labels alone put them.
     """
@@ -31,14 +34,19 @@ class HeldMarkers:
     others: MarkerLayout | None = None
 
 
-def expected_offsets(fit: MarkerFit, held: HeldMarkers, prior: PlacementPrior) -> Float[np.ndarray, "H 3"]:
-    """How far from the layout's places the held-out markers are expected, metres on the fitted body at rest.
+def expected_offsets(
+    fit: MarkerFit, held: HeldMarkers, prior: PlacementPrior
+) -> Float[np.ndarray, "H 3"]:
+    """How far from the layout's places the held-out markers are expected, metres on the fitted body
+    at rest.
 
     Told by where the fit found the others (`PlacementPrior.expected`).
     """
     if held.others is None:
         return np.zeros((len(held.layout), 3))
-    known = held.others.restricted_to(tuple(label for label in fit.labels if label in held.others.labels))
+    known = held.others.restricted_to(
+        tuple(label for label in fit.labels if label in held.others.labels)
+    )
     placement = place(known, fit.body)
     found = fit.latent_markers[[fit.labels.index(label) for label in known.labels]]
     start = default_markers(fit.body, fit.betas, placement.vertices, placement.distance)
@@ -46,9 +54,13 @@ def expected_offsets(fit: MarkerFit, held: HeldMarkers, prior: PlacementPrior) -
 
 
 def held_out_errors(
-    fit: MarkerFit, layout: MarkerLayout, observed: np.ndarray, offsets: Float[np.ndarray, "H 3"] | float = 0.0
+    fit: MarkerFit,
+    layout: MarkerLayout,
+    observed: np.ndarray,
+    offsets: Float[np.ndarray, "H 3"] | float = 0.0,
 ) -> HeldOut:
-    """Distances from ``observed`` (T, H, 3) to the default places v_i(betas) on the fitted body, both stages.
+    """Distances from ``observed`` (T, H, 3) to the default places v_i(betas) on the fitted body,
+    both stages.
 
     offsets: what is expected beside these places (`expected_offsets`), metres at rest.
     """

@@ -8,7 +8,8 @@ from habitus.fit.mosh.limits import LIMITS, Bound, Limits, Range, people_of
 from habitus.fit.mosh.result import MarkerFit
 from habitus.fit.mosh.verdict import DOUBTFUL, FAILED, GOOD, LEVELS, Verdict, worst
 
-# What hangs from a joint, by its name without the side, and whether a fit is in doubt where no marker tells of it.
+# What hangs from a joint, by its name without the side, and whether a fit is in doubt where no
+# marker tells of it.
 LIMBS: Mapping[str, tuple[str, bool]] = {
     "hip": ("leg", True),
     "knee": ("lower leg", True),
@@ -56,7 +57,9 @@ def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
     checks = (_errors, _tried) if plain else [check for check in CHECKS if check not in DECISIVE]
     reasons = decisive + [reason for check in checks for reason in check(found, limits)]
     reasons.sort(key=lambda reason: -LEVELS.index(reason.level))
-    return Verdict(worst([reason.level for reason in reasons]), tuple(reason.text for reason in reasons))
+    return Verdict(
+        worst([reason.level for reason in reasons]), tuple(reason.text for reason in reasons)
+    )
 
 
 def may_improve(fit: MarkerFit, limits: Limits = LIMITS) -> bool:
@@ -80,7 +83,9 @@ def below(value: float, bound: Bound) -> str:
 
 
 def usual_mm(motion: float, limits: Limits = LIMITS) -> float:
-    """The mean error (mm) that a sound fit leaves of markers that move so fast (m/s) against the body's middle."""
+    """The mean error (mm) that a sound fit leaves of markers that move so fast (m/s) against the
+    body's middle.
+    """
     return limits.usual_still_mm + limits.usual_moving_mm * motion
 
 
@@ -89,16 +94,26 @@ def _errors(e: Evidence, limits: Limits) -> Iterator[Reason]:
         yield Reason(FAILED, "No marker was ever seen: there is nothing to judge the body by.")
         return
     usual = usual_mm(e.motion, limits)
-    known = ((e.mean_mm, limits.mean_mm), (e.p95_mm, limits.p95_mm), (e.mean_mm / usual, limits.usual))
+    known = (
+        (e.mean_mm, limits.mean_mm),
+        (e.p95_mm, limits.p95_mm),
+        (e.mean_mm / usual, limits.usual),
+    )
     level = worst([above(value, bound) for value, bound in known])
     text = f"Markers lie {e.mean_mm:.1f} mm from the body on average, 95 % within {e.p95_mm:.0f} mm"
-    yield Reason(level, f"{text}{'' if level == GOOD else f'; such motion usually leaves about {usual:.0f} mm'}.")
+    yield Reason(
+        level,
+        f"{text}{'' if level == GOOD else f'; such motion usually leaves about {usual:.0f} mm'}.",
+    )
 
 
 def _trust(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.distrusted, limits.distrusted)
     if level != GOOD:
-        yield Reason(level, f"{percent(e.distrusted)} of the marker samples are so far off that they hardly count.")
+        yield Reason(
+            level,
+            f"{percent(e.distrusted)} of the marker samples are so far off that they hardly count.",
+        )
 
 
 def _placement(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -106,7 +121,8 @@ def _placement(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if level != GOOD:
         yield Reason(
             level,
-            f"Half of the markers sit more than {e.displaced:.1f} times as far from the layout's places as markers "
+            f"Half of the markers sit more than {e.displaced:.1f} times as far from the layout's "
+            "places as markers "
             "usually do; it may be the wrong layout.",
         )
 
@@ -116,16 +132,19 @@ def _shape(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if level != GOOD:
         yield Reason(
             level,
-            f"The shape is rare: its coefficients reach {e.beta_sd:.1f} standard deviations ({e.betas_rms:.1f} RMS).",
+            f"The shape is rare: its coefficients reach {e.beta_sd:.1f} standard deviations "
+            f"({e.betas_rms:.1f} RMS).",
         )
 
 
 def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
     """The measurement furthest outside what people have, and how many others are."""
-    people, far = people_of(e.age, e.stature, limits.people), {}
+    people = people_of(e.age, e.stature, limits.people)
+    far = {}
     for name, value in e.measurements.items():
         least, most = people.get(name, Range(0.0, float("inf")))
-        over, under = value / most - 1.0, least / max(value, 1e-6) - 1.0
+        over = value / most - 1.0
+        under = least / max(value, 1e-6) - 1.0
         level = worst([above(over, limits.above_people), above(under, limits.below_people)])
         if level != GOOD:
             far[name] = (LEVELS.index(level), max(over, under))
@@ -133,23 +152,35 @@ def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
         return
     name = max(far, key=lambda name: far[name])
     least, most = people[name]
-    more = f", and {len(far) - 1} more measurement{'s' * (len(far) > 2)} such as nobody has" if len(far) > 1 else ""
+    more = (
+        f", and {len(far) - 1} more measurement{'s' * (len(far) > 2)} such as nobody has"
+        if len(far) > 1
+        else ""
+    )
     whose = "adults" if people is limits.people else "people up to that age"
     said = (
-        f"{measured(name, e.measurements[name])} where {whose} have {measured(name, least)} to {measured(name, most)}"
+        f"{measured(name, e.measurements[name])} where {whose} have {measured(name, least)} to "
+        f"{measured(name, most)}"
     )
     yield Reason(LEVELS[far[name][0]], f"The body's {words(name)} is {said}{more}.")
 
 
 def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    for name, bound, remark in (("height_m", limits.height, None), ("mass_kg", limits.mass, limits.mass_remark)):
-        known, value = e.recorded.get(name), e.measurements.get(name)
+    for name, bound, remark in (
+        ("height_m", limits.height, None),
+        ("mass_kg", limits.mass, limits.mass_remark),
+    ):
+        known = e.recorded.get(name)
+        value = e.measurements.get(name)
         if isinstance(known, str) or known is None or value is None or known <= 0:
             continue
         off = max(value / known, known / max(value, 1e-6)) - 1.0
         level = above(off, bound)
         if level != GOOD or (remark is not None and off > remark):
-            text = f"The file says {words(name)} {measured(name, known)}; the fitted body has {measured(name, value)}"
+            text = (
+                f"The file says {words(name)} {measured(name, known)}; the fitted body has "
+                f"{measured(name, value)}"
+            )
             yield Reason(level, f"{text} ({100 * value / known - 100:+.0f} %).")
 
 
@@ -159,17 +190,26 @@ def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
         names = [name for name, grave in limbs.items() if grave == counts]
         if names:
             yield Reason(
-                level, f"No marker tells of the {enumerated(names)}: the motion there is the pose prior's guess."
+                level,
+                f"No marker tells of the {enumerated(names)}: the motion there is the pose "
+                "prior's guess.",
             )
 
 
 def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
-    """Limbs that no marker tells of in more than a share of the frames, each as a whole; whether each counts."""
+    """Limbs that no marker tells of in more than a share of the frames, each as a whole; whether
+    each counts.
+    """
     found = {}
     for joint, share in e.unseen.items():
         parent = e.parents.get(joint)
         side, _, part = joint.rpartition("_")
-        if share > limit and parent is not None and e.unseen[parent] <= limit and not part.startswith(TIPS):
+        if (
+            share > limit
+            and parent is not None
+            and e.unseen[parent] <= limit
+            and not part.startswith(TIPS)
+        ):
             name, grave = LIMBS.get(part, (joint.replace("_", " "), True))
             found[f"{side} {name}".strip() if part in LIMBS else name] = grave
     return found
@@ -179,14 +219,22 @@ def _gaps(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = worst([above(e.no_data, limits.no_data), above(e.gap_s, limits.gap_s)])
     if level != GOOD:
         longest = f", {e.gap_s:.1f} s at a stretch without any" if e.gap_s > 0 else ""
-        yield Reason(level, f"{percent(e.no_data)} of the frames hold too few markers to place a body{longest}.")
+        yield Reason(
+            level,
+            f"{percent(e.no_data)} of the frames hold too few markers to place a body{longest}.",
+        )
     elif e.no_data > 0:
-        yield Reason(GOOD, f"{percent(e.no_data, 1)} of the frames hold too few markers to place a body.")
+        yield Reason(
+            GOOD, f"{percent(e.no_data, 1)} of the frames hold too few markers to place a body."
+        )
 
 
 def _layout(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.confidence is not None and below(e.confidence, limits.confidence) != GOOD:
-        text = f"The labels match the layout only loosely (confidence {e.confidence:.2f}); markers may be misplaced."
+        text = (
+            f"The labels match the layout only loosely (confidence {e.confidence:.2f}); "
+            "markers may be misplaced."
+        )
         yield Reason(below(e.confidence, limits.confidence), text)
 
 
@@ -199,27 +247,40 @@ def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.tilt_deg is not None and above(e.tilt_deg, bound) != GOOD:
         yield Reason(
             above(e.tilt_deg, bound),
-            f"The body leans {e.tilt_deg:.0f} degrees from {e.up_axis}, which the capture calls up; is it?",
+            f"The body leans {e.tilt_deg:.0f} degrees from {e.up_axis}, which the capture calls "
+            "up; is it?",
         )
     rate = worst([below(e.rate_hz, limits.slow_hz), above(e.rate_hz, limits.fast_hz)])
     speed = above(e.speed, limits.speed)
     if worst([rate, speed]) != GOOD:
-        text = f"At {e.rate_hz:g} frames a second the body moves at {e.speed:.1f} m/s; the rate may be wrong."
+        text = (
+            f"At {e.rate_hz:g} frames a second the body moves at {e.speed:.1f} m/s; the rate "
+            "may be wrong."
+        )
         yield Reason(worst([rate, speed]), text)
 
 
 def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    """A wrong unit: the markers outgrow any body that the shape space has, or the body follows them out of all size."""
-    level, height = _span(e, limits), e.measurements.get("height_m")
+    """A wrong unit: the markers outgrow any body that the shape space has, or the body follows them
+    out of all size.
+    """
+    level = _span(e, limits)
+    height = e.measurements.get("height_m")
     if level != GOOD:
-        text = f"The markers span {e.size:.2g} times what the fitted body spans; the unit of length may be wrong."
+        text = (
+            f"The markers span {e.size:.2g} times what the fitted body spans; the unit of "
+            "length may be wrong."
+        )
         yield Reason(level, text)
     elif (
         above(e.torn, limits.torn) == GOOD
         and height is not None
         and not limits.height_m.least <= height <= limits.height_m.most
     ):
-        yield Reason(FAILED, f"The body is {measured('height_m', height)} tall; the unit of length may be wrong.")
+        yield Reason(
+            FAILED,
+            f"The body is {measured('height_m', height)} tall; the unit of length may be wrong.",
+        )
 
 
 def _span(e: Evidence, limits: Limits) -> str:
@@ -228,16 +289,26 @@ def _span(e: Evidence, limits: Limits) -> str:
 
 def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.torn, limits.torn)
-    if level != GOOD and _span(e, limits) == GOOD:  # where all is too large, pairs are far apart as well
-        pairs = f"{percent(e.torn)} of the pairs of markers that belong close together are far apart"
+    if (
+        level != GOOD and _span(e, limits) == GOOD
+    ):  # where all is too large, pairs are far apart as well
+        pairs = (
+            f"{percent(e.torn)} of the pairs of markers that belong close together are far apart"
+        )
         two = e.torn_level > limits.torn_level
-        yield Reason(level, f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.")
+        yield Reason(
+            level,
+            f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.",
+        )
 
 
 def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.suspects, limits.suspects)
     if level != GOOD:
-        text = f"{percent(e.suspects)} of the markers look wrong or mislabelled: exchanged labels, or a mirrored space."
+        text = (
+            f"{percent(e.suspects)} of the markers look wrong or mislabelled: exchanged "
+            "labels, or a mirrored space."
+        )
         yield Reason(level, text)
     if below(e.markers, limits.markers) != GOOD:
         text = f"Only {e.markers} markers were used: most of shape and pose is the priors' guess."
@@ -247,7 +318,10 @@ def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
 def _tried(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.left_out:
         share = len(e.left_out) / (e.markers + len(e.left_out))
-        yield Reason(above(share, limits.left_out), f"Left out because nothing fits them: {enumerated(e.left_out)}.")
+        yield Reason(
+            above(share, limits.left_out),
+            f"Left out because nothing fits them: {enumerated(e.left_out)}.",
+        )
     if e.tried:
         yield Reason(GOOD, f"{' '.join(e.tried)}")
 

@@ -1,6 +1,7 @@
 """What a verdict holds a fit against: one table of limits, and what a survey of people measured.
 
-Learned from real captures and from spoilt copies of them; `benchmarks/mosh_verdicts.py` measures how well they part.
+Learned from real captures and from spoilt copies of them; `benchmarks/mosh_verdicts.py` measures
+how well they part.
 """
 
 from collections.abc import Mapping
@@ -25,8 +26,8 @@ class Range(NamedTuple):
     most: float
 
 
-# The least and most of the 6,068 adults of ANSUR II; the neck is the survey's at its narrowest, upper arm and forearm
-# flexed, the inseam its crotch height. Metres and kilograms.
+# The least and most of the 6,068 adults of ANSUR II; the neck is the survey's at its narrowest,
+# upper arm and forearm flexed, the inseam its crotch height. Metres and kilograms.
 PEOPLE: Mapping[str, Range] = MappingProxyType(
     {
         "height_m": Range(1.409, 1.993),
@@ -49,14 +50,18 @@ PEOPLE: Mapping[str, Range] = MappingProxyType(
 )
 
 
-def people_of(age: float | None, stature: float, adults: Mapping[str, Range] = PEOPLE) -> Mapping[str, Range]:
-    """What people of an age measure: adults (None), or people of all sizes down to adults scaled to a child's stature
-    (m).
+def people_of(
+    age: float | None, stature: float, adults: Mapping[str, Range] = PEOPLE
+) -> Mapping[str, Range]:
+    """What people of an age measure: adults (None), or people of all sizes down to adults scaled to
+    a child's stature (m).
     """
     if age is None or age >= ADULT:
         return adults
     scale = stature / (sum(adults["height_m"]) / 2)
-    least = {name: scale ** (3 if name.endswith("_kg") else 1) * low for name, (low, _) in adults.items()}
+    least = {
+        name: scale ** (3 if name.endswith("_kg") else 1) * low for name, (low, _) in adults.items()
+    }
     return {name: Range(least[name], most) for name, (_, most) in adults.items()}
 
 
@@ -79,7 +84,9 @@ class Limits:
     betas_rms: Bound
     above_people: Bound
     below_people: Bound
-    """How far a measurement lies outside what the survey of adults saw, as a share; children are smaller."""
+    """How far a measurement lies outside what the survey of adults saw, as a share; children are
+    smaller.
+    """
     suspects: Bound
     """Share of the markers under suspicion."""
     markers: Bound
@@ -102,7 +109,9 @@ class Limits:
     """Of anybody, children included."""
     torn: Bound
     torn_level: float
-    """Pairs of markers that are close on the body and far apart in the capture; level ones speak of two people."""
+    """Pairs of markers that are close on the body and far apart in the capture; level ones speak of
+    two people.
+    """
     slow_hz: Bound
     fast_hz: Bound
     speed: Bound

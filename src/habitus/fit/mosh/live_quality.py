@@ -16,7 +16,9 @@ _NAMED = 3
 
 
 class Quality:
-    """Verdict on the frames of the last second. labels: of the N markers; rate_hz: of the stream."""
+    """Verdict on the frames of the last second. labels: of the N markers; rate_hz: of the
+    stream.
+    """
 
     def __init__(self, labels: tuple[str, ...], rate_hz: float):
         self.labels = labels
@@ -33,9 +35,15 @@ class Quality:
 
     @property
     def mean_mm(self) -> float:
-        """Of the distances between markers and body over the last second, NaN where there are none."""
+        """Of the distances between markers and body over the last second, NaN where there are
+        none.
+        """
         found = self._distances()
-        return 1e3 * float(found[np.isfinite(found)].mean()) if np.isfinite(found).any() else float("nan")
+        return (
+            1e3 * float(found[np.isfinite(found)].mean())
+            if np.isfinite(found).any()
+            else float("nan")
+        )
 
     @property
     def verdict(self) -> Verdict:
@@ -56,12 +64,17 @@ class Quality:
         seen = np.isfinite(found)
         if not seen.any():
             return [(FAILED, "Too few markers are seen to place a body")]
-        mean, p95 = 1e3 * found[seen].mean(), 1e3 * np.percentile(found[seen], 95)
+        mean = 1e3 * found[seen].mean()
+        p95 = 1e3 * np.percentile(found[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
         far = np.flatnonzero(1e3 * _medians(found) > 1e3 * GROSS)
-        named = ", ".join(f"{self.labels[k]} {1e3 * _medians(found)[k]:.0f} mm" for k in far[:_NAMED])
+        named = ", ".join(
+            f"{self.labels[k]} {1e3 * _medians(found)[k]:.0f} mm" for k in far[:_NAMED]
+        )
         level = worst([level, DOUBTFUL if len(far) else GOOD])
-        text = f"Markers lie {mean:.0f} mm from the body" + (f"; far off: {named}" if len(far) else "")
+        text = f"Markers lie {mean:.0f} mm from the body" + (
+            f"; far off: {named}" if len(far) else ""
+        )
         return [(level, text + (f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""))]
 
     def _missing(self, found: np.ndarray) -> list[tuple[str, str]]:

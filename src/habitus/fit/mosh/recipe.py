@@ -1,4 +1,6 @@
-"""MoSh: a body in motion from the markers of one subject (MoSh 4-6, thesis 3.4-3.6), as a recipe of three stages."""
+"""MoSh: a body in motion from the markers of one subject (MoSh 4-6, thesis 3.4-3.6), as a recipe of
+three stages.
+"""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -44,7 +46,15 @@ from habitus.observe.soft_space import check_space
 from habitus.parallel.blocks import distances
 from habitus.types import Progress
 
-__all__ = ["Recording", "Subject", "fit_known", "fit_markers", "fit_subject", "iterate_fits", "known_subject"]
+__all__ = [
+    "Recording",
+    "Subject",
+    "fit_known",
+    "fit_markers",
+    "fit_subject",
+    "iterate_fits",
+    "known_subject",
+]
 
 
 def fit_markers(
@@ -55,10 +65,12 @@ def fit_markers(
     settings: MoshSettings | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> tuple[MarkerFit, ...]:
-    """Shape, latent markers, pose and soft tissue of one subject from one or more captures with the same M markers.
+    """Shape, latent markers, pose and soft tissue of one subject from one or more captures with the
+    same M markers.
 
-    body: of any skinning and pose features (float64 inside; SMPL's are fastest). prior: of SMPL's joints or any
-    others, matched by name. Raises HabitusError when no frame holds enough markers to fit a body to.
+    body: of any skinning and pose features (float64 inside; SMPL's are fastest). prior: of SMPL's
+    joints or any others, matched by name. Raises HabitusError when no frame holds enough markers to
+    fit a body to.
     """
     return tuple(iterate_fits(body, prior, layout, recordings, settings, progress))
 
@@ -72,7 +84,8 @@ def iterate_fits(
     progress: Progress = lambda stage, share: None,
 ) -> Iterator[MarkerFit]:
     """The fits of ``fit_markers`` as they are done: one shape stage, then each capture in turn."""
-    settings, prior = settings or MoshSettings(), prior.for_joints(body.joint_names)
+    settings = settings or MoshSettings()
+    prior = prior.for_joints(body.joint_names)
     progress("shape", 0.0)
     layout, recordings, subject = known_subject(body, prior, layout, recordings, settings)
     for index, recording in enumerate(recordings):
@@ -83,19 +96,29 @@ def iterate_fits(
 
 
 def known_subject(
-    body: BodyModel, prior: PosePrior, layout: MarkerLayout, recordings: Sequence[Recording], settings: MoshSettings
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recordings: Sequence[Recording],
+    settings: MoshSettings,
 ) -> tuple[MarkerLayout, list[Recording], Subject]:
-    """The shape stage of a subject: its layout and recordings as they are fitted, without markers that are never seen,
-    and what was found. Raises HabitusError when no frame holds enough markers.
+    """The shape stage of a subject: its layout and recordings as they are fitted, without markers
+    that are never seen, and what was found. Raises HabitusError when no frame holds enough markers.
     """
     check_space(body, settings.soft_space)
     recordings = [within_reach(recording, layout.labels) for recording in recordings]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
-    layout = replace(layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s))
+    layout = replace(
+        layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s)
+    )
     recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
     recordings = _put_right(recordings, layout, settings)
-    with threadpool_limits(1, user_api="blas"):  # the matrices are small: more threads only wait for each other
-        subject = fit_subject(body, prior.for_joints(body.joint_names), layout, recordings, settings)
+    with threadpool_limits(
+        1, user_api="blas"
+    ):  # the matrices are small: more threads only wait for each other
+        subject = fit_subject(
+            body, prior.for_joints(body.joint_names), layout, recordings, settings
+        )
     return layout, recordings, subject
 
 
@@ -107,17 +130,24 @@ def fit_known(
     subject: Subject,
     settings: MoshSettings,
 ) -> MarkerFit:
-    """Pose and soft tissue in one more recording of a subject whose shape stage is done, on the layout that it gave.
+    """Pose and soft tissue in one more recording of a subject whose shape stage is done, on the
+    layout that it gave.
 
     Raises HabitusError when no frame holds enough markers.
     """
     (recording,) = _put_right([within_reach(recording, layout.labels)], layout, settings)
     with threadpool_limits(1, user_api="blas"):
-        return _fit_recording(body, prior.for_joints(body.joint_names), layout, recording, subject, settings)
+        return _fit_recording(
+            body, prior.for_joints(body.joint_names), layout, recording, subject, settings
+        )
 
 
-def _put_right(recordings: list[Recording], layout: MarkerLayout, settings: MoshSettings) -> list[Recording]:
-    """The recordings, once they are sound, with labels that were exchanged for a time put back, live fits' apart."""
+def _put_right(
+    recordings: list[Recording], layout: MarkerLayout, settings: MoshSettings
+) -> list[Recording]:
+    """The recordings, once they are sound, with labels that were exchanged for a time put back,
+    live fits' apart.
+    """
     check_recordings(recordings)
     if settings.causal:
         return recordings
@@ -125,15 +155,23 @@ def _put_right(recordings: list[Recording], layout: MarkerLayout, settings: Mosh
 
 
 def fit_subject(
-    body: BodyModel, prior: PosePrior, layout: MarkerLayout, recordings: Sequence[Recording], settings: MoshSettings
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recordings: Sequence[Recording],
+    settings: MoshSettings,
 ) -> Subject:
-    """The shape stage on a few frames of all captures; a pair of labels exchanged throughout is found and put right."""
+    """The shape stage on a few frames of all captures; a pair of labels exchanged throughout is
+    found and put right.
+    """
     began = time.perf_counter()
     placement = place(layout, body)
     observed, sources = shape_frames(recordings, settings)
     latent = default_markers(body, np.zeros(body.num_betas), placement.vertices, placement.distance)
     rig = marked_body(
-        body, np.zeros(body.num_betas), attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces)
+        body,
+        np.zeros(body.num_betas),
+        attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces),
     )
     trunk = trunk_weights(body, placement.vertices)
     aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
@@ -167,29 +205,47 @@ def _fit_recording(
     observed = exchange(recording.observed, subject.exchanged)
     began = time.perf_counter()
     found = _pose_stage(body, subject, observed, recording.rate_hz, prior, settings)
-    pose_seconds, began = time.perf_counter() - began, time.perf_counter()
-    soft = _soft_tissue_stage(body, subject, found, prior, settings) if settings.soft_tissue else None
+    pose_seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    soft = (
+        _soft_tissue_stage(body, subject, found, prior, settings) if settings.soft_tissue else None
+    )
     soft_seconds = time.perf_counter() - began if soft else None
     seconds = {"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds}
     return assemble(body, layout, recording, subject, found, soft, seconds, settings)
 
 
 def _pose_stage(
-    body: BodyModel, subject: Subject, observed: np.ndarray, rate_hz: float, prior: PosePrior, settings: MoshSettings
+    body: BodyModel,
+    subject: Subject,
+    observed: np.ndarray,
+    rate_hz: float,
+    prior: PosePrior,
+    settings: MoshSettings,
 ) -> PoseStage:
-    """All frames at once; then each marker's noise is known, exchanged pairs are put right, sliding markers found,
-    gaps bridged, and it is solved again.
+    """All frames at once; then each marker's noise is known, exchanged pairs are put right, sliding
+    markers found, gaps bridged, and it is solved again.
     """
     scale = np.full(observed.shape[1], settings.robust_scale[1])
     if settings.causal:
         first = first_frame(observed)
-        known = (subject.rig, subject.shape.pose, ("root", *prior.joint_names), observed[first : first + 1])
+        known = (
+            subject.rig,
+            subject.shape.pose,
+            ("root", *prior.joint_names),
+            observed[first : first + 1],
+        )
         start = start_sequence(*known)
-        result = fit_causally(subject.rig, observed, prior, start, scale, sequence_settings(settings))
+        result = fit_causally(
+            subject.rig, observed, prior, start, scale, sequence_settings(settings)
+        )
         return PoseStage(result, observed, Evidence(observed, None), scale)
-    longest, lam = settings.longest, sequence_settings(settings)
+    longest = settings.longest
+    lam = sequence_settings(settings)
     first = without(Evidence(fill_short_gaps(observed, rate_hz), None), subject.misplaced)
-    pose, trans = start_long(subject.rig, subject.shape.pose, ("root", *prior.joint_names), first.markers, longest)
+    pose, trans = start_long(
+        subject.rig, subject.shape.pose, ("root", *prior.joint_names), first.markers, longest
+    )
     result = fit_long(subject.rig, *first, scale, prior, pose, trans, lam, longest=longest)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted)
@@ -197,7 +253,9 @@ def _pose_stage(
     noise = marker_noise(distances(observed, predicted))
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
     lam = sequence_settings(settings, warm=True)
-    drifts = find_drifts(body, subject.shape.attachment, subject.rig, observed, scale, rate_hz, prior, result, lam)
+    drifts = find_drifts(
+        body, subject.shape.attachment, subject.rig, observed, scale, rate_hz, prior, result, lam
+    )
     evidence, pose, trans = bridged(subject.rig, result.pose, result.trans, observed, rate_hz)
     evidence = without(evidence, subject.misplaced)
     result = fit_long(subject.rig, *evidence, scale, prior, pose, trans, lam, longest=longest)
@@ -207,10 +265,12 @@ def _pose_stage(
 def _soft_tissue_stage(
     body: BodyModel, subject: Subject, found: PoseStage, prior: PosePrior, settings: MoshSettings
 ) -> SequenceResult:
-    """Soft tissue let go in time, with E_Delta (eq. 10), begun from the pose stage: the shape's changes beta_t, or
-    dynamics, whose prior is what was learned: their coefficients are in root mean squares, and not correlated.
+    """Soft tissue let go in time, with E_Delta (eq. 10), begun from the pose stage: the shape's
+    changes beta_t, or dynamics, whose prior is what was learned: their coefficients are in root
+    mean squares, and not correlated.
     """
     soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
-    still, lam = np.zeros((len(found.observed), soft.num_betas)), sequence_settings(settings, warm=True)
+    still = np.zeros((len(found.observed), soft.num_betas))
+    lam = sequence_settings(settings, warm=True)
     given = (found.result.pose, found.result.trans, lam, still)
     return fit_long(soft, *found.evidence, found.scale, prior, *given, longest=settings.longest)

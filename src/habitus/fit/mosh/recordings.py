@@ -1,4 +1,6 @@
-"""What a marker fit is given: recordings of one subject, and which of their frames hold enough markers."""
+"""What a marker fit is given: recordings of one subject, and which of their frames hold enough
+markers.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,15 +17,17 @@ from habitus.fit.mosh.suspects import Suspect, put_back, undo_swaps
 from habitus.parallel.blocks import blocks, joined, mapped
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
-REACH, REACHES = 5.0, 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
+REACH = 5.0
+REACHES = 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
 
 
 @dataclass(frozen=True)
 class Recording:
-    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects found so far.
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects
+    found so far.
 
-    recorded: what the capture says of the person; layout_confidence: how sure the choice of the layout is, 0..1;
-    doubts: what speaks against the layout's places, a sentence each.
+    recorded: what the capture says of the person; layout_confidence: how sure the choice of the
+    layout is, 0..1; doubts: what speaks against the layout's places, a sentence each.
     """
 
     name: str
@@ -42,13 +46,16 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     most = max((int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0)
     if most < FEWEST_MARKERS:
         raise HabitusError(
-            f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible in any frame; "
+            f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible "
+            "in any frame; "
             f"expected at least {FEWEST_MARKERS}; check the labels with `habitus layout check`"
         )
 
 
 def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
-    """The recording with labels that change places for a time put back, and the suspects that tell of it."""
+    """The recording with labels that change places for a time put back, and the suspects that tell
+    of it.
+    """
     flips = find_flips(recording.observed)
     if not flips:
         return recording
@@ -59,7 +66,9 @@ def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
 def shape_frames(
     recordings: Sequence[Recording], settings: MoshSettings
 ) -> tuple[Float[np.ndarray, "F M 3"], tuple[int, ...]]:
-    """The frames of all captures that the shape stage looks at, and the captures, by number, that they are of."""
+    """The frames of all captures that the shape stage looks at, and the captures, by number, that
+    they are of.
+    """
     together = joined([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
     choose = random_frames if settings.frame_choice == "random" else spread_frames
     chosen = choose(together, settings.frames, settings.seed)
@@ -84,10 +93,14 @@ def first_frame(observed: Float[np.ndarray, "T M 3"]) -> int:
 
 def ever_seen(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " M"]:
     """Which markers are seen in any frame."""
-    return np.any([np.isfinite(observed[part, :, 0]).any(axis=0) for part in blocks(len(observed))], axis=0)
+    return np.any(
+        [np.isfinite(observed[part, :, 0]).any(axis=0) for part in blocks(len(observed))], axis=0
+    )
 
 
-def of_markers(observed: Float[np.ndarray, "T M 3"], chosen: Bool[np.ndarray, " M"]) -> Float[np.ndarray, "T N 3"]:
+def of_markers(
+    observed: Float[np.ndarray, "T M 3"], chosen: Bool[np.ndarray, " M"]
+) -> Float[np.ndarray, "T N 3"]:
     """The chosen markers alone, C-ordered."""
     return mapped(lambda part: np.ascontiguousarray(part[:, chosen]), observed)
 
@@ -97,14 +110,17 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     if not few.any():
         return ()
     return (
-        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they keep the prior's motion",
+        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they "
+        "keep the prior's motion",
     )
 
 
 def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
-    """The recording without samples that lie further from a frame's other markers than anybody reaches.
+    """The recording without samples that lie further from a frame's other markers than anybody
+    reaches.
 
-    One marker at a kilometre would pull the body there. Each is named as a suspect, and a warning says how many.
+    One marker at a kilometre would pull the body there. Each is named as a suspect, and a warning
+    says how many.
     """
     observed = recording.observed
     far = mapped(_out_of_reach, observed)
@@ -112,8 +128,13 @@ def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
     if not frames.any():
         return recording
     reason = "further away than anybody reaches; left out there"
-    found = tuple(Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count)
-    warning = f"{int(frames.sum())} samples lie further from the other markers than anybody reaches; they are left out"
+    found = tuple(
+        Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count
+    )
+    warning = (
+        f"{int(frames.sum())} samples lie further from the other markers than anybody "
+        "reaches; they are left out"
+    )
     return replace(
         recording,
         observed=mapped(lambda away, part: np.where(away[..., None], np.nan, part), far, observed),
@@ -127,7 +148,9 @@ def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M
     some = np.isfinite(observed[..., 0]).any(axis=1)
     if not some.any():
         return far
-    distance = np.linalg.norm(observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2)
+    distance = np.linalg.norm(
+        observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2
+    )
     usual = np.nanmedian(distance, axis=1, keepdims=True)
     far[some] = distance > np.maximum(REACH, REACHES * usual)  # NaN compares false
     return far

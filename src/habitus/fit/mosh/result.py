@@ -29,7 +29,9 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors (T, H) in metres of H markers left out of everything, where one expects them; NaN where unseen."""
+    """Errors (T, H) in metres of H markers left out of everything, where one expects them; NaN
+    where unseen.
+    """
 
     labels: tuple[str, ...]
     pose: Float[np.ndarray, "T H"]
@@ -40,16 +42,18 @@ class HeldOut:
 class MarkerFit(Moving):
     """A body in motion, found from the markers of one capture.
 
-    Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas. ``latent_markers`` (M, 3)
-    lie in the body's rest space (zero pose). Where there is soft tissue, the body at frame t is
-    ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage`` holds pose and trans before it was let go;
-    where it is dynamics, or these too, ``dynamics=dynamics[t]`` comes to it, and ``soft_tissue`` may be zero.
-    ``recorded`` is what the capture says of the person, ``layout_confidence`` how sure the choice of the layout is
-    (0..1), ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads; ``tried``
-    says in sentences what was done when a first attempt failed, ``left_out`` which labels were left out for it,
-    ``doubts`` what was not decided where markers' places were found by fitting; ``found_layout`` is the layout so
-    found, as a TOML file's text. ``held_out_told``: errors of held-out markers at places that other captures told.
-    ``gender`` is the body's model; where it was chosen by itself, ``female_probability`` is what a neutral fit said.
+    Metres, radians and the capture's own world frame. T frames, M markers, J joints, B betas.
+    ``latent_markers`` (M, 3) lie in the body's rest space (zero pose). Where there is soft tissue,
+    the body at frame t is ``body(betas + soft_tissue[t], pose[t], trans[t])``, and ``pose_stage``
+    holds pose and trans before it was let go; where it is dynamics, or these too,
+    ``dynamics=dynamics[t]`` comes to it, and ``soft_tissue`` may be zero. ``recorded`` is what the
+    capture says of the person, ``layout_confidence`` how sure the choice of the layout is (0..1),
+    ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads;
+    ``tried`` says in sentences what was done when a first attempt failed, ``left_out`` which labels
+    were left out for it, ``doubts`` what was not decided where markers' places were found by
+    fitting; ``found_layout`` is the layout so found, as a TOML file's text. ``held_out_told``:
+    errors of held-out markers at places that other captures told. ``gender`` is the body's model;
+    where it was chosen by itself, ``female_probability`` is what a neutral fit said.
     """
 
     capture_name: str
@@ -100,38 +104,52 @@ class MarkerFit(Moving):
 
     @property
     def errors_mm(self) -> Float[np.ndarray, "T M"]:
-        """Distances of observed from predicted markers of the last stage in mm, NaN where a marker is missing."""
+        """Distances of observed from predicted markers of the last stage in mm, NaN where a marker
+        is missing.
+        """
         last = self.errors("pose" if self.predicted_soft_tissue is None else "soft_tissue")
         assert last is not None
         return mapped(lambda part: 1e3 * part, last)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence each."""
+        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence
+        each.
+        """
         import habitus
 
         return habitus.judge(self)
 
     @cached_property
     def guessed(self) -> Guessed:
-        """Where no marker tells how a limb is: how well each joint's segment is known, over spans of time."""
+        """Where no marker tells how a limb is: how well each joint's segment is known, over spans
+        of time.
+        """
         import habitus
 
         return habitus.guess(self, habitus.prior_of(self.body))
 
     def state(self, frames: slice = ALL) -> BodyState:
-        """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T, B), zero without.
+        """The state of some frames: betas (B,), pose (T, J, 3), trans (T, 3) and soft_tissue (T,
+        B), zero without.
 
-        Where there are dynamics, their coefficients follow behind: soft_tissue is then (T, B + D), as in ``terms``.
+        Where there are dynamics, their coefficients follow behind: soft_tissue is then (T, B + D),
+        as in ``terms``.
         """
         return BodyState(self.betas, self.pose[frames], self.trans[frames], self._soft(frames))
 
     def with_dynamics(self, strength: float = 1.0) -> "MarkerFit":
-        """The same motion with soft tissue that the body predicts from it, in the place of what was fitted (S 6).
+        """The same motion with soft tissue that the body predicts from it, in the place of what was
+        fitted (S 6).
 
-        ``strength`` exaggerates. Pose and trans stay as they are. Raises HabitusError for a body without dynamics.
+        ``strength`` exaggerates. Pose and trans stay as they are. Raises HabitusError for a body
+        without dynamics.
         """
-        moving = np.asarray(simulate_soft_tissue(self.body, self.betas, self.pose, self.trans, self.rate_hz, strength))
+        moving = np.asarray(
+            simulate_soft_tissue(
+                self.body, self.betas, self.pose, self.trans, self.rate_hz, strength
+            )
+        )
         marked = marked_body(self.body, self.betas, self.attachment, "dynamics")
         return replace(
             self,
@@ -142,7 +160,9 @@ class MarkerFit(Moving):
 
     @property
     def soft_space(self) -> str:
-        """Which space holds ``soft_coefficients`` (`habitus.observe.soft_space`): "shape", or "both"."""
+        """Which space holds ``soft_coefficients`` (`habitus.observe.soft_space`): "shape", or
+        "both".
+        """
         return "shape" if self.dynamics is None else "both"
 
     @property
@@ -152,11 +172,18 @@ class MarkerFit(Moving):
 
     def _soft(self, frames: slice) -> Float[np.ndarray, "T S"]:
         count = len(self.pose[frames])
-        soft = np.zeros((count, len(self.betas))) if self.soft_tissue is None else self.soft_tissue[frames]
-        return soft if self.dynamics is None else np.concatenate([soft, self.dynamics[frames]], axis=1)
+        soft = (
+            np.zeros((count, len(self.betas)))
+            if self.soft_tissue is None
+            else self.soft_tissue[frames]
+        )
+        return (
+            soft if self.dynamics is None else np.concatenate([soft, self.dynamics[frames]], axis=1)
+        )
 
     def terms(self, frames: slice = ALL) -> dict[str, Term]:
-        """The energy that this fit minimised in some frames, as terms of pose, trans and soft_tissue (M eqs. 3 to 10).
+        """The energy that this fit minimised in some frames, as terms of pose, trans and
+        soft_tissue (M eqs. 3 to 10).
 
         What stands in for hidden markers in gaps is not among them.
         With terms of one's own beside them, `habitus.minimize` goes on from ``state(frames)``.
@@ -167,30 +194,36 @@ class MarkerFit(Moving):
         scales = np.clip(settings.noise_factor * self.marker_noise, *settings.robust_scale)
         marked = BodyMarkers(self.body, self.betas, self.attachment, self.soft_space)
         prior = habitus.prior_of(self.body).for_joints(self.body.joint_names)
-        return sequence_terms(marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings))
+        return sequence_terms(
+            marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings)
+        )
 
     def save(self, folder: str | os.PathLike[str], npz_style: str = "habitus") -> None:
-        """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh`` does.
+        """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh``
+        does.
 
-        npz_style: "habitus", which ``habitus.load_fit(folder / "body.npz")`` reads back, or "amass" (docs/amass.md).
-        Raises HabitusError where it cannot be written to.
+        npz_style: "habitus", which ``habitus.load_fit(folder / "body.npz")`` reads back, or "amass"
+        (docs/amass.md). Raises HabitusError where it cannot be written to.
         """
         import habitus
 
         habitus.save_fit(self, folder, npz_style=npz_style)
 
     def export(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz, .obj, .ply.
+        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz,
+        .obj, .ply.
 
-        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives, detail, frame
-        (`habitus.export.motion.export_motion`). Raises HabitusError for other endings, and where the path cannot be
-        written to.
+        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives,
+        detail, frame (`habitus.export.motion.export_motion`). Raises HabitusError for other
+        endings, and where the path cannot be written to.
         """
         import habitus
 
         habitus.export_motion(self, path, **options)
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
-        """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose or soft_tissue."""
+        """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose
+        or soft_tissue.
+        """
         predicted = self.predicted_pose_stage if stage == "pose" else self.predicted_soft_tissue
         return None if predicted is None else distances(self.observed_markers, predicted)

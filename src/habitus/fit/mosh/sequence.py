@@ -1,13 +1,15 @@
-"""The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers (M 5 and 6).
+"""The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers
+(M 5 and 6).
 
 `habitus.fit.mosh.sequence_terms` has it as a dictionary of terms; the kernels implement those.
 
     cost = 1/2 ( l_D sum_ti w_ti rho_i(|x_i(t) - m_ti|^2) + l_theta (theta - mu)^T P (theta - mu)
                  + l_u |theta_t - 2 theta_{t-1} + theta_{t-2}|^2 + l_Delta |beta_t|^2 )
 
-over pose, trans and, in the soft-tissue stage, beta_t (M equations 3, 7, 8 and 10). MoSh solves frame after frame;
-here all frames are solved together (`habitus.solve.sequence.solver`), the optimum that the paper's filter approximates.
-rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a scale s per marker, or the square where s is infinite.
+over pose, trans and, in the soft-tissue stage, beta_t (M equations 3, 7, 8 and 10). MoSh solves
+frame after frame; here all frames are solved together (`habitus.solve.sequence.solver`), the
+optimum that the paper's filter approximates. rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a
+scale s per marker, or the square where s is infinite.
 """
 
 from dataclasses import dataclass, replace
@@ -26,9 +28,10 @@ from habitus.solve.sequence.solver import solve_sequence
 class SequenceResult:
     """What a stage found.
 
-    pose (T, J, 3) rad, trans (T, 3) m, soft_tissue (T, B) or None; costs by term and frame_costs (T,) without the
-    acceleration, all as in the module's formula; weights (T, M): the given ones times the robust ones; status and
-    iterations of `habitus.solve.sequence.solver`; history of the total cost.
+    pose (T, J, 3) rad, trans (T, 3) m, soft_tissue (T, B) or None; costs by term and frame_costs
+    (T,) without the acceleration, all as in the module's formula; weights (T, M): the given ones
+    times the robust ones; status and iterations of `habitus.solve.sequence.solver`; history of the
+    total cost.
     """
 
     pose: Float[np.ndarray, "T J 3"]
@@ -53,10 +56,12 @@ def fit_sequence(
     settings: SequenceSettings | None = None,
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
 ) -> SequenceResult:
-    """Pose and trans of T frames; with `soft_tissue` (T, B) to start from, the changes of shape beta_t as well.
+    """Pose and trans of T frames; with `soft_tissue` (T, B) to start from, the changes of shape
+    beta_t as well.
 
-    observed: metres, NaN where missing. weights: of each observation, 1 if None. scales: s of each marker in metres,
-    None for squares. prior: mean (3 (J - 1),) and precision, root left out. Without acceleration each frame is alone.
+    observed: metres, NaN where missing. weights: of each observation, 1 if None. scales: s of each
+    marker in metres, None for squares. prior: mean (3 (J - 1),) and precision, root left out.
+    Without acceleration each frame is alone.
     """
     settings = settings or SequenceSettings()
     betas = 0 if soft_tissue is None else np.shape(soft_tissue)[1]

@@ -1,7 +1,9 @@
-"""Visits of the whole-sequence solve, compiled; `habitus.solve.sequence.dense_visits` is the same in NumPy.
+"""Visits of the whole-sequence solve, compiled; `habitus.solve.sequence.dense_visits` is the same
+in NumPy.
 
 Implements all terms of `habitus.fit.mosh.sequence_terms`: "data", "pose" and "soft_tissue" by
-`habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple a frame to its neighbours.
+`habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple a frame to its
+neighbours.
 """
 
 from typing import NamedTuple
@@ -18,7 +20,9 @@ from habitus.solve.sequence.level import FLOOR, NOISE
 
 
 class MarkerData(NamedTuple):
-    """What the markers are compared with: T frames of M observed markers, and the Gaussian over the N unknowns."""
+    """What the markers are compared with: T frames of M observed markers, and the Gaussian over the
+    N unknowns.
+    """
 
     observed: Float[np.ndarray, "T M 3"]
     weights: Float[np.ndarray, "T M"]
@@ -45,8 +49,8 @@ class LevelArrays(NamedTuple):
 def visit(rig, slots, offsets, workspace, data, level, block, measured_end, times, tolerance):
     """Damped Gauss-Newton steps of the frames `block` (indices into the level) in groups of LANES.
 
-    Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a group is not full,
-    copies of the last frame fill the other lanes.
+    Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a
+    group is not full, copies of the last frame fill the other lanes.
     """
     group = np.empty(LANES, dtype=np.int64)
     for first in range(0, len(block), LANES):
@@ -93,9 +97,14 @@ def gather_coupling(offsets, workspace, level, group):
     last = len(level.states) - 1
     for k in range(LANES):
         f = group[k]
-        a, b, c = level.states[max(f - 2, 0)], level.states[max(f - 1, 0)], level.states[f]
-        d, e = level.states[min(f + 1, last)], level.states[min(f + 2, last)]
-        x, y, z = level.links[f], level.links[f + 1], level.links[f + 2]
+        a = level.states[max(f - 2, 0)]
+        b = level.states[max(f - 1, 0)]
+        c = level.states[f]
+        d = level.states[min(f + 1, last)]
+        e = level.states[min(f + 2, last)]
+        x = level.links[f]
+        y = level.links[f + 1]
+        z = level.links[f + 2]
         for n in range(len(c)):
             pull = x[n] * (c[n] - 2.0 * b[n] + a[n]) - 2.0 * y[n] * (d[n] - 2.0 * c[n] + b[n])
             workspace[offsets.pull + n, k] = pull + z[n] * (e[n] - 2.0 * d[n] + c[n])
@@ -110,23 +119,38 @@ def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end
     for k in range(LANES):
         workspace[offsets.trial, k] = level.damping[group[min(k, len(group) - 1)]]
         workspace[offsets.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
-    damping, relaxation = load(workspace, offsets.trial), load(workspace, offsets.trial + 1)
+    damping = load(workspace, offsets.trial)
+    relaxation = load(workspace, offsets.trial + 1)
     for n in range(unknowns):
         gradient = load(workspace, offsets.gradient + n) + load(workspace, offsets.pull + n)
         store(workspace, offsets.gradient + n, gradient)
         store(workspace, offsets.step + n, -gradient)
         row = offsets.matrix + block_row(n // 3, n // 3) + 4 * (n % 3)
-        store(workspace, row, load(workspace, row) + (load(workspace, offsets.stiffness + n) + damping + FLOOR))
+        store(
+            workspace,
+            row,
+            load(workspace, row) + (load(workspace, offsets.stiffness + n) + damping + FLOOR),
+        )
     factor(workspace, offsets.matrix, offsets.blocks)
     solve_factored(workspace, offsets.matrix, offsets.blocks, offsets.step)
-    change, predicted, moved, along, spent = spread(0.0), spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    change = spread(0.0)
+    predicted = spread(0.0)
+    moved = spread(0.0)
+    along = spread(0.0)
+    spent = spread(0.0)
     for n in range(unknowns):
-        newton, gradient = load(workspace, offsets.step + n), load(workspace, offsets.gradient + n)
+        newton = load(workspace, offsets.step + n)
+        gradient = load(workspace, offsets.gradient + n)
         p = relaxation * newton
         store(workspace, offsets.trial + n, load(workspace, offsets.state + n) + p)
-        change = change + (load(workspace, offsets.pull + n) + 0.5 * load(workspace, offsets.stiffness + n) * p) * p
+        change = (
+            change
+            + (load(workspace, offsets.pull + n) + 0.5 * load(workspace, offsets.stiffness + n) * p)
+            * p
+        )
         predicted = predicted + (gradient - 0.5 * relaxation * (gradient + damping * newton)) * p
-        along, spent = along - gradient * newton, spent + damping * newton * newton
+        along = along - gradient * newton
+        spent = spent + damping * newton * newton
         if 3 <= n < measured_end:
             moved = moved + newton * newton
     trial = own_cost(rig, offsets, workspace, data, offsets.trial)
@@ -144,10 +168,14 @@ def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end
 def write_back(offsets, workspace, level, group):
     """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
     for k in range(len(group)):
-        f, change, predicted = group[k], workspace[offsets.gradient, k], workspace[offsets.gradient + 1, k]
+        f = group[k]
+        change = workspace[offsets.gradient, k]
+        predicted = workspace[offsets.gradient + 1, k]
         taken = change < NOISE * workspace[offsets.gradient + 4, k]
         level.cost_decrease[f] = -change if taken else 0.0
-        level.costs[f] = workspace[offsets.gradient + 3, k] if taken else workspace[offsets.gradient + 4, k]
+        level.costs[f] = (
+            workspace[offsets.gradient + 3, k] if taken else workspace[offsets.gradient + 4, k]
+        )
         size = np.sqrt(workspace[offsets.gradient + 2, k])
         level.moved[f] = size if np.isfinite(size) else 0.0
         damping = level.damping[f]

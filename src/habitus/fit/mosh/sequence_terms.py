@@ -1,8 +1,9 @@
-"""The energy of the pose and soft-tissue stages as a dictionary of terms (M equations 3, 7, 8 and 10).
+"""The energy of the pose and soft-tissue stages as a dictionary of terms (M equations 3, 7, 8 and
+10).
 
-This is the statement; `habitus.fit.mosh.sequence` minimises it by fused kernels (`residuals/marker_kernels.py`,
-`sequence_kernels.py`), which tests hold to these terms. The causal mode minimises the same of three frames, the first
-two held.
+This is the statement; `habitus.fit.mosh.sequence` minimises it by fused kernels
+(`residuals/marker_kernels.py`, `sequence_kernels.py`), which tests hold to these terms. The causal
+mode minimises the same of three frames, the first two held.
 """
 
 import numpy as np
@@ -24,19 +25,24 @@ def sequence_terms(
     prior: PosePrior,
     settings: SequenceSettings,
 ) -> dict[str, Term]:
-    """Terms of pose (T, J, 3) rad, trans (T, 3) m and soft_tissue (T, B), with Jacobians; arguments as `fit_sequence`.
+    """Terms of pose (T, J, 3) rad, trans (T, 3) m and soft_tissue (T, B), with Jacobians; arguments
+    as `fit_sequence`.
 
-    data: E_D with Geman-McClure's loss; pose: E_theta; acceleration and trans_acceleration: E_u; soft_tissue: E_Delta
-    and soft_tissue_acceleration. Roots that pass 1.5 pi, where the solver changes charts, are not looked after.
+    data: E_D with Geman-McClure's loss; pose: E_theta; acceleration and trans_acceleration: E_u;
+    soft_tissue: E_Delta and soft_tissue_acceleration. Roots that pass 1.5 pi, where the solver
+    changes charts, are not looked after.
     """
     return {
         "data": data(marked, observed, weights, scales, settings.data),
         "pose": pose_prior(prior, len(observed), settings.pose),
         "acceleration": Term(lambda pose: _bending("pose", pose), settings.acceleration),
         "trans_acceleration": Term(
-            lambda trans: _bending("trans", trans), settings.trans_acceleration if settings.acceleration else 0.0
+            lambda trans: _bending("trans", trans),
+            settings.trans_acceleration if settings.acceleration else 0.0,
         ),
-        "soft_tissue": Term(lambda soft_tissue: _itself("soft_tissue", soft_tissue), settings.soft_tissue),
+        "soft_tissue": Term(
+            lambda soft_tissue: _itself("soft_tissue", soft_tissue), settings.soft_tissue
+        ),
         "soft_tissue_acceleration": Term(
             lambda soft_tissue: _bending("soft_tissue", soft_tissue),
             settings.soft_tissue_acceleration if settings.acceleration else 0.0,
@@ -53,20 +59,28 @@ def data(
 ) -> Term:
     """E_D: 1/2 weight sum w rho(|x - m|^2), gaps (NaN) at w = 0.
 
-    The roots of w scale the residual, so they scale the loss as well: rho_s'(w d^2) = w rho_s(d^2) with s' = s sqrt(w).
+    The roots of w scale the residual, so they scale the loss as well: rho_s'(w d^2) = w rho_s(d^2)
+    with s' = s sqrt(w).
     """
     seen = np.isfinite(observed).all(axis=2)
     given = np.where(seen, 1.0 if weights is None else weights, 0.0)
-    root, filled, frames = np.sqrt(given)[..., None], np.nan_to_num(observed), len(observed)
+    root = np.sqrt(given)[..., None]
+    filled = np.nan_to_num(observed)
+    frames = len(observed)
     wide = np.full(observed.shape[1], np.inf) if scales is None else np.asarray(scales, dtype=float)
-    robust = GemanMcClure(np.where(given > 0.0, wide * np.where(given > 0.0, root[..., 0], 1.0), np.inf))
+    robust = GemanMcClure(
+        np.where(given > 0.0, wide * np.where(given > 0.0, root[..., 0], 1.0), np.inf)
+    )
 
     def residual(pose, trans, soft_tissue):
         def jacobians():
             found = marked.jacobian(pose, trans, soft_tissue)
             by = {"pose": found.by_pose, "trans": np.eye(3), "soft_tissue": found.by_betas}
             rows = 3 * observed.shape[1]
-            return {name: diagonal((root[..., None] * each).reshape(frames, rows, -1)) for name, each in by.items()}
+            return {
+                name: diagonal((root[..., None] * each).reshape(frames, rows, -1))
+                for name, each in by.items()
+            }
 
         return root * (marked.predict(pose, trans, soft_tissue) - filled), jacobians
 
@@ -90,7 +104,9 @@ def _bending(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, 
     flat = values.reshape(len(values), -1)
     shape = (len(flat) - 2, len(flat))
     stencil = scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=shape)
-    return np.diff(flat, 2, axis=0), {name: scipy.sparse.kron(stencil, scipy.sparse.eye_array(flat.shape[1]))}
+    return np.diff(flat, 2, axis=0), {
+        name: scipy.sparse.kron(stencil, scipy.sparse.eye_array(flat.shape[1]))
+    }
 
 
 def _itself(name: str, values: Float[np.ndarray, "T n"]) -> tuple[np.ndarray, dict]:

@@ -1,4 +1,6 @@
-"""What a marker fit may be told: MoSh's weights and schedule (MoSh 6, thesis 3.6), and the robust terms beyond it."""
+"""What a marker fit may be told: MoSh's weights and schedule (MoSh 6, thesis 3.6), and the robust
+terms beyond it.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -24,7 +26,9 @@ class ShapeWeights:
 
 @dataclass(frozen=True)
 class PoseWeights:
-    """lambda of the pose and soft-tissue stages; lengths in cm as in the paper, angles in radians."""
+    """lambda of the pose and soft-tissue stages; lengths in cm as in the paper, angles in
+    radians.
+    """
 
     data: float = 0.75
     pose: float = 1.0
@@ -34,13 +38,15 @@ class PoseWeights:
 
 @dataclass(frozen=True)
 class MoshSettings:
-    """Settings of a marker fit. ``annealing`` multiplies the prior weights (start, betas, pose) step by step.
+    """Settings of a marker fit. ``annealing`` multiplies the prior weights (start, betas, pose)
+    step by step.
 
     frames: how many frames the shape stage sees; frame_choice: "spread" or the paper's "random".
     start_markers: which align the root in the shape stage's frames, those of the "trunk" or "all".
-    robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale in noise sds.
-    longest: how many frames are solved at once; longer captures are solved in windows that overlap.
-    soft_space: what soft tissue moves along (`habitus.observe.soft_space`): "shape" (M 6), "dynamics" (S 6) or "both".
+    robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale
+    in noise sds. longest: how many frames are solved at once; longer captures are solved in windows
+    that overlap. soft_space: what soft tissue moves along (`habitus.observe.soft_space`): "shape"
+    (M 6), "dynamics" (S 6) or "both".
     """
 
     shape: ShapeWeights = field(default_factory=ShapeWeights)
@@ -60,10 +66,11 @@ class MoshSettings:
 
 @dataclass(frozen=True)
 class SequenceSettings:
-    """Weights of the pose and soft-tissue stages' terms (M 6) in metres and radians, and how to solve.
+    """Weights of the pose and soft-tissue stages' terms (M 6) in metres and radians, and how to
+    solve.
 
-    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per m^2) carries trans
-    over frames without markers; it is too weak to matter elsewhere.
+    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per
+    m^2) carries trans over frames without markers; it is too weak to matter elsewhere.
     """
 
     data: float = 7500.0
@@ -76,7 +83,9 @@ class SequenceSettings:
 
 
 def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
-    """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with little damping."""
+    """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with
+    little damping.
+    """
     lam = settings.pose
     options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
     return SequenceSettings(
@@ -86,7 +95,11 @@ def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSet
 
 def settings_from(values: Mapping[str, Any]) -> MoshSettings:
     """Settings from what ``dataclasses.asdict`` made of them; what is not there has its default."""
-    known = {field.name: values[field.name] for field in fields(MoshSettings) if field.name in values}
+    known = {
+        field.name: values[field.name] for field in fields(MoshSettings) if field.name in values
+    }
     known |= {name: tuple(known[name]) for name in ("annealing", "robust_scale") if name in known}
     stages = {"shape": ShapeWeights, "pose": PoseWeights}
-    return MoshSettings(**known | {name: kind(**known[name]) for name, kind in stages.items() if name in known})
+    return MoshSettings(
+        **known | {name: kind(**known[name]) for name, kind in stages.items() if name in known}
+    )

@@ -1,4 +1,6 @@
-"""The shape stage: betas, latent markers and the poses of a few frames (M 6, "Body Shape and Latent Markers")."""
+"""The shape stage: betas, latent markers and the poses of a few frames (M 6, "Body Shape and Latent
+Markers").
+"""
 
 from dataclasses import dataclass
 
@@ -19,7 +21,9 @@ from habitus.solve.terms import Term
 
 @dataclass(frozen=True)
 class Placement:
-    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads (M,), metres."""
+    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads
+    (M,), metres.
+    """
 
     vertices: np.ndarray
     distance: np.ndarray
@@ -29,12 +33,16 @@ class Placement:
 
 def place(layout: MarkerLayout, body: BodyModel) -> Placement:
     """The layout's markers on this body's template."""
-    return Placement(layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads())
+    return Placement(
+        layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads()
+    )
 
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """Result of the shape stage: betas (B,), latent_markers (M, 3), pose (F, J, 3), trans (F, 3) and how it ended."""
+    """Result of the shape stage: betas (B,), latent_markers (M, 3), pose (F, J, 3), trans (F, 3)
+    and how it ended.
+    """
 
     betas: np.ndarray
     latent_markers: np.ndarray
@@ -57,18 +65,23 @@ def shape_stage(
 ) -> ShapeFit:
     """Betas, latent markers and poses from F frames, the priors' weights annealed (M 6).
 
-    observed (F, M, 3), NaN where missing; prior for the body's joints; pose (F, J, 3) and trans (F, 3) to start from.
-    The closest triangle of each latent marker and its local basis are found again as the solve goes.
+    observed (F, M, 3), NaN where missing; prior for the body's joints; pose (F, J, 3) and trans (F,
+    3) to start from. The closest triangle of each latent marker and its local basis are found again
+    as the solve goes.
     """
     betas = np.zeros(body.num_betas)
     latent = default_markers(body, betas, placement.vertices, placement.distance)
     unknowns = {"betas": betas, "latent_markers": latent, "pose": pose, "trans": trans}
     visible = np.isfinite(observed[..., 0]).astype(float)
-    filled, iterations, last = np.nan_to_num(observed), 0, len(settings.annealing) - 1
+    filled = np.nan_to_num(observed)
+    iterations = 0
+    last = len(settings.annealing) - 1
     for step in [*range(last), last, last, last]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         weights = visible * _robust_weights(markers(**unknowns) - filled, step, settings)
-        terms = shape_terms(body, markers, placement, filled, weights, prior, settings, settings.annealing[step])
+        terms = shape_terms(
+            body, markers, placement, filled, weights, prior, settings, settings.annealing[step]
+        )
         result = minimize(
             terms,
             unknowns,
@@ -78,7 +91,8 @@ def shape_stage(
             tolerances=Tolerances(cost=3e-5 if step == last else 1e-3),
             stretch=False,
         )
-        unknowns, iterations = result.values, iterations + result.iterations
+        unknowns = result.values
+        iterations = iterations + result.iterations
     return ShapeFit(
         **unknowns,
         attachment=_attached(body, unknowns),
@@ -98,14 +112,23 @@ def shape_terms(
     settings: MoshSettings,
     prior_scale: float,
 ) -> dict[str, Term]:
-    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0 where missing."""
-    lam, place = settings.shape, placement
+    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
+    where missing.
+    """
+    lam = settings.shape
+    place = placement
     return {
         "data": energy.data(markers, observed, weights, lam.data),
-        "surface": energy.surface_distance(body, place.distance, place.distance_spread, lam.surface),
-        "start": energy.start_place(body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start),
+        "surface": energy.surface_distance(
+            body, place.distance, place.distance_spread, lam.surface
+        ),
+        "start": energy.start_place(
+            body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start
+        ),
         "betas": energy.shape_prior(body.num_betas, prior_scale * lam.betas),
-        "pose": energy.pose_prior(prior.mean, prior.whitening, len(observed), prior_scale * lam.pose),
+        "pose": energy.pose_prior(
+            prior.mean, prior.whitening, len(observed), prior_scale * lam.pose
+        ),
     }
 
 
@@ -114,7 +137,9 @@ def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachm
 
 
 def _robust_weights(residual: np.ndarray, step: int, settings: MoshSettings) -> np.ndarray:
-    """Geman-McClure weights (F, M) of the residuals so far, wide at first; the first step trusts every marker."""
+    """Geman-McClure weights (F, M) of the residuals so far, wide at first; the first step trusts
+    every marker.
+    """
     if step == 0:
         return np.ones(residual.shape[:2])
     scale = max(settings.robust_scale[1], 0.3 / step)

@@ -1,6 +1,8 @@
-"""Where a fit begins: the root from the trunk's markers by Procrustes, the joints from the best of a few plain poses.
+"""Where a fit begins: the root from the trunk's markers by Procrustes, the joints from the best of
+a few plain poses.
 
-No T-pose is needed: each frame tries every plain pose, standing, sitting, crouching or with arms up, from any side.
+No T-pose is needed: each frame tries every plain pose, standing, sitting, crouching or with arms
+up, from any side.
 """
 
 import numpy as np
@@ -23,19 +25,33 @@ TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_c
 PLAIN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"shoulder": (0.0, 0.0, -1.2), "elbow": (0.0, -0.2, 0.0)},
     {},
-    {"hip": (-1.5, 0.0, 0.1), "knee": (1.5, 0.0, 0.0), "shoulder": (0.0, -0.5, -1.0), "elbow": (0.0, -0.8, 0.0)},
-    {"hip": (-0.9, 0.0, 0.2), "knee": (1.2, 0.0, 0.0), "shoulder": (0.0, -1.2, 0.0), "elbow": (0.0, -0.5, 0.0)},
+    {
+        "hip": (-1.5, 0.0, 0.1),
+        "knee": (1.5, 0.0, 0.0),
+        "shoulder": (0.0, -0.5, -1.0),
+        "elbow": (0.0, -0.8, 0.0),
+    },
+    {
+        "hip": (-0.9, 0.0, 0.2),
+        "knee": (1.2, 0.0, 0.0),
+        "shoulder": (0.0, -1.2, 0.0),
+        "elbow": (0.0, -0.5, 0.0),
+    },
     {"shoulder": (0.0, -0.3, 1.0), "elbow": (0.0, -0.5, 0.0)},
 )
 
 
-def plain_pose(joint_names: tuple[str, ...], angles: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, "J 3"]:
+def plain_pose(
+    joint_names: tuple[str, ...], angles: dict[str, tuple[float, float, float]]
+) -> Float[np.ndarray, "J 3"]:
     """A symmetric pose from the left side's joint angles."""
     pose = np.zeros((len(joint_names), 3))
     for k, name in enumerate(joint_names):
         side, _, part = name.rpartition("_")
         if side in ("left", "right") and part in angles:
-            pose[k] = np.array(angles[part]) * (1.0 if side == "left" else np.array([1.0, -1.0, -1.0]))
+            pose[k] = np.array(angles[part]) * (
+                1.0 if side == "left" else np.array([1.0, -1.0, -1.0])
+            )
     return pose
 
 
@@ -46,9 +62,11 @@ def start_frames(
     observed: Float[np.ndarray, "F M 3"],
     prior: PosePrior,
 ) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
-    """Pose and trans of single frames, each solved by itself from every plain pose; the cheapest is kept.
+    """Pose and trans of single frames, each solved by itself from every plain pose; the cheapest is
+    kept.
 
-    trunk: (M,) weight of each marker in the alignment of the root (1 on the trunk, small elsewhere).
+    trunk: (M,) weight of each marker in the alignment of the root (1 on the trunk, small
+    elsewhere).
     """
     tries = []
     for angles in PLAIN_POSES:
@@ -57,10 +75,14 @@ def start_frames(
         for firmness in (20.0, 1.0):
             apart = SequenceSettings(pose=firmness, acceleration=0.0, options=ROUGH)
             result = fit_sequence(rig, observed, None, None, prior, pose, trans, apart)
-            pose, trans = result.pose, result.trans
+            pose = result.pose
+            trans = result.trans
         tries.append(result)
-    best, frames = np.argmin([result.frame_costs for result in tries], axis=0), np.arange(len(observed))
-    return np.stack([r.pose for r in tries])[best, frames], np.stack([r.trans for r in tries])[best, frames]
+    best = np.argmin([result.frame_costs for result in tries], axis=0)
+    frames = np.arange(len(observed))
+    return np.stack([r.pose for r in tries])[best, frames], np.stack([r.trans for r in tries])[
+        best, frames
+    ]
 
 
 def start_sequence(
@@ -69,18 +91,25 @@ def start_sequence(
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "T M 3"],
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
-    """A start for every frame: the known or plain pose that fits best every few frames, the root aligned in all.
+    """A start for every frame: the known or plain pose that fits best every few frames, the root
+    aligned in all.
 
-    known_poses: those of the shape stage. Frames with too few markers start on the straight way between those
-    with enough. The whole-sequence solve begins with every 16th frame, then goes finer.
+    known_poses: those of the shape stage. Frames with too few markers start on the straight way
+    between those with enough. The whole-sequence solve begins with every 16th frame, then goes
+    finer.
     """
     enough = ~few_markers(observed)
-    bank, everywhere = _bank(known_poses, joint_names), np.ones(observed.shape[1])
+    bank = _bank(known_poses, joint_names)
+    everywhere = np.ones(observed.shape[1])
     looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), LOOK_STEP))
     misfit = []
     for known in bank:
         pose = np.repeat(known[None], len(looked_at), axis=0)
-        misfit.append(_misfit(rig, *align_root(rig, pose, observed[looked_at], everywhere), observed[looked_at]))
+        misfit.append(
+            _misfit(
+                rig, *align_root(rig, pose, observed[looked_at], everywhere), observed[looked_at]
+            )
+        )
     nearest = np.argmin(misfit, axis=0)
     pose = np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)]
     pose, trans = align_root(rig, pose, observed, everywhere)
@@ -94,7 +123,9 @@ def start_frame(
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "M 3"],
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]]:
-    """`start_sequence` of a single frame: pose and trans; all poses are tried at once, as a stream has no time."""
+    """`start_sequence` of a single frame: pose and trans; all poses are tried at once, as a stream
+    has no time.
+    """
     bank = _bank(known_poses, joint_names)
     each = np.repeat(observed[None], len(bank), axis=0)
     pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
@@ -104,7 +135,9 @@ def start_frame(
 
 def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
     """The poses that a start may begin with."""
-    return np.concatenate([known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]])
+    return np.concatenate(
+        [known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]]
+    )
 
 
 def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -116,7 +149,9 @@ def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     return np.where(wanted - before <= frames[after] - wanted, before, frames[after])
 
 
-def _misfit(rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray) -> np.ndarray:
+def _misfit(
+    rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray
+) -> np.ndarray:
     """(F,) mean distance of a frame's visible markers from the predicted ones, metres."""
     distance = np.linalg.norm(predict(rig, pose, trans) - observed, axis=2)
     return np.nan_to_num(distance).sum(axis=1) / np.maximum(np.isfinite(distance).sum(axis=1), 1)
@@ -128,7 +163,9 @@ def align_root(
     observed: Float[np.ndarray, "F M 3"],
     trunk: Float[np.ndarray, " M"],
 ) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
-    """``pose`` with its root turned, and trans, so that the trunk's markers fall on the observed ones (Procrustes)."""
+    """``pose`` with its root turned, and trans, so that the trunk's markers fall on the observed
+    ones (Procrustes).
+    """
     upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)
     reference = predict(rig, upright, np.zeros((len(pose), 3)))
     weights = np.where(np.isfinite(observed[..., 0]), trunk, 0.0)
@@ -141,6 +178,8 @@ def align_root(
 
 def trunk_weights(body: BodyModel, vertices: Int[np.ndarray, " M"]) -> np.ndarray:
     """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
-    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[:, 0]
+    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[
+        :, 0
+    ]
     on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[vertices]]
     return np.where(on_trunk, 1.0, 0.02)

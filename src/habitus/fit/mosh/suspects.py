@@ -1,4 +1,6 @@
-"""Markers that do not do what their label says: swapped pairs, fallen, drifting and ghost markers."""
+"""Markers that do not do what their label says: swapped pairs, fallen, drifting and ghost
+markers.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +13,8 @@ from habitus.residuals.robust import geman_mcclure_weight
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
 QUARTER_TO_SD = 1.0 / np.sqrt(1.2125)  # and its lower quartile
 SMALLEST_NOISE = 2e-3
-FEWEST_FRAMES, FEWEST_SHARE = 3, 0.01  # a marker that errs in fewer is no suspect
+FEWEST_FRAMES = 3
+FEWEST_SHARE = 0.01  # a marker that errs in fewer is no suspect
 FRAMES = 1024  # are looked at together for pairs that are exchanged
 GROSS = 0.06  # metres: further than skin moves and models err
 
@@ -21,7 +24,9 @@ FAR_PLACE = 5.5  # in spreads of the layout's place: further than technicians an
 
 @dataclass(frozen=True)
 class Suspect:
-    """A marker under suspicion: label, why, in how many frames, and whether it was put right before the fit."""
+    """A marker under suspicion: label, why, in how many frames, and whether it was put right before
+    the fit.
+    """
 
     label: str
     reason: str
@@ -43,7 +48,9 @@ def marker_noise(distance: np.ndarray) -> np.ndarray:
 
 
 def _quarter_and_half(distance: np.ndarray) -> np.ndarray:
-    return np.nanquantile(distance, [0.25, 0.5]) if np.isfinite(distance).any() else np.full(2, np.nan)
+    return (
+        np.nanquantile(distance, [0.25, 0.5]) if np.isfinite(distance).any() else np.full(2, np.nan)
+    )
 
 
 def lengths(off: np.ndarray) -> np.ndarray:
@@ -51,11 +58,15 @@ def lengths(off: np.ndarray) -> np.ndarray:
     return mapped(lambda part: np.linalg.norm(part, axis=2), off)
 
 
-def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) -> list[tuple[int, int, np.ndarray]]:
-    """Pairs of markers that fit far better with their labels exchanged: (i, j, frames (T,) bool), worst first.
+def find_swaps(
+    observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5
+) -> list[tuple[int, int, np.ndarray]]:
+    """Pairs of markers that fit far better with their labels exchanged: (i, j, frames (T,) bool),
+    worst first.
 
-    observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the summed distance by
-    more than GROSS/2 and to less than half. Pairs that are further apart than ``reach`` are not looked at.
+    observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the
+    summed distance by more than GROSS/2 and to less than half. Pairs that are further apart than
+    ``reach`` are not looked at.
     """
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
@@ -66,15 +77,23 @@ def find_swaps(observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5) 
         better[part] = _crossed(observed[part], predicted[part], first, second)
         counts += better[part].sum(axis=0)
         release(better, observed, predicted)
-    found = [(int(first[k]), int(second[k]), better[:, k].copy()) for k in np.flatnonzero(counts >= 3)]
+    found = [
+        (int(first[k]), int(second[k]), better[:, k].copy()) for k in np.flatnonzero(counts >= 3)
+    ]
     return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
 
 
-def _crossed(observed: np.ndarray, predicted: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _crossed(
+    observed: np.ndarray, predicted: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> np.ndarray:
     """(T, P) where the markers of each pair fit far better exchanged."""
-    own, better = np.linalg.norm(observed - predicted, axis=2), np.zeros((len(observed), len(first)), bool)
-    frames, pairs = np.nonzero(own[:, first] + own[:, second] > GROSS / 2)  # NaN compares false; most pairs fit well
-    i, j = first[pairs], second[pairs]
+    own = np.linalg.norm(observed - predicted, axis=2)
+    better = np.zeros((len(observed), len(first)), bool)
+    frames, pairs = np.nonzero(
+        own[:, first] + own[:, second] > GROSS / 2
+    )  # NaN compares false; most pairs fit well
+    i = first[pairs]
+    j = second[pairs]
     crossed = np.linalg.norm(observed[frames, i] - predicted[frames, j], axis=1)
     crossed += np.linalg.norm(observed[frames, j] - predicted[frames, i], axis=1)
     straight = own[frames, i] + own[frames, j]
@@ -100,7 +119,9 @@ def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -
     return out
 
 
-def put_back(labels: tuple[str, ...], swaps: Sequence[tuple[int, int, np.ndarray]]) -> list[Suspect]:
+def put_back(
+    labels: tuple[str, ...], swaps: Sequence[tuple[int, int, np.ndarray]]
+) -> list[Suspect]:
     """Both markers of each exchanged pair, as corrected."""
     return [
         Suspect(labels[a], f"swapped with {labels[b]}; exchanged back", int(frames.sum()), True)
@@ -110,19 +131,27 @@ def put_back(labels: tuple[str, ...], swaps: Sequence[tuple[int, int, np.ndarray
 
 
 def suspects(
-    labels: tuple[str, ...], off: np.ndarray, scale: np.ndarray, swaps: list, drifts: Sequence[tuple[int, float]] = ()
+    labels: tuple[str, ...],
+    off: np.ndarray,
+    scale: np.ndarray,
+    swaps: list,
+    drifts: Sequence[tuple[int, float]] = (),
 ) -> tuple[Suspect, ...]:
-    """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back (`find_swaps`), and
-    markers that slide, with how far (m).
+    """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back
+    (`find_swaps`), and markers that slide, with how far (m).
     """
-    found, distance = put_back(labels, swaps), lengths(off)
+    found = put_back(labels, swaps)
+    distance = lengths(off)
     for marker, way in drifts:
         reason = f"drift: slid {1e3 * way:.0f} mm over the skin through the capture"
         found.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
     sliding = {marker for marker, _ in drifts}
     typical = np.nanmedian(distance)
-    for k, (label, away, size) in enumerate(zip(labels, columns(off), columns(distance), strict=True)):
-        seen, rejected = np.isfinite(size), geman_mcclure_weight(size, scale[k]) < 0.25
+    for k, (label, away, size) in enumerate(
+        zip(labels, columns(off), columns(distance), strict=True)
+    ):
+        seen = np.isfinite(size)
+        rejected = geman_mcclure_weight(size, scale[k]) < 0.25
         bad = _beyond_doubt(away, size, rejected & seen)
         if k in sliding or bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
             continue
@@ -133,13 +162,14 @@ def suspects(
 def _beyond_doubt(off: np.ndarray, distance: np.ndarray, bad: np.ndarray) -> np.ndarray:
     """Of the frames in which a marker lies far off those that its own movement does not explain.
 
-    A run of frames stays if the marker is very far off in it, or came or went at a jump, or for most of the capture:
-    skin and models err smoothly.
+    A run of frames stays if the marker is very far off in it, or came or went at a jump, or for
+    most of the capture: skin and models err smoothly.
     """
     frames = np.flatnonzero(np.isfinite(distance))
     if 2 * bad.sum() > len(frames):
         return bad
-    out, doubted = np.zeros_like(bad), bad[frames]
+    out = np.zeros_like(bad)
+    doubted = bad[frames]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], doubted, [False]]).astype(np.int8)))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         run = frames[first:last]
@@ -159,34 +189,47 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
     after = seen.copy()
     after[:first] = False
     if bad[after].mean() > 0.8 and share > 0.05:
-        last, early = distance[seen][-max(3, seen.sum() // 10) :], distance[bad][: max(3, bad.sum() // 10)]
-        growing = np.median(distance[bad]) < 3 * GROSS and np.nanmedian(last) > 2 * np.nanmedian(early)
+        last = distance[seen][-max(3, seen.sum() // 10) :]
+        early = distance[bad][: max(3, bad.sum() // 10)]
+        growing = np.median(distance[bad]) < 3 * GROSS and np.nanmedian(last) > 2 * np.nanmedian(
+            early
+        )
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
 
 
-def far_placements(latent: np.ndarray, start: np.ndarray, spread: np.ndarray, distance: np.ndarray) -> tuple[int, ...]:
-    """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the ones it means.
+def far_placements(
+    latent: np.ndarray, start: np.ndarray, spread: np.ndarray, distance: np.ndarray
+) -> tuple[int, ...]:
+    """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the
+    ones it means.
 
-    Half as far is too far where the residual lengths (F, M), NaN where missing, are long beside other markers'.
-    spread (M,): of the layout's places, metres.
+    Half as far is too far where the residual lengths (F, M), NaN where missing, are long beside
+    other markers'. spread (M,): of the layout's places, metres.
     """
-    away, seen = np.linalg.norm(latent - start, axis=1), np.isfinite(distance)
+    away = np.linalg.norm(latent - start, axis=1)
+    seen = np.isfinite(distance)
     mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     rough = (mean > GROSS / 4) & (mean > UNLIKE * np.median(mean))
     limit = np.where(rough, 0.5, 1.0)
-    return tuple(np.flatnonzero((away > limit * 2 * GROSS) & (away > limit * FAR_PLACE * spread)).tolist())
+    return tuple(
+        np.flatnonzero((away > limit * 2 * GROSS) & (away > limit * FAR_PLACE * spread)).tolist()
+    )
 
 
-def crossed_placements(latent: np.ndarray, start: np.ndarray, shift: float = 0.04) -> tuple[tuple[int, int], ...]:
-    """Pairs of labels exchanged throughout: their latent markers (M, 3) sit at each other's places ``start`` (M, 3).
+def crossed_placements(
+    latent: np.ndarray, start: np.ndarray, shift: float = 0.04
+) -> tuple[tuple[int, int], ...]:
+    """Pairs of labels exchanged throughout: their latent markers (M, 3) sit at each other's places
+    ``start`` (M, 3).
 
-    A pair counts when exchanging it shortens the summed way from the layout's places by more than ``shift`` and to less
-    than half.
+    A pair counts when exchanging it shortens the summed way from the layout's places by more than
+    ``shift`` and to less than half.
     """
     own = np.linalg.norm(latent - start, axis=1)
     way = np.linalg.norm(latent[:, None] - start[None], axis=2)
-    straight, crossed = own[:, None] + own[None], way + way.T
+    straight = own[:, None] + own[None]
+    crossed = way + way.T
     better = np.triu((crossed < 0.5 * straight) & (straight - crossed > shift), 1)
     pairs = sorted(zip(*np.nonzero(better), strict=True), key=lambda p: crossed[p] - straight[p])
     chosen: list[tuple[int, int]] = []

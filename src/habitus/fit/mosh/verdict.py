@@ -7,7 +7,9 @@ GOOD, DOUBTFUL, FAILED = LEVELS = ("good", "doubtful", "failed")
 
 @dataclass(frozen=True)
 class Verdict:
-    """A fit's level, ``good``, ``doubtful`` or ``failed``, and the reasons, the gravest first, a sentence each."""
+    """A fit's level, ``good``, ``doubtful`` or ``failed``, and the reasons, the gravest first, a
+    sentence each.
+    """
 
     level: str
     reasons: tuple[str, ...]

@@ -1,4 +1,6 @@
-"""Compile or load every kernel before anything is timed, so that a stage's seconds are those of its work."""
+"""Compile or load every kernel before anything is timed, so that a stage's seconds are those of its
+work.
+"""
 
 import time
 
@@ -13,7 +15,8 @@ from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
 from habitus.solve.sequence.solver import SequenceOptions
 
-FRAMES, MARKERS = 4, 2
+FRAMES = 4
+MARKERS = 2
 
 
 def warm_up(body: BodyModel) -> float:
@@ -24,8 +27,10 @@ def warm_up(body: BodyModel) -> float:
     latent = default_markers(body, betas, vertices, np.full(MARKERS, 0.01))
     rig = marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
     prior = PosePrior((), np.zeros(0), np.zeros((0, 0))).for_joints(body.joint_names)
-    pose, trans = np.zeros((FRAMES, body.num_joints, 3)), np.zeros((FRAMES, 3))
-    soft, scales = np.zeros((FRAMES, body.num_betas)), np.full(MARKERS, 0.1)
+    pose = np.zeros((FRAMES, body.num_joints, 3))
+    trans = np.zeros((FRAMES, 3))
+    soft = np.zeros((FRAMES, body.num_betas))
+    scales = np.full(MARKERS, 0.1)
     observed = predict(rig, pose, trans, soft)
     body(betas, pose[0], trans[0])
     brief = SequenceSettings(options=SequenceOptions(strides=(1,), sweeps=1))

@@ -1,4 +1,6 @@
-"""MoSh's weights as one flat set of numbers, and the stages that each of them belongs to (M 6, T 3.6)."""
+"""MoSh's weights as one flat set of numbers, and the stages that each of them belongs to (M 6, T
+3.6).
+"""
 
 import math
 from dataclasses import dataclass, fields
@@ -9,10 +11,11 @@ from habitus.fit.mosh.settings import PoseWeights, ShapeWeights
 
 @dataclass(frozen=True)
 class MoshWeights:
-    """Weights (lambda) of MoSh's energy terms, as the papers state them: lengths in cm, angles in radians.
+    """Weights (lambda) of MoSh's energy terms, as the papers state them: lengths in cm, angles in
+    radians.
 
-    A weight multiplies the squared residual; 0 switches a term off. Raises HabitusError for a weight that is negative
-    or not finite.
+    A weight multiplies the squared residual; 0 switches a term off. Raises HabitusError for a
+    weight that is negative or not finite.
     """
 
     data: float = 0.75
@@ -28,7 +31,8 @@ class MoshWeights:
     pose: float = 1.0
     """E_theta, the pose prior (M eq. 7): pose and soft-tissue stages."""
     acceleration: float = 6.25
-    """E_u, the change of the pose's velocity between frames (M eq. 8): pose and soft-tissue stages."""
+    """E_u, the change of the pose's velocity between frames (M eq. 8): pose and soft-tissue stages.
+    """
     soft_tissue: float = 0.25
     """E_Delta, the soft tissue's offsets of the betas (M eq. 10): soft-tissue stage."""
 
@@ -36,7 +40,9 @@ class MoshWeights:
         for field in fields(self):
             value = getattr(self, field.name)
             if not (isinstance(value, int | float) and math.isfinite(value) and value >= 0):
-                raise HabitusError(f"the weight {field.name} is {value!r}; expected a finite number of 0 or more")
+                raise HabitusError(
+                    f"the weight {field.name} is {value!r}; expected a finite number of 0 or more"
+                )
 
     @property
     def shape_stage(self) -> ShapeWeights:

@@ -1,4 +1,6 @@
-"""A scan as it comes made ready: metres, without floor and islands, with outward normals, in random order."""
+"""A scan as it comes made ready: metres, without floor and islands, with outward normals, in random
+order.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -23,13 +25,15 @@ KEPT = 40_000
 FLOOR_SHARE, FLOOR_BAND, FLOOR_TRIES = 0.08, 0.006, 200
 """Of the points at least so many lie in a floor, which is so thick (of the scan's extent)."""
 ISLAND_LINK, ISLAND_NEAR, ISLAND_SHARE = 0.03, 0.06, 0.004
-"""Of the extent: points so near are of one piece, and pieces so near the largest are of the person, if they have at
-least that share of its points."""
+"""Of the extent: points so near are of one piece, and pieces so near the largest are of the person,
+if they have at least that share of its points.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """A scan in metres, in its own axes, what of it is fitted, and whither the floor's normal points, if there is one.
+    """A scan in metres, in its own axes, what of it is fitted, and whither the floor's normal
+    points, if there is one.
 
     ``kept`` are the rows of ``scan.points`` that are of the person.
     """
@@ -45,14 +49,19 @@ class Cleaned:
 def cleaned(scan: Scan, unit: str = "auto", seed: int = 0) -> Cleaned:
     """The scan made ready to be fitted.
 
-    Raises HabitusError for too few points, numbers that are not finite, and sizes that no person has in any unit.
+    Raises HabitusError for too few points, numbers that are not finite, and sizes that no person
+    has in any unit.
     """
     if unit != "auto" and unit not in UNITS:
         raise HabitusError(f"unit is {unit!r}; expected auto, {', '.join(UNITS)}")
     finite = np.isfinite(scan.points).all(1)
     if finite.sum() < FEWEST:
-        raise HabitusError(f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, {FEWEST} at least")
-    rng, notes = np.random.default_rng(seed), []
+        raise HabitusError(
+            f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, {FEWEST} at "
+            "least"
+        )
+    rng = np.random.default_rng(seed)
+    notes = []
     kept = finite.copy()
     some = np.flatnonzero(finite)
     some = some[rng.permutation(len(some))[:20_000]]
@@ -61,15 +70,23 @@ def cleaned(scan: Scan, unit: str = "auto", seed: int = 0) -> Cleaned:
         normal, height, band = floor
         kept &= scan.points @ normal > height + band
         if kept.sum() < FEWEST:
-            raise HabitusError(f"{scan.name}: a plane and nothing else; expected the scan of a person")
-        notes.append(f"a floor with {(finite & ~kept).sum() / finite.sum():.0%} of the points was left out")
+            raise HabitusError(
+                f"{scan.name}: a plane and nothing else; expected the scan of a person"
+            )
+        notes.append(
+            f"a floor with {(finite & ~kept).sum() / finite.sum():.0%} of the points was left out"
+        )
     islands = _off(scan.points, kept, rng)
     if islands.any():
-        notes.append(f"islands with {islands.sum() / max(kept.sum(), 1):.1%} of the points were left out")
+        notes.append(
+            f"islands with {islands.sum() / max(kept.sum(), 1):.1%} of the points were left out"
+        )
         kept &= ~islands
     scale, said = _scale(scan, kept, unit)
     cloud = _cloud(scan, kept, scale, rng)
-    return Cleaned(scan, cloud, kept, scale, None if floor is None else floor[0], (*scan.notes, *said, *notes))
+    return Cleaned(
+        scan, cloud, kept, scale, None if floor is None else floor[0], (*scan.notes, *said, *notes)
+    )
 
 
 def _scale(scan: Scan, kept: np.ndarray, unit: str) -> tuple[float, list[str]]:
@@ -82,14 +99,21 @@ def _scale(scan: Scan, kept: np.ndarray, unit: str) -> tuple[float, list[str]]:
     if unit != "auto":
         size = extent * UNITS[unit]
         if not LEAST <= size <= MOST:
-            raise HabitusError(f"{scan.name}: {size:.3g} m large in {unit}; expected a person, {LEAST} to {MOST} m")
+            raise HabitusError(
+                f"{scan.name}: {size:.3g} m large in {unit}; expected a person, {LEAST} to {MOST} m"
+            )
         return UNITS[unit], []
     for name in ("m", "cm", "mm"):
         if LEAST <= extent * UNITS[name] <= MOST:
-            said = [] if name == "m" else [f"its numbers are read as {name}: {extent * UNITS[name]:.2f} m large"]
+            said = (
+                []
+                if name == "m"
+                else [f"its numbers are read as {name}: {extent * UNITS[name]:.2f} m large"]
+            )
             return UNITS[name], said
     raise HabitusError(
-        f"{scan.name}: {extent:.4g} large; expected a person of {LEAST} to {MOST} m in m, cm or mm; "
+        f"{scan.name}: {extent:.4g} large; expected a person of {LEAST} to {MOST} m in m, cm or "
+        "mm; "
         "say the unit, and cut away what is not the person"
     )
 
@@ -106,7 +130,8 @@ def _cloud(scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator)
         return Cloud(points, outward(points, normals, near))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     good = length[:, 0] > 0.5
-    points, normals = points[good], normals[good] / length[good]
+    points = points[good]
+    normals = normals[good] / length[good]
     near = cKDTree(points).query(points, k=min(16, len(points)))[1]
     return Cloud(points, outward(points, normals, near, carry=False))
 
@@ -114,10 +139,13 @@ def _cloud(scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator)
 def find_floor(
     points: Float[np.ndarray, "N 3"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
-    """Normal (towards the person), place along it and thickness of a plane that bounds the scan; None without one."""
+    """Normal (towards the person), place along it and thickness of a plane that bounds the scan;
+    None without one.
+    """
     extent = float(np.ptp(points, axis=0).max())
     band = FLOOR_BAND * extent
-    best, found = 0, None
+    best = 0
+    found = None
     for _ in range(FLOOR_TRIES):
         a, b, c = points[rng.integers(0, len(points), 3)]
         normal = np.cross(b - a, c - a)
@@ -128,10 +156,12 @@ def find_floor(
         along = points @ normal
         inside = np.abs(along - a @ normal) < 0.5 * band
         if inside.sum() > max(best, FLOOR_SHARE * len(points)):
-            above, below = (along > a @ normal + band).mean(), (along < a @ normal - band).mean()
+            above = (along > a @ normal + band).mean()
+            below = (along < a @ normal - band).mean()
             if min(above, below) < 0.01 < max(above, below) and _wide(points[inside], extent):
                 sign = 1.0 if above > below else -1.0
-                best, found = int(inside.sum()), (sign * normal, float(sign * (a @ normal)), band)
+                best = int(inside.sum())
+                found = (sign * normal, float(sign * (a @ normal)), band)
     return found
 
 
@@ -167,10 +197,20 @@ def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool
 
 
 def turned(one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Cloud]:
-    """The scan with ``turn`` (3, 3) made upright, in metres: what of it is of the person, and what is fitted."""
+    """The scan with ``turn`` (3, 3) made upright, in metres: what of it is of the person, and what
+    is fitted.
+    """
     motion = np.eye(4)
     motion[:3, :3] = one.scale * turn
-    scan, kept = one.scan, one.kept
+    scan = one.scan
+    kept = one.kept
     points = one.scale * scan.points[kept] @ turn.T
-    whole = replace(scan, points=points, normals=None, faces=None, to_body=motion @ scan.to_body, notes=one.notes)
+    whole = replace(
+        scan,
+        points=points,
+        normals=None,
+        faces=None,
+        to_body=motion @ scan.to_body,
+        notes=one.notes,
+    )
     return whole, Cloud(one.cloud.points @ turn.T, one.cloud.normals @ turn.T)

@@ -1,10 +1,11 @@
-"""Surfaces of one person's scans moved along the skin until their colours agree (the appearance term of Bogo et al.).
+"""Surfaces of one person's scans moved along the skin until their colours agree (the appearance
+term of Bogo et al.).
 
     sum_pc w_p (grad T_c . u(b_p) - (T_c - tone_pc))^2 / s_c^2 + u^T Q u,    x = x_0 + u
 
-x_0 is the surface that geometry found, u (V, 3) how far it slides from there along itself, Q a Matern field's
-precision: slides are alike over a limb. Coarse to fine, the texture built anew each time, first with pose and shape,
-then the surface alone.
+x_0 is the surface that geometry found, u (V, 3) how far it slides from there along itself, Q a
+Matern field's precision: slides are alike over a limb. Coarse to fine, the texture built anew each
+time, first with pose and shape, then the surface alone.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,14 @@ from habitus.fit.registration.free_surface import factored, free_surface
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState
 from habitus.fit.registration.nearest import Topology
 from habitus.fit.registration.offset_stage import STEPS, field_precision, fit_with_offsets
-from habitus.fit.registration.skin_colours import ColourCloud, Places, SharedSkin, Sight, colour_matches, find_skin
+from habitus.fit.registration.skin_colours import (
+    ColourCloud,
+    Places,
+    SharedSkin,
+    Sight,
+    colour_matches,
+    find_skin,
+)
 from habitus.fit.registration.skin_grid import SkinGrid
 from habitus.fit.registration.uncut import uncut
 from habitus.mesh.normals import vertex_normals
@@ -30,8 +38,10 @@ LOOSE = 0.002
 """Metres (sd) that the model's skin slides on the person's, whatever its pose."""
 WORTH = 1500.0
 """Coloured points that all of a scan count as for the model."""
-FREE, FREE_POINTS = FREE_STEPS[-1:], 20_000
-MODEL_POINTS, SURFACE_POINTS = 15_000, 60_000
+FREE = FREE_STEPS[-1:]
+FREE_POINTS = 20_000
+MODEL_POINTS = 15_000
+SURFACE_POINTS = 60_000
 COARSE, FINE = (2, 4), (4, 4)
 """Pieces an edge of the grids that pose and shape, and that surfaces are solved with."""
 
@@ -43,8 +53,11 @@ def agreeing(
     surfaces: Sequence[Float[np.ndarray, "V 3"]],
     coloured: Sequence[ColourCloud],
 ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-    """Pose and shape, then surfaces (m), of two scans or more whose colours agree, from where geometry has them."""
-    now, topology = list(surfaces), fitter.topology
+    """Pose and shape, then surfaces (m), of two scans or more whose colours agree, from where
+    geometry has them.
+    """
+    now = list(surfaces)
+    topology = fitter.topology
     places = Places.of(now[0], topology.faces, SURFACE_POINTS)
     some = Places.of(now[0], topology.faces, MODEL_POINTS)
     for n in COARSE:
@@ -53,7 +66,9 @@ def agreeing(
         matches = [_for_model(skin, k, some, models[k]) for k in range(len(clouds))]
         state, now = fit_with_offsets(fitter, state, clouds, STEPS[1:], matches)
     base = [
-        free_surface(topology, fitter.vertices(state, k), clouds[k].first(FREE_POINTS), start=now[k])
+        free_surface(
+            topology, fitter.vertices(state, k), clouds[k].first(FREE_POINTS), start=now[k]
+        )
         for k in range(len(clouds))
     ]
     now = base
@@ -61,7 +76,9 @@ def agreeing(
         skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
         matches = [colour_matches(skin, k, places, now[k], LOOSE) for k in range(len(clouds))]
         now = [slid(topology, base[k], clouds[k], matches[k]) for k in range(len(clouds))]
-    return state, [uncut(topology, fitter.vertices(state, k), surface) for k, surface in enumerate(now)]
+    return state, [
+        uncut(topology, fitter.vertices(state, k), surface) for k, surface in enumerate(now)
+    ]
 
 
 def colour_difference(skin: SharedSkin, k: int) -> float:
@@ -84,16 +101,19 @@ def shared_skin(
 def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointMatches:
     matches = colour_matches(skin, k, places, model, LOOSE)
     share = np.sqrt(min(1.0, WORTH / len(places.face)))
-    return PointMatches(matches.face, matches.barycentric, matches.target, share * matches.direction)
+    return PointMatches(
+        matches.face, matches.barycentric, matches.target, share * matches.direction
+    )
 
 
 def slid(
     topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointMatches
 ) -> Float[np.ndarray, "V 3"]:
-    """A surface slid along itself to where colours would have it, then put on the scan again along its normals.
+    """A surface slid along itself to where colours would have it, then put on the scan again along
+    its normals.
 
-    ``base`` is where geometry had it. Slides have no part across the skin: what a scan says of its own place must not
-    be made good by sliding.
+    ``base`` is where geometry had it. Slides have no part across the skin: what a scan says of its
+    own place must not be made good by sliding.
     """
     across = _across(topology, base)
     field = field_precision(topology, base, np.full(len(base), SLIDE), ALIKE)
@@ -111,10 +131,14 @@ def _across(topology: Topology, base: np.ndarray) -> csr_array:
     one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12)
     blocks = np.stack([one, np.cross(normal, one)], 2)
     numbers = np.arange(len(base) + 1)
-    return csr_array(bsr_array((blocks, numbers[:-1], numbers), shape=(3 * len(base), 2 * len(base))))
+    return csr_array(
+        bsr_array((blocks, numbers[:-1], numbers), shape=(3 * len(base), 2 * len(base)))
+    )
 
 
-def _rows(topology: Topology, matches: PointMatches, base: np.ndarray) -> tuple[csr_array, Float[np.ndarray, " R"]]:
+def _rows(
+    topology: Topology, matches: PointMatches, base: np.ndarray
+) -> tuple[csr_array, Float[np.ndarray, " R"]]:
     """Rows (P D, 3 V) of directions by vertices, and what they should be beyond the base's."""
     count, directions = matches.direction.shape[:2]
     blocks = matches.barycentric[:, None, :, None] * matches.direction[:, :, None, :]

@@ -1,6 +1,8 @@
-"""Hands and feet turned the wrong way: from where a fit has them each is tried in other ways, and the best stays.
+"""Hands and feet turned the wrong way: from where a fit has them each is tried in other ways, and
+the best stays.
 
-A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns it over.
+A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns
+it over.
 """
 
 from collections.abc import Mapping
@@ -16,17 +18,39 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 REACH = 0.13
 """Metres from the middle of a hand or foot within which points are looked at."""
-FEWEST, MOST, OTHERS = 40, 500, 500
+FEWEST = 40
+MOST = 500
+OTHERS = 500
 FAR = 0.03
 LOOSE, FIRM = 0.6, 0.03
 """Radians (sd): how far wrists, ankles and other joints may go from where they begin."""
-_WAYS = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 0.8, 0], [0, -0.8, 0], [0, 0, 0.8], [0, 0, -0.8], [3, 0, 0]])
-TRIES = {"left_wrist": _WAYS, "right_wrist": _WAYS, "left_ankle": 0.4 * _WAYS[:7], "right_ankle": 0.4 * _WAYS[:7]}
-"""Turns of hands and feet in their own axes (of a body in the T-pose), rad: x is about the forearm."""
+_WAYS = np.array(
+    [
+        [0, 0, 0],
+        [1, 0, 0],
+        [-1, 0, 0],
+        [0, 0.8, 0],
+        [0, -0.8, 0],
+        [0, 0, 0.8],
+        [0, 0, -0.8],
+        [3, 0, 0],
+    ]
+)
+TRIES = {
+    "left_wrist": _WAYS,
+    "right_wrist": _WAYS,
+    "left_ankle": 0.4 * _WAYS[:7],
+    "right_ankle": 0.4 * _WAYS[:7],
+}
+"""Turns of hands and feet in their own axes (of a body in the T-pose), rad: x is about the forearm.
+"""
 _TWISTS = np.array([[0, 0, 0], [0.8, 0, 0], [-0.8, 0, 0], [1.6, 0, 0], [-1.6, 0, 0]])
 ARMS = {f"{side}_{joint}": _TWISTS for joint in ("shoulder", "elbow") for side in ("left", "right")}
 """Turns of arms about themselves: the skin of an arm is much the same all around it."""
-STEPS = (ModelStep(5, MOST + OTHERS, 0.05, 0.005, 0.2, 0), ModelStep(3, MOST + OTHERS, 0.02, 0.005, 0.1, 0))
+STEPS = (
+    ModelStep(5, MOST + OTHERS, 0.05, 0.005, 0.2, 0),
+    ModelStep(3, MOST + OTHERS, 0.02, 0.005, 0.1, 0),
+)
 PER_NAT = 0.0003
 """Metres of mean distance of a hand's points that one unit of the prior's energy is worth."""
 
@@ -34,7 +58,9 @@ PER_NAT = 0.0003
 def with_extremities(
     fitter: ModelFitter, state: ModelState, cloud: Cloud, tries: Mapping[str, np.ndarray] = TRIES
 ) -> ModelState:
-    """The state of one scan with each hand and foot (or ``ARMS``), of which it shows enough, turned the best way."""
+    """The state of one scan with each hand and foot (or ``ARMS``), of which it shows enough, turned
+    the best way.
+    """
     names = fitter.body.joint_names
     for name, ways in tries.items():
         if name not in names:
@@ -47,7 +73,8 @@ def with_extremities(
             continue
         there = np.flatnonzero(near)[:MOST]
         rows = np.concatenate([there, np.arange(min(OTHERS, len(cloud.points)))])
-        few, looked = Cloud(cloud.points[rows], cloud.normals[rows]), Cloud(cloud.points[there], cloud.normals[there])
+        few = Cloud(cloud.points[rows], cloud.normals[rows])
+        looked = Cloud(cloud.points[there], cloud.normals[there])
         held = replace(fitter, prior=_held(state, names, joint))
         tried = [held.fit(_turned(state, joint, turn), [few], STEPS[:1]) for turn in ways]
         tried = sorted(tried, key=lambda one: _misfit(fitter, one, looked))[:2]
@@ -58,7 +85,8 @@ def with_extremities(
 
 def _hand(fitter: ModelFitter, joint: int) -> np.ndarray:
     """Vertices that ride on a joint or on what hangs on it."""
-    parents, mine = fitter.body.parents, [joint]
+    parents = fitter.body.parents
+    mine = [joint]
     for joint, parent in enumerate(parents):
         if parent in mine:
             mine.append(joint)
@@ -74,13 +102,17 @@ def _held(state: ModelState, names: tuple[str, ...], joint: int) -> PosePrior:
 
 def _turned(state: ModelState, joint: int, turn: Float[np.ndarray, " 3"]) -> ModelState:
     pose = state.pose.copy()
-    pose[0, joint] = rotvec_from_matrix(matrix_from_rotvec(pose[0, joint]) @ matrix_from_rotvec(turn))
+    pose[0, joint] = rotvec_from_matrix(
+        matrix_from_rotvec(pose[0, joint]) @ matrix_from_rotvec(turn)
+    )
     return replace(state, pose=pose)
 
 
 def _misfit(fitter: ModelFitter, state: ModelState, hand: Cloud) -> float:
     """Mean capped distance (m) of a hand's points, directions counted, and what the prior says."""
     found = fitter.matched(state, 0, hand)
-    apart = ((hand.points - found.place) ** 2).sum(1) + TURN**2 * 2.0 * (1.0 - np.clip(found.cosine, -1.0, 1.0))
+    apart = ((hand.points - found.place) ** 2).sum(1) + TURN**2 * 2.0 * (
+        1.0 - np.clip(found.cosine, -1.0, 1.0)
+    )
     off = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
     return float(np.minimum(np.sqrt(apart), FAR).mean() + PER_NAT * 0.5 * (off @ off))

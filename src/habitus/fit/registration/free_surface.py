@@ -1,14 +1,16 @@
-"""The surface let free from the model: moved along the model's normals to the scan, held by a thin plate (T 5.4).
+"""The surface let free from the model: moved along the model's normals to the scan, held by a thin
+plate (T 5.4).
 
     sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( E(h) + b E(h n) ),
     E(h) = |M^-1/2 L h|^2 + h^T L' h / r^2 + |M^1/2 h|^2 / R^4
 
-x = m + h n; m are the model's vertices, n its normals and h (V,) how far each goes along its own, L the cotangent
-Laplacian of m and M the areas of its vertices: the plate bends over about l = 3 cm at mu = 1. L' is the same where
-there is no scan, 0 elsewhere: what is not seen goes on as its border does, without the border's slope. The last term is
-there to have a solution at all. E(h n), the same of the offset as a vector, keeps what is thin or creased from swelling
-into itself. A scan without colours tells nothing of places along the skin beyond what the model found in it: a plate on
-offsets in all directions slides a calf's skin to the side sooner than it lets it swell.
+x = m + h n; m are the model's vertices, n its normals and h (V,) how far each goes along its own, L
+the cotangent Laplacian of m and M the areas of its vertices: the plate bends over about l = 3 cm at
+mu = 1. L' is the same where there is no scan, 0 elsewhere: what is not seen goes on as its border
+does, without the border's slope. The last term is there to have a solution at all. E(h n), the same
+of the offset as a vector, keeps what is thin or creased from swelling into itself. A scan without
+colours tells nothing of places along the skin beyond what the model found in it: a plate on offsets
+in all directions slides a calf's skin to the side sooner than it lets it swell.
 """
 
 from collections.abc import Sequence
@@ -32,7 +34,9 @@ LEVEL, BACK = 0.03, 0.6
 CREASE = 0.1
 """b."""
 FINE = 0.012
-"""Metres: where the mesh is finer, on fingers, toes and face, the plate is stiffer in proportion to the triangles."""
+"""Metres: where the mesh is finer, on fingers, toes and face, the plate is stiffer in proportion to
+the triangles.
+"""
 LEAST_COSINE = 0.5
 
 
@@ -55,7 +59,9 @@ def free_surface(
     steps: Sequence[FreeStep] = STEPS,
     start: Float[np.ndarray, "V 3"] | None = None,
 ) -> Float[np.ndarray, "V 3"]:
-    """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at ``start``."""
+    """The free vertices (m) of a scan whose model's are ``model``; they begin there, or at
+    ``start``.
+    """
     plate, area = _plate(topology, model)
     normal = vertex_normals(model, topology.faces)
     surface = model if start is None else start
@@ -69,11 +75,16 @@ def free_surface(
 
 
 def stretched_surface(
-    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud, steps: Sequence[FreeStep] = STRETCH_STEPS
+    topology: Topology,
+    surface: Float[np.ndarray, "V 3"],
+    cloud: Cloud,
+    steps: Sequence[FreeStep] = STRETCH_STEPS,
 ) -> Float[np.ndarray, "V 3"]:
-    """A free surface moved further, any way: for spread fingers, sleeves, what no offset along normals reaches.
+    """A free surface moved further, any way: for spread fingers, sleeves, what no offset along
+    normals reaches.
 
-    The plate is that of the further offset as a vector; where the surface lies on the scan already, little moves.
+    The plate is that of the further offset as a vector; where the surface lies on the scan already,
+    little moves.
     """
     plate, area = _plate(topology, surface)
     moved = surface
@@ -95,10 +106,14 @@ def _plate(topology: Topology, vertices: np.ndarray) -> tuple[csc_array, Float[n
     """The plate with the term that it needs to have a solution, and the areas of vertices."""
     laplacian, area = cotangent_laplacian(vertices, topology.faces)
     stiff = np.maximum(1.0, FINE**2 / area) / area
-    return csc_array(laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)), area
+    return csc_array(
+        laplacian.T @ diags_array(stiff) @ laplacian + diags_array(area / BACK**4)
+    ), area
 
 
-def _level(topology: Topology, vertices: np.ndarray, surface: np.ndarray, cloud: Cloud) -> csc_array:
+def _level(
+    topology: Topology, vertices: np.ndarray, surface: np.ndarray, cloud: Cloud
+) -> csc_array:
     """What levels the offset where there is no scan."""
     unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
     return cotangent_laplacian(vertices, topology.faces, unseen)[0] / LEVEL**2
@@ -110,8 +125,12 @@ def _solved(rows: csr_array, weight: np.ndarray, apart: np.ndarray, held: csc_ar
 
 
 def factored(matrix: csc_array) -> SuperLU:
-    """The factors of a symmetric positive definite matrix, which needs no pivots off its diagonal: they fill it."""
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    """The factors of a symmetric positive definite matrix, which needs no pivots off its diagonal:
+    they fill it.
+    """
+    return splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
 
 
 def _weights(cloud: Cloud, found: Nearest, reach: float) -> Float[np.ndarray, " P"]:
@@ -124,7 +143,9 @@ def _creased(energy: csc_array, normal: Float[np.ndarray, "V 3"]) -> csc_array:
     table = coo_array(energy)
     row, column = table.coords
     alike = np.einsum("ec,ec->e", normal[row], normal[column])
-    return csc_array(coo_array((table.data * (1.0 + CREASE * alike), (row, column)), shape=energy.shape))
+    return csc_array(
+        coo_array((table.data * (1.0 + CREASE * alike), (row, column)), shape=energy.shape)
+    )
 
 
 def _pulls(
@@ -144,17 +165,25 @@ def cotangent_laplacian(
     faces: Int[np.ndarray, "F 3"],
     share: Float[np.ndarray, " F"] | None = None,
 ) -> tuple[csc_array, Float[np.ndarray, " V"]]:
-    """The cotangent Laplacian (V, V; positive semidefinite) and the areas of vertices, m^2: a third of their faces'.
+    """The cotangent Laplacian (V, V; positive semidefinite) and the areas of vertices, m^2: a third
+    of their faces'.
 
     ``share``: how much each face counts in the Laplacian.
     """
-    count, corners = len(vertices), vertices[faces]
+    count = len(vertices)
+    corners = vertices[faces]
     double = np.maximum(np.linalg.norm(face_normals(vertices, faces), axis=1), 1e-12)
-    rows, columns, values = [], [], []
+    rows = []
+    columns = []
+    values = []
     for k in range(3):
-        i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
-        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0) * (1.0 if share is None else share)
+        i = faces[:, (k + 1) % 3]
+        j = faces[:, (k + 2) % 3]
+        a = corners[:, (k + 1) % 3] - corners[:, k]
+        b = corners[:, (k + 2) % 3] - corners[:, k]
+        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0) * (
+            1.0 if share is None else share
+        )
         rows += [i, j, i, j]
         columns += [j, i, i, j]
         values += [-half, -half, half, half]

@@ -22,7 +22,9 @@ LEAST_SEEN = (0.6, 0.15)
 LOST = (0.0025, 0.006)
 """The share of the scan that lies off the surface in one place: half a hand is 0.5 %."""
 CUTS = (40, 800)
-"""Pairs of triangles that cut each other in the surface and not in the model: skin that belongs elsewhere."""
+"""Pairs of triangles that cut each other in the surface and not in the model: skin that belongs
+elsewhere.
+"""
 MOST_BALLS = 1000
 LOST_AWAY, LOST_WIDE = 0.006, 0.06
 """Metres: how far off the surface, and in how large a ball."""
@@ -32,20 +34,46 @@ def judge_scan(fit: Any) -> Verdict:
     """The verdict on a `habitus.fit.registration.result.ScanFit`."""
     if not fit.person:
         return Verdict(
-            FAILED, ("nothing in the scan has the form of a person: no more than a rough start was fitted.",)
+            FAILED,
+            (
+                "nothing in the scan has the form of a person: no more than a rough start was "
+                "fitted.",
+            ),
         )
     betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     findings = [
-        _above(float(np.median(fit.to_model)), MODEL, "the model is {:.1f} mm from the scan (median)", 1e3),
+        _above(
+            float(np.median(fit.to_model)),
+            MODEL,
+            "the model is {:.1f} mm from the scan (median)",
+            1e3,
+        ),
         _below(fit.matched, MATCHED, "only {:.0f} % of the scan is a surface of the body", 100.0),
         _above(median, MEDIAN, "the surface is {:.1f} mm from the scan (median)", 1e3),
         _above(p95, P95, "a twentieth of the scan is {:.0f} mm or more from the surface", 1e3),
-        _above(fit.lost, LOST, "{:.1f} % of the scan lie together off the surface: a hand or foot is elsewhere", 100.0),
-        _above(fit.cuts, CUTS, "the surface cuts itself {:.0f} times: a hand or foot is elsewhere", 1.0),
+        _above(
+            fit.lost,
+            LOST,
+            "{:.1f} % of the scan lie together off the surface: a hand or foot is elsewhere",
+            100.0,
+        ),
+        _above(
+            fit.cuts, CUTS, "the surface cuts itself {:.0f} times: a hand or foot is elsewhere", 1.0
+        ),
         _above(betas, BETAS, "the shape is {:.1f} times as far from the mean as people are", 1.0),
-        _above(fit.pose_distance, POSE, "the pose is {:.1f} times as far from the mean as poses are", 1.0),
-        _below(fit.seen, LEAST_SEEN, "the scan shows {:.0f} % of the body; the rest continues the model", 100.0),
+        _above(
+            fit.pose_distance,
+            POSE,
+            "the pose is {:.1f} times as far from the mean as poses are",
+            1.0,
+        ),
+        _below(
+            fit.seen,
+            LEAST_SEEN,
+            "the scan shows {:.0f} % of the body; the rest continues the model",
+            100.0,
+        ),
     ]
     if fit.rival is not None and fit.rival < 1.05:
         findings.append((DOUBTFUL, "another pose fits nearly as well"))
@@ -54,7 +82,9 @@ def judge_scan(fit: Any) -> Verdict:
 
 
 def lost_share(points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]) -> float:
-    """The share of a scan's points that lie off the surface (``away``, m) in the place where most of them do."""
+    """The share of a scan's points that lie off the surface (``away``, m) in the place where most
+    of them do.
+    """
     return lost_piece(points, away)[0]
 
 

@@ -1,4 +1,6 @@
-"""Which point of a posed surface a scanned point belongs to: the nearest whose normal looks the same way."""
+"""Which point of a posed surface a scanned point belongs to: the nearest whose normal looks the
+same way.
+"""
 
 from dataclasses import dataclass
 
@@ -10,13 +12,15 @@ from habitus.fit.registration.nearest_kernels import nearest_around
 from habitus.mesh.normals import face_normals, vertex_normals
 
 TURN = 0.06
-"""Metres: how far apart two places count whose normals are 60 degrees apart, in choosing the nearest."""
+"""Metres: how far apart two places count whose normals are 60 degrees apart, in choosing the
+nearest.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Of N points the face (N,), the weights of its corners (N, 3), the place (N, 3), the face's normal (N, 3), and
-    the cosine (N,) of that with the point's own normal.
+    """Of N points the face (N,), the weights of its corners (N, 3), the place (N, 3), the face's
+    normal (N, 3), and the cosine (N,) of that with the point's own normal.
     """
 
     face: Int[np.ndarray, " N"]
@@ -28,7 +32,8 @@ class Nearest:
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """The faces of a mesh of V vertices, and those around each vertex: ``around[start[i] : start[i + 1]]``.
+    """The faces of a mesh of V vertices, and those around each vertex: ``around[start[i] : start[i
+    + 1]]``.
 
     ``whole`` are vertices that points may belong to: all but those of pockets that nobody sees.
     """
@@ -39,7 +44,9 @@ class Topology:
     whole: Int[np.ndarray, " W"]
 
     @staticmethod
-    def of(faces: Int[np.ndarray, "F 3"], vertices: int, hidden: Bool[np.ndarray, " V"] | None = None) -> "Topology":
+    def of(
+        faces: Int[np.ndarray, "F 3"], vertices: int, hidden: Bool[np.ndarray, " V"] | None = None
+    ) -> "Topology":
         """The topology of a mesh; ``hidden`` vertices are left out."""
         order = np.argsort(faces.ravel(), kind="stable")
         start = np.searchsorted(faces.ravel()[order], np.arange(vertices + 1))
@@ -62,7 +69,9 @@ def nearest(
     close = tree.query(np.concatenate([points, TURN * normals], 1), k=2)[1]
     unit = face_normals(vertices, topology.faces)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
-    found, share, place = np.empty(len(points), np.int64), np.empty((len(points), 3)), np.empty((len(points), 3))
+    found = np.empty(len(points), np.int64)
+    share = np.empty((len(points), 3))
+    place = np.empty((len(points), 3))
     mesh = (np.ascontiguousarray(vertices), topology.faces, topology.start, topology.around)
     nearest_around(*mesh, np.ascontiguousarray(points), some[close], found, share, place)
     smooth = np.einsum("pk,pkc->pc", share, pointing[topology.faces[found]])

@@ -10,7 +10,9 @@ from habitus.mesh.closest_kernels import nearest_in_face
 
 @jit
 def nearest_around(vertices, faces, start, around, points, close, found, share, place):
-    """Into found (N,), share (N, 3) and place (N, 3): of the faces around the vertices close (N, K) the nearest."""
+    """Into found (N,), share (N, 3) and place (N, 3): of the faces around the vertices close (N, K)
+    the nearest.
+    """
     near = np.empty(3)
     for p in range(len(points)):
         least = math.inf
@@ -27,11 +29,19 @@ def nearest_around(vertices, faces, start, around, points, close, found, share, 
 @jit_inline
 def _shares(q, vertices, face, out):
     """Weights of a face's corners at a place on it."""
-    a, b, c = vertices[face[0]], vertices[face[1]], vertices[face[2]]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
     ee = ef = ff = pe = pf = 0.0
     for k in range(3):
-        e, f, p = b[k] - a[k], c[k] - a[k], q[k] - a[k]
-        ee, ef, ff, pe, pf = ee + e * e, ef + e * f, ff + f * f, pe + p * e, pf + p * f
+        e = b[k] - a[k]
+        f = c[k] - a[k]
+        p = q[k] - a[k]
+        ee = ee + e * e
+        ef = ef + e * f
+        ff = ff + f * f
+        pe = pe + p * e
+        pf = pf + p * f
     whole = ee * ff - ef * ef
     if whole > 0.0:
         out[1], out[2] = (ff * pe - ef * pf) / whole, (ee * pf - ef * pe) / whole

@@ -32,20 +32,25 @@ def outward(
     near: Int[np.ndarray, "N K"],
     carry: bool = True,
 ) -> Float[np.ndarray, "N 3"]:
-    """The same normals with one sign a sheet, carried from neighbour to neighbour, then outward on the whole.
+    """The same normals with one sign a sheet, carried from neighbour to neighbour, then outward on
+    the whole.
 
-    Hoppe et al. 1992: along the tree on which neighbours' normals change least. Every connected part is turned so that
-    it is round outside: limbs and trunk are. Without ``carry`` the signs are trusted to agree, and only the whole is
-    turned.
+    Hoppe et al. 1992: along the tree on which neighbours' normals change least. Every connected
+    part is turned so that it is round outside: limbs and trunk are. Without ``carry`` the signs are
+    trusted to agree, and only the whole is turned.
     """
     if not carry:
         return normals * (1.0 if _roundness(points, normals) >= 0.0 else -1.0)
-    count, others = len(points), near[:, 1 : LINKED + 1]
+    count = len(points)
+    others = near[:, 1 : LINKED + 1]
     rows = np.repeat(np.arange(count), others.shape[1])
     bend = 1.0 - np.abs((normals[rows] * normals[others.ravel()]).sum(1)) + 1e-3
-    tree = minimum_spanning_tree(coo_array((bend, (rows, others.ravel())), shape=(count, count)).tocsr())
+    tree = minimum_spanning_tree(
+        coo_array((bend, (rows, others.ravel())), shape=(count, count)).tocsr()
+    )
     tree = tree + tree.T
-    sign, left = np.zeros(count), np.ones(count, dtype=bool)
+    sign = np.zeros(count)
+    left = np.ones(count, dtype=bool)
     while left.any():
         first = int(np.flatnonzero(left)[0])
         order, before = breadth_first_order(tree, first, directed=False)
@@ -57,9 +62,13 @@ def outward(
 
 
 def agreed(
-    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "N 3"]
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    others: Float[np.ndarray, "N 3"],
 ) -> Float[np.ndarray, "N 3"]:
-    """The same normals, turned over where they and their neighbours look against ``others``, zero where not known."""
+    """The same normals, turned over where they and their neighbours look against ``others``, zero
+    where not known.
+    """
     near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
     along = np.einsum("nc,nkc->nk", normals, normals[near])
     votes = (np.sign(along) * (normals * others).sum(1)[near]).mean(1)
@@ -80,5 +89,7 @@ def _carry(order: np.ndarray, before: np.ndarray, normals: np.ndarray, sign: np.
     agree = np.ones(len(order))
     agree[1:] = np.sign((normals[order[1:]] * normals[before[order[1:]]]).sum(1))
     agree[agree == 0.0] = 1.0
-    for place, parent, same in zip(order[1:].tolist(), before[order[1:]].tolist(), agree[1:].tolist(), strict=True):
+    for place, parent, same in zip(
+        order[1:].tolist(), before[order[1:]].tolist(), agree[1:].tolist(), strict=True
+    ):
         sign[place] = sign[parent] * same

@@ -1,13 +1,16 @@
-"""The model fitted while skin lies off it, as skin does that no model knows: pose, shape and that offset at once.
+"""The model fitted while skin lies off it, as skin does that no model knows: pose, shape and that
+offset at once.
 
-    1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 h^T Q h + 1/2 |betas|^2 + 1/2 (theta - mean)^T P (theta - mean)
+    1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 h^T Q h + 1/2 |betas|^2 + 1/2 (theta - mean)^T P
+    (theta - mean)
 
-h (V,) is how far the skin is off the model along its normals: a random field over the surface, of Matern's kind, whose
-precision Q is (k^2 + Laplacian)^2. What is left of a scan after a fit is alike over centimetres, so that a thousand
-points on a thigh tell of its place hardly more than one: without h they would count as if each told anew, and the model
-would slide along the skin after them. h is linear and taken out of each step exactly (Schur); pose and shape then see
-what a smooth offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence h, betas and
-theta are held near those of the frame before, instead of near people's mean.
+h (V,) is how far the skin is off the model along its normals: a random field over the surface, of
+Matern's kind, whose precision Q is (k^2 + Laplacian)^2. What is left of a scan after a fit is alike
+over centimetres, so that a thousand points on a thigh tell of its place hardly more than one:
+without h they would count as if each told anew, and the model would slide along the skin after
+them. h is linear and taken out of each step exactly (Schur); pose and shape then see what a smooth
+offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence h, betas
+and theta are held near those of the frame before, instead of near people's mean.
 """
 
 from collections.abc import Sequence
@@ -33,7 +36,9 @@ BONY = ("hand", "wrist", "foot", "head", "toe")
 OFFSET_CHANGE = 0.8
 """Of that, how much the offset changes from one frame of a sequence to the next."""
 RANGE = 0.19
-"""Metres: from there on two places' offsets have little to do with each other (a correlation of 0.14)."""
+"""Metres: from there on two places' offsets have little to do with each other (a correlation of
+0.14).
+"""
 LEAST_COSINE = 0.5
 EVERYTHING = 1000
 STEPS = (
@@ -41,7 +46,9 @@ STEPS = (
     ModelStep(2, 16_000, 0.03, 0.004, 0.0, EVERYTHING),
     ModelStep(3, 40_000, 0.02, 0.0025, 0.0, EVERYTHING),
 )
-"""The noise is that of a point which the offset does not explain: of the scanner, and of skin's finer forms."""
+"""The noise is that of a point which the offset does not explain: of the scanner, and of skin's
+finer forms.
+"""
 
 
 def offset_spread(body: BodyModel) -> Float[np.ndarray, " V"]:
@@ -52,9 +59,14 @@ def offset_spread(body: BodyModel) -> Float[np.ndarray, " V"]:
 
 
 def field_precision(
-    topology: Topology, vertices: Float[np.ndarray, "V 3"], spread: Float[np.ndarray, " V"], reach: float = RANGE
+    topology: Topology,
+    vertices: Float[np.ndarray, "V 3"],
+    spread: Float[np.ndarray, " V"],
+    reach: float = RANGE,
 ) -> csc_array:
-    """The precision (V, V; 1 / m^2) of a Matern field (of smoothness 1) on a mesh with that spread (m)."""
+    """The precision (V, V; 1 / m^2) of a Matern field (of smoothness 1) on a mesh with that spread
+    (m).
+    """
     laplacian, area = cotangent_laplacian(vertices, topology.faces)
     inverse = np.sqrt(8.0) / reach
     half = inverse**2 * diags_array(area) + laplacian
@@ -64,8 +76,8 @@ def field_precision(
 
 @dataclass(frozen=True, eq=False)
 class _Pull:
-    """What a scan says of a state: gradient (N,) and matrix (N, N) without the offset, and what the offset becomes,
-    ``offset - slope @ change``, by a change (N,) of the state.
+    """What a scan says of a state: gradient (N,) and matrix (N, N) without the offset, and what the
+    offset becomes, ``offset - slope @ change``, by a change (N,) of the state.
     """
 
     gradient: Float[np.ndarray, " N"]
@@ -83,22 +95,36 @@ def fit_with_offsets(
 ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
     """The state of all scans (one shape), and of each the surface: the model with its offset (m).
 
-    along: of each scan what else is known of places along the skin, where the offset has no say: colours.
+    along: of each scan what else is known of places along the skin, where the offset has no say:
+    colours.
     """
-    before, spread = fitter.before, offset_spread(fitter.body)
+    before = fitter.before
+    spread = offset_spread(fitter.body)
     mean = np.zeros(fitter.body.num_vertices) if before is None else before.offset
     spread = spread if before is None else OFFSET_CHANGE * spread
     offsets = [mean] * len(clouds)
-    held = [field_precision(fitter.topology, fitter.vertices(state, k), spread) for k in range(len(clouds))]
+    held = [
+        field_precision(fitter.topology, fitter.vertices(state, k), spread)
+        for k in range(len(clouds))
+    ]
     for step in schedule:
         for _ in range(step.steps):
             few = [cloud.first(step.points) for cloud in clouds]
-            pulls = [_pull(fitter, state.one(k), few[k], held[k], offsets[k], mean, step) for k in range(len(clouds))]
+            pulls = [
+                _pull(fitter, state.one(k), few[k], held[k], offsets[k], mean, step)
+                for k in range(len(clouds))
+            ]
             if along is not None:
-                pulls = [_along(fitter, state.one(k), *each) for k, each in enumerate(zip(pulls, along, strict=True))]
+                pulls = [
+                    _along(fitter, state.one(k), *each)
+                    for k, each in enumerate(zip(pulls, along, strict=True))
+                ]
             moved = fitter.moved(state, *_together(fitter.body.num_betas, pulls), step)
             changes = [_change(state.one(k), moved.one(k)) for k in range(len(clouds))]
-            offsets = [pull.offset - pull.slope @ change for pull, change in zip(pulls, changes, strict=True)]
+            offsets = [
+                pull.offset - pull.slope @ change
+                for pull, change in zip(pulls, changes, strict=True)
+            ]
             state = moved
     return state, [_off(fitter, state, k, offset) for k, offset in enumerate(offsets)]
 
@@ -108,7 +134,9 @@ def _along(fitter: ModelFitter, state: ModelState, pull: _Pull, matches: PointMa
     return replace(pull, gradient=pull.gradient + more.gradient, matrix=pull.matrix + more.matrix)
 
 
-def _off(fitter: ModelFitter, state: ModelState, k: int, offset: np.ndarray) -> Float[np.ndarray, "V 3"]:
+def _off(
+    fitter: ModelFitter, state: ModelState, k: int, offset: np.ndarray
+) -> Float[np.ndarray, "V 3"]:
     surface = fitter.vertices(state, k)
     return surface + offset[:, None] * vertex_normals(surface, fitter.topology.faces)
 
@@ -131,19 +159,24 @@ def _pull(
 
     The offset's own energy is of what it differs by from ``mean`` (V,).
     """
-    body, faces = fitter.body, fitter.topology.faces
+    body = fitter.body
+    faces = fitter.topology.faces
     slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
     model = np.asarray(slopes.surface.vertices)
-    normal, count = vertex_normals(model, faces), len(model)
+    normal = vertex_normals(model, faces)
+    count = len(model)
     found = nearest(fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals)
     apart = np.linalg.norm(cloud.points - found.place, axis=1)
     weight = geman_mcclure_weight(apart, step.reach) * (found.cosine > LEAST_COSINE) / step.noise**2
     corners = faces[found.face]
     row = np.repeat(np.arange(len(corners)), 3)
-    share = coo_array((found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), count)).tocsr()
+    share = coo_array(
+        (found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), count)
+    ).tocsr()
     there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
     missing = ((cloud.points - there) * found.normal).sum(1) - share @ mean
-    lumped, wanted = csc_array(share.T @ diags_array(weight) @ share), share.T @ (weight * missing)
+    lumped = csc_array(share.T @ diags_array(weight) @ share)
+    wanted = share.T @ (weight * missing)
     by_betas, by_pose = (
         np.einsum("vc,vcn->vn", normal, each.reshape(count, 3, -1))
         for each in (slopes.vertices_betas, slopes.vertices_pose)
@@ -161,4 +194,6 @@ def _together(head: int, pulls: Sequence[_Pull]) -> tuple[Float[np.ndarray, " n"
     border = np.stack([pull.matrix[head:, :head] for pull in pulls])
     blocks = np.stack([pull.matrix[head:, head:] for pull in pulls])
     top = np.sum([pull.gradient[:head] for pull in pulls], axis=0)
-    return np.concatenate([top, *(pull.gradient[head:] for pull in pulls)]), ArrowMatrix(shared, border, blocks)
+    return np.concatenate([top, *(pull.gradient[head:] for pull in pulls)]), ArrowMatrix(
+        shared, border, blocks
+    )

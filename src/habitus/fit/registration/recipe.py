@@ -1,9 +1,12 @@
 """Scans to the template (T 5.4): the model, then the free surface, of all scans of a person.
 
-1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best kept.
-2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`); of several bodies,
+1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best
+   kept.
+2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`); of
+   several bodies,
    women's and men's, the one that explains the scans best goes on (`bodies`).
-3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a piece of the scan lies
+3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a
+   piece of the scan lies
    off it, limbs are tried again from there.
 """
 
@@ -24,7 +27,13 @@ from habitus.fit.registration.extremities import with_extremities
 from habitus.fit.registration.free_surface import free_surface, stretched_surface
 from habitus.fit.registration.guesses import Guesser
 from habitus.fit.registration.judge import BETAS, LOST, MODEL, lost_share
-from habitus.fit.registration.model_stage import Cloud, FrameBefore, ModelFitter, ModelState, ModelStep
+from habitus.fit.registration.model_stage import (
+    Cloud,
+    FrameBefore,
+    ModelFitter,
+    ModelState,
+    ModelStep,
+)
 from habitus.fit.registration.nearest import Topology, nearest
 from habitus.fit.registration.offset_stage import STEPS, fit_with_offsets
 from habitus.fit.registration.result import ScanFit
@@ -41,7 +50,9 @@ FREE_POINTS = 20_000
 TRIED = 2
 SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
 STRETCHED = 0.0018
-"""Metres from which on a twentieth of the scan off the surface calls for more than offsets along normals."""
+"""Metres from which on a twentieth of the scan off the surface calls for more than offsets along
+normals.
+"""
 MATCHED = 0.05
 FOLLOWED, ENOUGH = 5000, 0.9
 """Points, and the share of them that has to match for a scan to go on from the one before."""
@@ -51,7 +62,9 @@ MENDED = 2
 
 @dataclass(frozen=True, eq=False)
 class Registrar:
-    """A body made ready to be registered to scans, and ``others`` of its topology that may explain them better."""
+    """A body made ready to be registered to scans, and ``others`` of its topology that may explain
+    them better.
+    """
 
     body: BodyModel
     fitter: ModelFitter
@@ -62,7 +75,9 @@ class Registrar:
     def of(body: BodyModel, prior: PosePrior, others: Sequence[BodyModel] = ()) -> "Registrar":
         """To be made once a body."""
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
-        fitter = ModelFitter(SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names))
+        fitter = ModelFitter(
+            SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names)
+        )
         more = tuple(Registrar.of(other, prior) for other in others)
         return Registrar(body, fitter, Guesser.of(fitter), more)
 
@@ -71,9 +86,13 @@ class Registrar:
         return replace(next(one for one in (self, *self.others) if one.body is fit.body), others=())
 
     def after(self, fit: ScanFit) -> "Registrar":
-        """The same for the next frame of a sequence, coupled to this one in shape, pose, and skin off the model."""
+        """The same for the next frame of a sequence, coupled to this one in shape, pose, and skin
+        off the model.
+        """
         normal = vertex_normals(fit.model_vertices, self.body.faces)
-        before = FrameBefore(fit.betas, fit.pose, ((fit.vertices - fit.model_vertices) * normal).sum(1))
+        before = FrameBefore(
+            fit.betas, fit.pose, ((fit.vertices - fit.model_vertices) * normal).sum(1)
+        )
         return replace(self, fitter=replace(self.fitter, before=before))
 
     def register(
@@ -86,14 +105,15 @@ class Registrar:
         previous: ModelState | None = None,
         progress: Callable[[str, float], None] = lambda stage, share: None,
     ) -> list[ScanFit]:
-        """All scans of one person. ``previous``: states to begin with, one a scan: of the scan before in a sequence, of
-        the same scans with another body.
+        """All scans of one person. ``previous``: states to begin with, one a scan: of the scan
+        before in a sequence, of the same scans with another body.
 
         Raises HabitusError for what is no scan of a person, as far as that is known before a fit.
         """
         if up != "auto" and up not in UP:
             raise HabitusError(f"up is {up!r}; expected auto, {', '.join(UP)}")
-        begun, seconds = time.perf_counter(), {}
+        begun = time.perf_counter()
+        seconds = {}
         progress("read", 0.0)
         ready = [cleaned(scan, unit, seed) for scan in scans]
         seconds["clean"] = time.perf_counter() - begun
@@ -101,13 +121,22 @@ class Registrar:
         for k, one in enumerate(ready):
             progress("start", 0.1 + 0.4 * k / len(ready))
             starts.append(
-                self._start(one, up, None if previous is None else previous.one(min(k, len(previous.pose) - 1)))
+                self._start(
+                    one,
+                    up,
+                    None if previous is None else previous.one(min(k, len(previous.pose) - 1)),
+                )
             )
         seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
         progress("model", 0.5)
-        placed = [turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)]
+        placed = [
+            turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)
+        ]
         states = [start.state for start, _, _ in starts]
-        clouds = [self.fitter.oriented(state, cloud) for state, (_, cloud) in zip(states, placed, strict=True)]
+        clouds = [
+            self.fitter.oriented(state, cloud)
+            for state, (_, cloud) in zip(states, placed, strict=True)
+        ]
         surfaces = [self.fitter.vertices(state) for state in states]
         people = [k for k, cloud in enumerate(clouds) if self._is_person(states[k], cloud)]
         best = self
@@ -124,18 +153,28 @@ class Registrar:
         for k, (whole, _) in enumerate(placed):
             own = best if k in people else self
             one = own._result(whole, clouds[k], states[k], surfaces[k], starts[k])
-            said = () if own is self else (f"the {own.body.name} body explains the scan best; --body chooses another",)
+            said = (
+                ()
+                if own is self
+                else (f"the {own.body.name} body explains the scan best; --body chooses another",)
+            )
             took = {name: each / len(scans) for name, each in seconds.items()}
-            found.append(replace(one, person=k in people, stage_seconds=took, notes=(*one.notes, *said)))
+            found.append(
+                replace(one, person=k in people, stage_seconds=took, notes=(*one.notes, *said))
+            )
         return found
 
     def _is_person(self, state: ModelState, cloud: Cloud) -> bool:
-        """Whether a start is worth a fit: what is no person leaves it far off and the body out of all proportion."""
+        """Whether a start is worth a fit: what is no person leaves it far off and the body out of
+        all proportion.
+        """
         apart = cloud.points - self.fitter.matched(state, 0, cloud).place
         odd = np.sqrt(np.mean(state.betas**2)) > BETAS[1] if len(state.betas) else True
         return not (odd and np.median(np.linalg.norm(apart, axis=1)) > MODEL[0])
 
-    def _start(self, one: Cleaned, up: str, previous: ModelState | None) -> tuple[Candidate, str, float | None]:
+    def _start(
+        self, one: Cleaned, up: str, previous: ModelState | None
+    ) -> tuple[Candidate, str, float | None]:
         """The best start of a scan, its up axis, and how much worse the best other one is."""
         axes = [up] if up != "auto" else _upright(one)
         turns = np.array([up_rotation(axis) for axis in axes])
@@ -154,12 +193,16 @@ class Registrar:
         best = tried[0]
         cloud = turned(one, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
-        best = replace(best, state=self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:]))
+        best = replace(
+            best, state=self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:])
+        )
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
         others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
         return best, axis, min(others, default=None)
 
-    def _followed(self, previous: ModelState, one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> list[Candidate]:
+    def _followed(
+        self, previous: ModelState, one: Cleaned, turn: Float[np.ndarray, "3 3"]
+    ) -> list[Candidate]:
         """Where the scan before ended, as a start; none where that is too far off."""
         cloud = turned(one, turn)[1].first(FOLLOWED)
         state = self.fitter.fit(previous, [cloud], SINGLE[:1])
@@ -184,8 +227,13 @@ class Registrar:
         """
         if not self.others:
             return self, *self._fitted(state, clouds)
-        begun = [(self, state), *((other, carried(self.body, other.body, state)) for other in self.others)]
-        tried = [(one, *fit_with_offsets(one.fitter, begin, clouds, STEPS[:-1])) for one, begin in begun]
+        begun = [
+            (self, state),
+            *((other, carried(self.body, other.body, state)) for other in self.others),
+        ]
+        tried = [
+            (one, *fit_with_offsets(one.fitter, begin, clouds, STEPS[:-1])) for one, begin in begun
+        ]
         best, state, _ = min(tried, key=lambda one: energy(one[0].fitter, one[1], clouds, one[2]))
         return best, *best._fitted(state, clouds, STEPS[-1:])
 
@@ -195,14 +243,20 @@ class Registrar:
         """All scans together: state, and free surfaces."""
         state, surfaces = fit_with_offsets(self.fitter, state, clouds, schedule)
         each = zip(clouds, surfaces, strict=True)
-        return state, [self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)]
+        return state, [
+            self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)
+        ]
 
-    def _freed(self, model: np.ndarray, cloud: Cloud, start: np.ndarray) -> Float[np.ndarray, "V 3"]:
-        """The free surface of one scan, stretched where offsets along normals leave much of the scan off it.
+    def _freed(
+        self, model: np.ndarray, cloud: Cloud, start: np.ndarray
+    ) -> Float[np.ndarray, "V 3"]:
+        """The free surface of one scan, stretched where offsets along normals leave much of the
+        scan off it.
 
         A surface that has to be stretched follows the scan, also where it cuts itself by that.
         """
-        topology, few = self.fitter.topology, cloud.first(FREE_POINTS)
+        topology = self.fitter.topology
+        few = cloud.first(FREE_POINTS)
         surface = uncut(topology, model, free_surface(topology, model, few, start=start))
         if np.percentile(away_from(self.guesser, cloud, surface), 95) > STRETCHED:
             return stretched_surface(topology, surface, few)
@@ -211,7 +265,9 @@ class Registrar:
     def _mended(
         self, state: ModelState, clouds: Sequence[Cloud], surfaces: list[Float[np.ndarray, "V 3"]]
     ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """Where a piece of a scan lies off its surface, limbs are tried once more from there; what is better stays."""
+        """Where a piece of a scan lies off its surface, limbs are tried once more from there; what
+        is better stays.
+        """
         lost = [self._lost(cloud, surface) for cloud, surface in zip(clouds, surfaces, strict=True)]
         for _ in range(MENDED):
             found = {
@@ -226,7 +282,9 @@ class Registrar:
             left = [self._lost(cloud, surface) for cloud, surface in zip(clouds, free, strict=True)]
             if sum(left) >= sum(lost):
                 break
-            state, surfaces, lost = tried, free, left
+            state = tried
+            surfaces = free
+            lost = left
         return state, surfaces
 
     def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
@@ -241,11 +299,20 @@ class Registrar:
         start: tuple[Candidate, str, float | None],
     ) -> ScanFit:
         model = self.fitter.vertices(state)
-        there, near = (nearest(self.fitter.topology, each, cloud.points, cloud.normals) for each in (surface, model))
-        to_surface, to_model = (np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near))
+        there, near = (
+            nearest(self.fitter.topology, each, cloud.points, cloud.normals)
+            for each in (surface, model)
+        )
+        to_surface, to_model = (
+            np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near)
+        )
         fits = (to_model < MATCHED) & (near.cosine > 0.3)
         off = self.fitter.prior.whitening @ (state.pose[0, 1:].ravel() - self.fitter.prior.mean)
-        counted = (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3) if fits.any() else np.ones(len(fits), bool)
+        counted = (
+            (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3)
+            if fits.any()
+            else np.ones(len(fits), bool)
+        )
         return ScanFit(
             scan_name=whole.name,
             body_name=self.body.name,
@@ -289,4 +356,8 @@ def _upright(one: Cleaned) -> list[str]:
 
 
 def _notes(scan: Scan, axis: str) -> tuple[str, ...]:
-    return scan.notes if axis == "+y" else (*scan.notes, f"its {axis} axis points up: it was turned to y up")
+    return (
+        scan.notes
+        if axis == "+y"
+        else (*scan.notes, f"its {axis} axis points up: it was turned to y up")
+    )

@@ -1,4 +1,6 @@
-"""A registered scan: the free surface in the body's topology, the model under it, and what it is worth."""
+"""A registered scan: the free surface in the body's topology, the model under it, and what it is
+worth.
+"""
 
 import os
 from collections.abc import Mapping
@@ -21,9 +23,10 @@ from habitus.fit.registration.skin_grid import SkinGrid
 class ScanColours:
     """What colours of several scans of a person came to.
 
-    ``albedo`` (G, 3), linear up to a factor, is the texture all share, at the nodes of ``grid``; ``apart`` (G,) how far
-    this scan's tones (log of linear colours) are from the others' there, ``before`` and ``after`` that over the skin
-    (1.48 times the median) where geometry had it and where it is now; ``slid`` (m) how far the surface went.
+    ``albedo`` (G, 3), linear up to a factor, is the texture all share, at the nodes of ``grid``;
+    ``apart`` (G,) how far this scan's tones (log of linear colours) are from the others' there,
+    ``before`` and ``after`` that over the skin (1.48 times the median) where geometry had it and
+    where it is now; ``slid`` (m) how far the surface went.
     """
 
     grid: SkinGrid
@@ -36,17 +39,20 @@ class ScanColours:
 
 @dataclass(frozen=True, eq=False)
 class ScanFit:
-    """One scan, registered. Metres and radians, y up; ``to_body`` (4, 4) takes the file's numbers there.
+    """One scan, registered. Metres and radians, y up; ``to_body`` (4, 4) takes the file's numbers
+    there.
 
-    ``vertices`` (V, 3) are the free surface; ``weights`` (V,), 0 to 1, say where the scan tells of it: 0 in holes,
-    where it continues the model. ``betas``, shared by all scans of a person, ``pose`` (J, 3) and ``trans`` (3,) are
-    the model's, ``rest_vertices`` (V, 3) the free surface carried back to rest. ``to_surface`` and ``to_model`` (M,)
-    are the distances (m) of the points of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all.
-    ``matched`` is their share, ``lost`` the share of all that lie together off the surface, ``rival`` how much worse
-    the best other pose is (1: as good; None: none came close), ``pose_distance`` the pose's root mean square distance
-    from the prior's mean, in standard deviations. ``cuts``: pairs of triangles that cut each other in the surface
-    beyond those of the model. ``person``: False where the start was so far from the scan that the
-    rest was not tried; the surface is then the model's. ``up_axis`` is the scan's own axis that points up.
+    ``vertices`` (V, 3) are the free surface; ``weights`` (V,), 0 to 1, say where the scan tells of
+    it: 0 in holes, where it continues the model. ``betas``, shared by all scans of a person,
+    ``pose`` (J, 3) and ``trans`` (3,) are the model's, ``rest_vertices`` (V, 3) the free surface
+    carried back to rest. ``to_surface`` and ``to_model`` (M,) are the distances (m) of the points
+    of ``cloud`` that are the body's, ``far_from_surface`` (N,) those of all. ``matched`` is their
+    share, ``lost`` the share of all that lie together off the surface, ``rival`` how much worse the
+    best other pose is (1: as good; None: none came close), ``pose_distance`` the pose's root mean
+    square distance from the prior's mean, in standard deviations. ``cuts``: pairs of triangles that
+    cut each other in the surface beyond those of the model. ``person``: False where the start was
+    so far from the scan that the rest was not tried; the surface is then the model's. ``up_axis``
+    is the scan's own axis that points up.
     """
 
     scan_name: str
@@ -88,12 +94,16 @@ class ScanFit:
 
     @cached_property
     def measurements(self) -> Mapping[str, float]:
-        """What the person measures, on the free surface carried back to rest; {} for a body that is no person's."""
+        """What the person measures, on the free surface carried back to rest; {} for a body that is
+        no person's.
+        """
         return self.body.measure_rest(self.rest_vertices)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What the registration is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence each."""
+        """What the registration is worth: ``level`` (good, doubtful or failed) and ``reasons``, a
+        sentence each.
+        """
         return judge_scan(self)
 
     def save(self, folder: str | os.PathLike[str]) -> None:

@@ -1,7 +1,9 @@
-"""A limb that was lost, looked for again: where a piece of the scan lies off the surface, the limbs near it are tried.
+"""A limb that was lost, looked for again: where a piece of the scan lies off the surface, the limbs
+near it are tried.
 
-What is found counts only where it leaves less of the scan off a quick surface, the model with an offset of few steps,
-so that nothing more is spent on what no limb explains: spread fingers, of which the default body knows nothing.
+What is found counts only where it leaves less of the scan off a quick surface, the model with an
+offset of few steps, so that nothing more is spent on what no limb explains: spread fingers, of
+which the default body knows nothing.
 """
 
 import numpy as np
@@ -24,7 +26,9 @@ LESS = 0.7
 """Of what is off the surface so much may be left for a limb to count as found."""
 
 
-def away_from(guesser: Guesser, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " N"]:
+def away_from(
+    guesser: Guesser, cloud: Cloud, surface: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, " N"]:
     """How far (m) each point of a scan is from a surface."""
     place = nearest(guesser.fitter.topology, surface, cloud.points, cloud.normals).place
     return np.linalg.norm(cloud.points - place, axis=1)
@@ -37,7 +41,9 @@ def found_limbs(
     surface: Float[np.ndarray, "V 3"],
     schedule: tuple[ModelStep, ...],
 ) -> ModelState | None:
-    """The state of one scan with the limbs near its lost piece placed anew; None where that is no better."""
+    """The state of one scan with the limbs near its lost piece placed anew; None where that is no
+    better.
+    """
     few = cloud.first(LOOKED_AT)
     _, place = lost_piece(few.points, away_from(guesser, few, surface))
     tried = state
@@ -47,21 +53,33 @@ def found_limbs(
     return tried if after < LESS * before else None
 
 
-def limbs_near(guesser: Guesser, surface: Float[np.ndarray, "V 3"], place: Float[np.ndarray, " 3"]) -> list[Limb]:
+def limbs_near(
+    guesser: Guesser, surface: Float[np.ndarray, "V 3"], place: Float[np.ndarray, " 3"]
+) -> list[Limb]:
     """The arm, leg or head nearest a place (m), and those hardly further off."""
-    weights, limbs = guesser.fitter.body.skinning_weights, guesser.limbs[:WHOLE]
+    weights = guesser.fitter.body.skinning_weights
+    limbs = guesser.limbs[:WHOLE]
     mine = [weights[:, limb.joints].sum(1) > 0.5 for limb in limbs]
     away = np.array([np.linalg.norm(surface[rows] - place, axis=1).min() for rows in mine])
     return [limb for limb, far in zip(limbs, away, strict=True) if far <= away.min() + NEAR]
 
 
-def _anew(guesser: Guesser, state: ModelState, cloud: Cloud, limb: Limb, schedule: tuple[ModelStep, ...]) -> ModelState:
-    """A whole limb and its parts in the ways of the bank, then turned about itself, then hand or foot."""
-    fitter, names = guesser.fitter, guesser.fitter.body.joint_names
+def _anew(
+    guesser: Guesser, state: ModelState, cloud: Cloud, limb: Limb, schedule: tuple[ModelStep, ...]
+) -> ModelState:
+    """A whole limb and its parts in the ways of the bank, then turned about itself, then hand or
+    foot.
+    """
+    fitter = guesser.fitter
+    names = guesser.fitter.body.joint_names
     parts = [one for one in guesser.limbs if np.isin(one.joints, limb.joints).all()]
     state = fitter.fit(guesser.scene(cloud).limbs(state, parts), [cloud], schedule)
     for tries in (ARMS, TRIES):
-        own = {name: ways for name, ways in tries.items() if name in names and names.index(name) in limb.joints}
+        own = {
+            name: ways
+            for name, ways in tries.items()
+            if name in names and names.index(name) in limb.joints
+        }
         state = with_extremities(fitter, state, cloud, own)
     return state
 

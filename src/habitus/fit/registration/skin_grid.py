@@ -1,4 +1,6 @@
-"""A grid finer than a body's triangles, for colours of skin: each is cut into n² alike; it has no seams."""
+"""A grid finer than a body's triangles, for colours of skin: each is cut into n² alike; it has no
+seams.
+"""
 
 from dataclasses import dataclass
 
@@ -9,10 +11,12 @@ from scipy.sparse import coo_array, csr_array, diags_array
 
 @dataclass(frozen=True, eq=False)
 class SkinGrid:
-    """G nodes on the faces (F, 3) of a mesh, ``n`` pieces an edge; neighbouring faces share the nodes of their edge.
+    """G nodes on the faces (F, 3) of a mesh, ``n`` pieces an edge; neighbouring faces share the
+    nodes of their edge.
 
-    ``node`` (F, n + 1, n + 1) are those of a face by how far they are to its second and third corner; -1 beyond it.
-    ``spread`` (G, G) takes a value at each node to the mean of its neighbours', row sums 1.
+    ``node`` (F, n + 1, n + 1) are those of a face by how far they are to its second and third
+    corner; -1 beyond it. ``spread`` (G, G) takes a value at each node to the mean of its
+    neighbours', row sums 1.
     """
 
     n: int
@@ -25,10 +29,14 @@ class SkinGrid:
         """To be made once a mesh and fineness."""
         place = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)])
         weights = np.column_stack([n - place.sum(1), place])  # (L, 3), whole numbers of n
-        names = np.where(weights > 0, (faces[:, None] + 1) * (n + 1) + weights, 0)  # the same from all faces it is on
+        names = np.where(
+            weights > 0, (faces[:, None] + 1) * (n + 1) + weights, 0
+        )  # the same from all faces it is on
         names.sort(axis=-1)
         base = (int(faces.max()) + 2) * (n + 1)
-        _, number = np.unique((names[..., 0] * base + names[..., 1]) * base + names[..., 2], return_inverse=True)
+        _, number = np.unique(
+            (names[..., 0] * base + names[..., 1]) * base + names[..., 2], return_inverse=True
+        )
         node = np.full((len(faces), n + 1, n + 1), -1)
         node[:, place[:, 0], place[:, 1]] = number.reshape(len(faces), -1)
         return SkinGrid(n, faces, node, _spread(node))
@@ -63,7 +71,9 @@ class SkinGrid:
         return values
 
     def weights(self, face: Int[np.ndarray, " N"], share: Float[np.ndarray, "N 3"]) -> csr_array:
-        """Places on faces, by the weights of their corners, from nodes: (N, G), straight in between."""
+        """Places on faces, by the weights of their corners, from nodes: (N, G), straight in
+        between.
+        """
         node, weight, _ = self._pieces(face, share)
         ends = np.arange(0, 3 * len(face) + 1, 3)
         return csr_array((weight.ravel(), node.ravel(), ends), shape=(len(face), self.size))
@@ -78,35 +88,47 @@ class SkinGrid:
         """How values change along the surface with ``vertices`` (m) at places on it, per metre."""
         node, _, sign = self._pieces(face, share)
         corner = values[node]  # N 3 C
-        by_second, by_third = (self.n * sign[:, None] * (corner[:, k] - corner[:, 0]) for k in (1, 2))
+        by_second, by_third = (
+            self.n * sign[:, None] * (corner[:, k] - corner[:, 0]) for k in (1, 2)
+        )
         a, b, c = vertices[self.faces[face]].transpose(1, 0, 2)
         normal = np.cross(b - a, c - a)
         square = np.maximum((normal**2).sum(1, keepdims=True), 1e-20)
-        second, third = np.cross(c - a, normal) / square, np.cross(normal, b - a) / square
+        second = np.cross(c - a, normal) / square
+        third = np.cross(normal, b - a) / square
         return by_second[..., None] * second[:, None] + by_third[..., None] * third[:, None]
 
     def _pieces(
         self, face: np.ndarray, share: np.ndarray
     ) -> tuple[Int[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """The nodes around places, their weights, and 1 in pieces that lie as the face does, -1 in those between."""
+        """The nodes around places, their weights, and 1 in pieces that lie as the face does, -1 in
+        those between.
+        """
         u, v = (self.n * np.clip(share[:, 1:], 0.0, 1.0)).T
         beyond = np.maximum(u + v, self.n) / self.n
-        u, v = u / beyond, v / beyond
+        u = u / beyond
+        v = v / beyond
         i = np.minimum(u.astype(int), self.n - 1)
         j = np.minimum(v.astype(int), self.n - 1 - i)
-        u, v = u - i, v - j
+        u = u - i
+        v = v - j
         other = (u + v > 1.0) & (i + j < self.n - 1)
         k = other.astype(int)
         rows = [(i + k, j + k), (i + 1 - k, j + k), (i + k, j + 1 - k)]
         # turned pieces begin at (1, 1); their second node lies at u = 0, their third at v = 0
         node = np.stack([self.node[face, a, b] for a, b in rows], 1)
-        u, v = np.where(other, 1.0 - u, u), np.where(other, 1.0 - v, v)
+        u = np.where(other, 1.0 - u, u)
+        v = np.where(other, 1.0 - v, v)
         return node, np.stack([1.0 - u - v, u, v], 1), np.where(other, -1.0, 1.0)
 
 
 def _spread(node: np.ndarray) -> csr_array:
     """Neighbours along the three directions of all faces; those of edges are counted once."""
-    ends = [(node[:, :-1], node[:, 1:]), (node[:, :, :-1], node[:, :, 1:]), (node[:, 1:, :-1], node[:, :-1, 1:])]
+    ends = [
+        (node[:, :-1], node[:, 1:]),
+        (node[:, :, :-1], node[:, :, 1:]),
+        (node[:, 1:, :-1], node[:, :-1, 1:]),
+    ]
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in ends])
     pairs = pairs[(pairs >= 0).all(1)]
     rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T

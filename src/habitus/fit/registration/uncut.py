@@ -1,4 +1,6 @@
-"""A free surface that cuts itself nowhere that its model does not: at lips, toes and armpits, where skin meets skin."""
+"""A free surface that cuts itself nowhere that its model does not: at lips, toes and armpits, where
+skin meets skin.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +15,9 @@ RINGS = 1
 ROUNDS = 20
 
 
-def new_cuts(topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]) -> int:
+def new_cuts(
+    topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]
+) -> int:
     """How many more pairs of triangles cut each other in a surface (m) than in its model."""
     faces = topology.faces[np.isin(topology.faces, topology.whole).all(1)]
     return max(0, len(intersecting_pairs(surface, faces)) - len(intersecting_pairs(model, faces)))
@@ -22,9 +26,12 @@ def new_cuts(topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float
 def uncut(
     topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "V 3"]:
-    """The surface (m), drawn back towards its model around pairs of triangles that cut each other in it alone."""
+    """The surface (m), drawn back towards its model around pairs of triangles that cut each other
+    in it alone.
+    """
     faces = topology.faces[np.isin(topology.faces, topology.whole).all(1)]
-    before, offset = _keys(intersecting_pairs(model, faces), len(faces)), surface - model
+    before = _keys(intersecting_pairs(model, faces), len(faces))
+    offset = surface - model
     for _ in range(ROUNDS):
         pairs = intersecting_pairs(model + offset, faces)
         new = pairs[~np.isin(_keys(pairs, len(faces)), before)]
@@ -39,7 +46,9 @@ def _keys(pairs: Int[np.ndarray, "K 2"], count: int) -> Int[np.ndarray, " K"]:
     return pairs[:, 0] * count + pairs[:, 1]
 
 
-def _around(faces: Int[np.ndarray, "F 3"], vertices: Int[np.ndarray, " n"], count: int) -> Float[np.ndarray, " V"]:
+def _around(
+    faces: Int[np.ndarray, "F 3"], vertices: Int[np.ndarray, " n"], count: int
+) -> Float[np.ndarray, " V"]:
     """1 at some vertices and less from ring to ring around them, 0 further off."""
     near = np.zeros(count)
     near[vertices] = 1.0

@@ -16,8 +16,12 @@ SPACINGS = 2.0
 """The same in mean distances of the scan's points."""
 
 
-def vertex_weights(topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud) -> Float[np.ndarray, " V"]:
-    """1 where points of the scan are near a vertex and look its way, 0 where there is a hole, straight in between."""
+def vertex_weights(
+    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud
+) -> Float[np.ndarray, " V"]:
+    """1 where points of the scan are near a vertex and look its way, 0 where there is a hole,
+    straight in between.
+    """
     pointing = vertex_normals(surface, topology.faces)
     tree = cKDTree(np.concatenate([cloud.points, TURN * cloud.normals], 1))
     own = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
@@ -38,8 +42,14 @@ def hidden_vertices(body: BodyModel) -> Bool[np.ndarray, " V"] | None:
     return ~(seen if full is body else seen[body.full_vertices])
 
 
-def at_rest(body: BodyModel, state: ModelState, offset: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """The person at rest: the model's, with a posed surface's offset from the posed model turned back."""
+def at_rest(
+    body: BodyModel, state: ModelState, offset: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """The person at rest: the model's, with a posed surface's offset from the posed model turned
+    back.
+    """
     skeleton = posed_skeleton(body, body.rest_joints(state.betas), state.pose[0])
-    turn = np.einsum("vk,vkij->vij", body.skinning_value, skeleton.motions[body.skinning_index][..., :3])
+    turn = np.einsum(
+        "vk,vkij->vij", body.skinning_value, skeleton.motions[body.skinning_index][..., :3]
+    )
     return body.rest_vertices(state.betas) + np.linalg.solve(turn, offset[..., None])[..., 0]

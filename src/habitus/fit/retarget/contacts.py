@@ -21,7 +21,9 @@ _LEVEL = 0.04  # metres by which heights of one floor differ
 
 @dataclass(frozen=True)
 class Soles:
-    """Points of both feet: each the mean of some vertices. ``points`` (2, 3) holds ids: side; heel, ball, toes."""
+    """Points of both feet: each the mean of some vertices. ``points`` (2, 3) holds ids: side; heel,
+    ball, toes.
+    """
 
     points: tuple[tuple[Int[np.ndarray, " n"], ...], ...]
 
@@ -34,7 +36,9 @@ class Soles:
         """The points, of the places of the ``used`` vertices: side, point, coordinate."""
         used = self.used
         rows = [[np.searchsorted(used, ids) for ids in side] for side in self.points]
-        return np.stack([np.stack([vertices[:, row].mean(axis=1) for row in side], 1) for side in rows], 1)
+        return np.stack(
+            [np.stack([vertices[:, row].mean(axis=1) for row in side], 1) for side in rows], 1
+        )
 
     def lowest(self, vertices: Float[np.ndarray, "T N 3"]) -> tuple[Float[np.ndarray, " T"], ...]:
         """The height (y) of each sole's lowest vertex, of the places of the ``used`` ones."""
@@ -43,16 +47,22 @@ class Soles:
 
 
 def find_soles(body: BodyModel) -> Soles:
-    """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError without feet."""
+    """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError
+    without feet.
+    """
     strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
     return Soles(tuple(_sole(body, strongest, side) for side in SIDES))
 
 
 def _sole(body: BodyModel, strongest: np.ndarray, side: str) -> tuple[np.ndarray, ...]:
-    wanted = [k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")]
+    wanted = [
+        k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")
+    ]
     ids = np.flatnonzero(np.isin(strongest, wanted))
     if not len(ids):
-        raise HabitusError(f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)")
+        raise HabitusError(
+            f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)"
+        )
     points = body.v_template[ids]
     low = points[:, 1] < points[:, 1].min() + _DEEP
     along = (points[:, 2] - points[low, 2].min()) / max(float(np.ptp(points[low, 2])), 1e-9)
@@ -66,7 +76,8 @@ def standing(points: Float[np.ndarray, "T ... 3"], rate_hz: float) -> Bool[np.nd
     if frames < 2:
         return np.zeros(points.shape[:-1], bool)
     step = max(1, round(0.025 * rate_hz))
-    before, after = np.maximum(np.arange(frames) - step, 0), np.minimum(np.arange(frames) + step, frames - 1)
+    before = np.maximum(np.arange(frames) - step, 0)
+    after = np.minimum(np.arange(frames) + step, frames - 1)
     way = np.linalg.norm(points[after] - points[before], axis=-1)
     still = way * rate_hz / (after - before).reshape(-1, *[1] * (way.ndim - 1)) < STILL
     line = np.ones((2 * max(0, round(0.5 * HOLE * rate_hz)) + 1, *[1] * (way.ndim - 1)), bool)
@@ -75,7 +86,9 @@ def standing(points: Float[np.ndarray, "T ... 3"], rate_hz: float) -> Bool[np.nd
 
 
 def ground_height(heights: Float[np.ndarray, "T ..."], still: Bool[np.ndarray, "T ..."]) -> float:
-    """The height of the floor that is stood on most, among the lowest; without any standing the lowest height."""
+    """The height of the floor that is stood on most, among the lowest; without any standing the
+    lowest height.
+    """
     if not still.any():
         return float(np.percentile(heights, 1))
     low = np.where(still, heights, np.inf).reshape(len(heights), -1).min(axis=1)

@@ -1,4 +1,6 @@
-"""How far feet have to move so that they stand where they stood: smoothly between one stand and the next."""
+"""How far feet have to move so that they stand where they stood: smoothly between one stand and the
+next.
+"""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,7 +10,9 @@ from jaxtyping import Bool, Float, Int
 
 
 class Stand(NamedTuple):
-    """Frames ``first`` to ``last`` in which some point of a foot stands; ``active`` (n,) says which, frame by frame."""
+    """Frames ``first`` to ``last`` in which some point of a foot stands; ``active`` (n,) says
+    which, frame by frame.
+    """
 
     first: int
     last: int
@@ -16,11 +20,16 @@ class Stand(NamedTuple):
 
 
 def stands(still: Bool[np.ndarray, "T P"]) -> Iterator[Stand]:
-    """Every run of frames in which a point of a foot stands, one point after the other as long as it does."""
-    active, now = np.full(len(still), -1), -1
+    """Every run of frames in which a point of a foot stands, one point after the other as long as
+    it does.
+    """
+    active = np.full(len(still), -1)
+    now = -1
     for frame, here in enumerate(still):
         if now < 0 or not here[now]:
-            now = int(max(np.flatnonzero(here), key=lambda point: _until(still, frame, point), default=-1))
+            now = int(
+                max(np.flatnonzero(here), key=lambda point: _until(still, frame, point), default=-1)
+            )
         active[frame] = now
     edges = np.flatnonzero(np.diff((active >= 0).astype(np.int8), prepend=0, append=0))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
@@ -34,13 +43,16 @@ def _until(still: np.ndarray, frame: int, point: int) -> int:
 
 
 def corrections(
-    moved: Float[np.ndarray, "T P 3"], still: Bool[np.ndarray, "T P"], as_before: Float[np.ndarray, "T P 3"]
+    moved: Float[np.ndarray, "T P 3"],
+    still: Bool[np.ndarray, "T P"],
+    as_before: Float[np.ndarray, "T P 3"],
 ) -> Float[np.ndarray, "T 3"]:
     """What a foot has to be shifted by, frame by frame, with y up.
 
-    ``moved``: the points of the foot as they are, ``as_before``: as they were in the source, y as it shall be. While a
-    point stands it goes where it went in the source, which was nowhere to speak of; where it stands is where it is on
-    average, and as high as it shall be. In between the shift goes smoothly from one stand's to the next's.
+    ``moved``: the points of the foot as they are, ``as_before``: as they were in the source, y as
+    it shall be. While a point stands it goes where it went in the source, which was nowhere to
+    speak of; where it stands is where it is on average, and as high as it shall be. In between the
+    shift goes smoothly from one stand's to the next's.
     """
     out = np.zeros((len(moved), 3))
     known = np.zeros(len(moved), bool)
@@ -56,21 +68,28 @@ def corrections(
 
 
 def _chained(apart: np.ndarray, frames: np.ndarray, point: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """The change of what parts the standing point from its source, going on without a jump where the point changes."""
+    """The change of what parts the standing point from its source, going on without a jump where
+    the point changes.
+    """
     shift = np.zeros((len(frames), 3))
     for k in range(1, len(frames)):
-        shift[k] = shift[k - 1] + apart[frames[k], point[k - 1]] - apart[frames[k - 1], point[k - 1]]
+        shift[k] = (
+            shift[k - 1] + apart[frames[k], point[k - 1]] - apart[frames[k - 1], point[k - 1]]
+        )
     return shift
 
 
 def _bridged(shift: np.ndarray, known: np.ndarray) -> Float[np.ndarray, "T 3"]:
-    """Between known frames a way that begins and ends at rest; before the first and after the last it holds."""
+    """Between known frames a way that begins and ends at rest; before the first and after the last
+    it holds.
+    """
     if not known.any():
         return shift
     frames = np.flatnonzero(known)
     after = np.clip(np.searchsorted(frames, np.arange(len(shift))), 0, len(frames) - 1)
     before = np.maximum(after - (frames[after] > np.arange(len(shift))), 0)
-    first, last = frames[before], frames[after]
+    first = frames[before]
+    last = frames[after]
     share = np.clip((np.arange(len(shift)) - first) / np.maximum(last - first, 1), 0.0, 1.0)
     smooth = (share**2 * (3.0 - 2.0 * share))[:, None]
     return shift[first] + smooth * (shift[last] - shift[first])

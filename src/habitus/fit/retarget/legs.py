@@ -1,4 +1,5 @@
-"""Legs that reach a place: the knee bends by what the distance asks, the hip turns, the foot keeps its heading.
+"""Legs that reach a place: the knee bends by what the distance asks, the hip turns, the foot keeps
+its heading.
 
 In closed form for all frames at once. A leg that is where it should be stays as it is.
 """
@@ -17,7 +18,9 @@ SOFT = np.deg2rad(8.0)
 
 
 class Skeleton(NamedTuple):
-    """A motion's joints: local rotations, rest places (soft tissue moves them), motions in the world (T, J, 3, 4)."""
+    """A motion's joints: local rotations, rest places (soft tissue moves them), motions in the
+    world (T, J, 3, 4).
+    """
 
     rotations: Float[np.ndarray, "T J 3 3"]
     rest: Float[np.ndarray, "T J 3"]
@@ -49,12 +52,17 @@ def legs_of(body) -> tuple[Leg, Leg]:
     """Left and right leg of a body that has SMPL's joints there."""
     find = {name: k for k, name in enumerate(body.joint_names)}
     return tuple(  # type: ignore[return-value]
-        Leg(body.parents[find[f"{side}_hip"]], *(find[f"{side}_{part}"] for part in ("hip", "knee", "ankle")))
+        Leg(
+            body.parents[find[f"{side}_hip"]],
+            *(find[f"{side}_{part}"] for part in ("hip", "knee", "ankle")),
+        )
         for side in ("left", "right")
     )
 
 
-def bones(skeleton: Skeleton, leg: Leg) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
+def bones(
+    skeleton: Skeleton, leg: Leg
+) -> tuple[Float[np.ndarray, "T 3"], Float[np.ndarray, "T 3"]]:
     """Thigh and shank at rest, from joint to joint."""
     rest = skeleton.rest
     return rest[:, leg.knee] - rest[:, leg.hip], rest[:, leg.ankle] - rest[:, leg.knee]
@@ -63,12 +71,15 @@ def bones(skeleton: Skeleton, leg: Leg) -> tuple[Float[np.ndarray, "T 3"], Float
 def reach(
     pose: Float[np.ndarray, "T J 3"], skeleton: Skeleton, leg: Leg, goal: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T J 3"]:
-    """The pose with a leg whose ankle is at ``goal`` (m, world), as near as the leg is long, the foot turned as before.
+    """The pose with a leg whose ankle is at ``goal`` (m, world), as near as the leg is long, the
+    foot turned as before.
 
     The knee bends further about the thigh's x axis, on the side on which it is bent.
     """
-    world, thigh_shank = skeleton.world, bones(skeleton, leg)
-    thigh, knee = thigh_shank[0], skeleton.rotations[:, leg.knee]
+    world = skeleton.world
+    thigh_shank = bones(skeleton, leg)
+    thigh = thigh_shank[0]
+    knee = skeleton.rotations[:, leg.knee]
     way = goal - world[:, leg.hip, :, 3]
     knee = _bent(thigh, knee, thigh_shank[1], np.linalg.norm(way, axis=1)) @ knee
     hip = world[:, leg.hip, :, :3]
@@ -86,15 +97,21 @@ def reach(
     return out
 
 
-def _bent(thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.ndarray) -> Float[np.ndarray, "T 3 3"]:
-    """The turn about x after which hip and ankle are nearly ``distance`` apart: |a + R u|² = d², u the bent shank.
+def _bent(
+    thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.ndarray
+) -> Float[np.ndarray, "T 3 3"]:
+    """The turn about x after which hip and ankle are nearly ``distance`` apart: |a + R u|² = d², u
+    the bent shank.
 
     The bend from straight is what counts, by its square: `_root`.
     """
-    a, u = thigh, (knee @ shank[..., None])[..., 0]
-    cosine, sine = a[:, 1] * u[:, 1] + a[:, 2] * u[:, 2], a[:, 2] * u[:, 1] - a[:, 1] * u[:, 2]
+    a = thigh
+    u = (knee @ shank[..., None])[..., 0]
+    cosine = a[:, 1] * u[:, 1] + a[:, 2] * u[:, 2]
+    sine = a[:, 2] * u[:, 1] - a[:, 1] * u[:, 2]
     wanted = 0.5 * (distance**2 - (a**2).sum(1) - (u**2).sum(1)) - a[:, 0] * u[:, 0]
-    straight, size = np.arctan2(sine, cosine), np.maximum(np.hypot(sine, cosine), 1e-12)
+    straight = np.arctan2(sine, cosine)
+    size = np.maximum(np.hypot(sine, cosine), 1e-12)
     square = np.arccos(np.clip(wanted / size, -1.0, 1.0)) ** 2
     now = -straight * np.abs(straight)
     angle = _root(now + square - straight**2) - _root(now)
@@ -104,8 +121,8 @@ def _bent(thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.n
 def _root(square: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     """The bend (rad) by its signed square, to `SOFT` from 0 less steep than a root.
 
-    A leg that is nearly straight gets shorter by next to nothing however it bends: a millimetre asks for 5 degrees. It
-    is not worth a knee that jumps.
+    A leg that is nearly straight gets shorter by next to nothing however it bends: a millimetre
+    asks for 5 degrees. It is not worth a knee that jumps.
     """
     return square / np.sqrt(np.abs(square) + SOFT**2)
 
@@ -113,7 +130,8 @@ def _root(square: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
 def _onto(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "T 3 3"]:
     """The smallest rotations that take the directions of ``one`` to those of ``other``."""
     a, b = (v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12) for v in (one, other))
-    axis, cosine = np.cross(a, b), (a * b).sum(1)
+    axis = np.cross(a, b)
+    cosine = (a * b).sum(1)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, cosine)
     return matrix_from_rotvec(axis * (angle / np.maximum(sine, 1e-12))[:, None])

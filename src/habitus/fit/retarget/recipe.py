@@ -1,7 +1,9 @@
-"""A motion carried over to another body (M 9.2), with feet that stand where they stood and nothing below the ground.
+"""A motion carried over to another body (M 9.2), with feet that stand where they stood and nothing
+below the ground.
 
-M takes pose, soft tissue and place as they are. On legs of another length feet would then slide and hang in the air or
-in the ground, so here the way of the root is scaled with the legs, feet are moved to where they stood, and legs follow.
+M takes pose, soft tissue and place as they are. On legs of another length feet would then slide and
+hang in the air or in the ground, so here the way of the root is scaled with the legs, feet are
+moved to where they stood, and legs follow.
 """
 
 from dataclasses import dataclass, replace
@@ -30,10 +32,12 @@ ROUNDS = 2
 
 @dataclass(frozen=True)
 class Retargeting:
-    """A motion on another body and how well it stands. ``scale``: of the way, as its legs are longer than the source's.
+    """A motion on another body and how well it stands. ``scale``: of the way, as its legs are
+    longer than the source's.
 
-    Metres and seconds: ``standing`` s that some foot stands; ``slip`` m/s of the points that stand, of the source, of
-    the same pose and scaled way without more ado (plain), and of the result; ``below``: the lowest point of each.
+    Metres and seconds: ``standing`` s that some foot stands; ``slip`` m/s of the points that stand,
+    of the source, of the same pose and scaled way without more ado (plain), and of the result;
+    ``below``: the lowest point of each.
     """
 
     motion: BodyMotion
@@ -43,21 +47,26 @@ class Retargeting:
     below: tuple[float, float, float]
 
 
-def retargeted(source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B"], name: str) -> Retargeting:
-    """The motion of ``source`` on ``body`` of shape ``betas``; soft tissue, rate and world are the source's.
+def retargeted(
+    source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B"], name: str
+) -> Retargeting:
+    """The motion of ``source`` on ``body`` of shape ``betas``; soft tissue, rate and world are the
+    source's.
 
-    ``body`` has the source's joints and shape space. ``name`` says whose body it is. Raises HabitusError for bodies
-    that differ in joints or have no legs and feet of SMPL's names.
+    ``body`` has the source's joints and shape space. ``name`` says whose body it is. Raises
+    HabitusError for bodies that differ in joints or have no legs and feet of SMPL's names.
     """
     _check(source.body, body)
-    turn, soles = up_rotation(source.up_axis), find_soles(body)
+    turn = up_rotation(source.up_axis)
+    soles = find_soles(body)
     before = _turned(source, turn)
     there = before.points(soles.used)
     points = soles.means(there)
     still = standing(points, source.rate_hz)
     ground = ground_height(points[..., 1], still)
     plain, scale = _plain(before, body, betas, ground)
-    lowest, plain_lowest = _lowest(before), _lowest(plain)
+    lowest = _lowest(before)
+    plain_lowest = _lowest(plain)
     wanted = np.where([False, True, False], ground + scale * (points - ground), points)
     allowed = np.minimum(0.0, scale * (lowest - ground))
     moved = _standing(plain, soles, still, wanted, ground + allowed)
@@ -69,11 +78,16 @@ def retargeted(source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B
         float((plain_lowest - ground).min()),
         float((_lowest(moved) - ground).min()),
     )
-    said = f"retargeted to {name}: way scaled by {scale:.3f}, feet kept where they stood, soft tissue carried over"
+    said = (
+        f"retargeted to {name}: way scaled by {scale:.3f}, feet kept where they stood, soft "
+        "tissue carried over"
+    )
     made = _turned(moved, turn.T)
     pose = same_turns(made.pose, source.pose)
     whose = name if FROM in body.extras else source.body_name
-    made = replace(made, pose=pose, up_axis=source.up_axis, body_name=whose, made=(*source.made, said))
+    made = replace(
+        made, pose=pose, up_axis=source.up_axis, body_name=whose, made=(*source.made, said)
+    )
     seconds = float(still.any(axis=(1, 2)).sum() / source.rate_hz)
     return Retargeting(made, scale, seconds, slips, below)
 
@@ -81,24 +95,32 @@ def retargeted(source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B
 def _check(one: BodyModel, other: BodyModel) -> None:
     if one.joint_names != other.joint_names or one.num_betas != other.num_betas:
         raise HabitusError(
-            f"{other.name} has {other.num_joints} joints and {other.num_betas} betas; the motion's body {one.name} has "
+            f"{other.name} has {other.num_joints} joints and {other.num_betas} betas; the "
+            f"motion's body {one.name} has "
             f"{one.num_joints} and {one.num_betas}; expected another shape of the same body"
         )
     missing = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
     missing = [name for name in missing if name not in other.joint_names]
     if missing:
-        raise HabitusError(f"the body {other.name} has no joint {missing[0]}; expected legs under SMPL's names")
+        raise HabitusError(
+            f"the body {other.name} has no joint {missing[0]}; expected legs under SMPL's names"
+        )
 
 
 def _turned(motion: BodyMotion, turn: Float[np.ndarray, "3 3"]) -> BodyMotion:
     """The same motion in another world: the root turns about where it is."""
-    root, pose = skeleton_of(motion).rest[:, 0], motion.pose.copy()
+    root = skeleton_of(motion).rest[:, 0]
+    pose = motion.pose.copy()
     pose[:, 0] = rotvec_from_matrix(turn @ matrix_from_rotvec(pose[:, 0]))
     return replace(motion, pose=pose, trans=(motion.trans + root) @ turn.T - root)
 
 
-def same_turns(pose: Float[np.ndarray, "T J 3"], other: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "T J 3"]:
-    """The same rotations as vectors as near to ``other``'s as can be: turns that go on beyond half of one go on."""
+def same_turns(
+    pose: Float[np.ndarray, "T J 3"], other: Float[np.ndarray, "T J 3"]
+) -> Float[np.ndarray, "T J 3"]:
+    """The same rotations as vectors as near to ``other``'s as can be: turns that go on beyond half
+    of one go on.
+    """
     angle = np.linalg.norm(pose, axis=-1, keepdims=True)
     around = pose * (1.0 - 2.0 * np.pi / np.maximum(angle, 1e-9))
     nearer = np.linalg.norm(around - other, axis=-1) < np.linalg.norm(pose - other, axis=-1)
@@ -108,9 +130,13 @@ def same_turns(pose: Float[np.ndarray, "T J 3"], other: Float[np.ndarray, "T J 3
 def _plain(
     source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B"], ground: float
 ) -> tuple[BodyMotion, float]:
-    """The source's poses on the body, its root's way scaled about where it begins, heights about the ground."""
-    legs, still = legs_of(body), replace(source, body=body, betas=betas)
-    there, here = skeleton_of(source), skeleton_of(still)
+    """The source's poses on the body, its root's way scaled about where it begins, heights about
+    the ground.
+    """
+    legs = legs_of(body)
+    still = replace(source, body=body, betas=betas)
+    there = skeleton_of(source)
+    here = skeleton_of(still)
     scale = _leg_length(still, legs) / _leg_length(source, legs)
     root = there.world[:, 0, :, 3]
     origin = np.array([root[0, 0], ground, root[0, 2]])
@@ -120,10 +146,12 @@ def _plain(
 
 def _leg_length(motion: BodyMotion, legs: tuple[Leg, Leg]) -> float:
     """Thigh and shank, and the ankle's height above the sole, of both sides on average."""
-    body, betas = motion.body, motion.betas
+    body = motion.body
+    betas = motion.betas
     if motion.soft_tissue is not None:
         betas = betas + motion.soft_tissue.mean(axis=0)
-    joints, lowest = body.rest_joints(betas), body.rest_vertices(betas)[:, 1].min()
+    joints = body.rest_joints(betas)
+    lowest = body.rest_vertices(betas)[:, 1].min()
     each = [
         np.linalg.norm(joints[leg.knee] - joints[leg.hip])
         + np.linalg.norm(joints[leg.ankle] - joints[leg.knee])
@@ -135,15 +163,21 @@ def _leg_length(motion: BodyMotion, legs: tuple[Leg, Leg]) -> float:
 
 
 def _standing(
-    plain: BodyMotion, soles: Soles, still: Bool[np.ndarray, "T 2 P"], wanted: np.ndarray, least: np.ndarray
+    plain: BodyMotion,
+    soles: Soles,
+    still: Bool[np.ndarray, "T 2 P"],
+    wanted: np.ndarray,
+    least: np.ndarray,
 ) -> BodyMotion:
-    """The motion with feet at their places: the root gives way where legs are too short, then legs follow.
+    """The motion with feet at their places: the root gives way where legs are too short, then legs
+    follow.
 
     ``least`` (T,): the height below which no foot goes.
     """
     legs = legs_of(plain.body)
     points = plain.points(soles.used)
-    feet, lows = soles.means(points), soles.lowest(points)
+    feet = soles.means(points)
+    lows = soles.lowest(points)
     shifts = [corrections(feet[:, k], still[:, k], wanted[:, k]) for k in range(2)]
     moved = plain
     for _ in range(ROUNDS):
@@ -154,7 +188,9 @@ def _standing(
     return moved
 
 
-def _lifted(shift: np.ndarray, low: Float[np.ndarray, " T"], least: np.ndarray) -> Float[np.ndarray, "T 3"]:
+def _lifted(
+    shift: np.ndarray, low: Float[np.ndarray, " T"], least: np.ndarray
+) -> Float[np.ndarray, "T 3"]:
     out = shift.copy()
     out[:, 1] += np.maximum(least - (low + shift[:, 1]), 0.0)
     return out
@@ -162,10 +198,13 @@ def _lifted(shift: np.ndarray, low: Float[np.ndarray, " T"], least: np.ndarray) 
 
 def _with_feet(plain: BodyMotion, legs: tuple[Leg, Leg], shifts: list[np.ndarray]) -> BodyMotion:
     skeleton = skeleton_of(plain)
-    goals = [skeleton.world[:, leg.ankle, :, 3] + shift for leg, shift in zip(legs, shifts, strict=True)]
+    goals = [
+        skeleton.world[:, leg.ankle, :, 3] + shift for leg, shift in zip(legs, shifts, strict=True)
+    ]
     trans = plain.trans.copy()
     trans[:, 1] -= _sunk(skeleton, legs, goals, plain.rate_hz)
-    pose, lowered = plain.pose, replace(plain, trans=trans)
+    pose = plain.pose
+    lowered = replace(plain, trans=trans)
     skeleton = skeleton_of(lowered)
     for leg, goal in zip(legs, goals, strict=True):
         pose = reach(pose, skeleton, leg, goal)
@@ -179,7 +218,8 @@ def _sunk(
     needed = np.zeros(len(skeleton.rest))
     for leg, goal in zip(legs, goals, strict=True):
         length = sum(np.linalg.norm(bone, axis=1) for bone in bones(skeleton, leg))
-        hip, ankle = skeleton.world[:, leg.hip, :, 3], skeleton.world[:, leg.ankle, :, 3]
+        hip = skeleton.world[:, leg.hip, :, 3]
+        ankle = skeleton.world[:, leg.ankle, :, 3]
         most = np.maximum(STRAIGHT * length, np.linalg.norm(ankle - hip, axis=1))
         way = goal - hip
         across = np.minimum(np.hypot(way[:, 0], way[:, 2]), most)
@@ -224,7 +264,9 @@ def _lowest(motion: BodyMotion) -> Float[np.ndarray, " T"]:
 
 
 def _slip(motion: BodyMotion, soles: Soles, still: Bool[np.ndarray, "T 2 P"]) -> float:
-    """Root mean square speed (m/s) of points of the soles from one frame in which they stand to the next."""
+    """Root mean square speed (m/s) of points of the soles from one frame in which they stand to the
+    next.
+    """
     points = soles.means(motion.points(soles.used))
     both = still[1:] & still[:-1]
     way = np.linalg.norm(np.diff(points, axis=0), axis=-1)[both] * motion.rate_hz

@@ -1,11 +1,12 @@
-"""Light and albedo apart (T 4.6.1): colour = albedo of each vertex times spherical harmonics of the light.
+"""Light and albedo apart (T 4.6.1): colour = albedo of each vertex times spherical harmonics of the
+light.
 
     E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd² (T eq. 4.7)
 
-in linear light, by Gauss-Newton: of each step log albedo, one number a vertex, is eliminated (a sparse Schur
-complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have seams. Their common factor
-and tint cannot be told: the light that comes from everywhere together is taken as white, and brings a white surface
-to 1.
+in linear light, by Gauss-Newton: of each step log albedo, one number a vertex, is eliminated (a
+sparse Schur complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have
+seams. Their common factor and tint cannot be told: the light that comes from everywhere together is
+taken as white, and brings a white surface to 1.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,9 @@ NOISE = 0.02
 OUTLIER = 0.15
 """Difference of colours that counts a quarter."""
 EDGE = 0.2
-"""Jump of log albedo between neighbours that counts a quarter: seams of clothing are none of the light's doing."""
+"""Jump of log albedo between neighbours that counts a quarter: seams of clothing are none of the
+light's doing.
+"""
 STEEPEST = 0.25
 BEHIND = 0.02
 DARKEST = 0.004
@@ -47,10 +50,11 @@ DARKEST = 0.004
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """Albedo (V, 3) of each vertex, light (9, 3) in the world of the views, linear; share of vertices seen (V,).
+    """Albedo (V, 3) of each vertex, light (9, 3) in the world of the views, linear; share of
+    vertices seen (V,).
 
-    shift: of the colour camera. residual: root mean square of colour, observed less rendered (0..1, linear), on
-    vertices that are seen.
+    shift: of the colour camera. residual: root mean square of colour, observed less rendered (0..1,
+    linear), on vertices that are seen.
     """
 
     albedo: Float[np.ndarray, "V 3"]
@@ -83,37 +87,54 @@ def find_appearance(
     with_colour = [k for k, sight in enumerate(sights) if sight.colour_camera is not None]
     if not with_colour:
         return None
-    some, surfaces = [sights[k] for k in with_colour], [vertices[k] for k in with_colour]
+    some = [sights[k] for k in with_colour]
+    surfaces = [vertices[k] for k in with_colour]
     triangles = Triangles.of(faces, num_vertices=vertices.shape[1])
     shift = shift or find_shift(some, surfaces, triangles)
     samples = joined(
-        [sample(sight, surface, triangles, shift.shift) for sight, surface in zip(some, surfaces, strict=True)]
+        [
+            sample(sight, surface, triangles, shift.shift)
+            for sight, surface in zip(some, surfaces, strict=True)
+        ]
     )
     if len(samples.vertex) < 200:
         return None
     return solve_appearance(samples, faces, vertices.shape[1], shift)
 
 
-def solve_appearance(samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift) -> Appearance:
-    """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near the grey light."""
-    edges, white = edges_of(faces), float(samples.harmonics[0, 0])
-    light, albedo = np.zeros((9, 3)), np.empty((count, 3))
+def solve_appearance(
+    samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift
+) -> Appearance:
+    """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near
+    the grey light.
+    """
+    edges = edges_of(faces)
+    white = float(samples.harmonics[0, 0])
+    light = np.zeros((9, 3))
+    albedo = np.empty((count, 3))
     light[0] = 1.0 / white
-    grey, plain = light[:, 0], samples.colour.mean(1)
+    grey = light[:, 0]
+    plain = samples.colour.mean(1)
     tone = _lit(samples, plain, grey, count)
     for _ in range(ROUNDS):
         tone, grey = _step(samples, plain, (tone, grey), light[:, 0], LIGHT_SD, edges)
     for channel in range(3):
-        colour, own = samples.colour[:, channel], grey
+        colour = samples.colour[:, channel]
+        own = grey
         tone = _lit(samples, colour, grey, count)
         for _ in range(ROUNDS // 2):
             tone, own = _step(samples, colour, (tone, own), grey, TINT_SD, edges)
         albedo[:, channel], light[:, channel] = tone, own
     scale = light[0] * white
-    light, albedo = light / scale, albedo * scale
+    light = light / scale
+    albedo = albedo * scale
     rendered = albedo[samples.vertex] * (samples.harmonics @ light)
-    residual = float(np.sqrt(np.average((rendered - samples.colour) ** 2, 0, samples.weight).mean()))
-    return Appearance(albedo, light, np.bincount(samples.vertex, samples.weight, count), shift, residual)
+    residual = float(
+        np.sqrt(np.average((rendered - samples.colour) ** 2, 0, samples.weight).mean())
+    )
+    return Appearance(
+        albedo, light, np.bincount(samples.vertex, samples.weight, count), shift, residual
+    )
 
 
 def _lit(
@@ -134,12 +155,14 @@ def _step(
     spread: tuple[float, float, float],
     edges: sparse.csr_array,
 ) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]]:
-    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur complement.
+    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur
+    complement.
 
     The light's prior is ``usual`` with a spread for each order.
     """
     (albedo, light), shape = now, samples.harmonics
-    count, shade = len(albedo), (shape @ light).clip(0.05)
+    count = len(albedo)
+    shade = (shape @ light).clip(0.05)
     drawn = albedo[samples.vertex] * shade
     apart = colour - drawn
     weight = samples.weight / NOISE**2 / (1.0 + (apart / OUTLIER) ** 2) ** 2
@@ -163,10 +186,14 @@ def _step(
 def log_smoothness(
     edges: sparse.csr_array, albedo: Float[np.ndarray, " V"]
 ) -> tuple[sparse.csr_array, Float[np.ndarray, " V"]]:
-    """E_Q of one channel (T eq. 4.7), over log albedo: its Gauss-Newton matrix (V, V) and gradient (V,)."""
+    """E_Q of one channel (T eq. 4.7), over log albedo: its Gauss-Newton matrix (V, V) and gradient
+    (V,).
+    """
     log = np.log(albedo)
     jump = edges @ log
-    smooth = edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
+    smooth = (
+        edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
+    )
     return smooth, smooth @ log
 
 
@@ -176,30 +203,44 @@ ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
 def edges_of(faces: Int[np.ndarray, "F 3"]) -> sparse.csr_array:
     """Differences of neighbouring vertices (E, V)."""
     count = int(faces.max()) + 1
-    pairs = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    pairs = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
+        axis=0,
+    )
     rows = np.repeat(np.arange(len(pairs)), 2)
-    return sparse.csr_array((np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count))
+    return sparse.csr_array(
+        (np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count)
+    )
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
     """All samples of several views."""
-    return Samples(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+    return Samples(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0]))
+    )
 
 
 def sample(
-    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, shift: Float[np.ndarray, " 3"]
+    sight: Sight,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    shift: Float[np.ndarray, " 3"],
 ) -> Samples:
     """The vertices that a view's colour camera sees well, and their colours."""
     normals = vertex_normals(vertices, triangles.faces.numpy())
     assert sight.colour_camera is not None
     camera = moved(sight.colour_camera, shift)
-    colour, weight = look_up(sight, camera, vertices, normals, depth_of(camera, vertices, triangles))
+    colour, weight = look_up(
+        sight, camera, vertices, normals, depth_of(camera, vertices, triangles)
+    )
     rows = np.flatnonzero(weight > 0)
     shade = harmonics(torch.from_numpy(normals[rows])).numpy()
     return Samples(rows, colour[rows], shade, weight[rows])
 
 
-def depth_of(camera: Camera, vertices: Float[np.ndarray, "V 3"], triangles: Triangles) -> Float[np.ndarray, "h w"]:
+def depth_of(
+    camera: Camera, vertices: Float[np.ndarray, "V 3"], triangles: Triangles
+) -> Float[np.ndarray, "h w"]:
     """Depth of the model in a camera; infinite beside it."""
     return draw(camera, torch.from_numpy(vertices), triangles, boundary="none").depth().numpy()
 
@@ -211,11 +252,15 @@ def look_up(
     normals: Float[np.ndarray, "N 3"],
     depth: Float[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-    """Linear colours (N, 3) of points on the surface and how far to trust them (N,), 0 where they are not seen.
+    """Linear colours (N, 3) of points on the surface and how far to trust them (N,), 0 where they
+    are not seen.
 
-    depth: the model's own in this camera, which hides what lies behind it; its border's pixels are not trusted.
+    depth: the model's own in this camera, which hides what lies behind it; its border's pixels are
+    not trusted.
     """
-    pixels, z = (found.numpy() for found in camera.project(torch.from_numpy(np.ascontiguousarray(points))))
+    pixels, z = (
+        found.numpy() for found in camera.project(torch.from_numpy(np.ascontiguousarray(points)))
+    )
     view = points - eye_of(camera)
     view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
     cosine = -(normals * view).sum(1)
@@ -226,7 +271,9 @@ def look_up(
     shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + BEHIND) & (cosine > STEEPEST)
     assert sight.view.colour is not None
     linear = to_linear(sight.view.colour)
-    colour = np.stack([map_coordinates(linear[..., c], np.where(inside, at, 0.0), order=1) for c in range(3)], 1)
+    colour = np.stack(
+        [map_coordinates(linear[..., c], np.where(inside, at, 0.0), order=1) for c in range(3)], 1
+    )
     shown &= (colour.max(1) > DARKEST) & (colour.min(1) < 0.995)
     return colour, shown * np.maximum(cosine, 0.0) ** 2
 

@@ -1,4 +1,6 @@
-"""Where the colour camera is: its translation beside the depth camera, by the person's outline in colour (T 4.6.1)."""
+"""Where the colour camera is: its translation beside the depth camera, by the person's outline in
+colour (T 4.6.1).
+"""
 
 from dataclasses import dataclass
 
@@ -13,18 +15,24 @@ from habitus.render.draw import draw
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
 
-STEPS, BLUR, REDUCED = 5, 1.5, 0.5
+STEPS = 5
+BLUR = 1.5
+REDUCED = 0.5
 PRIOR_SD = 0.008
 """Metres by which a calibration may be off."""
 CERTAINTY = 0.01
 """Weight of a pixel of the outlines' difference: neighbours along an outline are off together."""
 LEAST_OVERLAP = 0.6
-"""Share of the outline's pixels that must be the model's: with less, something else differs from the background."""
+"""Share of the outline's pixels that must be the model's: with less, something else differs from
+the background.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourShift:
-    """What is added to the colour camera's translation (m, its own axes), and how well the outlines then overlap."""
+    """What is added to the colour camera's translation (m, its own axes), and how well the outlines
+    then overlap.
+    """
 
     shift: Float[np.ndarray, " 3"]
     overlap: float | None
@@ -44,15 +52,26 @@ def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
     return pieces == sizes.argmax() if count else found
 
 
-def find_shift(sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles) -> ColourShift:
-    """The shift at which the model's outline in colour is the person's, by Gauss-Newton through the renderer."""
+def find_shift(
+    sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles
+) -> ColourShift:
+    """The shift at which the model's outline in colour is the person's, by Gauss-Newton through the
+    renderer.
+    """
     seen = [person_in_colour(sight) for sight in sights]
-    pairs = [(s, m, v) for s, m, v in zip(sights, seen, vertices, strict=True) if m is not None and m.any()]
+    pairs = [
+        (s, m, v)
+        for s, m, v in zip(sights, seen, vertices, strict=True)
+        if m is not None and m.any()
+    ]
     if not pairs:
         return ColourShift(np.zeros(3), None)
-    shift, overlap = np.zeros(3), 0.0
+    shift = np.zeros(3)
+    overlap = 0.0
     for _ in range(STEPS):
-        matrix, right, overlaps = np.eye(3) / PRIOR_SD**2, -shift / PRIOR_SD**2, []
+        matrix = np.eye(3) / PRIOR_SD**2
+        right = -shift / PRIOR_SD**2
+        overlaps = []
         for sight, mask, surface in pairs:
             assert sight.colour_camera is not None
             camera = moved(sight.colour_camera, shift).scaled(REDUCED)
@@ -72,14 +91,21 @@ def moved(camera: Camera, shift: Float[np.ndarray, " 3"]) -> Camera:
 
 
 def _difference(
-    camera: Camera, mask: Bool[np.ndarray, "h w"], vertices: Float[np.ndarray, "V 3"], triangles: Triangles
+    camera: Camera,
+    mask: Bool[np.ndarray, "h w"],
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Blurred outlines' difference, its derivative by the translation, and their overlap."""
     points = torch.from_numpy(vertices)
     frame = draw(camera, points, triangles)
     drawn = frame.silhouette().numpy()
-    rows = (np.arange(camera.height) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[0] - 1)
-    columns = (np.arange(camera.width) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[1] - 1)
+    rows = (
+        (np.arange(camera.height) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[0] - 1)
+    )
+    columns = (
+        (np.arange(camera.width) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[1] - 1)
+    )
     observed = mask[np.ix_(rows, columns)].astype(float)
     jacobian = silhouette_jacobian(frame).to_camera(camera, points, ["translation"])["translation"]
     blurred = [gaussian_filter(one.reshape(drawn.shape), BLUR).ravel() for one in jacobian.T]

@@ -1,4 +1,6 @@
-"""A view's colours at a level of a pyramid (T 4.6.1): what was seen, the empty room behind it, and the camera."""
+"""A view's colours at a level of a pyramid (T 4.6.1): what was seen, the empty room behind it, and
+the camera.
+"""
 
 from dataclasses import dataclass
 
@@ -19,7 +21,8 @@ BRIGHTEST = 254
 
 @dataclass(frozen=True, eq=False)
 class ColourLevel:
-    """Linear colours (h, w, 3) around the person, means over ``factor`` x ``factor`` pixels: seen, and of the room.
+    """Linear colours (h, w, 3) around the person, means over ``factor`` x ``factor`` pixels: seen,
+    and of the room.
 
     usable (h, w): 1 where no pixel is overexposed, else 0.
     """
@@ -32,10 +35,19 @@ class ColourLevel:
 
     @staticmethod
     def of(
-        sight: Sight, vertices: Float[np.ndarray, "V 3"], shift: Float[np.ndarray, " 3"], factor: int
+        sight: Sight,
+        vertices: Float[np.ndarray, "V 3"],
+        shift: Float[np.ndarray, " 3"],
+        factor: int,
     ) -> "ColourLevel | None":
-        """The neighbourhood of a surface in a view; None without colour of the person and of the empty room."""
-        if sight.colour_camera is None or sight.view.colour is None or sight.view.background_colour is None:
+        """The neighbourhood of a surface in a view; None without colour of the person and of the
+        empty room.
+        """
+        if (
+            sight.colour_camera is None
+            or sight.view.colour is None
+            or sight.view.background_colour is None
+        ):
             return None
         camera = moved(sight.colour_camera, shift)
         pixels = camera.project(torch.from_numpy(vertices))[0].numpy()
@@ -50,10 +62,14 @@ class ColourLevel:
             focal_length=camera.focal_length / factor,
             principal_point=(camera.principal_point - torch.from_numpy(low.astype(float))) / factor,
         )
-        seen, room = (to_linear(image[part]) for image in (sight.view.colour, sight.view.background_colour))
+        seen, room = (
+            to_linear(image[part]) for image in (sight.view.colour, sight.view.background_colour)
+        )
         usable = (sight.view.colour[part].max(-1) < BRIGHTEST)[..., None].astype(float)
         least = _means(usable, factor)[..., 0] > 1.0 - 1e-9
-        return ColourLevel(small, factor, _means(seen, factor), _means(room, factor), least.astype(float))
+        return ColourLevel(
+            small, factor, _means(seen, factor), _means(room, factor), least.astype(float)
+        )
 
 
 def _means(image: Float[np.ndarray, "H W C"], factor: int) -> Float[np.ndarray, "h w C"]:

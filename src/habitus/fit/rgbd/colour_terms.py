@@ -1,12 +1,14 @@
-"""E_C and E_Q (T eqs 4.4 and 4.7): the person is drawn before the empty room, lit, and compared with what was seen.
+"""E_C and E_Q (T eqs 4.4 and 4.7): the person is drawn before the empty room, lit, and compared
+with what was seen.
 
     E_C = sum w |I - (alpha a h(n) L + (1 - alpha) I_room)|²,    E_Q = sum over edges (log a_u - log a_v)² / sd²
 
-Derivatives are the renderer's own, of antialiased images: outlines move, albedo is carried along, normals turn in the
-light. Albedo, a number for each vertex and channel, is eliminated (Schur complement of its sparse matrix). Pixels where
-the surface turns away say where it ends: they count for more, a large difference is believed there, and albedo does
-not follow them, as it would paint the room on the person.
-"""
+Derivatives are the renderer's own, of antialiased images: outlines move, albedo is carried along,
+normals turn in the light. Albedo, a number for each vertex and channel, is eliminated (Schur
+complement of its sparse matrix). Pixels where the surface turns away say where it ends: they count
+for more, a large difference is believed there, and albedo does not follow them, as it would paint
+the room on the person.
+"""  # noqa: E501
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +21,15 @@ from scipy.sparse.linalg import splu
 
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
-from habitus.fit.rgbd.appearance import LIGHT_SD, NOISE, ORDERS, OUTLIER, Appearance, eye_of, log_smoothness
+from habitus.fit.rgbd.appearance import (
+    LIGHT_SD,
+    NOISE,
+    ORDERS,
+    OUTLIER,
+    Appearance,
+    eye_of,
+    log_smoothness,
+)
 from habitus.fit.rgbd.colour_camera import PRIOR_SD
 from habitus.fit.rgbd.colour_levels import ColourLevel
 from habitus.fit.rgbd.energy import State
@@ -46,8 +56,8 @@ ALBEDO_DAMPING = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What a person looks like: albedo (V, 3), light (9, 3) in the views' world, linear; shift (3,) of the colour
-    camera (m).
+    """What a person looks like: albedo (V, 3), light (9, 3) in the views' world, linear; shift (3,)
+    of the colour camera (m).
     """
 
     albedo: Float[np.ndarray, "V 3"]
@@ -62,8 +72,9 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class ViewRows:
-    """E_C of one view and channel, R pixels: residual, weight, and derivatives to betas, trans, pose, the channel's
-    light and the camera's shift (in this order), and to the log albedo of vertices.
+    """E_C of one view and channel, R pixels: residual, weight, and derivatives to betas, trans,
+    pose, the channel's light and the camera's shift (in this order), and to the log albedo of
+    vertices.
     """
 
     residual: Float[np.ndarray, " R"]
@@ -74,8 +85,8 @@ class ViewRows:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A posed surface and how its vertices move with betas, trans, pose and the skin off the model (3 V, P); turning
-    (3 V, 3 V): its normals with its vertices.
+    """A posed surface and how its vertices move with betas, trans, pose and the skin off the model
+    (3 V, P); turning (3 V, 3 V): its normals with its vertices.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -84,12 +95,18 @@ class Moving:
     turning: sparse.csr_array
 
     @staticmethod
-    def of(body: BodyModel, state: State, k: int, off: OffModel, numbers: Float[np.ndarray, " C"]) -> "Moving":
+    def of(
+        body: BodyModel, state: State, k: int, off: OffModel, numbers: Float[np.ndarray, " C"]
+    ) -> "Moving":
         """That of view k, with the skin off the model, whose numbers (C,) are the last of the P."""
         found = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
-        vertices, count = np.ascontiguousarray(found.surface.vertices), body.num_vertices
-        by_betas, by_pose = (part.reshape(3 * count, -1) for part in (found.vertices_betas, found.vertices_pose))
-        normals, vertices = vertex_normals(vertices, body.faces), off.seen(vertices, numbers)
+        vertices = np.ascontiguousarray(found.surface.vertices)
+        count = body.num_vertices
+        by_betas, by_pose = (
+            part.reshape(3 * count, -1) for part in (found.vertices_betas, found.vertices_pose)
+        )
+        normals = vertex_normals(vertices, body.faces)
+        vertices = off.seen(vertices, numbers)
         by_skin = (normals[..., None] * off.basis[:, None]).reshape(3 * count, -1)
         motion = np.concatenate([by_betas, np.tile(np.eye(3), (count, 1)), by_pose, by_skin], 1)
         turning = normal_jacobian(vertices, body.faces).tocsr()
@@ -106,31 +123,49 @@ def view_rows(
 ) -> list[ViewRows]:
     """The three channels' rows of one view."""
     normals = torch.from_numpy(moving.normals)
-    shape, slope = harmonics(normals).numpy(), harmonics_slope(normals).numpy()
+    shape = harmonics(normals).numpy()
+    slope = harmonics_slope(normals).numpy()
     values = look.albedo * (shape @ look.light).clip(DARKEST_SHADE)
-    points, room = torch.from_numpy(moving.vertices), torch.from_numpy(level.room)
+    points = torch.from_numpy(moving.vertices)
+    room = torch.from_numpy(level.room)
     frame = draw(level.camera, points, triangles)
     apart = (frame.image(torch.from_numpy(values), room).numpy() - level.seen).reshape(-1, 3)
     found = image_jacobian(frame, torch.from_numpy(values), room)
-    by_vertices, shown = found.to_vertices(level.camera, points), found.values.tocsr()
+    by_vertices = found.to_vertices(level.camera, points)
+    shown = found.values.tocsr()
     pixels = np.flatnonzero(np.diff(shown.indptr))
-    shown, inner = shown[pixels], ~_rim(frame, level, moving)[pixels]
+    shown = shown[pixels]
+    inner = ~_rim(frame, level, moving)[pixels]
     usable = level.usable.ravel()[pixels] * np.where(inner, 1.0, settings.rim)
     shift = np.tile(matrix_from_rotvec(level.camera.rotation).numpy().T, (len(values), 1))
-    corners, rows = np.unique(shown.indices), []
+    corners = np.unique(shown.indices)
+    rows = []
     turned = moving.turned(corners)
     for c in range(3):
         own = by_vertices[3 * pixels + c]
-        lit = look.albedo[corners, c, None] * np.einsum("vx,vxp->vp", look.light[:, c] @ slope[corners], turned)
+        lit = look.albedo[corners, c, None] * np.einsum(
+            "vx,vxp->vp", look.light[:, c] @ slope[corners], turned
+        )
         jacobian = [
             own @ moving.motion + shown[:, corners] @ lit,
             shown @ (look.albedo[:, c, None] * shape),
             own @ shift,
         ]
-        residual, scale = apart[pixels, c], np.where(inner, OUTLIER, RIM_OUTLIER)
-        weight = settings.colour * level.factor**2 * usable / NOISE**2 / (1.0 + (residual / scale) ** 2) ** 2
-        by_albedo = shown.copy()  # zeros at the rim stay in it: what is shown there follows its neighbours
-        by_albedo.data = shown.data * np.repeat(inner, np.diff(shown.indptr)) * values[shown.indices, c]
+        residual = apart[pixels, c]
+        scale = np.where(inner, OUTLIER, RIM_OUTLIER)
+        weight = (
+            settings.colour
+            * level.factor**2
+            * usable
+            / NOISE**2
+            / (1.0 + (residual / scale) ** 2) ** 2
+        )
+        by_albedo = (
+            shown.copy()
+        )  # zeros at the rim stay in it: what is shown there follows its neighbours
+        by_albedo.data = (
+            shown.data * np.repeat(inner, np.diff(shown.indptr)) * values[shown.indices, c]
+        )
         rows.append(ViewRows(residual, weight, np.concatenate(jacobian, 1), by_albedo))
     return rows
 
@@ -145,7 +180,9 @@ def _rim(frame: Frame, level: ColourLevel, moving: Moving) -> Bool[np.ndarray, "
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """What gives the step of a channel's log albedo back: of the vertices that are shown, by a step of ``columns``."""
+    """What gives the step of a channel's log albedo back: of the vertices that are shown, by a step
+    of ``columns``.
+    """
 
     vertices: Int[np.ndarray, " v"]
     columns: Int[np.ndarray, " c"]
@@ -154,8 +191,9 @@ class Eliminated:
 
 @dataclass(frozen=True, eq=False)
 class ColourEquations:
-    """E_C + E_Q and the priors of light and shift, albedo eliminated: gradient (n,) and matrix (n, n) of what moves the
-    person (as `State.vector` has it), the light (27, channel after channel) and the colour camera's shift (3).
+    """E_C + E_Q and the priors of light and shift, albedo eliminated: gradient (n,) and matrix (n,
+    n) of what moves the person (as `State.vector` has it), the light (27, channel after channel)
+    and the colour camera's shift (3).
     """
 
     cost: float
@@ -183,23 +221,34 @@ def colour_equations(
     settings: RgbdSettings,
 ) -> ColourEquations:
     """The normal equations of all views that have colours (None: it has none)."""
-    head, width = len(state.betas), 3 + state.pose[0].size
-    size, field = len(state.vector) + count + 30, len(state.vector) + np.arange(count)
-    matrix, gradient, cost, solved = np.zeros((size, size)), np.zeros(size), 0.0, []
+    head = len(state.betas)
+    width = 3 + state.pose[0].size
+    size = len(state.vector) + count + 30
+    field = len(state.vector) + np.arange(count)
+    matrix = np.zeros((size, size))
+    gradient = np.zeros(size)
+    cost = 0.0
+    solved = []
     for c in range(3):
         light = size - 30 + 9 * c + np.arange(9)
         tail = np.concatenate([light, size - 3 + np.arange(3)])
         rows = [
-            (view[c], np.concatenate([np.arange(head), head + k * width + np.arange(width), field, tail]))
+            (
+                view[c],
+                np.concatenate([np.arange(head), head + k * width + np.arange(width), field, tail]),
+            )
             for k, view in enumerate(views)
             if view is not None
         ]
         cost += 0.5 * sum(float(one.weight @ one.residual**2) for one, _ in rows)
-        own, slope, found = _channel(rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings)
+        own, slope, found = _channel(
+            rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings
+        )
         certain = settings.colour / np.array(LIGHT_SD)[ORDERS] ** 2
         own[light, light] += certain
         slope[light] += certain * (look.light[:, c] - WHITE)
-        matrix, gradient = matrix + own, gradient + slope
+        matrix = matrix + own
+        gradient = gradient + slope
         solved.append(found)
     last = size - 3 + np.arange(3)
     matrix[last, last] += 1.0 / PRIOR_SD**2
@@ -214,13 +263,19 @@ def _channel(
     used: Int[np.ndarray, " c"],
     settings: RgbdSettings,
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"], Eliminated]:
-    """Matrix and gradient of one channel without its albedo, and what gives the albedo's step back."""
+    """Matrix and gradient of one channel without its albedo, and what gives the albedo's step
+    back.
+    """
     size = int(used.max()) + 1
-    matrix, gradient = np.zeros((size, size)), np.zeros(size)
+    matrix = np.zeros((size, size))
+    gradient = np.zeros(size)
     shown = np.unique(np.concatenate([rows.by_albedo.indices for rows, _ in views]))
     smooth, pull = log_smoothness(edges, albedo)
-    inner = settings.colour * smooth[shown][:, shown] + sparse.diags_array(np.full(len(shown), ALBEDO_DAMPING))
-    right, meeting = settings.colour * pull[shown], np.zeros((len(shown), size))
+    inner = settings.colour * smooth[shown][:, shown] + sparse.diags_array(
+        np.full(len(shown), ALBEDO_DAMPING)
+    )
+    right = settings.colour * pull[shown]
+    meeting = np.zeros((len(shown), size))
     for rows, columns in views:
         by_albedo = rows.by_albedo[:, shown]
         weighed = rows.jacobian * rows.weight[:, None]

@@ -1,6 +1,8 @@
-"""The energy of T eq. 4.3 without colour, as named terms over one shape and a pose and place for each view.
+"""The energy of T eq. 4.3 without colour, as named terms over one shape and a pose and place for
+each view.
 
-Each term gives a cost, a gradient and a Gauss-Newton matrix over betas (B), then trans (3) and pose (3 J) of each view.
+Each term gives a cost, a gradient and a Gauss-Newton matrix over betas (B), then trans (3) and pose
+(3 J) of each view.
 """
 
 from collections.abc import Mapping
@@ -35,16 +37,23 @@ class State:
 
     def moved(self, step: Float[np.ndarray, " n"]) -> "State":
         """The state a step further, cut short where it would leap."""
-        head, views = step[: len(self.betas)], step[len(self.betas) :].reshape(len(self.pose), -1)
-        place, turn = views[:, :3], views[:, 3:].reshape(self.pose.shape)
+        head = step[: len(self.betas)]
+        views = step[len(self.betas) :].reshape(len(self.pose), -1)
+        place = views[:, :3]
+        turn = views[:, 3:].reshape(self.pose.shape)
         longest = (place, turn, head)
         share = min(
             [
                 1.0,
-                *(most / max(np.abs(part).max(initial=0.0), TINY) for part, most in zip(longest, LONGEST, strict=True)),
+                *(
+                    most / max(np.abs(part).max(initial=0.0), TINY)
+                    for part, most in zip(longest, LONGEST, strict=True)
+                ),
             ]
         )
-        return State(self.betas + share * head, self.pose + share * turn, self.trans + share * place)
+        return State(
+            self.betas + share * head, self.pose + share * turn, self.trans + share * place
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +78,15 @@ class Priors:
         joints = self.settings.pose / np.repeat(self.pose_sd, 3) ** 2
         joints[:3] = 0.0
         view = np.concatenate([np.zeros(3), joints])
-        return np.concatenate([np.full(len(self.betas_mean), self.settings.shape), np.tile(view, len(self.pose_mean))])
+        return np.concatenate(
+            [np.full(len(self.betas_mean), self.settings.shape), np.tile(view, len(self.pose_mean))]
+        )
 
     def apart(self, state: State) -> Float[np.ndarray, " n"]:
         """The state less the means."""
-        return state.vector - State(self.betas_mean, self.pose_mean, np.zeros_like(state.trans)).vector
+        return (
+            state.vector - State(self.betas_mean, self.pose_mean, np.zeros_like(state.trans)).vector
+        )
 
     def costs(self, state: State) -> dict[str, float]:
         """E_S and E_P."""
@@ -89,13 +102,20 @@ def merged(terms: Mapping[str, PointMatches]) -> PointMatches:
         return NOTHING
     most = max(one.direction.shape[1] for one in given)
     padded = [
-        replace(one, direction=np.pad(one.direction, ((0, 0), (0, most - one.direction.shape[1]), (0, 0))))
+        replace(
+            one,
+            direction=np.pad(one.direction, ((0, 0), (0, most - one.direction.shape[1]), (0, 0))),
+        )
         for one in given
     ]
-    return PointMatches(*(np.concatenate([getattr(one, name) for one in padded]) for name in _FIELDS))
+    return PointMatches(
+        *(np.concatenate([getattr(one, name) for one in padded]) for name in _FIELDS)
+    )
 
 
-NOTHING = PointMatches(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3)))
+NOTHING = PointMatches(
+    np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3))
+)
 """No points at all."""
 _FIELDS = ("face", "barycentric", "target", "direction")
 
@@ -107,7 +127,9 @@ def gauss_newton_step(
     priors: Priors,
     moves: str,
 ) -> tuple[State, float]:
-    """One step of all that ``moves`` ("place", "pose", "all"); the state it leads to, and the cost before it."""
+    """One step of all that ``moves`` ("place", "pose", "all"); the state it leads to, and the cost
+    before it.
+    """
     cost, gradient, matrix = data_equations(solver, state, terms)
     weights = priors.weights()
     gradient = gradient + weights * priors.apart(state)
@@ -123,27 +145,37 @@ def data_equations(
 ) -> tuple[float, np.ndarray, ArrowMatrix]:
     """Each term apart, as one with few directions need not pay for one with many."""
     found = [
-        solver.together(state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms])
+        solver.together(
+            state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms]
+        )
         for name in terms[0]
         if any(len(one[name].face) for one in terms)
     ]
     cost, gradient, matrix = found[0]
     for more, slope, other in found[1:]:
-        cost, gradient = cost + more, gradient + slope
-        matrix = ArrowMatrix(matrix.shared + other.shared, matrix.border + other.border, matrix.blocks + other.blocks)
+        cost = cost + more
+        gradient = gradient + slope
+        matrix = ArrowMatrix(
+            matrix.shared + other.shared, matrix.border + other.border, matrix.blocks + other.blocks
+        )
     return cost, gradient, matrix
 
 
-def costs_of(solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]) -> dict[str, float]:
+def costs_of(
+    solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]
+) -> dict[str, float]:
     """The cost of each term, all views together."""
     return {
-        name: solver.together(state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms])[0]
+        name: solver.together(
+            state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms]
+        )[0]
         for name in terms[0]
     }
 
 
 def _free(state: State, moves: str) -> Bool[np.ndarray, " n"]:
-    views, width = len(state.pose), 3 + state.pose[0].size
+    views = len(state.pose)
+    width = 3 + state.pose[0].size
     own = np.arange(width) < (6 if moves == "place" else width)
     return np.concatenate([np.full(len(state.betas), moves == "all"), np.tile(own, views)])
 

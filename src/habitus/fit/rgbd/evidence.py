@@ -1,4 +1,6 @@
-"""What can be checked of a fit: how far depth is from the body, how much of the person it explains, whom it shows."""
+"""What can be checked of a fit: how far depth is from the body, how much of the person it explains,
+whom it shows.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,10 +24,10 @@ FAR = 0.05
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """Of one view: depth less the body's (mm, across the surface): median of its size, bias, 95th percentile; shares:
-    ``explained`` of the person's pixels that are near the body, ``outside`` of the body's that were seen through,
-    ``overlap`` of both outlines. noise_mm: what the sensor's noise leaves as the median. turn_deg: of the person, to
-    its left.
+    """Of one view: depth less the body's (mm, across the surface): median of its size, bias, 95th
+    percentile; shares: ``explained`` of the person's pixels that are near the body, ``outside`` of
+    the body's that were seen through, ``overlap`` of both outlines. noise_mm: what the sensor's
+    noise leaves as the median. turn_deg: of the person, to its left.
     """
 
     name: str
@@ -44,8 +46,8 @@ class ViewEvidence:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the verdict is drawn from. limb_apart: how far (m) a limb's joint, seen from the pelvis, is elsewhere in
-    another view, and which; None of one view.
+    """All that the verdict is drawn from. limb_apart: how far (m) a limb's joint, seen from the
+    pelvis, is elsewhere in another view, and which; None of one view.
     """
 
     views: tuple[ViewEvidence, ...]
@@ -67,16 +69,28 @@ def gather(
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
 ) -> Evidence:
-    """The evidence of a fit. surfaces: as they were seen, with what is worn; skin: off the model, along normals (m)."""
+    """The evidence of a fit. surfaces: as they were seen, with what is worn; skin: off the model,
+    along normals (m).
+    """
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
     views = tuple(
-        _of_view(sight, surface, triangles, state.pose[k, 0], noise if sight.noise is None else sight.noise)
+        _of_view(
+            sight,
+            surface,
+            triangles,
+            state.pose[k, 0],
+            noise if sight.noise is None else sight.noise,
+        )
         for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
     )
     mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
     apart = state.betas - mean
     whole = [sight for sight in sights if sight.on_floor and not sight.cut_off]
-    height = float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole])) if whole else None
+    height = (
+        float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]))
+        if whole
+        else None
+    )
     return Evidence(
         views,
         float(np.abs(apart).max(initial=0.0)),
@@ -91,13 +105,22 @@ def gather(
 
 
 def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:
-    """People who are seen twice stand alike: a limb that one view has elsewhere is lost in one of them."""
-    limbs = [k for k, name in enumerate(body.joint_names) if name.endswith(("elbow", "wrist", "knee", "ankle"))]
+    """People who are seen twice stand alike: a limb that one view has elsewhere is lost in one of
+    them.
+    """
+    limbs = [
+        k
+        for k, name in enumerate(body.joint_names)
+        if name.endswith(("elbow", "wrist", "knee", "ankle"))
+    ]
     if len(state.pose) < 2 or not limbs:
         return None
     joints = np.asarray(body(state.betas, state.pose, state.trans).joints)
     own = np.stack(
-        [(j[limbs] - j[0]) @ matrix_from_rotvec(pose[0]) for j, pose in zip(joints, state.pose, strict=True)]
+        [
+            (j[limbs] - j[0]) @ matrix_from_rotvec(pose[0])
+            for j, pose in zip(joints, state.pose, strict=True)
+        ]
     )
     apart = np.linalg.norm(own[:, None] - own, axis=-1).max((0, 1))
     worst = int(apart.argmax())
@@ -105,17 +128,26 @@ def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:
 
 
 def _of_view(
-    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, root: np.ndarray, noise: float
+    sight: Sight,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    root: np.ndarray,
+    noise: float,
 ) -> ViewEvidence:
     grid = sight.grid(STRIDE)
     drawn = look(grid, vertices, triangles)
-    own, shown = grid.own.ravel(), np.zeros(grid.own.size, bool)
+    own = grid.own.ravel()
+    shown = np.zeros(grid.own.size, bool)
     shown[drawn.pixel] = True
     both = own[drawn.pixel]
     target = grid.points.reshape(-1, 3)[drawn.pixel[both]]
     off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
     far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
-    near = KDTree(drawn.points).query(grid.points[grid.own])[0] < FAR if len(drawn.points) else np.zeros(1, bool)
+    near = (
+        KDTree(drawn.points).query(grid.points[grid.own])[0] < FAR
+        if len(drawn.points)
+        else np.zeros(1, bool)
+    )
     size = np.abs(off) if len(off) else np.array([np.nan])
     facing = _facing(root)
     return ViewEvidence(

@@ -17,8 +17,8 @@ LIFTED = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Footpads:
-    """Vertices of the soles as points of the surface: face and corner of each, and how high (m) above the floor each
-    is where the foot stands flat: soles are arched, and round at their rims.
+    """Vertices of the soles as points of the surface: face and corner of each, and how high (m)
+    above the floor each is where the foot stands flat: soles are arched, and round at their rims.
     """
 
     face: Int[np.ndarray, " P"]
@@ -38,10 +38,19 @@ class Footpads:
         rest = body.rest_vertices(mean)[:, 1]
         return Footpads(first // 3, first % 3, rest[used] - rest[used].min())
 
-    def on_floor(self, weight: float, surface: Float[np.ndarray, "V 3"], body: BodyModel) -> PointMatches:
-        """Drawn to their heights, with ``weight`` in all, those less that are far off it: a foot may be lifted."""
+    def on_floor(
+        self, weight: float, surface: Float[np.ndarray, "V 3"], body: BodyModel
+    ) -> PointMatches:
+        """Drawn to their heights, with ``weight`` in all, those less that are far off it: a foot
+        may be lifted.
+        """
         count = len(self.face)
         target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
         off = surface[body.faces[self.face, self.corner], 1] - self.height
         root = np.sqrt(weight / count * geman_mcclure_weight(off, LIFTED))
-        return PointMatches(self.face, np.eye(3)[self.corner], target, root[:, None, None] * np.array([0.0, 1.0, 0.0]))
+        return PointMatches(
+            self.face,
+            np.eye(3)[self.corner],
+            target,
+            root[:, None, None] * np.array([0.0, 1.0, 0.0]),
+        )

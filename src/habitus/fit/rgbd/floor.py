@@ -1,11 +1,14 @@
-"""The floor in a depth image: the largest level plane below the camera (T eq. 4.6 needs it; so does what is up)."""
+"""The floor in a depth image: the largest level plane below the camera (T eq. 4.6 needs it; so does
+what is up).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-TRIES, SAMPLE = 300, 4000
+TRIES = 300
+SAMPLE = 4000
 NEAR = 0.006
 """Metres over depth squared within which a point counts as on the plane, and 1 cm more."""
 STEEPEST = 40.0
@@ -17,7 +20,9 @@ LEAST = 500
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """A plane in the sensor's frame: ``normal`` (up) times a point is ``height``; below the camera height < 0."""
+    """A plane in the sensor's frame: ``normal`` (up) times a point is ``height``; below the camera
+    height < 0.
+    """
 
     normal: Float[np.ndarray, " 3"]
     height: float
@@ -28,26 +33,33 @@ class Floor:
 
     @property
     def world(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-        """Rotation and translation from the sensor's frame to a world with y up and the floor at 0."""
+        """Rotation and translation from the sensor's frame to a world with y up and the floor at
+        0.
+        """
         return level_frame(self.normal), np.array([0.0, -self.height, 0.0])
 
 
 def level_frame(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The rotation from the sensor's frame to one whose y is up and whose z points back to the camera."""
+    """The rotation from the sensor's frame to one whose y is up and whose z points back to the
+    camera.
+    """
     back = np.array([0.0, 0.0, -1.0])
     back = back - up * (back @ up)
     back /= np.linalg.norm(back)
     return np.stack([np.cross(up, back), up, back])
 
 
-def find_floor(points: Float[np.ndarray, "H W 3"], seen: Bool[np.ndarray, "H W"], seed: int = 0) -> Floor | None:
+def find_floor(
+    points: Float[np.ndarray, "H W 3"], seen: Bool[np.ndarray, "H W"], seed: int = 0
+) -> Floor | None:
     """The floor among the points (m) that were seen, or None. Sensor's frame: y down, z forward."""
     found = points[seen]
     if len(found) < LEAST:
         return None
     rng = np.random.default_rng(seed)
     some = found[rng.choice(len(found), min(SAMPLE, len(found)), replace=False)]
-    best, most = None, 0.0
+    best = None
+    most = 0.0
     for _ in range(TRIES):
         plane = _through(some[rng.choice(len(some), 3, replace=False)])
         if plane is None:
@@ -56,7 +68,8 @@ def find_floor(points: Float[np.ndarray, "H W 3"], seen: Bool[np.ndarray, "H W"]
         below = np.mean(plane.above(some) < -2.0 * _tolerance(some))
         score = off.mean() - below
         if plane.height < -0.2 and off.mean() > FEWEST and below < 0.02 and score > most:
-            best, most = plane, score
+            best = plane
+            most = score
     return None if best is None else _refined(best, found)
 
 

@@ -1,4 +1,6 @@
-"""Which point of the model's surface a pixel belongs to: the nearest that the camera would see, or the same pixel's."""
+"""Which point of the model's surface a pixel belongs to: the nearest that the camera would see, or
+the same pixel's.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +26,8 @@ LEAST_COSINE = 0.3
 class Drawn:
     """What a grid's camera would see of the model: N surface points.
 
-    pixel (N,): number in the grid; face, barycentric: where on the surface; points, normals (N, 3): world.
+    pixel (N,): number in the grid; face, barycentric: where on the surface; points, normals (N, 3):
+    world.
     """
 
     pixel: Int[np.ndarray, " N"]
@@ -51,7 +54,9 @@ def look(grid: Grid, vertices: Float[np.ndarray, "V 3"], triangles: Triangles) -
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Terms by name, each as points of the surface against places, and how far (m) the person's pixels were off."""
+    """Terms by name, each as points of the surface against places, and how far (m) the person's
+    pixels were off.
+    """
 
     matches: Mapping[str, PointMatches]
     distance: Float[np.ndarray, " P"]
@@ -68,21 +73,30 @@ def match(
     """E_D of one view and its outline, at the model as it is."""
     found = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
     rows, target = found
-    normal, point = drawn.normals[rows], drawn.points[rows]
+    normal = drawn.normals[rows]
+    point = drawn.points[rows]
     view = point - grid.eye
     depth = np.linalg.norm(view, axis=1)
     cosine = np.abs((normal * view).sum(1)) / np.maximum(depth, 1e-6)
     spread = np.hypot(noise * depth**2 * np.maximum(cosine, LEAST_COSINE), settings.model_sd)
     off = ((point - target) * normal).sum(1)
-    distance = np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
+    distance = (
+        np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
+    )
     weight = settings.depth * stage.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
-    depth_term = PointMatches.to_planes(drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide)
-    return Matching({"depth": depth_term, "outline": outline(grid, drawn, reach, settings)}, distance)
+    depth_term = PointMatches.to_planes(
+        drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide
+    )
+    return Matching(
+        {"depth": depth_term, "outline": outline(grid, drawn, reach, settings)}, distance
+    )
 
 
 def _nearest(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
-    """For each pixel of the person the nearest point of the model: its row, and the pixel's own point."""
+    """For each pixel of the person the nearest point of the model: its row, and the pixel's own
+    point.
+    """
     target = grid.points[grid.own]
     if not len(drawn.points):
         return np.zeros(0, np.int64), target[:0]
@@ -95,7 +109,9 @@ def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
 
 
 def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointMatches:
-    """Points of the model before what was seen through are drawn to the person's nearest pixel, across the view."""
+    """Points of the model before what was seen through are drawn to the person's nearest pixel,
+    across the view.
+    """
     rows = wrong_rows(grid, drawn)
     pixel = drawn.pixel[rows]
     nearest = grid.nearest.reshape(2, -1)[:, pixel]
@@ -105,7 +121,9 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     target = grid.eye + rays * depth[:, None]
     weight = settings.outline * grid.stride**2 / settings.outline_sd**2
-    weight = weight * geman_mcclure_weight(np.linalg.norm(target - drawn.points[rows], axis=1), max(reach, 0.05))
+    weight = weight * geman_mcclure_weight(
+        np.linalg.norm(target - drawn.points[rows], axis=1), max(reach, 0.05)
+    )
     across = np.cross(rays, [0.0, 1.0, 0.0])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     directions = np.stack([across, np.cross(rays, across)], 1) * np.sqrt(weight)[:, None, None]
@@ -120,8 +138,8 @@ def wrong_rows(grid: Grid, drawn: Drawn) -> Int[np.ndarray, " n"]:
 
 
 def misfit(grid: Grid, drawn: Drawn, most: float = 0.15) -> float:
-    """How badly the model explains a view: mean metres, cut at ``most``, from the person's pixels to the model, and
-    ``most`` for each pixel of the model that was seen through.
+    """How badly the model explains a view: mean metres, cut at ``most``, from the person's pixels
+    to the model, and ``most`` for each pixel of the model that was seen through.
     """
     own = grid.points[grid.own]
     if not len(drawn.points) or not len(own):

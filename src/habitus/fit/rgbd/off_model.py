@@ -1,12 +1,14 @@
-"""Skin off the model, and what lies on the skin: how far what was seen is from a body of betas, along its normals.
+"""Skin off the model, and what lies on the skin: how far what was seen is from a body of betas,
+along its normals.
 
     E_D = 1/2 sum_p w_p (n_p . (q_p - t_p) + h_p + l_p)^2 + 1/2 |z|^2,    h = Z z
 
-What is left of a person after betas is alike over centimetres: a thousand pixels of a belly tell of betas hardly more
-than one does, and counted each for itself they bend the back, which no view shows, after the front. So the person's
-skin is off the model by h (V,), one random field for all views, of Matern's kind as in `registration.offset_stage`;
-Z (V, C) spreads its values at C places over the surface (Nystroem), z being independent numbers of spread 1. l (V,) is
-what is worn: clothes and hair of a thickness that is told. h is part of the person, l is not.
+What is left of a person after betas is alike over centimetres: a thousand pixels of a belly tell of
+betas hardly more than one does, and counted each for itself they bend the back, which no view
+shows, after the front. So the person's skin is off the model by h (V,), one random field for all
+views, of Matern's kind as in `registration.offset_stage`; Z (V, C) spreads its values at C places
+over the surface (Nystroem), z being independent numbers of spread 1. l (V,) is what is worn:
+clothes and hair of a thickness that is told. h is part of the person, l is not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,8 +38,8 @@ BROW = 0.5
 
 @dataclass(frozen=True, eq=False)
 class OffModel:
-    """The field's basis (V, C; m), none on the soles, which stand on the floor, and the thickness of what is worn
-    (V,; m) of a body.
+    """The field's basis (V, C; m), none on the soles, which stand on the floor, and the thickness
+    of what is worn (V,; m) of a body.
     """
 
     body: BodyModel
@@ -50,10 +52,14 @@ class OffModel:
         rest = body.rest_vertices(np.zeros(body.num_betas))
         hidden = hidden_vertices(body)
         spread = settings.skin * offset_spread(body)
-        held = field_precision(Topology.of(body.faces, body.num_vertices, hidden), rest, spread, settings.skin_reach)
+        held = field_precision(
+            Topology.of(body.faces, body.num_vertices, hidden), rest, spread, settings.skin_reach
+        )
         shown = np.arange(len(rest)) if hidden is None else np.flatnonzero(~hidden)
         places = shown[spread_out(rest[shown], min(settings.skin_places, len(shown)))]
-        one = csc_array((np.ones(len(places)), (places, np.arange(len(places)))), (len(rest), len(places)))
+        one = csc_array(
+            (np.ones(len(places)), (places, np.arange(len(places)))), (len(rest), len(places))
+        )
         factor = splu(held, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         alike = factor.solve(one.toarray())
         root = np.linalg.cholesky(alike[places] + 1e-9 * np.eye(len(places)))
@@ -87,8 +93,11 @@ def along_normals(
 
 
 def spread_out(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, " count"]:
-    """Rows of points that are far from each other: each next one is the farthest from those before."""
-    found, away = [0], np.linalg.norm(points - points[0], axis=1)
+    """Rows of points that are far from each other: each next one is the farthest from those
+    before.
+    """
+    found = [0]
+    away = np.linalg.norm(points - points[0], axis=1)
     for _ in range(count - 1):
         found.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(points - points[found[-1]], axis=1))
@@ -97,33 +106,52 @@ def spread_out(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, 
 
 def worn(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, " V"]:
     """Metres of tight clothes on trunk and thighs, and of hair above the brow and behind."""
-    names, points = body.joint_names, body.rest_vertices(np.zeros(body.num_betas))
+    names = body.joint_names
+    points = body.rest_vertices(np.zeros(body.num_betas))
     if "head" not in names:
         return np.zeros(len(points))
     weights = body.skinning_weights
     covered = weights[
-        :, [k for k, name in enumerate(names) if name.removeprefix("left_").removeprefix("right_") in WORN]
+        :,
+        [
+            k
+            for k, name in enumerate(names)
+            if name.removeprefix("left_").removeprefix("right_") in WORN
+        ],
     ]
-    head, joint = weights[:, names.index("head")], body.rest_joints(np.zeros(body.num_betas))[names.index("head")]
+    head = weights[:, names.index("head")]
+    joint = body.rest_joints(np.zeros(body.num_betas))[names.index("head")]
     top = points[head > 0.5, 1].max()
-    share = (points[:, 1] - joint[1]) / (top - joint[1]) + np.maximum(joint[2] - points[:, 2], 0.0) / 0.1
+    share = (points[:, 1] - joint[1]) / (top - joint[1]) + np.maximum(
+        joint[2] - points[:, 2], 0.0
+    ) / 0.1
     return clothes * covered.sum(1) + hair * head * np.clip((share - BROW) / 0.2, 0.0, 1.0)
 
 
 def uncoated(
-    terms: Mapping[str, PointMatches], model: Float[np.ndarray, "V 3"], seen: Float[np.ndarray, "V 3"], body: BodyModel
+    terms: Mapping[str, PointMatches],
+    model: Float[np.ndarray, "V 3"],
+    seen: Float[np.ndarray, "V 3"],
+    body: BodyModel,
 ) -> Mapping[str, PointMatches]:
-    """Terms for points of what is seen as terms for the model's: targets are moved back by what lies between."""
+    """Terms for points of what is seen as terms for the model's: targets are moved back by what
+    lies between.
+    """
     between = model - seen
     return {
-        name: replace(one, target=one.target + points_on_surface(between, body.faces, one.face, one.barycentric))
+        name: replace(
+            one,
+            target=one.target + points_on_surface(between, body.faces, one.face, one.barycentric),
+        )
         for name, one in terms.items()
     }
 
 
 @dataclass(frozen=True, eq=False)
 class OffEquations:
-    """E_D's cost, gradient (n + C,) and matrix (n + C, n + C): the state's numbers, then the field's."""
+    """E_D's cost, gradient (n + C,) and matrix (n + C, n + C): the state's numbers, then the
+    field's.
+    """
 
     cost: float
     gradient: Float[np.ndarray, " m"]
@@ -138,13 +166,17 @@ def off_equations(
     models: Float[np.ndarray, "K V 3"],
     surfaces: Float[np.ndarray, "K V 3"],
 ) -> OffEquations:
-    """E_D of all views (one direction a match, already at its weight's root) and the field's own prior.
+    """E_D of all views (one direction a match, already at its weight's root) and the field's own
+    prior.
 
     models: the bodies of betas alone. surfaces: what the matches' points lie on.
     """
-    body, head, width = off.body, len(state.betas), 3 + state.pose[0].size
+    body = off.body
+    head = len(state.betas)
+    width = 3 + state.pose[0].size
     size = len(state.vector)
-    matrix, gradient = np.zeros((size + off.count,) * 2), np.zeros(size + off.count)
+    matrix = np.zeros((size + off.count,) * 2)
+    gradient = np.zeros(size + off.count)
     field = size + np.arange(off.count)
     cost = 0.5 * float(numbers @ numbers)
     gradient[field], matrix[field, field] = numbers, 1.0
@@ -163,20 +195,27 @@ def off_equations(
 def _lumped(
     match: PointMatches, surface: Float[np.ndarray, "V 3"], body: BodyModel
 ) -> tuple[Int[np.ndarray, " U"], csr_array, Float[np.ndarray, " U"], float]:
-    """Corners of the points' triangles, the points' weights and residuals laid on them, and the cost."""
+    """Corners of the points' triangles, the points' weights and residuals laid on them, and the
+    cost.
+    """
     used, corner = np.unique(body.faces[match.face], return_inverse=True)
     row = np.repeat(np.arange(len(match.face)), 3)
     entries = (match.barycentric.ravel(), (row, corner.ravel()))
     share = coo_array(entries, shape=(len(match.face), len(used))).tocsr()
     apart = points_on_surface(surface, body.faces, match.face, match.barycentric) - match.target
     direction = match.direction[:, 0]
-    residual, root = (direction * apart).sum(1), np.linalg.norm(direction, axis=1)
+    residual = (direction * apart).sum(1)
+    root = np.linalg.norm(direction, axis=1)
     lumped = csr_array(share.T @ diags_array(root**2) @ share)
     return used, lumped, share.T @ (root * residual), 0.5 * float(residual @ residual)
 
 
 def _along(
-    body: BodyModel, state: State, k: int, used: Int[np.ndarray, " U"], model: Float[np.ndarray, "V 3"]
+    body: BodyModel,
+    state: State,
+    k: int,
+    used: Int[np.ndarray, " U"],
+    model: Float[np.ndarray, "V 3"],
 ) -> Float[np.ndarray, "U P"]:
     """How vertices ``used`` of view k move along their normals with betas, trans and pose."""
     slopes = surface_jacobian(body, state.betas, state.pose[k], state.trans[k], vertices=used)

@@ -1,4 +1,6 @@
-"""Body shape, poses and places from depth views (T 4.6.1): segment, start, staged Gauss-Newton steps, looks."""
+"""Body shape, poses and places from depth views (T 4.6.1): segment, start, staged Gauss-Newton
+steps, looks.
+"""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -26,15 +28,18 @@ from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
 
 SURE = 20.0
-"""By how much the energy of a woman's or a man's body must be the lower one: 28 of 28 made people had 69 at least."""
+"""By how much the energy of a woman's or a man's body must be the lower one: 28 of 28 made people
+had 69 at least.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewsFit:
-    """Where the stages ended: the body, one of those that were given, and which; the state, the skin's offset from it
-    (V,; m) and the surfaces as they were seen, with skin and what is worn; the views made ready, light and albedo (None
-    without colours), the cost before each step and by term, of each rival after the coarse stages, how badly each view
-    was explained at the start, seconds of the parts.
+    """Where the stages ended: the body, one of those that were given, and which; the state, the
+    skin's offset from it (V,; m) and the surfaces as they were seen, with skin and what is worn;
+    the views made ready, light and albedo (None without colours), the cost before each step and by
+    term, of each rival after the coarse stages, how badly each view was explained at the start,
+    seconds of the parts.
     """
 
     body: BodyModel
@@ -60,17 +65,20 @@ def fit_state(
 ) -> ViewsFit:
     """Shape, poses and places: E_C + E_D + E_F + E_P + E_S + E_Q (T eq. 4.3), and the outlines.
 
-    bodies: one, or several by name: the first finds the start, and of the others, men's and women's, the one is fitted
-    that explains depth much better than its rivals; the first where none does. turns: degrees by which the person is
-    turned in each view, to the person's left; unknown ones are None. start: a pose for each view to begin with in
-    place of trying some, turned by up to 30 degrees otherwise; place is told by the mask, wherever it starts. Raises
-    HabitusError where nobody is found in a view, and for another number of turns or poses than views.
+    bodies: one, or several by name: the first finds the start, and of the others, men's and
+    women's, the one is fitted that explains depth much better than its rivals; the first where none
+    does. turns: degrees by which the person is turned in each view, to the person's left; unknown
+    ones are None. start: a pose for each view to begin with in place of trying some, turned by up
+    to 30 degrees otherwise; place is told by the mask, wherever it starts. Raises HabitusError
+    where nobody is found in a view, and for another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
         raise HabitusError(f"{len(given)} turns for {len(capture.views)} views; give one for each")
     if start is not None and np.shape(start)[0] != len(capture.views):
-        raise HabitusError(f"{len(start)} poses to start from for {len(capture.views)} views; give one for each")
+        raise HabitusError(
+            f"{len(start)} poses to start from for {len(capture.views)} views; give one for each"
+        )
     named = {"": bodies} if isinstance(bodies, BodyModel) else dict(bodies)
     with one_blas_thread():
         return _fitted(capture, named, settings, given, start)
@@ -88,11 +96,18 @@ def _fitted(
     clock.append(time.perf_counter())
     first = next(iter(bodies))
     energy = Energy.of(bodies[first], sights, settings)
-    start, means, misfits = find_start(energy.body, energy.solver, energy.triangles, sights, settings, turns, given)
+    start, means, misfits = find_start(
+        energy.body, energy.solver, energy.triangles, sights, settings, turns, given
+    )
     clock.append(time.perf_counter())
-    rivals = [_rival(name, body, energy, start, means) for name, body in bodies.items() if name != first]
-    chosen = _chosen(rivals) or _Coarse(first, energy, *energy.descend(start, means, settings.stages[:-1]))
-    energy, off = chosen.energy, OffModel.of(chosen.energy.body, settings)
+    rivals = [
+        _rival(name, body, energy, start, means) for name, body in bodies.items() if name != first
+    ]
+    chosen = _chosen(rivals) or _Coarse(
+        first, energy, *energy.descend(start, means, settings.stages[:-1])
+    )
+    energy = chosen.energy
+    off = OffModel.of(chosen.energy.body, settings)
     state, means = second_try(energy, chosen.state, means)
     state, fine = energy.descend(state, means, settings.stages[-1:])
     clock.append(time.perf_counter())
@@ -100,11 +115,17 @@ def _fitted(
     clock.append(time.perf_counter())
     coated, shown, more, colour = _with_colour(energy, coated, means, off)
     clock.append(time.perf_counter())
-    seconds = dict(zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True))
-    tried, terms = {one.name: one.costs[-1] for one in rivals}, {**energy.costs(coated.state, means), **colour}
-    skin, seen = off.offset(coated.numbers), off.seen(energy.surfaces(coated.state), coated.numbers)
+    seconds = dict(
+        zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True)
+    )
+    tried = {one.name: one.costs[-1] for one in rivals}
+    terms = {**energy.costs(coated.state, means), **colour}
+    skin = off.offset(coated.numbers)
+    seen = off.seen(energy.surfaces(coated.state), coated.numbers)
     found = (energy.body, chosen.name, coated.state, skin, seen, energy.sights, shown)
-    return ViewsFit(*found, (*chosen.costs, *fine, *settled, *more), terms, tried, tuple(misfits), seconds)
+    return ViewsFit(
+        *found, (*chosen.costs, *fine, *settled, *more), terms, tried, tuple(misfits), seconds
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,21 +146,27 @@ def _rival(name: str, body: BodyModel, first: Energy, start: State, means: np.nd
 
 
 def _chosen(rivals: list[_Coarse]) -> _Coarse | None:
-    """Of women's and men's bodies the one that explains the views much better than the other; None where none does."""
+    """Of women's and men's bodies the one that explains the views much better than the other; None
+    where none does.
+    """
     ranked = sorted(rivals, key=lambda one: one.costs[-1])
-    sure = len(ranked) == 1 or (len(ranked) > 1 and ranked[1].costs[-1] - ranked[0].costs[-1] > SURE)
+    sure = len(ranked) == 1 or (
+        len(ranked) > 1 and ranked[1].costs[-1] - ranked[0].costs[-1] > SURE
+    )
     return ranked[0] if sure else None
 
 
 def _with_colour(
     energy: Energy, coated: Coated, means: Float[np.ndarray, "K J 3"], off: OffModel
 ) -> tuple[Coated, Appearance | None, list[float], dict[str, float]]:
-    """Steps with colour, where there is colour of the person and of the empty room; light and albedo at the end.
+    """Steps with colour, where there is colour of the person and of the empty room; light and
+    albedo at the end.
 
-    Colour of one view alone is not asked for the shape, since albedo explains there what the shape should: waists of
-    twelve people were 4.3 cm off (RMSE) with these steps, 1.7 without.
+    Colour of one view alone is not asked for the shape, since albedo explains there what the shape
+    should: waists of twelve people were 4.3 cm off (RMSE) with these steps, 1.7 without.
     """
-    faces, sights = energy.body.faces, energy.sights
+    faces = energy.body.faces
+    sights = energy.sights
     shown = find_appearance(sights, off.seen(energy.surfaces(coated.state), coated.numbers), faces)
     few = len(sights) < 2 or not energy.settings.colour_levels
     if few or shown is None or shown.shift.overlap is None:
@@ -159,15 +186,18 @@ def fit_views(
     gender: str = "neutral",
     start: Float[np.ndarray, "K J 3"] | None = None,
 ) -> RgbdFit:
-    """A person's shape, poses, light and albedo from views of depth and colour (T 4.6.1), and what they are worth.
+    """A person's shape, poses, light and albedo from views of depth and colour (T 4.6.1), and what
+    they are worth.
 
-    bodies, turns, start: as `fit_state` takes them; of several bodies the names say which are women's and men's. name,
-    gender: of the body where there is but one. Raises HabitusError as `fit_state`.
+    bodies, turns, start: as `fit_state` takes them; of several bodies the names say which are
+    women's and men's. name, gender: of the body where there is but one. Raises HabitusError as
+    `fit_state`.
     """
     found = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
     evidence = gather(found.body, found.state, found.sights, settings.noise, found.seen, found.skin)
-    state, told = found.state, ()
+    state = found.state
+    told = ()
     if not isinstance(bodies, BodyModel):
         name = gender = found.kind
         told = (_who(found),)
@@ -193,8 +223,14 @@ def fit_views(
 def _who(found: ViewsFit) -> str:
     """Which body was taken, and why."""
     if found.kind not in found.tried:
-        return "women's and men's bodies explain the views alike: the neutral one was kept; --body female or male tells"
-    return f"the {found.kind} body explains the views best; --body neutral, female or male chooses another"
+        return (
+            "women's and men's bodies explain the views alike: the neutral one was kept; "
+            "--body female or male tells"
+        )
+    return (
+        f"the {found.kind} body explains the views best; --body neutral, female or male "
+        "chooses another"
+    )
 
 
 def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str, ...]:
@@ -209,5 +245,8 @@ def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str
     if appearance is None:
         notes.append("no colour: light, albedo and texture were left out")
     elif appearance.shift.overlap is None:
-        notes.append("no colour of the empty room: the colour camera was taken to be where its calibration says")
+        notes.append(
+            "no colour of the empty room: the colour camera was taken to be where its calibration "
+            "says"
+        )
     return tuple(notes)

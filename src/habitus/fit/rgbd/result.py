@@ -1,4 +1,6 @@
-"""The result of a fit to depth views: a body, its poses in all views, what it looks like, and what that is worth."""
+"""The result of a fit to depth views: a body, its poses in all views, what it looks like, and what
+that is worth.
+"""
 
 import os
 from collections.abc import Mapping
@@ -23,11 +25,12 @@ from habitus.fit.rgbd.sights import Sight
 class RgbdFit(Moving):
     """A body found from depth views: one shape, a pose and a place for each of K views.
 
-    Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights`` hold what was seen,
-    in the same world. ``appearance``: light and albedo, None without colour. ``evidence``: what the verdict is drawn
-    from. ``costs``: of the last step, by term. ``skin``: how far the person's skin is off the body of betas, outwards
-    along its normals (m); `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
-    markers calls frame k: ``vertices(k)``.
+    Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights``
+    hold what was seen, in the same world. ``appearance``: light and albedo, None without colour.
+    ``evidence``: what the verdict is drawn from. ``costs``: of the last step, by term. ``skin``:
+    how far the person's skin is off the body of betas, outwards along its normals (m); `vertices`
+    and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of markers calls
+    frame k: ``vertices(k)``.
     """
 
     capture_name: str
@@ -61,24 +64,29 @@ class RgbdFit(Moving):
         return np.array([view.median_mm for view in self.evidence.views])
 
     def vertices(self, frames: Frames = None) -> Float[np.ndarray, "*frames V 3"]:
-        """The person's surface (K, V, 3) in metres, in each view's world, skin off the model included; (V, 3) of one
-        view.
+        """The person's surface (K, V, 3) in metres, in each view's world, skin off the model
+        included; (V, 3) of one view.
         """
         found = super().vertices(frames)
         return found if self.skin is None else along_normals(found, self.skin, self.body)
 
     @property
     def measurements(self) -> Mapping[str, float]:
-        """Height, girths and lengths of the person at rest (m, kg), under `habitus.body.measurement_names`."""
+        """Height, girths and lengths of the person at rest (m, kg), under
+        `habitus.body.measurement_names`.
+        """
         return self.evidence.measurements
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence each."""
+        """What the fit is worth: ``level`` (good, doubtful or failed) and ``reasons``, a sentence
+        each.
+        """
         return judge(self.evidence)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write body.npz, body.glb, measurements.csv, metrics.json and report.html, as ``habitus rgbd`` does.
+        """Write body.npz, body.glb, measurements.csv, metrics.json and report.html, as ``habitus
+        rgbd`` does.
 
         Raises HabitusError where the folder cannot be written to.
         """

@@ -1,7 +1,8 @@
-"""A limb that one view has elsewhere than another, or that leaves pixels unexplained, is tried again.
+"""A limb that one view has elsewhere than another, or that leaves pixels unexplained, is tried
+again.
 
-People who are seen twice stand alike: a lost arm is tried as the other views have it, and as arms usually are held;
-what explains the view best then stays.
+People who are seen twice stand alike: a lost arm is tried as the other views have it, and as arms
+usually are held; what explains the view best then stays.
 """
 
 from dataclasses import replace
@@ -20,10 +21,15 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
 APART = 0.15
-"""Metres that a limb's joint is elsewhere in another view, seen from the pelvis, from which on it is tried again."""
+"""Metres that a limb's joint is elsewhere in another view, seen from the pelvis, from which on it
+is tried again.
+"""
 UNEXPLAINED, FAR = 0.01, 0.05
-"""Share of a person's pixels that are so far (m) from the body from which on both arms are tried again."""
-PASSES, KEPT = 2, 2
+"""Share of a person's pixels that are so far (m) from the body from which on both arms are tried
+again.
+"""
+PASSES = 2
+KEPT = 2
 BETTER = 0.97
 """Share of its misfit to which another way must bring a view."""
 PIXELS = 2000
@@ -46,7 +52,9 @@ def _fine(stride: int) -> Stage:
 def second_try(
     energy: Energy, state: State, means: Float[np.ndarray, "K J 3"]
 ) -> tuple[State, Float[np.ndarray, "K J 3"]]:
-    """The state with limbs in doubt where they explain their views best, and what the pose's prior is then around."""
+    """The state with limbs in doubt where they explain their views best, and what the pose's prior
+    is then around.
+    """
     for _ in range(PASSES):
         before = state
         for k in range(len(energy.sights)):
@@ -59,13 +67,18 @@ def second_try(
 def _of_view(
     energy: Energy, state: State, means: Float[np.ndarray, "K J 3"], k: int
 ) -> tuple[State, Float[np.ndarray, "K J 3"]]:
-    """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state as it is where
-    nothing is in doubt.
+    """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state
+    as it is where nothing is in doubt.
     """
-    joints, grid = _own_frames(energy, state), energy.sights[k].grid(_stride(energy.sights[k]))
+    joints = _own_frames(energy, state)
+    grid = energy.sights[k].grid(_stride(energy.sights[k]))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     lost = _unexplained(grid, drawn) > UNEXPLAINED
-    first = Tried(State(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]), means[k], misfit(grid, drawn))
+    first = Tried(
+        State(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
+        means[k],
+        misfit(grid, drawn),
+    )
     now = first
     for limb in LIMBS:
         for rows in (_rows(energy, side, limb) for side in ("left", "right")):
@@ -73,11 +86,18 @@ def _of_view(
             if len(rows) and (apart > APART or (lost and limb == "arm")):
                 now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
     if lost and len(state.pose) > 1:
-        ways = [_turned(pose, state.pose[k], yaw) for j, pose in enumerate(state.pose) if j != k for yaw in ASIDE]
+        ways = [
+            _turned(pose, state.pose[k], yaw)
+            for j, pose in enumerate(state.pose)
+            if j != k
+            for yaw in ASIDE
+        ]
         now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
     if now is first:
         return state, means
-    pose, trans, around = state.pose.copy(), state.trans.copy(), means.copy()
+    pose = state.pose.copy()
+    trans = state.trans.copy()
+    around = means.copy()
     pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
     return State(state.betas, pose, trans), around
 
@@ -85,7 +105,12 @@ def _of_view(
 def _own_frames(energy: Energy, state: State) -> Float[np.ndarray, "K J 3"]:
     """Joints (m) from the pelvis, in its axes."""
     joints = np.asarray(energy.body(state.betas, state.pose, state.trans).joints)
-    return np.stack([(j - j[0]) @ matrix_from_rotvec(pose[0]) for j, pose in zip(joints, state.pose, strict=True)])
+    return np.stack(
+        [
+            (j - j[0]) @ matrix_from_rotvec(pose[0])
+            for j, pose in zip(joints, state.pose, strict=True)
+        ]
+    )
 
 
 def _unexplained(grid: Grid, drawn: Drawn) -> float:
@@ -98,7 +123,9 @@ def _unexplained(grid: Grid, drawn: Drawn) -> float:
 def _rows(energy: Energy, side: str, limb: str) -> Int[np.ndarray, " j"]:
     """Joints of a limb."""
     names = [f"{side}_{part}" for part in LIMBS[limb]]
-    return np.array([k for k, name in enumerate(energy.body.joint_names) if name in names], dtype=np.int64)
+    return np.array(
+        [k for k, name in enumerate(energy.body.joint_names) if name in names], dtype=np.int64
+    )
 
 
 def _ways(energy: Energy, state: State, k: int, limb: str) -> list[Float[np.ndarray, "J 3"]]:
@@ -108,10 +135,14 @@ def _ways(energy: Energy, state: State, k: int, limb: str) -> list[Float[np.ndar
 
 
 def _best_way(
-    energy: Energy, k: int, now: Tried, rows: Int[np.ndarray, " j"], ways: list[Float[np.ndarray, "J 3"]]
+    energy: Energy,
+    k: int,
+    now: Tried,
+    rows: Int[np.ndarray, " j"],
+    ways: list[Float[np.ndarray, "J 3"]],
 ) -> Tried:
-    """The way to hold a limb that explains view k best after some steps, coarse for all and fine for the best; ``now``
-    itself where none is better.
+    """The way to hold a limb that explains view k best after some steps, coarse for all and fine
+    for the best; ``now`` itself where none is better.
     """
     stride = _stride(energy.sights[k])
     tried = [_stepped(energy, k, _held(now, way, rows), _coarse(stride)) for way in ways]
@@ -121,16 +152,22 @@ def _best_way(
     return best if best.misfit < BETTER * stays.misfit else now
 
 
-def _turned(pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float) -> Float[np.ndarray, "J 3"]:
-    """A pose of another view, turned as this view has it and by so many degrees more about the upright."""
-    found, more = pose.copy(), matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
+def _turned(
+    pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float
+) -> Float[np.ndarray, "J 3"]:
+    """A pose of another view, turned as this view has it and by so many degrees more about the
+    upright.
+    """
+    found = pose.copy()
+    more = matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
     found[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
     return found
 
 
 def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
     """A limb held another way, its prior with it."""
-    pose, mean = now.state.pose.copy(), now.mean.copy()
+    pose = now.state.pose.copy()
+    mean = now.mean.copy()
     pose[0, rows] = mean[rows] = way[rows]
     return replace(now, state=replace(now.state, pose=pose), mean=mean)
 
@@ -138,8 +175,11 @@ def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]
 def _stepped(energy: Energy, k: int, one: Tried, stage: Stage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
     sight = energy.sights[k]
-    grid, fine = sight.grid(stage.stride), sight.grid(_stride(sight))
+    grid = sight.grid(stage.stride)
+    fine = sight.grid(_stride(sight))
     prepared = energy.body.prepare(one.state.betas)
-    one = refined(energy.body, prepared, energy.solver, energy.triangles, grid, one, stage, energy.settings)
+    one = refined(
+        energy.body, prepared, energy.solver, energy.triangles, grid, one, stage, energy.settings
+    )
     surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
     return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles)))

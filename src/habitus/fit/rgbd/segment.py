@@ -1,4 +1,6 @@
-"""Which pixels of a depth view show the person: nearer than the empty room, or standing out of floor and walls."""
+"""Which pixels of a depth view show the person: nearer than the empty room, or standing out of
+floor and walls.
+"""
 
 from dataclasses import dataclass
 
@@ -15,14 +17,18 @@ JUMP = 0.05
 """Metres between neighbouring pixels that part two surfaces."""
 ABOVE_FLOOR = 0.03
 GROWTHS = 10
-"""Times that the person is grown by 3 pixels of like depth, where walls and floor were told by planes."""
+"""Times that the person is grown by 3 pixels of like depth, where walls and floor were told by
+planes.
+"""
 REACH = 1.4
 """Metres from the middle of a person to the end of a limb."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Where the person is (H, W), the floor if it was found, and sd of depth over its square if the views tell."""
+    """Where the person is (H, W), the floor if it was found, and sd of depth over its square if the
+    views tell.
+    """
 
     mask: Bool[np.ndarray, "H W"]
     floor: Floor | None
@@ -31,26 +37,33 @@ class Segment:
 
 
 def segment(view: DepthView) -> Segment:
-    """The person in a view: by the mask that is given, by the empty room, or by what stands out of planes.
+    """The person in a view: by the mask that is given, by the empty room, or by what stands out of
+    planes.
 
     Raises HabitusError where nobody is found.
     """
-    points, noise = view.points(), None
+    points = view.points()
+    noise = None
     if view.background is not None:
         empty = DepthView(view.background, view.camera)
         floor = find_floor(empty.points(), empty.depth > 0)
         noise = _noise(view.depth, empty.depth)
-        found, way = _nearer(view.depth, empty.depth, noise), "background"
+        found = _nearer(view.depth, empty.depth, noise)
+        way = "background"
     else:
         floor = find_floor(points, view.depth > 0)
-        found, way = _standing_out(view.depth, points, floor), "planes"
+        found = _standing_out(view.depth, points, floor)
+        way = "planes"
     if view.mask is not None:
-        found, way = view.mask & (view.depth > 0), "mask"
+        found = view.mask & (view.depth > 0)
+        way = "mask"
     mask = _one_person(_without_flying(found, view.depth), points)
     if mask.sum() < LEAST_PIXELS:
         raise HabitusError(
-            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found (by {way}); expected "
-            f"{LEAST_PIXELS} at least: is the background of the same camera place, is somebody in the view?"
+            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found (by "
+            f"{way}); expected "
+            f"{LEAST_PIXELS} at least: is the background of the same camera place, is somebody in "
+            "the view?"
         )
     return Segment(mask, floor, noise, way)
 
@@ -62,14 +75,20 @@ def _noise(depth: np.ndarray, empty: np.ndarray) -> float | None:
         return None
     change = (depth - empty)[both] / empty[both] ** 2
     apart = np.abs(change - np.median(change))
-    usual = apart[apart <= 6.0 * np.quantile(apart, 0.6)]  # quantised depth has many equal ones: no median deviation
+    usual = apart[
+        apart <= 6.0 * np.quantile(apart, 0.6)
+    ]  # quantised depth has many equal ones: no median deviation
     return float(np.clip(max(np.sqrt(np.mean(usual**2) / 2.0), _rounding(depth)), 1e-4, 5e-3))
 
 
 def _rounding(depth: np.ndarray) -> float:
-    """What coarse steps of depth leave, as a spread over its square: images of a still room do not differ by it."""
+    """What coarse steps of depth leave, as a spread over its square: images of a still room do not
+    differ by it.
+    """
     steps = np.unique(depth[depth > 0])
-    return float(np.median(np.diff(steps) / steps[1:] ** 2) / np.sqrt(12.0)) if len(steps) > 1 else 0.0
+    return (
+        float(np.median(np.diff(steps) / steps[1:] ** 2) / np.sqrt(12.0)) if len(steps) > 1 else 0.0
+    )
 
 
 def _nearer(depth: np.ndarray, empty: np.ndarray, noise: float | None) -> np.ndarray:
@@ -78,7 +97,9 @@ def _nearer(depth: np.ndarray, empty: np.ndarray, noise: float | None) -> np.nda
 
 
 def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) -> np.ndarray:
-    """What is above the floor, in one piece, nearest to the middle of the image: walls behind are another piece."""
+    """What is above the floor, in one piece, nearest to the middle of the image: walls behind are
+    another piece.
+    """
     found = depth > 0
     if floor is not None:
         above = floor.above(points)
@@ -88,17 +109,20 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
         step = np.abs(np.diff(depth, axis=axis, prepend=depth.take([0], axis)))
         smooth &= step < JUMP
     pieces, count = label(binary_opening(smooth))
-    best, most = found & False, 0.0
+    best = found & False
+    most = 0.0
     for k, where in enumerate(find_objects(pieces), 1):
         piece = pieces[where] == k
-        near, size = depth[where][piece], piece.sum()
+        near = depth[where][piece]
+        size = piece.sum()
         if size < LEAST_PIXELS or k > count:
             continue
         off = abs((where[1].start + where[1].stop) / 2 / depth.shape[1] - 0.5)
         tall = np.ptp(points[where][piece][:, 1])
         score = min(tall, 2.0) * (1.0 - off) / np.median(near) * (tall > 0.5)
         if score > most and np.ptp(np.percentile(points[where][piece][:, 0], (1, 99))) < 2.2:
-            best, most = np.zeros_like(found), score
+            best = np.zeros_like(found)
+            most = score
             best[where] = piece
     for _ in range(GROWTHS if best.any() else 0):  # arms are thin, and opening cut them off
         best = found & _grown(best, depth)
@@ -112,7 +136,9 @@ def _grown(piece: np.ndarray, depth: np.ndarray) -> np.ndarray:
 
 
 def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]) -> np.ndarray:
-    """Without pixels that fewer than four neighbours agree with: mixed depths at borders, and single ones."""
+    """Without pixels that fewer than four neighbours agree with: mixed depths at borders, and
+    single ones.
+    """
     agree = np.zeros(mask.shape, np.int8)
     tolerance = 0.02 + 0.004 * depth**2
     for down in (-1, 0, 1):
@@ -134,11 +160,15 @@ def _one_person(mask: np.ndarray, points: np.ndarray) -> np.ndarray:
     kept = np.zeros(count + 1, bool)
     for k in np.flatnonzero(sizes >= max(0.003 * sizes.max(), 12)) + 1:
         where = np.median(points[pieces == k], axis=0)
-        kept[k] = k == main or (np.linalg.norm((where - middle)[[0, 2]]) < REACH and abs(where[2] - middle[2]) < 0.8)
+        kept[k] = k == main or (
+            np.linalg.norm((where - middle)[[0, 2]]) < REACH and abs(where[2] - middle[2]) < 0.8
+        )
     return kept[pieces]
 
 
 def seen_through(view: DepthView, mask: Bool[np.ndarray, "H W"]) -> Float[np.ndarray, "H W"]:
-    """Depth (m) that was measured of what is not the person, 0 elsewhere, on pixels well off the person's border."""
+    """Depth (m) that was measured of what is not the person, 0 elsewhere, on pixels well off the
+    person's border.
+    """
     crowded = convolve((~mask).astype(np.int8), np.ones((3, 3), np.int8), mode="nearest") == 9
     return np.where(crowded & (view.depth > 0), view.depth, 0.0)

@@ -1,4 +1,6 @@
-"""A view made ready for the fit: the person's points in a world that stands upright, and grids of fewer pixels."""
+"""A view made ready for the fit: the person's points in a world that stands upright, and grids of
+fewer pixels.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,8 +24,8 @@ MARGIN = 60
 class Grid:
     """Every stride-th pixel of the neighbourhood of a person, R x C.
 
-    points: world (m). own: which show the person. behind: depth of what was seen through, 0 elsewhere. nearest: the
-    nearest pixel (row, column) that is the person's.
+    points: world (m). own: which show the person. behind: depth of what was seen through, 0
+    elsewhere. nearest: the nearest pixel (row, column) that is the person's.
     """
 
     camera: Camera
@@ -41,9 +43,11 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3), and who is where.
+    """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3),
+    and who is where.
 
-    The world is ``turn`` times the sensor's frame, and ``shift``. way: how the person was parted from the room.
+    The world is ``turn`` times the sensor's frame, and ``shift``. way: how the person was parted
+    from the room.
     """
 
     view: DepthView
@@ -64,13 +68,26 @@ class Sight:
         if found.floor is not None:
             turn, shift = found.floor.world
         else:
-            turn, shift = level_frame(np.array([0.0, -1.0, 0.0])), np.zeros(3)
+            turn = level_frame(np.array([0.0, -1.0, 0.0]))
+            shift = np.zeros(3)
         colour = None if view.colour_camera is None else in_world(view.colour_camera, turn, shift)
         points = view.points() @ turn.T + shift
         behind = seen_through(view, found.mask)
         on_floor = found.floor is not None
         camera = in_world(view.camera, turn, shift)
-        return Sight(view, camera, colour, points, found.mask, behind, on_floor, found.noise, turn, shift, found.way)
+        return Sight(
+            view,
+            camera,
+            colour,
+            points,
+            found.mask,
+            behind,
+            on_floor,
+            found.noise,
+            turn,
+            shift,
+            found.way,
+        )
 
     @property
     def eye(self) -> Float[np.ndarray, " 3"]:
@@ -89,10 +106,15 @@ class Sight:
         return Grid(camera, stride, self.points[part], self.mask[part], self.behind[part], self.eye)
 
 
-def around(mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int) -> tuple[tuple[slice, slice], Camera]:
-    """Every stride-th pixel of the neighbourhood of a mask: the part of an image, and the camera that sees it."""
+def around(
+    mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int
+) -> tuple[tuple[slice, slice], Camera]:
+    """Every stride-th pixel of the neighbourhood of a mask: the part of an image, and the camera
+    that sees it.
+    """
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    top, left = max(rows[0] - MARGIN, 0), max(columns[0] - MARGIN, 0)
+    top = max(rows[0] - MARGIN, 0)
+    left = max(columns[0] - MARGIN, 0)
     part = (slice(top, rows[-1] + MARGIN, stride), slice(left, columns[-1] + MARGIN, stride))
     first = torch.tensor([left + 0.5, top + 0.5], dtype=torch.float64)
     height, width = mask[part].shape
@@ -105,8 +127,14 @@ def around(mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int) -> tuple[
     return part, small
 
 
-def in_world(camera: Camera, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, " 3"]) -> Camera:
-    """A camera of the sensor's frame as one of the world, which is ``turn`` times the frame, and ``shift``."""
+def in_world(
+    camera: Camera, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, " 3"]
+) -> Camera:
+    """A camera of the sensor's frame as one of the world, which is ``turn`` times the frame, and
+    ``shift``.
+    """
     own = matrix_from_rotvec(camera.rotation).numpy() @ turn.T
     rotation = torch.from_numpy(np.array(rotvec_from_matrix(own)))
-    return camera.replace(rotation=rotation, translation=camera.translation - torch.from_numpy(own @ shift))
+    return camera.replace(
+        rotation=rotation, translation=camera.translation - torch.from_numpy(own @ shift)
+    )

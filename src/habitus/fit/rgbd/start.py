@@ -1,4 +1,6 @@
-"""Where the fit starts: place by the middle of the person's pixels, turn and arms by trying, height by the mask."""
+"""Where the fit starts: place by the middle of the person's pixels, turn and arms by trying, height
+by the mask.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,7 +23,10 @@ from habitus.residuals.surface_points import SurfacePointSolver
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 STRIDE = 8
-COARSE = ((12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))), (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))))
+COARSE = (
+    (12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))),
+    (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))),
+)
 """How many starts go on, and the steps they then make."""
 FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
 """Steps after which front and back are told apart."""
@@ -38,7 +43,9 @@ TALL = (1.3, 2.15)
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A start of one view, the pose that its prior is around, and how badly the model then explains the view."""
+    """A start of one view, the pose that its prior is around, and how badly the model then explains
+    the view.
+    """
 
     state: State
     mean: Float[np.ndarray, "J 3"]
@@ -66,21 +73,26 @@ def find_start(
 ) -> tuple[State, Float[np.ndarray, "K J 3"], list[float]]:
     """The state to start from, the poses that its priors are around, and each view's misfit.
 
-    turns: degrees by which the person is turned from facing the camera, to the person's left; None: to be found. given:
-    poses to start from, in place of those that are tried.
+    turns: degrees by which the person is turned from facing the camera, to the person's left; None:
+    to be found. given: poses to start from, in place of those that are tried.
     """
-    betas, found = tall_as(body, sights), []
+    betas = tall_as(body, sights)
+    found = []
     for k, (sight, turn) in enumerate(zip(sights, turns, strict=True)):
         own = None if given is None else given[k]
         found.append(_best(body, solver, triangles, sight, betas, settings, turn, own))
     state = State(
-        betas, np.concatenate([one.state.pose for one in found]), np.concatenate([one.state.trans for one in found])
+        betas,
+        np.concatenate([one.state.pose for one in found]),
+        np.concatenate([one.state.trans for one in found]),
     )
     return state, np.stack([one.mean for one in found]), [one.misfit for one in found]
 
 
 def tall_as(body: BodyModel, sights: list[Sight]) -> Float[np.ndarray, " B"]:
-    """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot be seen."""
+    """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot
+    be seen.
+    """
     mean = np.zeros(body.num_betas) if body.people_mean is None else np.array(body.people_mean)
     heights = []
     for sight in sights:
@@ -108,11 +120,13 @@ def _best(
     turn: float | None,
     given: Float[np.ndarray, "J 3"] | None,
 ) -> Tried:
-    """The pose that is given or that keypoints tell; else, among arms and turns, what explains one view best after
-    some steps.
+    """The pose that is given or that keypoints tell; else, among arms and turns, what explains one
+    view best after some steps.
     """
-    turns, prepared = settings.turns if turn is None else (turn,), body.prepare(betas)
-    grid, poses = sight.grid(STRIDE), list(arm_poses(body, settings.arms))
+    turns = settings.turns if turn is None else (turn,)
+    prepared = body.prepare(betas)
+    grid = sight.grid(STRIDE)
+    poses = list(arm_poses(body, settings.arms))
     if given is not None:
         turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in ASIDE)
         poses = [np.concatenate([np.zeros((1, 3)), given[1:]]), *poses]
@@ -121,24 +135,38 @@ def _best(
         pose, trans = told
         one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
         return refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
-    started = [_placed(grid, triangles, prepared(pose), betas, pose, degrees) for pose in poses for degrees in turns]
+    started = [
+        _placed(grid, triangles, prepared(pose), betas, pose, degrees)
+        for pose in poses
+        for degrees in turns
+    ]
     for kept, stage in COARSE:
         started = sorted(started, key=lambda one: one.misfit)[:kept]
-        started = [refined(body, prepared, solver, triangles, grid, one, stage, settings) for one in started]
+        started = [
+            refined(body, prepared, solver, triangles, grid, one, stage, settings)
+            for one in started
+        ]
     started = sorted(started, key=_doubt)
     opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
-    finer, rivals = sight.grid(FINE.stride), started[:1] + opposite[:1]
+    finer = sight.grid(FINE.stride)
+    rivals = started[:1] + opposite[:1]
     if len(rivals) > 1:
-        rivals = [refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals]
+        rivals = [
+            refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals
+        ]
     return min(rivals, key=_doubt)
 
 
 def _doubt(one: Tried) -> float:
-    """Misfit, and a little for who turns their back: from front and back people look alike but for nose and toes."""
+    """Misfit, and a little for who turns their back: from front and back people look alike but for
+    nose and toes.
+    """
     return one.misfit + FACING * (1.0 - np.cos(one.yaw)) / 2.0
 
 
-def arm_poses(body: BodyModel, arms: tuple[tuple[float, float, float], ...]) -> Iterator[Float[np.ndarray, "J 3"]]:
+def arm_poses(
+    body: BodyModel, arms: tuple[tuple[float, float, float], ...]
+) -> Iterator[Float[np.ndarray, "J 3"]]:
     """A standing pose for each way to hold the arms, as `arm_pose` takes them."""
     for held in arms:
         pose = np.zeros((body.num_joints, 3))
@@ -151,25 +179,38 @@ def arm_poses(body: BodyModel, arms: tuple[tuple[float, float, float], ...]) -> 
         yield pose
 
 
-def arm_pose(down: float, bent: float, inwards: float, sign: float) -> dict[str, Float[np.ndarray, " 3"]]:
-    """Rotation vectors of shoulder and elbow for an arm of the T-pose that is so many degrees below the level, bent at
-    the elbow, and turned inwards about the upper arm. sign: -1 for the left arm, 1 for the right.
+def arm_pose(
+    down: float, bent: float, inwards: float, sign: float
+) -> dict[str, Float[np.ndarray, " 3"]]:
+    """Rotation vectors of shoulder and elbow for an arm of the T-pose that is so many degrees below
+    the level, bent at the elbow, and turned inwards about the upper arm. sign: -1 for the left arm,
+    1 for the right.
     """
     down, bent, inwards = np.deg2rad([down, bent, inwards])
     lowered = matrix_from_rotvec(np.array([0.0, 0.0, sign * down]))
     twisted = matrix_from_rotvec(np.array([inwards, 0.0, 0.0]))
-    return {"shoulder": rotvec_from_matrix(lowered @ twisted), "elbow": np.array([0.0, sign * bent, 0.0])}
+    return {
+        "shoulder": rotvec_from_matrix(lowered @ twisted),
+        "elbow": np.array([0.0, sign * bent, 0.0]),
+    }
 
 
 def _placed(
-    grid: Grid, triangles: Triangles, surface: BodySurface, betas: np.ndarray, pose: np.ndarray, degrees: float
+    grid: Grid,
+    triangles: Triangles,
+    surface: BodySurface,
+    betas: np.ndarray,
+    pose: np.ndarray,
+    degrees: float,
 ) -> Tried:
-    """The pose turned, where the middle of what the camera would see of it is the middle of what it saw; then turned
-    and moved on the floor plan as the nearest points ask.
+    """The pose turned, where the middle of what the camera would see of it is the middle of what it
+    saw; then turned and moved on the floor plan as the nearest points ask.
     """
-    own, root = grid.points[grid.own], np.asarray(surface.joints[0])
+    own = grid.points[grid.own]
+    root = np.asarray(surface.joints[0])
     shape = np.asarray(surface.vertices) - root
-    yaw, where = np.deg2rad(degrees), _middle(own) - _middle(shape)
+    yaw = np.deg2rad(degrees)
+    where = _middle(own) - _middle(shape)
     tree = KDTree(own)
     for step in range(2 + TURNING):
         drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
@@ -179,7 +220,8 @@ def _placed(
             where = where + _middle(own) - _middle(drawn.points)
         else:
             turned, moved = _planar_step(drawn, own, tree, where)
-            yaw, where = yaw + turned, where + moved
+            yaw = yaw + turned
+            where = where + moved
     drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
     found = pose.copy()
     found[0, 1] = yaw
@@ -189,13 +231,19 @@ def _placed(
 def _planar_step(
     drawn: Drawn, own: np.ndarray, tree: KDTree, middle: np.ndarray
 ) -> tuple[float, Float[np.ndarray, " 3"]]:
-    """A turn about the upright through ``middle`` and a move, towards planes through the nearest points."""
+    """A turn about the upright through ``middle`` and a move, towards planes through the nearest
+    points.
+    """
     distance, row = tree.query(drawn.points)
     root = geman_mcclure_weight(distance, 0.3) ** 0.5
     arm = drawn.points - middle
-    columns = np.stack([arm[:, 2] * drawn.normals[:, 0] - arm[:, 0] * drawn.normals[:, 2], *drawn.normals.T], 1)
+    columns = np.stack(
+        [arm[:, 2] * drawn.normals[:, 0] - arm[:, 0] * drawn.normals[:, 2], *drawn.normals.T], 1
+    )
     residual = ((own[row] - drawn.points) * drawn.normals).sum(1)
-    normal = (columns * root[:, None] ** 2).T @ columns + np.diag([1e-3, 1e-6, 1e-6, 1e-6]) * len(residual)
+    normal = (columns * root[:, None] ** 2).T @ columns + np.diag([1e-3, 1e-6, 1e-6, 1e-6]) * len(
+        residual
+    )
     step = np.linalg.solve(normal, (columns * root[:, None] ** 2).T @ residual)
     return float(np.clip(step[0], -0.3, 0.3)), np.clip(step[1:], -0.3, 0.3)
 
@@ -205,7 +253,9 @@ def _about_y(angle: float) -> Float[np.ndarray, "3 3"]:
 
 
 def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
-    """Median across, middle of the height: what is seen of a person has the same extent as the model of it."""
+    """Median across, middle of the height: what is seen of a person has the same extent as the
+    model of it.
+    """
     low, high = np.percentile(points[:, 1], (1, 99))
     return np.array([np.median(points[:, 0]), (low + high) / 2, np.median(points[:, 2])])
 

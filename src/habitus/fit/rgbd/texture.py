@@ -1,4 +1,6 @@
-"""The person's albedo on the body's texture: of each texel what the views show there, lit as it was found."""
+"""The person's albedo on the body's texture: of each texel what the views show there, lit as it was
+found.
+"""
 
 from dataclasses import dataclass
 
@@ -29,7 +31,9 @@ BRIGHTEST = 0.92
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A body's full surface with linear albedo: of each vertex (V, 3), and a texture (S, S, 3) where it has one."""
+    """A body's full surface with linear albedo: of each vertex (V, 3), and a texture (S, S, 3)
+    where it has one.
+    """
 
     body: BodyModel
     vertex_albedo: Float[np.ndarray, "V 3"]
@@ -44,7 +48,9 @@ def bake(
     size: int,
     offset: Float[np.ndarray, " V"] | None = None,
 ) -> Skin:
-    """The albedo of the body at its full level of detail. offset: of the skin from the model (m)."""
+    """The albedo of the body at its full level of detail. offset: of the skin from the model
+    (m).
+    """
     fine = body.full or body
     albedo = np.exp(spread(body, np.log(appearance.albedo)))
     surfaces = fine(state.betas, state.pose, state.trans).vertices
@@ -53,10 +59,14 @@ def bake(
     uv_faces = None if fine.mesh is None else fine.mesh.triangle_uv(fine.faces)
     texture = None
     if fine.mesh is not None and uv_faces is not None:
-        texture = _texture(fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size)
+        texture = _texture(
+            fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size
+        )
     brightest = float(np.percentile(albedo.max(1), 99.5))
     scale = BRIGHTEST / max(brightest, 1e-3)
-    return Skin(fine, (albedo * scale).clip(0, 1), None if texture is None else (texture * scale).clip(0, 1))
+    return Skin(
+        fine, (albedo * scale).clip(0, 1), None if texture is None else (texture * scale).clip(0, 1)
+    )
 
 
 def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "W C"]:
@@ -65,8 +75,11 @@ def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarra
     if fine is body or body.full_vertices is None:
         return values
     pairs = np.concatenate([fine.faces[:, [0, 1]], fine.faces[:, [1, 2]], fine.faces[:, [2, 0]]])
-    count, rows = fine.num_vertices, np.repeat(np.arange(len(pairs)), 2)
-    step = sparse.csr_array((np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count))
+    count = fine.num_vertices
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    step = sparse.csr_array(
+        (np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count)
+    )
     known = np.zeros(count)
     known[body.full_vertices] = 1e3
     given = np.zeros((count, values.shape[1]))
@@ -96,7 +109,9 @@ def _texture(
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = np.einsum("nk,nkc->nc", share, vertices[corners])
         camera = moved(sight.colour_camera, appearance.shift.shift)
-        colour, weight = look_up(sight, camera, points, normals, depth_of(camera, vertices, triangles))
+        colour, weight = look_up(
+            sight, camera, points, normals, depth_of(camera, vertices, triangles)
+        )
         shade = (harmonics(torch.from_numpy(normals)).numpy() @ appearance.light).clip(0.1)
         total += (weight**2)[:, None] * colour / shade
         weights += weight**2
@@ -104,7 +119,9 @@ def _texture(
     image[pixel] = total / weights[:, None]
     covered = np.zeros(size * size, bool)
     covered[pixel] = True
-    rows, columns = distance_transform_edt(~covered.reshape(size, size), return_distances=False, return_indices=True)
+    rows, columns = distance_transform_edt(
+        ~covered.reshape(size, size), return_distances=False, return_indices=True
+    )
     return image.reshape(size, size, 3)[rows, columns]
 
 

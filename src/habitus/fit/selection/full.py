@@ -1,4 +1,6 @@
-"""The fits themselves (M eq. 12): state from some vertices of a surface, by Gauss-Newton with MoSh's priors."""
+"""The fits themselves (M eq. 12): state from some vertices of a surface, by Gauss-Newton with
+MoSh's priors.
+"""
 
 from collections.abc import Sequence
 
@@ -21,8 +23,11 @@ def fit_surface(
     points: Float[np.ndarray, "n 3"],
     noise: float = NOISE,
 ) -> Posed:
-    """The likeliest state of a body of whose ``vertices`` the places ``points`` (m) are known, begun at ``start``."""
-    trust, mean = precision(body, prior), _mean(body, prior)
+    """The likeliest state of a body of whose ``vertices`` the places ``points`` (m) are known,
+    begun at ``start``.
+    """
+    trust = precision(body, prior)
+    mean = _mean(body, prior)
     state = _vector(start)
     for _ in range(STEPS):
         now = _posed(body, state, start.surface)
@@ -44,7 +49,9 @@ def best_states(
     noise: float = NOISE,
 ) -> tuple[Posed, ...]:
     """Each person at the state that fits many ``vertices`` of their surface best."""
-    return tuple(fit_surface(body, prior, one, vertices, one.surface[vertices], noise) for one in people)
+    return tuple(
+        fit_surface(body, prior, one, vertices, one.surface[vertices], noise) for one in people
+    )
 
 
 def full_error(
@@ -56,7 +63,8 @@ def full_error(
     offsets: Float[np.ndarray, "Z V 3"],
     noise: float = NOISE,
 ) -> float:
-    """The error of eq. 13 (m, root mean square over people and ``judged`` vertices) by fits to ``chosen`` vertices.
+    """The error of eq. 13 (m, root mean square over people and ``judged`` vertices) by fits to
+    ``chosen`` vertices.
 
     ``offsets`` (m) is the noise that each vertex would have as a marker.
     """

@@ -1,8 +1,10 @@
-"""Which poses tell the shape of a person with a given set of markers best: a body scan with markers (M 10).
+"""Which poses tell the shape of a person with a given set of markers best: a body scan with markers
+(M 10).
 
-What a frame tells of shape and of where markers sit is its information once its own pose is let go: with H the
-derivatives of the markers by betas and latent markers and P those by pose and place, HᵀH - HᵀP (PᵀP + L)⁻¹ PᵀH. Frames
-add up, with what layout and priors say before; the shape's part of the inverse says how well the person is known.
+What a frame tells of shape and of where markers sit is its information once its own pose is let go:
+with H the derivatives of the markers by betas and latent markers and P those by pose and place, HᵀH
+- HᵀP (PᵀP + L)⁻¹ PᵀH. Frames add up, with what layout and priors say before; the shape's part of
+the inverse says how well the person is known.
 """
 
 from dataclasses import dataclass
@@ -21,14 +23,18 @@ from habitus.observe.markers import attach, default_markers
 from habitus.parallel.workers import Threads, Workers
 
 SLIP = 0.005
-"""Metres, standard deviation: how far skin carries a marker from where it sits, otherwise in every frame."""
+"""Metres, standard deviation: how far skin carries a marker from where it sits, otherwise in every
+frame.
+"""
 
 
 @dataclass(frozen=True)
 class PoseChoice:
-    """Poses in the order in which they were chosen, and the shape's error (m, of the surface at rest) after each.
+    """Poses in the order in which they were chosen, and the shape's error (m, of the surface at
+    rest) after each.
 
-    ``alone`` is the error after any one pose (N,) of those that there were; ``random`` after as many drawn at random.
+    ``alone`` is the error after any one pose (N,) of those that there were; ``random`` after as
+    many drawn at random.
     """
 
     poses: tuple[int, ...]
@@ -48,31 +54,45 @@ def choose_poses(
     seed: int = 0,
     workers: Workers | None = None,
 ) -> PoseChoice:
-    """``count`` of N poses, one after another, that tell the mean person's shape best with markers placed so."""
-    known, before = _known(body, placement), _mean_square(body)
+    """``count`` of N poses, one after another, that tell the mean person's shape best with markers
+    placed so.
+    """
+    known = _known(body, placement)
+    before = _mean_square(body)
     shared = body, prior, placement, slip
     told = np.stack(list((workers or Threads(1)).map(_information, shared, list(poses))))
     rng = np.random.default_rng(seed)
     drawn = [rng.permutation(len(poses))[:count] for _ in range(20)]
-    random = [np.mean([_error(known + told[some[: k + 1]].sum(0), before) for some in drawn]) for k in range(count)]
+    random = [
+        np.mean([_error(known + told[some[: k + 1]].sum(0), before) for some in drawn])
+        for k in range(count)
+    ]
     alone = np.array([_error(known + one, before) for one in told])
-    chosen, errors = [int(np.argmin(alone))], [float(alone.min())]
+    chosen = [int(np.argmin(alone))]
+    errors = [float(alone.min())]
     while len(chosen) < min(count, len(poses)):
         so_far = known + told[chosen].sum(axis=0)
-        each = [np.inf if k in chosen else _error(so_far + told[k], before) for k in range(len(poses))]
+        each = [
+            np.inf if k in chosen else _error(so_far + told[k], before) for k in range(len(poses))
+        ]
         chosen.append(int(np.argmin(each)))
         errors.append(float(np.min(each)))
     return PoseChoice(tuple(chosen), tuple(errors), alone, tuple(map(float, random)))
 
 
 def _known(body: BodyModel, placement: Placement) -> Float[np.ndarray, "K K"]:
-    """The information on betas and latent markers that priors and the layout give: E_beta, E_I and E_S."""
-    shape, count = body.num_betas, len(placement.vertices)
+    """The information on betas and latent markers that priors and the layout give: E_beta, E_I and
+    E_S.
+    """
+    shape = body.num_betas
+    count = len(placement.vertices)
     out = np.zeros((shape + 3 * count, shape + 3 * count))
     out[:shape, :shape] = MoshWeights().betas * np.eye(shape)
     normals = vertex_normals(body.v_template, body.faces, placement.vertices)
     for k, (vertex, normal) in enumerate(zip(placement.vertices, normals, strict=True)):
-        moved = np.zeros((3, len(out)))  # of the marker from the layout's place, which moves with betas
+        moved = np.zeros(
+            (3, len(out))
+        )  # of the marker from the layout's place, which moves with betas
         moved[:, :shape] = -body.shapedirs[vertex]
         moved[:, shape + 3 * k : shape + 3 * k + 3] = np.eye(3)
         out += moved.T @ moved / placement.place_spread[k] ** 2
@@ -80,7 +100,9 @@ def _known(body: BodyModel, placement: Placement) -> Float[np.ndarray, "K K"]:
     return out
 
 
-def _information(shared: tuple[BodyModel, PosePrior, Placement, float], pose: np.ndarray) -> Float[np.ndarray, "K K"]:
+def _information(
+    shared: tuple[BodyModel, PosePrior, Placement, float], pose: np.ndarray
+) -> Float[np.ndarray, "K K"]:
     """What one frame in a pose tells of betas and latent markers."""
     body, prior, placement, slip = shared
     betas = np.zeros(body.num_betas)
@@ -90,12 +112,15 @@ def _information(shared: tuple[BodyModel, PosePrior, Placement, float], pose: np
     count = len(latent)
     by_latent = np.zeros((count, 3, count, 3))
     by_latent[np.arange(count), :, np.arange(count)] = found.by_latent[0]
-    wanted = np.concatenate([found.by_betas[0].reshape(3 * count, -1), by_latent.reshape(3 * count, -1)], axis=1)
+    wanted = np.concatenate(
+        [found.by_betas[0].reshape(3 * count, -1), by_latent.reshape(3 * count, -1)], axis=1
+    )
     by_pose = found.by_pose[0].reshape(3 * count, -1)
     let_go = np.concatenate([by_pose, np.tile(np.eye(3), (count, 1))], axis=1)
     trust = np.eye(let_go.shape[1]) / FREE**2
     trust[3:-3, 3:-3] = MoshWeights().shape_pose * prior.for_joints(body.joint_names).precision
-    wanted, let_go = wanted / slip, let_go / slip
+    wanted = wanted / slip
+    let_go = let_go / slip
     across = let_go.T @ wanted
     return wanted.T @ wanted - across.T @ np.linalg.solve(let_go.T @ let_go + trust, across)
 

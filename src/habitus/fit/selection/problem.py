@@ -1,11 +1,15 @@
-"""What marker selection knows of a posed body: how markers and goal move with its state, to first order (M 7).
+"""What marker selection knows of a posed body: how markers and goal move with its state, to first
+order (M 7).
 
-M evaluates a set of markers by fits to it (eq. 12), some million of them. At the state that fits a whole surface best,
-a fit to a few markers is a linear problem: with J the derivatives of markers by the N numbers of the state, e what the
+M evaluates a set of markers by fits to it (eq. 12), some million of them. At the state that fits a
+whole surface best,
+a fit to a few markers is a linear problem: with J the derivatives of markers by the N numbers of
+the state, e what the
 body cannot explain of them, w their weight and L the priors' precision, it is off by  d = G sum w Jᵀ e,  where
-G = (sum w JᵀJ + L)⁻¹, give or take what noise of variance 1/w and people drawn from the prior do to it, whose
+G = (sum w JᵀJ + L)⁻¹, give or take what noise of variance 1/w and people drawn from the prior do to
+it, whose
 covariance is G. `habitus.fit.selection.full` makes the fits themselves, to hold this against them.
-"""
+"""  # noqa: E501
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +25,9 @@ from habitus.fit.mosh.weights import MoshWeights
 from habitus.residuals.shape_stage import PER_CM2
 
 GOALS = ("surface", "shape", "pose")
-"""Errors that markers are chosen by: of the posed surface (eq. 13), of the person at rest, of the posed joints."""
+"""Errors that markers are chosen by: of the posed surface (eq. 13), of the person at rest, of the
+posed joints.
+"""
 REGIONS: Mapping[str, tuple[str, ...]] = {
     "all": (),
     "legs": ("hip", "knee", "ankle", "foot"),
@@ -38,7 +44,9 @@ NOISE = 1.0 / np.sqrt(PER_CM2 * MoshWeights().data)
 
 @dataclass(frozen=True)
 class Candidates:
-    """Markers that may be chosen: labels and vertices (C,), and groups of them that are chosen together (pairs)."""
+    """Markers that may be chosen: labels and vertices (C,), and groups of them that are chosen
+    together (pairs).
+    """
 
     labels: tuple[str, ...]
     vertices: Int[np.ndarray, " C"]
@@ -53,9 +61,9 @@ class Candidates:
 class Linearised:
     """Z posed bodies, N numbers of state each, G groups of at most R / 3 markers.
 
-    ``markers`` (Z, G, R, N) and ``unexplained`` (Z, G, R) are sqrt(w) J and sqrt(w) e, rows beyond a group's own zero;
-    ``precision`` (N, N) is the priors'. The goal of a state that is off by d is off by ``constant - 2 linear d +
-    d quadratic d`` (Z,), (Z, N), (Z, N, N): a mean square in m².
+    ``markers`` (Z, G, R, N) and ``unexplained`` (Z, G, R) are sqrt(w) J and sqrt(w) e, rows beyond
+    a group's own zero; ``precision`` (N, N) is the priors'. The goal of a state that is off by d is
+    off by ``constant - 2 linear d + d quadratic d`` (Z,), (Z, N), (Z, N, N): a mean square in m².
     """
 
     markers: Float[np.ndarray, "Z G R N"]
@@ -68,7 +76,9 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A posed person: the state (betas, pose (J, 3), trans) that fits their surface best, and the surface (V, 3)."""
+    """A posed person: the state (betas, pose (J, 3), trans) that fits their surface best, and the
+    surface (V, 3).
+    """
 
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "J 3"]
@@ -77,8 +87,11 @@ class Posed:
 
 
 def precision(body: BodyModel, prior: PosePrior) -> Float[np.ndarray, "N N"]:
-    """The priors' precision of betas, pose (root first) and trans: of unit betas, and of the pose prior as it is."""
-    weights, count = MoshWeights(), body.num_betas
+    """The priors' precision of betas, pose (root first) and trans: of unit betas, and of the pose
+    prior as it is.
+    """
+    weights = MoshWeights()
+    count = body.num_betas
     size = count + 3 * body.num_joints + 3
     out = np.eye(size) / FREE**2
     out[:count, :count] = weights.betas * np.eye(count)
@@ -87,7 +100,9 @@ def precision(body: BodyModel, prior: PosePrior) -> Float[np.ndarray, "N N"]:
     return out
 
 
-def by_state(body: BodyModel, person: Posed, vertices: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 N"]:
+def by_state(
+    body: BodyModel, person: Posed, vertices: Int[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3 N"]:
     """Derivatives of vertices by betas, pose and trans."""
     found = surface_jacobian(body, person.betas, person.pose, person.trans, vertices=vertices)
     return _columns(found.vertices_betas, found.vertices_pose)
@@ -113,8 +128,13 @@ def linearised(
     Raises HabitusError for a goal or a region that there is not.
     """
     rows = 3 * max(map(len, candidates.groups))
-    parts = [_of_person(body, one, candidates, rows, noise, *_goal(body, one, goal, region)) for one in people]
-    markers, unexplained, constant, linear, quadratic = (np.stack(each) for each in zip(*parts, strict=True))
+    parts = [
+        _of_person(body, one, candidates, rows, noise, *_goal(body, one, goal, region))
+        for one in people
+    ]
+    markers, unexplained, constant, linear, quadratic = (
+        np.stack(each) for each in zip(*parts, strict=True)
+    )
     return Linearised(markers, unexplained, precision(body, prior), constant, linear, quadratic)
 
 
@@ -136,13 +156,16 @@ def _of_person(
         own = 3 * len(group)
         markers[k, :own] = by_markers[list(group)].reshape(own, -1) / noise
         unexplained[k, :own] = left[list(group)].ravel() / noise
-    flat, miss = moved.reshape(-1, moved.shape[2]), off.ravel()
+    flat = moved.reshape(-1, moved.shape[2])
+    miss = off.ravel()
     count = len(moved)
     return markers, unexplained, miss @ miss / count, flat.T @ miss / count, flat.T @ flat / count
 
 
 def _goal(body: BodyModel, person: Posed, goal: str, region: str) -> tuple[np.ndarray, np.ndarray]:
-    """What the goal's points move by (n, 3, N), and how far they are off (n, 3) at the best state."""
+    """What the goal's points move by (n, 3, N), and how far they are off (n, 3) at the best
+    state.
+    """
     if goal not in GOALS:
         raise HabitusError(f"goal is {goal!r}; expected one of {', '.join(GOALS)}")
     joints = region_joints(body, region)
@@ -165,13 +188,21 @@ def region_joints(body: BodyModel, region: str) -> Int[np.ndarray, " n"]:
     if region not in REGIONS:
         raise HabitusError(f"region is {region!r}; expected one of {', '.join(REGIONS)}")
     parts = REGIONS[region]
-    found = [k for k, name in enumerate(body.joint_names) if not parts or name.rpartition("_")[2] in parts]
+    found = [
+        k
+        for k, name in enumerate(body.joint_names)
+        if not parts or name.rpartition("_")[2] in parts
+    ]
     if not found:
-        raise HabitusError(f"the body {body.name} has no joints of the {region}; expected SMPL's names")
+        raise HabitusError(
+            f"the body {body.name} has no joints of the {region}; expected SMPL's names"
+        )
     return np.array(found)
 
 
-def region_vertices(body: BodyModel, joints: Int[np.ndarray, " n"], most: int = 1500) -> Int[np.ndarray, " m"]:
+def region_vertices(
+    body: BodyModel, joints: Int[np.ndarray, " n"], most: int = 1500
+) -> Int[np.ndarray, " m"]:
     """Vertices that ride on these joints, evenly thinned."""
     strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
     found = np.flatnonzero(np.isin(strongest, joints))

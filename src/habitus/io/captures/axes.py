@@ -1,8 +1,9 @@
-"""Which way is up, and are the axes right-handed: asked of the body, because files are often wrong about it.
+"""Which way is up, and are the axes right-handed: asked of the body, because files are often wrong
+about it.
 
-Up: in most frames of most captures the head is above the feet; who lies throughout is told by the floor, which is where
-a capture's heights begin. Handedness needs no world at all: on a body, front x left points to the head, lying or not;
-in a mirrored capture it points to the feet.
+Up: in most frames of most captures the head is above the feet; who lies throughout is told by the
+floor, which is where a capture's heights begin. Handedness needs no world at all: on a body, front
+x left points to the head, lying or not; in a mirrored capture it points to the feet.
 """
 
 from collections.abc import Sequence
@@ -15,14 +16,17 @@ from habitus.markers.anatomy import Place, place_of
 
 _SURE = 0.35
 _MOST_FRAMES = 2000
-# Heights on the body whose markers can tell front from back and left from right: pelvis, trunk, head; feet.
+# Heights on the body whose markers can tell front from back and left from right: pelvis, trunk,
+# head; feet.
 _PARTS = ((2.9, 3.1), (3.9, 5.1), (5.9, 6.1), (0.0, 0.3))
 _PELVIS_AND_BELOW = 3.5
 
 
 @dataclass(frozen=True)
 class Axes:
-    """The verdict: a signed up-axis such as "+z", whether the data said so, and whether the capture is mirrored."""
+    """The verdict: a signed up-axis such as "+z", whether the data said so, and whether the capture
+    is mirrored.
+    """
 
     up: str
     sure: bool
@@ -31,7 +35,9 @@ class Axes:
 
 @dataclass(frozen=True)
 class _Heights:
-    """Along one signed axis: the share of frames that begin at the floor, how steadily, and the body's reach."""
+    """Along one signed axis: the share of frames that begin at the floor, how steadily, and the
+    body's reach.
+    """
 
     axis: str
     on_floor: float
@@ -39,8 +45,12 @@ class _Heights:
     reach: float
 
 
-def find_axes(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None, usual: str) -> Axes:
-    """Up-axis and handedness of ``points`` (metres); ``claim`` is what the file says is up, ``usual`` a default."""
+def find_axes(
+    labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: str | None, usual: str
+) -> Axes:
+    """Up-axis and handedness of ``points`` (metres); ``claim`` is what the file says is up,
+    ``usual`` a default.
+    """
     points = points[:: max(1, len(points) // _MOST_FRAMES)]
     points = points[np.isfinite(points[..., 0]).any(axis=1)]
     places = [place_of(label) for label in labels]
@@ -50,8 +60,12 @@ def find_axes(labels: Sequence[str], points: Float[np.ndarray, "T M 3"], claim: 
     return Axes(up or claim or usual, up is not None, _mirrored(places, points, spine))
 
 
-def body_up(places: Sequence[Place | None], points: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T 3"]:
-    """The unit vector from feet to head in each frame, NaN where too few known markers are visible."""
+def body_up(
+    places: Sequence[Place | None], points: Float[np.ndarray, "T M 3"]
+) -> Float[np.ndarray, "T 3"]:
+    """The unit vector from feet to head in each frame, NaN where too few known markers are
+    visible.
+    """
     known = [i for i, place in enumerate(places) if place is not None]
     if len(known) < 3:
         return np.full((len(points), 3), np.nan)
@@ -76,12 +90,18 @@ def _heights(points: np.ndarray) -> list[_Heights]:
         reach = float(np.median(high - low)) if len(points) else 0.0
         for sign, floor in (("+", low), ("-", -high)):
             share = float(((floor > -0.1) & (floor < 0.25)).mean()) if len(points) else 0.0
-            found.append(_Heights(f"{sign}{'xyz'[i]}", share, float(floor.std()) if len(points) else 0.0, reach))
+            found.append(
+                _Heights(
+                    f"{sign}{'xyz'[i]}", share, float(floor.std()) if len(points) else 0.0, reach
+                )
+            )
     return found
 
 
 def _up_of_body(spine: np.ndarray, heights: dict[str, _Heights]) -> str | None:
-    """The axis along which head is above feet, unless the body lies on the floor of another axis."""
+    """The axis along which head is above feet, unless the body lies on the floor of another
+    axis.
+    """
     spine = spine[np.isfinite(spine[:, 0])]
     if not len(spine):
         return None
@@ -92,7 +112,9 @@ def _up_of_body(spine: np.ndarray, heights: dict[str, _Heights]) -> str | None:
     up = f"{'+' if mean[i] > 0 else '-'}{'xyz'[i]}"
     if heights[up].on_floor >= 0.5:
         return up
-    lying = [h for h in heights.values() if h.axis[1] != up[1] and h.on_floor > 0.9 and h.wobble < 0.06]
+    lying = [
+        h for h in heights.values() if h.axis[1] != up[1] and h.on_floor > 0.9 and h.wobble < 0.06
+    ]
     lying = [h for h in lying if h.reach < 0.6 * heights[up].reach]
     return min(lying, key=lambda h: h.reach).axis if lying else up
 
@@ -114,7 +136,9 @@ def _mirrored(places: Sequence[Place | None], points: np.ndarray, spine: np.ndar
     for least, most in _PARTS:
         part = [place if place and least <= place.height <= most else None for place in places]
         front = _difference([place.depth if place else 0 for place in part], points)
-        left = _difference(lower if most < 1.0 else [place.side if place else 0 for place in part], points)
+        left = _difference(
+            lower if most < 1.0 else [place.side if place else 0 for place in part], points
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
             size = np.linalg.norm(front, axis=1) * np.linalg.norm(left, axis=1)
             share = np.einsum("tc,tc->t", np.cross(front, left), spine) / size
@@ -125,7 +149,9 @@ def _mirrored(places: Sequence[Place | None], points: np.ndarray, spine: np.ndar
 
 
 def _difference(signs: Sequence[int], points: np.ndarray) -> np.ndarray:
-    """(T, 3) mean of the points with sign 1 minus the mean of those with -1; NaN where either is unseen."""
+    """(T, 3) mean of the points with sign 1 minus the mean of those with -1; NaN where either is
+    unseen.
+    """
     means = []
     for sign in (1, -1):
         chosen = points[:, [i for i, s in enumerate(signs) if s == sign]]

@@ -1,7 +1,8 @@
 """C3D files: reading the points of one, and writing a capture as one.
 
-Reading is our own (see c3d_parameters): only the points are touched, so hours of analog channels cost nothing, and no
-count in a damaged file can ask for more memory than the file has bytes. Writing is ezc3d's.
+Reading is our own (see c3d_parameters): only the points are touched, so hours of analog channels
+cost nothing, and no count in a damaged file can ask for more memory than the file has bytes.
+Writing is ezc3d's.
 """
 
 from collections.abc import Iterator
@@ -31,7 +32,9 @@ class DataPlace:
 
     @property
     def word(self) -> int:
-        """Bytes of one value: 4 where the scale is negative (real numbers), 2 otherwise (integers)."""
+        """Bytes of one value: 4 where the scale is negative (real numbers), 2 otherwise
+        (integers).
+        """
         return 4 if self.scale < 0 else 2
 
     @property
@@ -52,7 +55,8 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
     warnings = []
     if available == 0:
         raise HabitusError(
-            f"{name}: its frames should start at byte {place.start} but the file has {len(content)} bytes; "
+            f"{name}: its frames should start at byte {place.start} but the file has "
+            f"{len(content)} bytes; "
             "it was cut off, copy it again"
         )
     if available < place.frames:
@@ -77,7 +81,9 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
 
 
 def find_points(content: bytes, name: str) -> tuple[DataPlace, str]:
-    """Where the points of a C3D file's bytes lie, as `parse_c3d` reads them, and the processor that wrote them."""
+    """Where the points of a C3D file's bytes lie, as `parse_c3d` reads them, and the processor that
+    wrote them.
+    """
     header, parameters = read_parameters(content, name)
     place = _data_place(header, parameters, len(content))
     _refuse_pointless(place, header, parameters, name)
@@ -98,17 +104,23 @@ def _refuse_pointless(place: DataPlace, header: Header, parameters: Parameters, 
         others = [f"{channels} analog channels (EMG, force plates)"] * bool(channels)
         others += [f"{rotations} segment rotations"] * bool(rotations)
         held = f"only {' and '.join(others)}" if others else "no data of another kind either"
-        raise HabitusError(f"{name}: holds no marker trajectories (0 points), {held}; give a capture with markers")
+        raise HabitusError(
+            f"{name}: holds no marker trajectories (0 points), {held}; give a capture with markers"
+        )
     if place.frames <= 0:
         raise HabitusError(f"{name}: holds {place.points} points but 0 frames; export it again")
 
 
 def _data_place(header: Header, parameters: Parameters, size: int) -> DataPlace:
-    """The layout that fits the file's size, where header and parameters disagree; the header's first of all."""
+    """The layout that fits the file's size, where header and parameters disagree; the header's
+    first of all.
+    """
     starts = _distinct(header.data_block, parameters.number("POINT", "DATA_START"), least=2)
     counts = _distinct(header.points, parameters.number("POINT", "USED"), least=0)
     analog = _distinct(header.analog_words, _analog_words(header, parameters), least=0)
-    scales = [s for s in (header.scale, parameters.number("POINT", "SCALE")) if s and np.isfinite(s)]
+    scales = [
+        s for s in (header.scale, parameters.number("POINT", "SCALE")) if s and np.isfinite(s)
+    ]
     frames = _frame_counts(header, parameters)
     best: tuple[float, DataPlace] | None = None
     choices = product(starts or [3], counts or [0], analog or [0], frames or [0], scales or [-1.0])
@@ -128,7 +140,8 @@ def _distinct(*values: float | None, least: int) -> list[int]:
 
 
 def _analog_words(header: Header, parameters: Parameters) -> float | None:
-    used, rate = parameters.number("ANALOG", "USED"), parameters.number("ANALOG", "RATE")
+    used = parameters.number("ANALOG", "USED")
+    rate = parameters.number("ANALOG", "RATE")
     frame_rate = parameters.number("POINT", "RATE") or header.rate_hz
     if used is None or rate is None or not frame_rate or not frame_rate > 0:
         return None
@@ -136,8 +149,11 @@ def _analog_words(header: Header, parameters: Parameters) -> float | None:
 
 
 def _frame_counts(header: Header, parameters: Parameters) -> list[int]:
-    """Every claim about the number of frames, the widest field first: the older ones stop at 65,535."""
-    first, last = parameters.numbers("TRIAL", "ACTUAL_START_FIELD"), parameters.numbers("TRIAL", "ACTUAL_END_FIELD")
+    """Every claim about the number of frames, the widest field first: the older ones stop at
+    65,535.
+    """
+    first = parameters.numbers("TRIAL", "ACTUAL_START_FIELD")
+    last = parameters.numbers("TRIAL", "ACTUAL_END_FIELD")
     trial = _wide(last) - _wide(first) + 1 if first.size and last.size else None
     return _distinct(
         trial,
@@ -154,7 +170,9 @@ def _wide(words: np.ndarray) -> float:
 
 def _read_frames(content: bytes, place: DataPlace, frames: int, processor: str) -> np.ndarray:
     """(T, N, 3) float64 in the file's unit; NaN where the residual is negative."""
-    block = np.frombuffer(content, np.uint8, frames * place.stride, place.start).reshape(frames, place.stride)
+    block = np.frombuffer(content, np.uint8, frames * place.stride, place.start).reshape(
+        frames, place.stride
+    )
     return mapped(lambda rows: _points(rows, place, processor), block)
 
 
@@ -165,10 +183,14 @@ def _points(block: np.ndarray, place: DataPlace, processor: str) -> np.ndarray:
     if place.word == 4:
         values = reals(block.reshape(-1), processor).reshape(frames, place.points, 4)
         with np.errstate(invalid="ignore"):  # signalling NaNs in damaged files
-            points, flags = values[..., :3].astype(np.float64), values[..., 3]
+            points = values[..., :3].astype(np.float64)
+            flags = values[..., 3]
     else:
-        values = np.frombuffer(block, ">i2" if processor == "mips" else "<i2").reshape(frames, place.points, 4)
-        points, flags = values[..., :3] * place.scale, values[..., 3]
+        values = np.frombuffer(block, ">i2" if processor == "mips" else "<i2").reshape(
+            frames, place.points, 4
+        )
+        points = values[..., :3] * place.scale
+        flags = values[..., 3]
     points[flags < 0] = np.nan
     return points
 
@@ -182,7 +204,10 @@ def _labels(parameters: Parameters, count: int) -> tuple[tuple[str, ...], list[s
         extra = [label for label in labels[count:] if label]
         warnings = [f"{len(extra)} labels without points are left out"] if extra else []
         return tuple(labels[:count]), warnings
-    warning = f"{count} points but {len(labels)} labels: the last {count - len(labels)} points are unlabelled"
+    warning = (
+        f"{count} points but {len(labels)} labels: the last {count - len(labels)} points "
+        "are unlabelled"
+    )
     return (*labels, *(f"*{i}" for i in range(len(labels), count))), [warning]
 
 
@@ -203,7 +228,11 @@ def _groups(parameters: Parameters) -> dict[str, str]:
 
 
 def _rate(header: Header, parameters: Parameters) -> tuple[float | None, list[str]]:
-    claims = [parameters.number("POINT", "RATE"), header.rate_hz, parameters.number("TRIAL", "CAMERA_RATE")]
+    claims = [
+        parameters.number("POINT", "RATE"),
+        header.rate_hz,
+        parameters.number("TRIAL", "CAMERA_RATE"),
+    ]
     good = [rate for rate in claims if rate is not None and 0.1 < rate < 1e5]
     if not good:
         return None, []

@@ -1,8 +1,9 @@
-"""The header and the parameter section of a C3D file, read with every offset checked against the file's size.
+"""The header and the parameter section of a C3D file, read with every offset checked against the
+file's size.
 
-Written here because no file may bring a process down, and because ezc3d refuses big-endian files (SGI/MIPS) and
-slightly malformed parameter sections of files that are otherwise sound. Layout: the C3D User Guide (c3d.org), "The C3D
-file header" and "The parameter section".
+Written here because no file may bring a process down, and because ezc3d refuses big-endian files
+(SGI/MIPS) and slightly malformed parameter sections of files that are otherwise sound. Layout: the
+C3D User Guide (c3d.org), "The C3D file header" and "The parameter section".
 """
 
 import struct
@@ -16,7 +17,10 @@ from habitus.errors import HabitusError
 BLOCK = 512
 KEY = 0x50
 PROCESSORS = {84: "intel", 85: "dec", 86: "mips"}
-CHARACTER, BYTE, INTEGER, REAL = -1, 1, 2, 4
+CHARACTER = -1
+BYTE = 1
+INTEGER = 2
+REAL = 4
 
 
 @dataclass(frozen=True)
@@ -42,11 +46,15 @@ class Parameter:
     processor: str
 
     def numbers(self) -> np.ndarray:
-        """The values as a flat array; integers come as unsigned 16 bits, as counts above 32,767 need."""
+        """The values as a flat array; integers come as unsigned 16 bits, as counts above 32,767
+        need.
+        """
         if self.kind == REAL:
             return reals(self.data, self.processor)
         if self.kind == INTEGER:
-            return np.frombuffer(self.data, ">u2" if self.processor == "mips" else "<u2").astype(np.int64)
+            return np.frombuffer(self.data, ">u2" if self.processor == "mips" else "<u2").astype(
+                np.int64
+            )
         return np.frombuffer(self.data, np.uint8).astype(np.int64)
 
     def texts(self) -> list[str]:
@@ -84,7 +92,9 @@ class Parameters:
 
 
 def reals(data: bytes | np.ndarray, processor: str) -> np.ndarray:
-    """32-bit floats of the three kinds of machine that ever wrote C3D: Intel, DEC (VAX F) and SGI/MIPS."""
+    """32-bit floats of the three kinds of machine that ever wrote C3D: Intel, DEC (VAX F) and
+    SGI/MIPS.
+    """
     if processor == "mips":
         return np.frombuffer(data, ">f4").astype(np.float32)
     if processor == "intel":
@@ -103,10 +113,13 @@ def read_parameters(content: bytes, name: str) -> tuple[Header, Parameters]:
     processor = PROCESSORS.get(content[start + 3], "")
     if not processor:
         raise HabitusError(
-            f"{name}: its parameters name processor type {content[start + 3]}; expected 84 (Intel), 85 (DEC) or 86 "
+            f"{name}: its parameters name processor type {content[start + 3]}; expected 84 "
+            "(Intel), 85 (DEC) or 86 "
             "(SGI/MIPS); the file is damaged, export it again"
         )
-    return _header(content, processor), Parameters(processor, _groups(content, start + 4, processor))
+    return _header(content, processor), Parameters(
+        processor, _groups(content, start + 4, processor)
+    )
 
 
 def _parameter_start(content: bytes, name: str) -> int:
@@ -115,7 +128,8 @@ def _parameter_start(content: bytes, name: str) -> int:
     if len(content) < 2 or content[1] != KEY:
         kind = "text" if _looks_like_text(content) else "something else"
         raise HabitusError(
-            f"{name}: not a C3D file (its second byte is not 0x50; it looks like {kind}); give a C3D file"
+            f"{name}: not a C3D file (its second byte is not 0x50; it looks like {kind}); give a "
+            "C3D file"
         )
     for block in (content[0], 2):
         start = (block - 1) * BLOCK
@@ -123,12 +137,14 @@ def _parameter_start(content: bytes, name: str) -> int:
             return start
     if len(content) < 2 * BLOCK:
         raise HabitusError(
-            f"{name}: the file ends after {len(content)} bytes, before its parameters; copy or export it again"
+            f"{name}: the file ends after {len(content)} bytes, before its parameters; copy or "
+            "export it again"
         )
     start = (max(content[0], 2) - 1) * BLOCK
     if start + 4 > len(content):
         raise HabitusError(
-            f"{name}: its parameter section should start at byte {start}, after the file's end; export it again"
+            f"{name}: its parameter section should start at byte {start}, after the file's end; "
+            "export it again"
         )
     return start
 
@@ -143,7 +159,8 @@ def _header(content: bytes, processor: str) -> Header:
     order = ">" if processor == "mips" else "<"
     points, analog, first, last = struct.unpack_from(f"{order}4H", block, 2)
     (data_block,) = struct.unpack_from(f"{order}H", block, 16)
-    scale, rate = float(reals(block[12:16], processor)[0]), float(reals(block[20:24], processor)[0])
+    scale = float(reals(block[12:16], processor)[0])
+    rate = float(reals(block[20:24], processor)[0])
     return Header(points, analog, first, last, scale, data_block, rate)
 
 
@@ -161,8 +178,12 @@ def _groups(content: bytes, start: int, processor: str) -> dict[str, dict[str, P
     return groups
 
 
-def _entries(content: bytes, position: int, processor: str) -> Iterator[tuple[int, str, Parameter | None]]:
-    """Each group (parameter None) and parameter in file order, until the list ends or stops making sense."""
+def _entries(
+    content: bytes, position: int, processor: str
+) -> Iterator[tuple[int, str, Parameter | None]]:
+    """Each group (parameter None) and parameter in file order, until the list ends or stops making
+    sense.
+    """
     order = ">h" if processor == "mips" else "<h"
     while position + 4 <= len(content):
         length = abs(struct.unpack_from("b", content, position)[0])
@@ -195,7 +216,11 @@ def _parameter(content: bytes, position: int, processor: str) -> Parameter | Non
     for extent in shape:
         size *= extent
     start = position + 2 + dimensions
-    return Parameter(kind, shape, content[start : start + size], processor) if start + size <= len(content) else None
+    return (
+        Parameter(kind, shape, content[start : start + size], processor)
+        if start + size <= len(content)
+        else None
+    )
 
 
 def _text(raw: bytes) -> str:

@@ -1,4 +1,6 @@
-"""A C3D file with other points under other names: analog channels, events, rates, units and all else stay."""
+"""A C3D file with other points under other names: analog channels, events, rates, units and all
+else stay.
+"""
 
 import os
 from pathlib import Path
@@ -22,17 +24,23 @@ def write_relabelled(
     points: Float[np.ndarray, "T M 3"],
     path: str | os.PathLike[str],
 ) -> None:
-    """``source`` with the points that ``capture`` has of it replaced by these (metres, NaN missing), under ``labels``.
+    """``source`` with the points that ``capture`` has of it replaced by these (metres, NaN
+    missing), under ``labels``.
 
-    What the source holds beside them (computed points, analog channels, parameters) is written as it is. Raises
-    HabitusError where it cannot be read a second time or the folder cannot be written to.
+    What the source holds beside them (computed points, analog channels, parameters) is written as
+    it is. Raises HabitusError where it cannot be read a second time or the folder cannot be written
+    to.
     """
     try:
         file = ezc3d.c3d(str(source))
     except Exception as error:  # what ezc3d raises at files that it does not like is of any kind
-        raise HabitusError(f"{Path(source).name}: ezc3d cannot copy it ({error}); give --out a .trc file") from error
+        raise HabitusError(
+            f"{Path(source).name}: ezc3d cannot copy it ({error}); give --out a .trc file"
+        ) from error
     others = [k for k in range(file["data"]["points"].shape[1]) if k not in set(capture.columns)]
-    names = [name for key in _label_keys(file) for name in file["parameters"]["POINT"][key]["value"]]
+    names = [
+        name for key in _label_keys(file) for name in file["parameters"]["POINT"][key]["value"]
+    ]
     frames = file["data"]["points"].shape[2]
     placed = np.ones((4, points.shape[1], frames))
     missing = ~np.isfinite(points).all(axis=2).T
@@ -56,7 +64,9 @@ def _label_keys(file: ezc3d.c3d) -> list[str]:
 
 
 def _name(file: ezc3d.c3d, labels: list[str]) -> None:
-    """Labels into as many parameters as they need, descriptions dropped with the points that they described."""
+    """Labels into as many parameters as they need, descriptions dropped with the points that they
+    described.
+    """
     point = file["parameters"]["POINT"]
     for key in [key for key in point if key.startswith(("LABELS", "DESCRIPTIONS"))]:
         if key not in ("LABELS", "DESCRIPTIONS"):
@@ -65,4 +75,6 @@ def _name(file: ezc3d.c3d, labels: list[str]) -> None:
         point["DESCRIPTIONS"]["value"] = [""] * min(len(labels), _MOST_LABELS)
     point["LABELS"]["value"] = labels[:_MOST_LABELS]
     for start in range(_MOST_LABELS, len(labels), _MOST_LABELS):
-        file.add_parameter("POINT", f"LABELS{start // _MOST_LABELS + 1}", labels[start : start + _MOST_LABELS])
+        file.add_parameter(
+            "POINT", f"LABELS{start // _MOST_LABELS + 1}", labels[start : start + _MOST_LABELS]
+        )

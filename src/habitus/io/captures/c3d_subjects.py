@@ -17,11 +17,12 @@ def subject_names(parameters: Parameters) -> tuple[str, ...]:
 
 
 def recorded_values(parameters: Parameters) -> dict[str, float | str]:
-    """height_m, mass_kg, marker_diameter_m, age_years and sex, as far as the file records them and they make sense of
-    a person.
+    """height_m, mass_kg, marker_diameter_m, age_years and sex, as far as the file records them and
+    they make sense of a person.
     """
     found: dict[str, float | str] = {}
-    height, mass = _first(parameters, _HEIGHT), _first(parameters, _MASS)
+    height = _first(parameters, _HEIGHT)
+    mass = _first(parameters, _MASS)
     diameter = _first(parameters, _DIAMETER)
     if height is not None and (metres := _metres(height, 0.4, 2.6)) is not None:
         found["height_m"] = metres

@@ -1,4 +1,6 @@
-"""Writing a capture as a C3D file that any other program reads: millimetres, real numbers, missing points flagged."""
+"""Writing a capture as a C3D file that any other program reads: millimetres, real numbers, missing
+points flagged.
+"""
 
 import os
 
@@ -16,11 +18,14 @@ _SCREEN_X = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
 def write_c3d(capture: Capture, path: str | os.PathLike[str], *, note: str = "") -> None:
-    """Writes ``capture`` to ``path``, whole or not at all. Positions keep 32 bits: better than a micrometre.
+    """Writes ``capture`` to ``path``, whole or not at all. Positions keep 32 bits: better than a
+    micrometre.
 
-    ``note`` describes every marker to who opens the file (POINT:DESCRIPTIONS): that they are virtual, say.
+    ``note`` describes every marker to who opens the file (POINT:DESCRIPTIONS): that they are
+    virtual, say.
 
-    Raises HabitusError where the capture has nothing that C3D can hold, or the folder cannot be written to.
+    Raises HabitusError where the capture has nothing that C3D can hold, or the folder cannot be
+    written to.
     """
     _refuse_unwritable(capture)
     frames, markers = capture.markers.shape[:2]
@@ -33,7 +38,9 @@ def write_c3d(capture: Capture, path: str | os.PathLike[str], *, note: str = "")
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, markers, frames), bool)
     _add_parameters(file, capture)
     if note:
-        told = [shown(note, _LONGEST).encode()[:_LONGEST].decode(errors="ignore")] * min(markers, _MOST_LABELS)
+        told = [shown(note, _LONGEST).encode()[:_LONGEST].decode(errors="ignore")] * min(
+            markers, _MOST_LABELS
+        )
         file["parameters"]["POINT"]["DESCRIPTIONS"]["value"] = told
     with atomic_write(path) as temporary:
         written = temporary.with_name(f"{temporary.stem}.c3d")  # ezc3d writes to no other ending

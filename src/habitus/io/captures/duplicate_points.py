@@ -1,4 +1,6 @@
-"""Points that their values betray: exact copies and midpoints of others, and points that move with nobody."""
+"""Points that their values betray: exact copies and midpoints of others, and points that move with
+nobody.
+"""
 
 from collections.abc import Sequence
 
@@ -13,7 +15,9 @@ _STRANGE_M = 0.25
 
 
 def find_copies(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
-    """Labels whose points are exact copies of another's or exact midpoints of two others, with the reason; metres."""
+    """Labels whose points are exact copies of another's or exact midpoints of two others, with the
+    reason; metres.
+    """
     sample = _telling_frames(points)
     found = _copies(labels, sample)
     rest = [i for i, label in enumerate(labels) if label not in found]
@@ -21,7 +25,9 @@ def find_copies(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> di
 
 
 def find_strangers(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
-    """Labels without meaning whose distance to every marker varies by more than 25 cm: props, hidden angles."""
+    """Labels without meaning whose distance to every marker varies by more than 25 cm: props,
+    hidden angles.
+    """
     sample = points[:: max(1, len(points) // 60)]
     known = [i for i, label in enumerate(labels) if place_of(label)]
     if len(known) < 10 or len(sample) < 10:
@@ -71,6 +77,7 @@ def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
         shared |= np.isfinite(frame[:, :1]) & np.isfinite(middle[:, 0])
     found: dict[str, str] = {}
     for i, pair in np.argwhere(suspects & shared).tolist():
-        one, other = labels[int(first[pair])], labels[int(second[pair])]
+        one = labels[int(first[pair])]
+        other = labels[int(second[pair])]
         found.setdefault(labels[i], f"the exact midpoint of {one} and {other}")
     return found

@@ -1,14 +1,17 @@
-"""Which labels of a capture are not physical markers, judged by name alone: computed points and unlabelled ones.
+"""Which labels of a capture are not physical markers, judged by name alone: computed points and
+unlabelled ones.
 
-The tests go from the surest to the least: what the file itself declares, names that can mean nothing else, names that
-are computed only in the company of others (a Plug-in Gait bone LFEO comes with LFEA, LFEL, LFEP).
+The tests go from the surest to the least: what the file itself declares, names that can mean
+nothing else, names that are computed only in the company of others (a Plug-in Gait bone LFEO comes
+with LFEA, LFEL, LFEP).
 """
 
 import re
 from collections.abc import Callable, Collection, Mapping
 
 _UNLABELLED = re.compile(
-    r"(\*\d*|uname\*?\d*|u_?\d+|unlabell?ed[ _:-]?\d*|unidentified[ _-]?\d*|unknown[ _-]?\d*|new[ _-]?\d+|ghost\d*"
+    r"(\*\d*|uname\*?\d*|u_?\d+|unlabell?ed[ _:-]?\d*|unidentified[ _-]?\d*|unknown[ _-]?\d*|new[ "
+    r"_-]?\d+|ghost\d*"
     r"|nan|m?\d+|c_?\d{2,}|h\d+b\d+m\d+|(marker|point|channel)[ _-]*\d+|traj\w*[ _-]?\d+|)",
     re.IGNORECASE,
 )
@@ -54,7 +57,8 @@ _SKELETON = frozenset(
     ]
 )
 _KEYPOINT = re.compile(
-    r"Neck|Nose|[mM]idHip|[LR](Shoulder|Elbow|Wrist|Hip|Knee|Ankle|Eye|Ear|BigToe|SmallToe|Heel)", re.IGNORECASE
+    r"Neck|Nose|[mM]idHip|[LR](Shoulder|Elbow|Wrist|Hip|Knee|Ankle|Eye|Ear|BigToe|SmallToe|Heel)",
+    re.IGNORECASE,
 )
 
 
@@ -77,10 +81,19 @@ def computed_labels(labels: Collection[str], declared: Mapping[str, str]) -> dic
         (lambda label: _is_joint_centre(label), "a joint centre or projection is computed"),
         (lambda label: _is_oxford(label, names), "an Oxford Foot Model point is computed"),
         (lambda label: _is_oxford_angle(label, names), "an Oxford Foot Model angle is no place"),
-        (lambda label: _is_copy_by_name(label, names), "a copy or mean of other markers, by its name"),
-        (lambda label: _KEYPOINT.fullmatch(label) and video, "a keypoint that a network saw in video, no marker"),
+        (
+            lambda label: _is_copy_by_name(label, names),
+            "a copy or mean of other markers, by its name",
+        ),
+        (
+            lambda label: _KEYPOINT.fullmatch(label) and video,
+            "a keypoint that a network saw in video, no marker",
+        ),
         (_SOLVER.fullmatch, "a solver's helper point is computed"),
-        (lambda label: label in _SKELETON and len(names & _SKELETON) >= 8, "a skeleton's bone is computed"),
+        (
+            lambda label: label in _SKELETON and len(names & _SKELETON) >= 8,
+            "a skeleton's bone is computed",
+        ),
     )
     found: dict[str, str] = {}
     for label in labels:
@@ -103,7 +116,9 @@ def _is_joint_centre(label: str) -> bool:
 
 
 def _is_oxford(label: str, names: Collection[str]) -> bool:
-    """Oxford names mean real markers elsewhere (TIB1..3 of a cluster, HLX): only with the model's own origins."""
+    """Oxford names mean real markers elsewhere (TIB1..3 of a cluster, HLX): only with the model's
+    own origins.
+    """
     return _OXFORD.fullmatch(label) is not None and any(
         f"{side}{name}" in names for side in "LR" for name in ("HDF0", "FOF0")
     )

@@ -1,4 +1,6 @@
-"""Markers in numpy archives: habitus' own, those of AMASS, MoSh++ and SOMA. Nothing pickled is ever loaded."""
+"""Markers in numpy archives: habitus' own, those of AMASS, MoSh++ and SOMA. Nothing pickled is ever
+loaded.
+"""
 
 from collections.abc import Mapping
 
@@ -11,15 +13,25 @@ from habitus.io.captures.tables import number_of
 
 _POINTS = ("markers", "observed_markers", "markers_obs", "points", "marker_data", "positions")
 _LABELS = ("labels", "marker_labels", "labels_obs", "marker_names", "names")
-_RATES = ("rate_hz", "frame_rate", "mocap_framerate", "mocap_frame_rate", "framerate", "fps", "rate", "freq")
+_RATES = (
+    "rate_hz",
+    "frame_rate",
+    "mocap_framerate",
+    "mocap_frame_rate",
+    "framerate",
+    "fps",
+    "rate",
+    "freq",
+)
 _UNITS = ("unit", "units", "length_unit", "markers_unit")
 
 
 def parse_npz(content: bytes, name: str) -> RawPoints:
-    """The points of an archive's bytes: an array (T, M, 3) of markers, their labels (M,), a frame rate.
+    """The points of an archive's bytes: an array (T, M, 3) of markers, their labels (M,), a frame
+    rate.
 
-    Labels may also be (T, M), one set a frame. Raises HabitusError where these are absent, do not fit together, or are
-    pickled.
+    Labels may also be (T, M), one set a frame. Raises HabitusError where these are absent, do not
+    fit together, or are pickled.
     """
     try:
         return _raw(Archive(content))
@@ -31,14 +43,22 @@ def _raw(arrays: Archive) -> RawPoints:
     points = _find(arrays, _POINTS)
     if points is None:
         raise HabitusError(
-            f"holds no markers (it has {shown(', '.join(arrays.names)) or 'nothing'}); expected 'markers' (T, M, 3)"
+            f"holds no markers (it has {shown(', '.join(arrays.names)) or 'nothing'}); expected "
+            "'markers' (T, M, 3)"
         )
     if points.ndim != 3 or 3 not in points.shape[2:] or points.dtype.kind not in "fiu":
-        raise HabitusError(f"its markers are {points.dtype} {points.shape}; expected numbers (T, M, 3)")
+        raise HabitusError(
+            f"its markers are {points.dtype} {points.shape}; expected numbers (T, M, 3)"
+        )
     texts, points = _labelled(arrays, points)
     if points.size == 0:
-        raise HabitusError(f"holds {points.shape[0]} frames of {points.shape[1]} markers; give a capture with markers")
-    rate, unit, up = _find(arrays, _RATES), _find(arrays, _UNITS), _find(arrays, ("up_axis",))
+        raise HabitusError(
+            f"holds {points.shape[0]} frames of {points.shape[1]} markers; give a capture with "
+            "markers"
+        )
+    rate = _find(arrays, _RATES)
+    unit = _find(arrays, _UNITS)
+    up = _find(arrays, ("up_axis",))
     axis = _one(up)
     return RawPoints(
         format="npz",
@@ -65,7 +85,9 @@ def _labelled(arrays: Archive, points: np.ndarray) -> tuple[list[str], np.ndarra
     else:
         texts = _texts(labels).reshape(-1).tolist()
     if len(texts) != points.shape[1]:
-        raise HabitusError(f"holds {points.shape[1]} markers but {len(texts)} labels; expected one label a marker")
+        raise HabitusError(
+            f"holds {points.shape[1]} markers but {len(texts)} labels; expected one label a marker"
+        )
     return texts, points
 
 
@@ -87,11 +109,14 @@ def _one(value: np.ndarray | None) -> str | None:
 
 
 def _by_label(labels: np.ndarray, points: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Points whose columns change their label from frame to frame, sorted into one column a label."""
+    """Points whose columns change their label from frame to frame, sorted into one column a
+    label.
+    """
     names, which = np.unique(labels, return_inverse=True)
     if len(names) > 10 * labels.shape[1] + 100:
         raise HabitusError(
-            f"its labels (T, M) name {len(names)} markers for {labels.shape[1]} columns; expected one set a frame"
+            f"its labels (T, M) name {len(names)} markers for {labels.shape[1]} columns; expected "
+            "one set a frame"
         )
     which = which.reshape(labels.shape)
     sorted_points = np.full((len(points), len(names), 3), np.nan)

@@ -1,4 +1,6 @@
-"""What every capture format is read into before it is judged: labels and points as the file has them."""
+"""What every capture format is read into before it is judged: labels and points as the file has
+them.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,9 +13,10 @@ from jaxtyping import Float
 class RawPoints:
     """The point trajectories of one file, in the file's own unit and axes, NaN where missing.
 
-    ``groups`` holds the labels that the file itself declares to be something other than markers (label -> "ANGLES", …).
-    ``up_claim`` is a signed axis such as "+z" that the file states in ``up_source``; ``up_usual`` is what files of its
-    format mostly have. ``recorded`` is what the file records about the person, in metres and kilograms.
+    ``groups`` holds the labels that the file itself declares to be something other than markers
+    (label -> "ANGLES", …). ``up_claim`` is a signed axis such as "+z" that the file states in
+    ``up_source``; ``up_usual`` is what files of its format mostly have. ``recorded`` is what the
+    file records about the person, in metres and kilograms.
     """
 
     format: str

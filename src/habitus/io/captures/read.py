@@ -2,7 +2,7 @@
 
 capture = read_capture("walk.c3d")
 capture.markers            # (T, M, 3) metres, the capture's own axes (right-handed), NaN where missing
-"""
+"""  # noqa: E501
 
 import os
 from collections.abc import Callable, Mapping
@@ -30,7 +30,8 @@ PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".npz": parse_npz,
 }
 
-SLOWEST_HZ, FASTEST_HZ = 0.1, 20_000.0
+SLOWEST_HZ = 0.1
+FASTEST_HZ = 20_000.0
 USUAL_HZ = 5.0, 2_000.0
 
 
@@ -38,10 +39,11 @@ USUAL_HZ = 5.0, 2_000.0
 class Capture:
     """The markers of one person in one capture: T frames, M physical markers.
 
-    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing, read-only; ``up_axis`` is a
-    signed axis such as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with the
-    reason; ``recorded`` holds what the file says of the person (height_m, mass_kg, marker_diameter_m, age_years, sex);
-    ``unit`` is the unit of length that the file's numbers are in.
+    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing,
+    read-only; ``up_axis`` is a signed axis such as "+z"; ``labels`` are free of subject prefixes;
+    ``dropped`` names each point left out, with the reason; ``recorded`` holds what the file says of
+    the person (height_m, mass_kg, marker_diameter_m, age_years, sex); ``unit`` is the unit of
+    length that the file's numbers are in.
     """
 
     name: str
@@ -66,16 +68,22 @@ class Capture:
     def __getitem__(self, frames: slice) -> "Capture":
         """Some of its frames: ``capture[:200]``. Raises HabitusError for anything but a slice."""
         if not isinstance(frames, slice):
-            raise HabitusError(f"a capture was asked for [{frames!r}]; expected a slice of frames, as capture[:200]")
+            raise HabitusError(
+                f"a capture was asked for [{frames!r}]; expected a slice of frames, as "
+                "capture[:200]"
+            )
         rate = self.rate_hz / abs(frames.step or 1)
         return replace(self, markers=np.ascontiguousarray(self.markers[frames]), rate_hz=rate)
 
 
-def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None) -> Capture:
-    """The capture in a file: of several people the one named ``subject``, else the one with most markers and a warning.
+def read_capture(
+    path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None
+) -> Capture:
+    """The capture in a file: of several people the one named ``subject``, else the one with most
+    markers and a warning.
 
-    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown kind or damaged,
-    holds no physical markers, names no rate, or holds nobody called ``subject``.
+    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown
+    kind or damaged, holds no physical markers, names no rate, or holds nobody called ``subject``.
     """
     captures = read_captures(path, rate_hz)
     names = [capture.subject or "one without a name" for capture in captures]
@@ -83,24 +91,33 @@ def read_capture(path: str | os.PathLike[str], subject: str | None = None, rate_
         for capture in captures:
             if (capture.subject or "").lower() == subject.lower():
                 return capture
-        raise HabitusError(f"{Path(path).name}: holds no subject {subject!r}; it holds {', '.join(names)}")
+        raise HabitusError(
+            f"{Path(path).name}: holds no subject {subject!r}; it holds {', '.join(names)}"
+        )
     if len(captures) == 1:
         return captures[0]
     warning = (
-        f"the file holds {len(captures)} subjects ({', '.join(names)}): {names[0]} is read; name another with subject"
+        f"the file holds {len(captures)} subjects ({', '.join(names)}): {names[0]} is read; "
+        "name another with subject"
     )
     return replace(captures[0], warnings=(*captures[0].warnings, warning))
 
 
-def read_captures(path: str | os.PathLike[str], rate_hz: float | None = None) -> tuple[Capture, ...]:
-    """Every person in a capture file, the one with most markers first. Errors as for read_capture."""
+def read_captures(
+    path: str | os.PathLike[str], rate_hz: float | None = None
+) -> tuple[Capture, ...]:
+    """Every person in a capture file, the one with most markers first. Errors as for
+    read_capture.
+    """
     path = Path(path)
     raw, rate = read_raw(path, rate_hz)
     return captures_of(raw, rate, shown_stem(path), path.name)
 
 
 def captures_of(raw: RawPoints, rate_hz: float, name: str, source: str) -> tuple[Capture, ...]:
-    """Every person in some points, of a file or a stream; ``source`` is what errors call it. Raises HabitusError."""
+    """Every person in some points, of a file or a stream; ``source`` is what errors call it. Raises
+    HabitusError.
+    """
     return tuple(_capture(person, raw, name, rate_hz) for person in find_people(raw, source))
 
 
@@ -112,7 +129,8 @@ def read_raw(path: Path, rate_hz: float | None = None) -> tuple[RawPoints, float
     if rate is None or not SLOWEST_HZ <= rate <= FASTEST_HZ:
         named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
         raise HabitusError(
-            f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, give them as rate_hz"
+            f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, "
+            "give them as rate_hz"
         )
     return raw, float(rate)
 
@@ -121,18 +139,26 @@ def _content(path: Path) -> bytes:
     if path.is_dir():
         raise HabitusError(f"{path}: is a folder; give a capture file ({', '.join(PARSERS)})")
     if path.suffix.lower() not in PARSERS:
-        raise HabitusError(f"{path.name}: unknown kind of capture; expected one of {', '.join(PARSERS)}")
+        raise HabitusError(
+            f"{path.name}: unknown kind of capture; expected one of {', '.join(PARSERS)}"
+        )
     try:
         return path.read_bytes()
     except FileNotFoundError:
         raise HabitusError(f"{path}: no such file; check the path") from None
     except (OSError, MemoryError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error) or "too large for this machine's memory"
+        reason = (
+            getattr(error, "strerror", None) or str(error) or "too large for this machine's memory"
+        )
         raise HabitusError(f"{path}: cannot be read ({reason}); check its permissions") from None
 
 
 def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
-    unusual = () if USUAL_HZ[0] <= rate_hz <= USUAL_HZ[1] else (f"{rate_hz:g} Hz is an unusual frame rate: check it",)
+    unusual = (
+        ()
+        if USUAL_HZ[0] <= rate_hz <= USUAL_HZ[1]
+        else (f"{rate_hz:g} Hz is an unusual frame rate: check it",)
+    )
     return Capture(
         name=name,
         labels=person.tracks.labels,
@@ -140,7 +166,9 @@ def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Captu
         rate_hz=float(rate_hz),
         up_axis=person.up_axis,
         subject=person.subject,
-        warnings=tuple(shown(text, LONGEST_MESSAGE) for text in (*unusual, *person.tracks.warnings)),
+        warnings=tuple(
+            shown(text, LONGEST_MESSAGE) for text in (*unusual, *person.tracks.warnings)
+        ),
         recorded=dict(raw.recorded),
         dropped=person.tracks.dropped,
         format=raw.format,

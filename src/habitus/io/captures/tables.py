@@ -17,9 +17,13 @@ def read_text(content: bytes, name: str) -> str:
     """
     wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     if b"\0" in content[:4096] and not wide:
-        raise HabitusError(f"{name}: a binary file where text was expected; check the file's ending")
+        raise HabitusError(
+            f"{name}: a binary file where text was expected; check the file's ending"
+        )
     try:
-        text = content.decode("utf-16" if wide else "utf-8-sig", errors="replace" if wide else "strict")
+        text = content.decode(
+            "utf-16" if wide else "utf-8-sig", errors="replace" if wide else "strict"
+        )
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if not text.strip():
@@ -27,7 +31,9 @@ def read_text(content: bytes, name: str) -> str:
     return text
 
 
-def number_table(rows: Sequence[Sequence[str]], width: int, name: str) -> Float[np.ndarray, "rows width"]:
+def number_table(
+    rows: Sequence[Sequence[str]], width: int, name: str
+) -> Float[np.ndarray, "rows width"]:
     """Cells as numbers: rows are cut or filled to ``width``, and whatever is no number becomes NaN.
 
     Raises HabitusError where the file ``name`` promises far more columns than its rows have.
@@ -65,16 +71,22 @@ def is_count(cell: str) -> bool:
 def fill_frames(
     numbers: Float[np.ndarray, " T"], points: Float[np.ndarray, "T N 3"]
 ) -> tuple[Float[np.ndarray, "T2 N 3"], tuple[str, ...]]:
-    """Frames that the file leaves out, by its frame numbers, put back as missing, so that time stays honest."""
+    """Frames that the file leaves out, by its frame numbers, put back as missing, so that time
+    stays honest.
+    """
     steps = np.diff(numbers)
     if len(steps) == 0 or not np.isfinite(steps).all():
         return points, ()
     if (steps <= 0).any():
-        return points, ("the file's frame numbers do not rise everywhere: its order of frames is kept",)
+        return points, (
+            "the file's frame numbers do not rise everywhere: its order of frames is kept",
+        )
     with np.errstate(over="ignore"):
         rounded = np.rint(steps / steps.min())
     if not rounded.sum() < 10 * len(points):
-        return points, ("the file's frame numbers leave out too many frames: they are not followed",)
+        return points, (
+            "the file's frame numbers leave out too many frames: they are not followed",
+        )
     whole = rounded.astype(np.int64)
     count = int(whole.sum()) + 1
     if count == len(points):
@@ -85,7 +97,9 @@ def fill_frames(
 
 
 def mean_rate(times: Float[np.ndarray, " T"], frames: int) -> float | None:
-    """Frames a second from the times in seconds of the first and last of ``frames``; None where they do not rise."""
+    """Frames a second from the times in seconds of the first and last of ``frames``; None where
+    they do not rise.
+    """
     if frames < 2 or not times[-1] > times[0]:
         return None
     rate = (frames - 1) / (times[-1] - times[0])

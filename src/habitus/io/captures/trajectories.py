@@ -22,7 +22,9 @@ _STUCK_M = 0.05
 
 @dataclass(frozen=True)
 class Tracks:
-    """Labels with their points (T, M, 3) in metres, what was left out with its reason, and warnings."""
+    """Labels with their points (T, M, 3) in metres, what was left out with its reason, and
+    warnings.
+    """
 
     labels: tuple[str, ...]
     points: Float[np.ndarray, "T M 3"]
@@ -55,7 +57,9 @@ class Tracks:
 
 
 def hide_placeholders(points: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "T M 3"]:
-    """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (9 million units)."""
+    """A copy with NaN for points at exactly (0, 0, 0), not finite, or absurdly far (9 million
+    units).
+    """
     return mapped(_without_placeholders, points)
 
 
@@ -66,18 +70,24 @@ def _without_placeholders(points: np.ndarray) -> np.ndarray:
 
 
 def hide_far(tracks: Tracks) -> Tracks:
-    """Hides points more than a kilometre from the middle of all (metres): whatever they are, they are not on a body."""
+    """Hides points more than a kilometre from the middle of all (metres): whatever they are, they
+    are not on a body.
+    """
     sample = tracks.points[:: max(1, len(tracks.points) // _SAMPLE)]
     seen = sample[np.isfinite(sample[..., 0])]
     if not len(seen):
         return tracks
     middle = np.median(seen, axis=0)
     far = mapped(lambda part: _beyond(part, middle, _FAR_M), tracks.points)
-    counts = {label: n for label, n in zip(tracks.labels, far.sum(axis=0).tolist(), strict=True) if n}
+    counts = {
+        label: n for label, n in zip(tracks.labels, far.sum(axis=0).tolist(), strict=True) if n
+    }
     if not counts:
         return tracks
     hidden = mapped(lambda part, away: np.where(away[..., None], np.nan, part), tracks.points, far)
-    named = ", ".join(f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED])
+    named = ", ".join(
+        f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED]
+    )
     warning = f"points more than a kilometre from the rest are missing there: {named}"
     return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
 
@@ -88,7 +98,9 @@ def _beyond(points: np.ndarray, middle: np.ndarray, reach: float) -> np.ndarray:
 
 
 def hide_stuck(tracks: Tracks) -> Tracks:
-    """Hides a point while it stands exactly still and its neighbours move away, as some files hold lost markers."""
+    """Hides a point while it stands exactly still and its neighbours move away, as some files hold
+    lost markers.
+    """
     points = tracks.points
     if len(points) < _STUCK_FRAMES or points.shape[1] < 4:
         return tracks
@@ -96,16 +108,21 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     columns = np.flatnonzero(still.any(axis=0)).tolist()
     if not columns:
         return tracks
-    hidden, counts = mapped(np.array, points), {}
+    hidden = mapped(np.array, points)
+    counts = {}
     for column in columns:
         near = _neighbours(points, column)
         for start, stop in _runs(still[:, column], _STUCK_FRAMES - 1):
             if _left_behind(points[start : stop + 1], column, near):
                 hidden[start : stop + 1, column] = np.nan
-                counts[tracks.labels[column]] = counts.get(tracks.labels[column], 0) + stop + 1 - start
+                counts[tracks.labels[column]] = (
+                    counts.get(tracks.labels[column], 0) + stop + 1 - start
+                )
     if not counts:
         return tracks
-    named = ", ".join(f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED])
+    named = ", ".join(
+        f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED]
+    )
     warning = f"points that stand still while their neighbours move are missing there: {named}"
     return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
 
@@ -167,7 +184,11 @@ def join_fragments(tracks: Tracks) -> Tracks:
             renamed.append(name)
     order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
     points = np.stack([kept[label] for label in order], axis=1) if order else tracks.points[:, :0]
-    told = (f"different points share a label: the later ones are kept as {', '.join(renamed)}",) if renamed else ()
+    told = (
+        (f"different points share a label: the later ones are kept as {', '.join(renamed)}",)
+        if renamed
+        else ()
+    )
     return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *told))
 
 

@@ -1,7 +1,9 @@
-"""Which columns of a TRC file are which marker's x, y and z: its names, its X1 Y1 Z1 row and its numbers must agree.
+"""Which columns of a TRC file are which marker's x, y and z: its names, its X1 Y1 Z1 row and its
+numbers must agree.
 
-Exporters get the first two wrong (two tabs too many after ``Time``, no X1 row, a name without coordinates), and a shift
-by one column makes a body of other points. So each reading of the header is held against where the numbers stand.
+Exporters get the first two wrong (two tabs too many after ``Time``, no X1 row, a name without
+coordinates), and a shift by one column makes a body of other points. So each reading of the header
+is held against where the numbers stand.
 """
 
 import re
@@ -41,37 +43,62 @@ class Columns:
 
 
 def find_columns(
-    names: Sequence[str], axes: Sequence[str], spans: Sequence[tuple[int, int]], spaced: bool, name: str
+    names: Sequence[str],
+    axes: Sequence[str],
+    spans: Sequence[tuple[int, int]],
+    spaced: bool,
+    name: str,
 ) -> Columns:
-    """The columns of a TRC file ``name``, from its row of names, the row below and the ``spans`` of its rows of data.
+    """The columns of a TRC file ``name``, from its row of names, the row below and the ``spans`` of
+    its rows of data.
 
-    A span is the first column with a coordinate and one past the last; ``spaced``: blanks part the cells, so that the
-    names' columns mean nothing. Raises HabitusError where no reading of the header fits the data.
+    A span is the first column with a coordinate and one past the last; ``spaced``: blanks part the
+    cells, so that the names' columns mean nothing. Raises HabitusError where no reading of the
+    header fits the data.
     """
-    named = [(i, cell) for i, cell in enumerate(names) if cell and i and not (i == 1 and _TIME.match(cell))]
+    named = [
+        (i, cell)
+        for i, cell in enumerate(names)
+        if cell and i and not (i == 1 and _TIME.match(cell))
+    ]
     if not named:
-        raise HabitusError(f"{name}: its 'Frame#' line names no markers; export it again with marker names")
+        raise HabitusError(
+            f"{name}: its 'Frame#' line names no markers; export it again with marker names"
+        )
     triples = _triples(axes, name)
     readings = [reading for reading in _readings(named, triples, spaced) if reading is not None]
     first, end = _extent(spans)
-    fitting = [one for one in readings if one.first <= first and end <= one.end and (one.end - end) % 3 == 0]
+    fitting = [
+        one
+        for one in readings
+        if one.first <= first and end <= one.end and (one.end - end) % 3 == 0
+    ]
     if not fitting:
         axes_told = f" and its X1 Y1 Z1 row {len(triples)}" if triples else ""
         raise HabitusError(
-            f"{name}: its header names {len(named)} markers{axes_told}, its rows hold numbers in columns {first + 1} "
+            f"{name}: its header names {len(named)} markers{axes_told}, its rows hold numbers in "
+            f"columns {first + 1} "
             f"to {end}, which are not x, y and z of these; export it again"
         )
     return fitting[0]
 
 
-def _readings(named: list[tuple[int, str]], triples: list[Place], spaced: bool) -> Iterator[Columns | None]:
+def _readings(
+    named: list[tuple[int, str]], triples: list[Place], spaced: bool
+) -> Iterator[Columns | None]:
     """The ways to read the header, the likeliest first."""
     labels = tuple(cell for _, cell in named)
     in_order = Columns(labels, tuple(_triple(_FIRST + 3 * i) for i in range(len(named))))
-    spread = not spaced and len(named) > 1 and all(later - earlier == 3 for (earlier, _), (later, _) in pairwise(named))
+    spread = (
+        not spaced
+        and len(named) > 1
+        and all(later - earlier == 3 for (earlier, _), (later, _) in pairwise(named))
+    )
     if triples:
         yield _named_triples(named, triples, spaced)
-        told = "the file's X1 Y1 Z1 row does not fit its numbers: the columns are those of the names"
+        told = (
+            "the file's X1 Y1 Z1 row does not fit its numbers: the columns are those of the names"
+        )
         in_order = replace(in_order, warnings=(told,))
     if spread:
         own = Columns(labels, tuple(_triple(i) for i, _ in named), in_order.warnings)
@@ -81,12 +108,18 @@ def _readings(named: list[tuple[int, str]], triples: list[Place], spaced: bool) 
     yield in_order
 
 
-def _named_triples(named: list[tuple[int, str]], triples: list[Place], spaced: bool) -> Columns | None:
-    """The X1 Y1 Z1 row's columns with the names above them, or in order; None where that leaves a doubt."""
+def _named_triples(
+    named: list[tuple[int, str]], triples: list[Place], spaced: bool
+) -> Columns | None:
+    """The X1 Y1 Z1 row's columns with the names above them, or in order; None where that leaves a
+    doubt.
+    """
     starts = [min(triple) for triple in triples]
     columns = [i for i, _ in named]
     warnings = []
-    if spaced or columns == [*range(columns[0], columns[0] + len(columns))]:  # the names are not spread
+    if spaced or columns == [
+        *range(columns[0], columns[0] + len(columns))
+    ]:  # the names are not spread
         columns = starts[: len(columns)] if len(columns) == len(starts) else []
     elif len(columns) == len(starts) and columns != starts:
         warnings.append(_beside(columns[0], starts[0]))
@@ -100,7 +133,9 @@ def _named_triples(named: list[tuple[int, str]], triples: list[Place], spaced: b
     lost = [shown(cell) for column, cell in at.items() if column not in starts]
     nameless = sum(start not in at for start in starts)
     if lost:
-        warnings.append(f"{len(lost)} labels without x, y and z are left out: {', '.join(lost[:5])}")
+        warnings.append(
+            f"{len(lost)} labels without x, y and z are left out: {', '.join(lost[:5])}"
+        )
     if nameless:
         warnings.append(f"{nameless} of {len(starts)} points have no name")
     labels = tuple(at.get(start) or f"*{i}" for i, start in enumerate(starts))
@@ -108,7 +143,10 @@ def _named_triples(named: list[tuple[int, str]], triples: list[Place], spaced: b
 
 
 def _beside(names: int, numbers: int) -> str:
-    return f"the markers' names begin in column {names + 1}, their coordinates in column {numbers + 1}, which is used"
+    return (
+        f"the markers' names begin in column {names + 1}, their coordinates in column "
+        f"{numbers + 1}, which is used"
+    )
 
 
 def _triple(start: int) -> Place:
@@ -116,8 +154,12 @@ def _triple(start: int) -> Place:
 
 
 def _triples(axes: Sequence[str], name: str) -> list[Place]:
-    """The columns of x, y, z under each marker, as the X1 Y1 Z1 row has them; none where it is no such row."""
-    found = [(i, match[1].upper()) for i, cell in enumerate(axes) if (match := _AXIS.fullmatch(cell))]
+    """The columns of x, y, z under each marker, as the X1 Y1 Z1 row has them; none where it is no
+    such row.
+    """
+    found = [
+        (i, match[1].upper()) for i, cell in enumerate(axes) if (match := _AXIS.fullmatch(cell))
+    ]
     if not found or len(found) < sum(map(bool, axes)):
         return []
     shift = max(0, _FIRST - found[0][0])  # a row that leaves out the blanks under frame and time
@@ -126,7 +168,8 @@ def _triples(axes: Sequence[str], name: str) -> list[Place]:
         place = {letter: i + shift for i, letter in found[k : k + 3]}
         if len(place) < 3 or max(place.values()) - min(place.values()) != 2:
             raise HabitusError(
-                f"{name}: the coordinates of its point {k // 3 + 1} are {' '.join(c for _, c in found[k : k + 3])}; "
+                f"{name}: the coordinates of its point {k // 3 + 1} are "
+                f"{' '.join(c for _, c in found[k : k + 3])}; "
                 "expected X, Y and Z of each; export it again"
             )
         triples.append((place["X"], place["Y"], place["Z"]))
@@ -134,7 +177,9 @@ def _triples(axes: Sequence[str], name: str) -> list[Place]:
 
 
 def _extent(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
-    """The columns that hold coordinates, but for a few damaged rows; (2, 2) where there are none."""
+    """The columns that hold coordinates, but for a few damaged rows; (2, 2) where there are
+    none.
+    """
     filled = np.array([span for span in spans if span[1] > span[0]]).reshape(-1, 2)
     if not len(filled):
         return _FIRST, _FIRST

@@ -1,4 +1,6 @@
-"""Captures as points without names: what their labels say is not read, only that angles and the like are no points."""
+"""Captures as points without names: what their labels say is not read, only that angles and the
+like are no points.
+"""
 
 import os
 from dataclasses import dataclass
@@ -20,8 +22,8 @@ from habitus.io.units import METRES, find_unit
 class UnlabelledCapture:
     """The points of a capture: T frames, N trajectories or whatever columns the file has.
 
-    ``points`` are metres in the capture's own world frame, NaN where missing; ``columns`` says which of the file's they
-    are; ``unit`` is the unit of length of the file's numbers.
+    ``points`` are metres in the capture's own world frame, NaN where missing; ``columns`` says
+    which of the file's they are; ``unit`` is the unit of length of the file's numbers.
     """
 
     name: str
@@ -34,22 +36,33 @@ class UnlabelledCapture:
     warnings: tuple[str, ...] = ()
 
 
-def read_unlabelled(path: str | os.PathLike[str], rate_hz: float | None = None) -> UnlabelledCapture:
+def read_unlabelled(
+    path: str | os.PathLike[str], rate_hz: float | None = None
+) -> UnlabelledCapture:
     """All physical points of a capture file, whatever they are called.
 
-    ``rate_hz`` overrides the file's frame rate. Raises HabitusError as `habitus.io.captures.read.read_captures`.
+    ``rate_hz`` overrides the file's frame rate. Raises HabitusError as
+    `habitus.io.captures.read.read_captures`.
     """
     path = Path(path)
     raw, rate = read_raw(path, rate_hz)
-    declared = {bare: group for label, group in raw.groups.items() for bare in (label, label.rpartition(":")[2])}
+    declared = {
+        bare: group
+        for label, group in raw.groups.items()
+        for bare in (label, label.rpartition(":")[2])
+    }
     computed = computed_labels(raw.labels, declared)
     columns = [k for k, label in enumerate(raw.labels) if label not in computed]
     points = hide_placeholders(raw.points[:, columns])
     if not np.isfinite(points).any():
-        raise HabitusError(f"{path.name}: holds no points that are ever seen; export visible markers")
+        raise HabitusError(
+            f"{path.name}: holds no points that are ever seen; export visible markers"
+        )
     names = tuple(f"*{k}" for k in range(len(columns)))
     unit, warning = find_unit(names, points, raw.unit)
     tracks = hide_far(Tracks(names, points * METRES[unit]))
     axes = find_axes(names, tracks.points, raw.up_claim, raw.up_usual)
     told = (*raw.warnings, *([warning] if warning else []), *tracks.warnings)
-    return UnlabelledCapture(shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, told)
+    return UnlabelledCapture(
+        shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, told
+    )

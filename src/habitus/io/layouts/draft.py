@@ -1,4 +1,6 @@
-"""A new layout file for a capture whose marker set nobody wrote down yet: what is known filled in, the rest to do."""
+"""A new layout file for a capture whose marker set nobody wrote down yet: what is known filled in,
+the rest to do.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ _HEADER = """\
 # `habitus layout show --landmarks` lists the landmarks; docs/adding-a-marker-layout.md tells the rest.
 # {known} of {count} labels of {capture} are filled in, most as in {source}: look at each. The others are TODO lines:
 # remove the # and put the landmark that the marker sits on between the quotes, or delete the line to leave it out.
-"""
+"""  # noqa: E501
 
 
 def draft_layout(
@@ -32,10 +34,11 @@ def draft_layout(
 ) -> str:
     """The text of a layout file for these labels (M,) and markers (T, M, 3), metres, NaN missing.
 
-    Labels that the ``known`` layouts understand as a set are filled in. Each other label is a commented line that says
-    which known markers are nearest, so that a person finds its landmark.
+    Labels that the ``known`` layouts understand as a set are filled in. Each other label is a
+    commented line that says which known markers are nearest, so that a person finds its landmark.
     """
-    labels, capture_name = [plain_name(label) for label in labels], plain_name(capture_name)
+    labels = [plain_name(label) for label in labels]
+    capture_name = plain_name(capture_name)
     meaning = interpreted(labels, known)
     found = {
         labels[column]: replace(marker, label=labels[column], aliases=(), optional=False)
@@ -53,17 +56,29 @@ def draft_layout(
     near = sorted(meaning.found) if len(meaning.found) >= 10 else list(range(len(labels)))
     for column, label in enumerate(labels):
         if column not in meaning.found and label not in meaning.left_out:
-            lines += _todo(column, labels, nearest_markers(markers, column, near), meaning.doubts.get(label, ""))
+            lines += _todo(
+                column,
+                labels,
+                nearest_markers(markers, column, near),
+                meaning.doubts.get(label, ""),
+            )
     if meaning.left_out:
-        lines += ["", "[left_out]", *(f"{key_text(label)} = {quoted(why)}" for label, why in meaning.left_out.items())]
+        lines += [
+            "",
+            "[left_out]",
+            *(f"{key_text(label)} = {quoted(why)}" for label, why in meaning.left_out.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
 def _marker_lines(found: dict[str, Marker]) -> list[str]:
     """One line a marker; a left one and its mirror image on one line with [LR]."""
-    lines, done = [], set()
+    lines = []
+    done = set()
     for label, marker in found.items():
-        pair = "R" + label[1:] if label[:1] == "L" else "L" + label[1:] if label[:1] == "R" else None
+        pair = (
+            "R" + label[1:] if label[:1] == "L" else "L" + label[1:] if label[:1] == "R" else None
+        )
         mirror = found.get(pair) if pair is not None else None
         if label in done:
             continue
@@ -81,11 +96,17 @@ def _both_sides(left: Marker) -> Marker:
         return "[left|right]_" + name.removeprefix("left_") if name.startswith("left_") else name
 
     landmark = None if left.landmark is None else both(left.landmark)
-    between = None if left.between is None else (both(left.between[0]), both(left.between[1]), left.between[2])
+    between = (
+        None
+        if left.between is None
+        else (both(left.between[0]), both(left.between[1]), left.between[2])
+    )
     return replace(left, label="[LR]" + left.label[1:], landmark=landmark, between=between)
 
 
-def _todo(column: int, labels: Sequence[str], near: Sequence[tuple[int, float]], doubt: str) -> list[str]:
+def _todo(
+    column: int, labels: Sequence[str], near: Sequence[tuple[int, float]], doubt: str
+) -> list[str]:
     where = ", ".join(f"{distance * 1e3:.0f} mm from {labels[other]}" for other, distance in near)
     note = "; ".join(text for text in ("" if doubt == "unknown label" else doubt, where) if text)
     return [
@@ -98,7 +119,9 @@ def _todo(column: int, labels: Sequence[str], near: Sequence[tuple[int, float]],
 def nearest_markers(
     markers: Float[np.ndarray, "T M 3"], column: int, others: Sequence[int], count: int = 3
 ) -> list[tuple[int, float]]:
-    """The columns nearest to a marker and their median distances, metres; those never seen with it are left out."""
+    """The columns nearest to a marker and their median distances, metres; those never seen with it
+    are left out.
+    """
     distances = []
     for other in others:
         apart = np.linalg.norm(markers[:, other] - markers[:, column], axis=-1)

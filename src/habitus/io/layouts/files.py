@@ -1,5 +1,5 @@
-"""Marker layout files: TOML of this project; and others' by their endings, JSON layouts of MoSh++ (labels with vertex
-ids of one body), OpenSim's marker sets, Vicon's and QTM's lists of labels.
+"""Marker layout files: TOML of this project; and others' by their endings, JSON layouts of MoSh++
+(labels with vertex ids of one body), OpenSim's marker sets, Vicon's and QTM's lists of labels.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
 from habitus.markers.placements import PlacementPrior
 
-XML_FORMS, LIST_FORMS = (".xml", ".osim", ".vsk", ".vst"), (".mkr", ".txt")
+XML_FORMS = (".xml", ".osim", ".vsk", ".vst")
+LIST_FORMS = (".mkr", ".txt")
 PLACEMENTS = "placements.toml"
 FORMS = (".toml", ".json", *XML_FORMS, *LIST_FORMS)
 """Endings of layout files."""
@@ -40,7 +41,9 @@ FORMS = (".toml", ".json", *XML_FORMS, *LIST_FORMS)
 def list_layouts() -> tuple[str, ...]:
     """Names of the layouts that come with habitus, in alphabetical order."""
     folder = resources.files("habitus.assets") / "layouts"
-    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+    return tuple(
+        sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    )
 
 
 def shipped_layouts() -> tuple[MarkerLayout, ...]:
@@ -49,9 +52,11 @@ def shipped_layouts() -> tuple[MarkerLayout, ...]:
 
 
 def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
-    """A shipped layout by name (``cmu-41``; other spellings of it are fine) or a file, by its ending (`FORMS`).
+    """A shipped layout by name (``cmu-41``; other spellings of it are fine) or a file, by its
+    ending (`FORMS`).
 
-    Raises HabitusError for an unknown name, a missing file or a file that says something unexpected.
+    Raises HabitusError for an unknown name, a missing file or a file that says something
+    unexpected.
     """
     text = os.fspath(name_or_path)
     if text.lower().endswith(FORMS) or os.sep in text:
@@ -61,7 +66,8 @@ def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
         if wanted in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
             return layout
     raise HabitusError(
-        f"no layout {text!r}; expected a file ({', '.join(FORMS)}) or one of: {', '.join(list_layouts())}"
+        f"no layout {text!r}; expected a file ({', '.join(FORMS)}) or one of: "
+        f"{', '.join(list_layouts())}"
     )
 
 
@@ -70,23 +76,30 @@ def match_layout(
     markers: Float[np.ndarray, "T M 3"] | None = None,
     layouts: Iterable[MarkerLayout] | None = None,
 ) -> LayoutMatch:
-    """The layout that these capture labels belong to, restricted to the labels found, in capture order.
+    """The layout that these capture labels belong to, restricted to the labels found, in capture
+    order.
 
-    labels: (M,) as the capture spells them. markers: their positions (T, M, 3), metres, NaN missing; where given, the
-    places are checked against the geometry (swapped pairs, wands, wrist bars) and corrected with a warning. layouts:
-    the candidates, by default all shipped ones; labels that the chosen one lacks are looked up in the others.
+    labels: (M,) as the capture spells them. markers: their positions (T, M, 3), metres, NaN
+    missing; where given, the places are checked against the geometry (swapped pairs, wands, wrist
+    bars) and corrected with a warning. layouts: the candidates, by default all shipped ones; labels
+    that the chosen one lacks are looked up in the others.
 
     Raises HabitusError when fewer than six labels are known or the choice is too unsure.
     """
-    return best_match(tuple(labels), shipped_layouts() if layouts is None else tuple(layouts), markers)
+    return best_match(
+        tuple(labels), shipped_layouts() if layouts is None else tuple(layouts), markers
+    )
 
 
 def match_layouts(
-    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]], layouts: Iterable[MarkerLayout] | None = None
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]],
+    layouts: Iterable[MarkerLayout] | None = None,
 ) -> tuple[LayoutMatch, ...]:
-    """`match_layout` for several captures (labels, markers) of one person in one session, judged together.
+    """`match_layout` for several captures (labels, markers) of one person in one session, judged
+    together.
 
-    All get the same places and distances; what one capture cannot tell (a standing trial bends no elbow) another may.
+    All get the same places and distances; what one capture cannot tell (a standing trial bends no
+    elbow) another may.
     """
     return match_together(captures, shipped_layouts() if layouts is None else tuple(layouts))
 
@@ -111,19 +124,25 @@ def _shipped(name: str) -> MarkerLayout:
 @cache
 def plain_layout(name: str) -> MarkerLayout:
     """A shipped layout as its file has it: each marker at its landmark, not where people put it."""
-    text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (resources.files("habitus.assets") / "layouts" / f"{name}.toml").read_text(
+        encoding="utf-8"
+    )
     return parse_layout(text, f"{name}.toml", plain_layout)
 
 
 @cache
 def load_placements() -> PlacementPrior:
-    """Where people put markers, beside the layouts' landmarks: the prior that comes with habitus."""
+    """Where people put markers, beside the layouts' landmarks: the prior that comes with
+    habitus.
+    """
     file = resources.files("habitus.assets") / PLACEMENTS
     return parse_placements(file.read_text(encoding="utf-8"), PLACEMENTS)
 
 
 def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
-    """A layout file; ``extending`` are the files that led here, none of which it may extend again."""
+    """A layout file; ``extending`` are the files that led here, none of which it may extend
+    again.
+    """
     if path.resolve() in extending:
         raise HabitusError(f"layout file {path} extends itself; expected another layout")
     try:
@@ -131,7 +150,9 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
     except FileNotFoundError:
         raise HabitusError(f"no layout file {path}; expected a {', '.join(FORMS)} file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise HabitusError(f"cannot read layout file {path}: {error}; expected a text file") from error
+        raise HabitusError(
+            f"cannot read layout file {path}: {error}; expected a text file"
+        ) from error
     ending = path.suffix.lower()
     if ending == ".json":
         return parse_moshpp(text, str(path), shipped_layouts())
@@ -139,7 +160,9 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
         return _of_tree(text, path)
     if ending in LIST_FORMS:
         check_text(len(text), f"layout file {path}", MOST_LAYOUT)
-        return layout_of_labels(labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts())
+        return layout_of_labels(
+            labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts()
+        )
     return parse_layout(text, str(path), partial(_base, path.parent, (*extending, path.resolve())))
 
 

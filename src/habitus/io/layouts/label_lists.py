@@ -1,5 +1,6 @@
-"""Lists of labels as layouts: Vicon's ``.vsk``, ``.vst`` and ``.mkr``, QTM's label lists. Layouts that come along know
-where the labels sit; what these files say of places is of one subject's own segments and is not used.
+"""Lists of labels as layouts: Vicon's ``.vsk``, ``.vst`` and ``.mkr``, QTM's label lists. Layouts
+that come along know where the labels sit; what these files say of places is of one subject's own
+segments and is not used.
 """
 
 import re
@@ -19,7 +20,9 @@ _UNKNOWN = "no layout that comes along knows this label; say where it sits in a 
 
 
 def labels_in_tree(root: Element) -> tuple[str, ...]:
-    """Labels of an XML file: names of its markers, labels or trajectories, as attributes or elements, in order."""
+    """Labels of an XML file: names of its markers, labels or trajectories, as attributes or
+    elements, in order.
+    """
     found = []
     for element in root.iter():
         if str(element.tag).rsplit("}", 1)[-1].lower() in _TAGS:
@@ -30,7 +33,9 @@ def labels_in_tree(root: Element) -> tuple[str, ...]:
 
 
 def labels_in_lines(text: str) -> tuple[str, ...]:
-    """Labels of a text: the first word of each line, but for headings, remarks, and lines that link markers."""
+    """Labels of a text: the first word of each line, but for headings, remarks, and lines that link
+    markers.
+    """
     found = []
     for line in text.lstrip("\ufeff").splitlines():
         words = re.split(r"[\t;]| {2,}", line.strip())
@@ -39,22 +44,29 @@ def labels_in_lines(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label for label in found if label))
 
 
-def layout_of_labels(labels: Sequence[str], name: str, where: str, known: Sequence[MarkerLayout]) -> MarkerLayout:
-    """The labels at the places that known layouts have for them as a set; the others left out, with the reason.
+def layout_of_labels(
+    labels: Sequence[str], name: str, where: str, known: Sequence[MarkerLayout]
+) -> MarkerLayout:
+    """The labels at the places that known layouts have for them as a set; the others left out, with
+    the reason.
 
     Raises HabitusError where fewer than six are known.
     """
     meaning = interpreted(labels, known)
     if len(meaning.found) < FEWEST_MARKERS:
         raise HabitusError(
-            f"layout file {where}: {len(meaning.found)} of its {len(labels)} labels ({listed(labels) or 'none'}) are "
-            f"known to any layout; expected at least {FEWEST_MARKERS}; let --layout discover find where they sit"
+            f"layout file {where}: {len(meaning.found)} of its {len(labels)} labels "
+            f"({listed(labels) or 'none'}) are "
+            f"known to any layout; expected at least {FEWEST_MARKERS}; let --layout discover find "
+            "where they sit"
         )
     markers = tuple(
         replace(marker, label=labels[column], aliases=(), optional=False)
         for column, marker in sorted(meaning.found.items())
     )
     used = {marker.label for marker in markers}
-    left_out = {label: meaning.left_out.get(label, _UNKNOWN) for label in labels if label not in used}
+    left_out = {
+        label: meaning.left_out.get(label, _UNKNOWN) for label in labels if label not in used
+    }
     title = f"Label list, places as in {meaning.best.layout.name}"
     return MarkerLayout(name, markers, title, left_out=left_out)

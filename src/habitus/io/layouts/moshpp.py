@@ -1,4 +1,6 @@
-"""The JSON marker layouts of MoSh++ (github.com/nghorbani/moshpp): labels with vertex ids of one kind of body."""
+"""The JSON marker layouts of MoSh++ (github.com/nghorbani/moshpp): labels with vertex ids of one
+kind of body.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,24 @@ from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted
 
-_VERTEX_COUNTS = {"smpl": 6890, "smplh": 6890, "smplx": 10475, "mano": 778, "flame": 5023, "smal": 3889}
+_VERTEX_COUNTS = {
+    "smpl": 6890,
+    "smplh": 6890,
+    "smplx": 10475,
+    "mano": 778,
+    "flame": 5023,
+    "smal": 3889,
+}
 _LARGEST = 0.5  # metres
 
 
 def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> MarkerLayout:
-    """A MoSh++ marker layout: ``markersets``, each with ``indices`` (label -> vertex id) and ``distance_from_skin``.
+    """A MoSh++ marker layout: ``markersets``, each with ``indices`` (label -> vertex id) and
+    ``distance_from_skin``.
 
-    Its vertex ids belong to the body that ``surface_model_type`` names. Labels that the ``known`` layouts understand
-    also get a landmark, so that the layout can serve another body. Raises HabitusError for anything else.
+    Its vertex ids belong to the body that ``surface_model_type`` names. Labels that the ``known``
+    layouts understand also get a landmark, so that the layout can serve another body. Raises
+    HabitusError for anything else.
     """
     try:
         data = read_json(text, MOST_LAYOUT)
@@ -29,13 +40,23 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
             for one in data["markersets"]
             for label, vertex in one["indices"].items()
         ]
-    except (HabitusError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+    except (
+        HabitusError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        ArithmeticError,
+    ) as error:
         raise HabitusError(
             f"layout file {where} is no MoSh++ marker layout ({type(error).__name__}: {error}); "
             "expected JSON with markersets, each with indices (label: vertex id)"
         ) from error
     if not entries:
-        raise HabitusError(f"layout file {where} has no markers; expected markersets with indices (label: vertex id)")
+        raise HabitusError(
+            f"layout file {where} has no markers; expected markersets with indices (label: vertex "
+            "id)"
+        )
     body = str(data.get("surface_model_type", "")).lower().replace("-", "").replace("_", "")
     unique = {label: (vertex, distance) for label, vertex, distance in reversed(entries)}
     labels = tuple(dict.fromkeys(label for label, _, _ in entries))
@@ -44,10 +65,21 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
     for column, label in enumerate(labels):
         place = places.get(column, Marker(label))
         vertex, distance = unique[label]
-        markers.append(Marker(label, landmark=place.landmark, between=place.between, vertex=vertex, distance=distance))
+        markers.append(
+            Marker(
+                label,
+                landmark=place.landmark,
+                between=place.between,
+                vertex=vertex,
+                distance=distance,
+            )
+        )
     title = f"MoSh++ layout for {shown(body) or 'a body that the file does not name'}"
     return MarkerLayout(
-        plain_name(Path(where).stem), tuple(markers), title=title, num_vertices=_VERTEX_COUNTS.get(body)
+        plain_name(Path(where).stem),
+        tuple(markers),
+        title=title,
+        num_vertices=_VERTEX_COUNTS.get(body),
     )
 
 

@@ -1,8 +1,9 @@
-"""OpenSim's marker sets (``MarkerSet.xml``, or a whole model, ``.osim``): markers with a body and a place in its frame.
+"""OpenSim's marker sets (``MarkerSet.xml``, or a whole model, ``.osim``): markers with a body and a
+place in its frame.
 
-The places are of a generic skeleton, in metres: x ahead, y up, z to the right of a body that stands with its arms down
-and its palms ahead. They are carried to the template by the joints that both have; markers lie up to some centimetres
-from where a technician put them.
+The places are of a generic skeleton, in metres: x ahead, y up, z to the right of a body that stands
+with its arms down and its palms ahead. They are carried to the template by the joints that both
+have; markers lie up to some centimetres from where a technician put them.
 """
 
 import math
@@ -20,12 +21,20 @@ from habitus.io.names import plain_name
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.places_in_words import place_in_words
 
-_PARENTS = ("socket_parent_frame", "socket_parent_frame_connectee_name", "body", "frame_name", "parent_body")
+_PARENTS = (
+    "socket_parent_frame",
+    "socket_parent_frame_connectee_name",
+    "body",
+    "frame_name",
+    "parent_body",
+)
 _REACH = 1.0  # metres: no marker is further from its bone
-_SPREAD, _OFF_SPREAD = 0.05, 0.006
+_SPREAD = 0.05
+_OFF_SPREAD = 0.006
 _FARTHEST = 0.12  # metres: a marker further from the template's skin is no marker on it
 
-# bone: the joints of the template that it lies between (above, below), and their distance in the generic skeleton
+# bone: the joints of the template that it lies between (above, below), and their distance in the
+# generic skeleton
 _LIMBS: Mapping[str, tuple[str, str, float]] = {
     "femur": ("hip", "knee", 0.41),
     "tibia": ("knee", "ankle", 0.40),
@@ -34,7 +43,8 @@ _LIMBS: Mapping[str, tuple[str, str, float]] = {
     "radius": ("elbow", "wrist", 0.25),
     "hand": ("wrist", "hand", 0.09),
 }
-# bone of the foot: where its origin lies from the ankle in the generic skeleton, z for the right side
+# bone of the foot: where its origin lies from the ankle in the generic skeleton, z for the right
+# side
 _FEET = {"talus": (0.0, 0.0, 0.0), "calcn": (-0.049, -0.042, 0.008), "toes": (0.130, -0.044, 0.009)}
 _PALM_TURNS = {"ulna": math.pi / 4, "radius": math.pi / 2, "hand": math.pi / 2}
 _SIDED = re.compile(r"^(?P<bone>[a-z]+)\d?_(?P<side>[lr])$")
@@ -43,10 +53,11 @@ _SIDED = re.compile(r"^(?P<bone>[a-z]+)\d?_(?P<side>[lr])$")
 def parse_marker_set(root: Element, name: str, where: str, body: BodyModel) -> MarkerLayout:
     """The layout of a marker set's markers, their places said by ``body``'s landmarks.
 
-    Markers of bones that are not known, or far from the skin (joint centres), are left out with the reason. Raises
-    HabitusError where no marker can be placed, or a place is no three numbers.
+    Markers of bones that are not known, or far from the skin (joint centres), are left out with the
+    reason. Raises HabitusError where no marker can be placed, or a place is no three numbers.
     """
-    markers, left_out = {}, {}
+    markers = {}
+    left_out = {}
     for element in root.iter("Marker"):
         label = plain_name(element.get("name", ""))
         if label and label not in markers:
@@ -58,10 +69,13 @@ def parse_marker_set(root: Element, name: str, where: str, body: BodyModel) -> M
     if not markers:
         raise HabitusError(
             f"layout file {where}: none of its markers has a place on a bone that is known "
-            f"({', '.join(['pelvis', 'torso', 'head', *_LIMBS, *_FEET])}); expected an OpenSim marker set"
+            f"({', '.join(['pelvis', 'torso', 'head', *_LIMBS, *_FEET])}); expected an OpenSim "
+            "marker set"
         )
     title = f"OpenSim marker set of {len(markers)} markers"
-    return MarkerLayout(name, tuple(markers.values()), title, left_out=left_out, num_vertices=len(body.v_template))
+    return MarkerLayout(
+        name, tuple(markers.values()), title, left_out=left_out, num_vertices=len(body.v_template)
+    )
 
 
 def _marker(element: Element, label: str, where: str, body: BodyModel) -> Marker | str:
@@ -78,7 +92,11 @@ def _marker(element: Element, label: str, where: str, body: BodyModel) -> Marker
     if away[vertex] > _FARTHEST:
         return f"{100 * away[vertex]:.0f} cm from the skin"
     return replace(
-        place_in_words(body, vertex), label=label, place_spread=_SPREAD, distance_spread=_OFF_SPREAD, distance=0.0125
+        place_in_words(body, vertex),
+        label=label,
+        place_spread=_SPREAD,
+        distance_spread=_OFF_SPREAD,
+        distance=0.0125,
     )
 
 
@@ -88,13 +106,22 @@ def _location(text: str | None, where: str) -> Float[np.ndarray, " 3"]:
     except ValueError:
         numbers = []
     if len(numbers) != 3 or not all(abs(number) < _REACH for number in numbers):
-        raise HabitusError(f"layout file {where}: location {shown(text or '', 60)!r}; expected three numbers in metres")
+        raise HabitusError(
+            f"layout file {where}: location {shown(text or '', 60)!r}; expected three numbers in "
+            "metres"
+        )
     return np.array(numbers)
 
 
-def bone_frame(bone: str, body: BodyModel) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]] | None:
-    """Origin and axes (columns, with the scale) of an OpenSim bone on a body's template; None where it is not known."""
-    joints = dict(zip(body.joint_names, np.asarray(body.rest_joints(np.zeros(body.num_betas))), strict=True))
+def bone_frame(
+    bone: str, body: BodyModel
+) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]] | None:
+    """Origin and axes (columns, with the scale) of an OpenSim bone on a body's template; None where
+    it is not known.
+    """
+    joints = dict(
+        zip(body.joint_names, np.asarray(body.rest_joints(np.zeros(body.num_betas))), strict=True)
+    )
     sided = _SIDED.match(bone.lower())
     if sided is not None:
         side = "left" if sided["side"] == "l" else "right"
@@ -123,11 +150,14 @@ def _of_side(
     names = _LIMBS.get(bone, ("ankle", "knee", 0.40) if bone in _FEET else None)
     if names is None or not {f"{side}_{name}" for name in names[:2]} <= set(joints):
         return None
-    top, bottom = joints[f"{side}_{names[0]}"], joints[f"{side}_{names[1]}"]
+    top = joints[f"{side}_{names[0]}"]
+    bottom = joints[f"{side}_{names[1]}"]
     scale = float(np.linalg.norm(top - bottom)) / names[2]
     if bone in _FEET:
         axes = scale * np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-        return top + axes @ (np.array(_FEET[bone]) * [1.0, 1.0, 1.0 if side == "right" else -1.0]), axes
+        return top + axes @ (
+            np.array(_FEET[bone]) * [1.0, 1.0, 1.0 if side == "right" else -1.0]
+        ), axes
     along = (top - bottom) / np.linalg.norm(top - bottom)
     turn = _PALM_TURNS.get(bone, 0.0)
     ahead = math.cos(turn) * np.array([0.0, 0.0, 1.0]) - math.sin(turn) * np.array([0.0, 1.0, 0.0])

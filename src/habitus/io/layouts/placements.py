@@ -1,4 +1,6 @@
-"""The prior over placements as TOML text: a table a place, a line for the place itself and for each label there."""
+"""The prior over placements as TOML text: a table a place, a line for the place itself and for each
+label there.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,17 @@ from habitus.io.limits import MOST_LAYOUT
 from habitus.io.structured_text import read_toml
 from habitus.markers.placements import PlacementPrior, UsualPlace
 
-ALIKE, _PAIRS = "alike", ("on_landmarks", "placed_freely")
+ALIKE = "alike"
+_PAIRS = ("on_landmarks", "placed_freely")
 ANYWHERE = "*"
 """Stands for every label at a place."""
 _KEYS = {"shift", "off", "spread", "people"}
 
 
 def parse_placements(text: str, where: str) -> PlacementPrior:
-    """A prior over placements from its text; ``where`` names the file in errors. Raises HabitusError for others."""
+    """A prior over placements from its text; ``where`` names the file in errors. Raises
+    HabitusError for others.
+    """
     try:
         data = read_toml(text, MOST_LAYOUT)
     except HabitusError as error:
@@ -29,12 +34,16 @@ def parse_placements(text: str, where: str) -> PlacementPrior:
     alike = _alike(data.pop(ALIKE, {}), where)
     for place, entries in data.items():
         if not isinstance(entries, dict):
-            raise HabitusError(f"placements {where}: {shown(place)} = {shown(entries)}; expected a table of labels")
+            raise HabitusError(
+                f"placements {where}: {shown(place)} = {shown(entries)}; expected a table of labels"
+            )
         for label, entry in entries.items():
             try:
                 usual = _usual(entry)
             except (TypeError, ValueError, KeyError) as error:
-                raise HabitusError(f"placements {where}: {shown(place)}, {shown(label)}: {error}") from error
+                raise HabitusError(
+                    f"placements {where}: {shown(place)}, {shown(label)}: {error}"
+                ) from error
             if label == ANYWHERE:
                 places[place] = usual
             else:
@@ -45,11 +54,17 @@ def parse_placements(text: str, where: str) -> PlacementPrior:
 def placements_text(prior: PlacementPrior, head: str = "") -> str:
     """The text of a prior, tenths of millimetres; ``head`` (lines of comments) in front of it."""
     lines = [f"# {line}".rstrip() for line in head.splitlines()]
-    lines += ["", f"[{ALIKE}]", *(f"{name} = {share:.3f}" for name, share in zip(_PAIRS, prior.alike, strict=True))]
+    lines += [
+        "",
+        f"[{ALIKE}]",
+        *(f"{name} = {share:.3f}" for name, share in zip(_PAIRS, prior.alike, strict=True)),
+    ]
     for place in sorted({*prior.places, *(place for place, _ in prior.labels)}):
         lines += ["", f"[{quoted(place)}]"]
         entries = {ANYWHERE: prior.places[place]} if place in prior.places else {}
-        entries |= {label: usual for (at, label), usual in sorted(prior.labels.items()) if at == place}
+        entries |= {
+            label: usual for (at, label), usual in sorted(prior.labels.items()) if at == place
+        }
         lines += [f"{quoted(label)} = {_line(usual)}" for label, usual in entries.items()]
     return "\n".join(lines) + "\n"
 
@@ -58,7 +73,9 @@ def _alike(entry: Any, where: str) -> tuple[float, float]:
     known = isinstance(entry, Mapping) and set(entry) <= set(_PAIRS)
     one, other = (float(entry.get(name, 0.0)) if known else math.nan for name in _PAIRS)
     if not (0.0 <= one <= 1.0 and 0.0 <= other <= 1.0):
-        raise HabitusError(f"placements {where}: {ALIKE} = {shown(entry)}; expected {' and '.join(_PAIRS)}, 0 to 1")
+        raise HabitusError(
+            f"placements {where}: {ALIKE} = {shown(entry)}; expected {' and '.join(_PAIRS)}, 0 to 1"
+        )
     return one, other
 
 
@@ -76,7 +93,11 @@ def _usual(entry: Any) -> UsualPlace:
     if not isinstance(entry, Mapping) or set(entry) != _KEYS:
         raise ValueError(f"{shown(entry)}; expected {', '.join(sorted(_KEYS))}")
     x, y, z = (float(one) for one in entry["shift"])
-    spread, off = float(entry["spread"]), float(entry["off"])
-    if not all(math.isfinite(one) and abs(one) < 0.5 for one in (x, y, z, off, spread)) or spread <= 0.0:
+    spread = float(entry["spread"])
+    off = float(entry["off"])
+    if (
+        not all(math.isfinite(one) and abs(one) < 0.5 for one in (x, y, z, off, spread))
+        or spread <= 0.0
+    ):
         raise ValueError(f"{shown(entry)}; expected metres below 0.5, and a spread above 0")
     return UsualPlace((x, y, z), off, spread, int(entry["people"]))

@@ -18,19 +18,38 @@ from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")
 _PLACE_KEYS = ("place", "between", "vertex")
 _OTHER_KEYS = (
-    "aliases", "shift", "distance", "distance_spread", "place_spread", "direction", "optional", "confidence",
-)  # fmt: skip
+    "aliases",
+    "shift",
+    "distance",
+    "distance_spread",
+    "place_spread",
+    "direction",
+    "optional",
+    "confidence",
+)
 _FILE_KEYS = {
-    "name", "title", "description", "sources", "also_known_as", "fingerprint", "extends", "without", "defaults",
-    "num_vertices", "markers", "fingers", "left_out",
-}  # fmt: skip
+    "name",
+    "title",
+    "description",
+    "sources",
+    "also_known_as",
+    "fingerprint",
+    "extends",
+    "without",
+    "defaults",
+    "num_vertices",
+    "markers",
+    "fingers",
+    "left_out",
+}
 
 
 def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) -> MarkerLayout:
     """A layout from the text of a TOML file.
 
-    ``where`` names the file in errors; ``base_of`` gives the layout that ``extends`` names.
-    Raises HabitusError for text that is not TOML, unknown keys, no markers, or a marker without exactly one place.
+    ``where`` names the file in errors; ``base_of`` gives the layout that ``extends`` names. Raises
+    HabitusError for text that is not TOML, unknown keys, no markers, or a marker without exactly
+    one place.
     """
     try:
         data = read_toml(text, MOST_LAYOUT)
@@ -41,21 +60,31 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
         raise HabitusError(f'layout file {where}: no name; expected a line such as name = "my-set"')
     for key in ("markers", "fingers", "defaults", "left_out"):
         if not isinstance(data.get(key, {}), dict):
-            raise HabitusError(f"layout file {where}: {key} = {shown(data[key])}; expected a table [{key}]")
+            raise HabitusError(
+                f"layout file {where}: {key} = {shown(data[key])}; expected a table [{key}]"
+            )
     base = base_of(data["extends"]) if "extends" in data else None
     markers = _all_markers(data, base, where)
     fingers = _fingers(data, base, where)
     left_out = dict(base.left_out) if base else {}
     left_out |= dict.fromkeys((label for label in fingers if label not in markers), ON_A_FINGER)
-    left_out |= {one: plain_name(why) for label, why in data.get("left_out", {}).items() for one in sides(label)}
+    left_out |= {
+        one: plain_name(why)
+        for label, why in data.get("left_out", {}).items()
+        for one in sides(label)
+    }
     return MarkerLayout(
         name=plain_name(data["name"]),
         markers=tuple(markers.values()),
         title=plain_name(data.get("title", "")),
-        description="\n".join(shown(line, 500) for line in str(data.get("description", "")).strip().splitlines()),
+        description="\n".join(
+            shown(line, 500) for line in str(data.get("description", "")).strip().splitlines()
+        ),
         sources=_strings(data, "sources", where),
         also_known_as=_strings(data, "also_known_as", where),
-        fingerprint=tuple(one for entry in _strings(data, "fingerprint", where) for one in sides(entry)),
+        fingerprint=tuple(
+            one for entry in _strings(data, "fingerprint", where) for one in sides(entry)
+        ),
         left_out={label: why for label, why in left_out.items() if label not in markers},
         num_vertices=_count(data, where),
         fingers=tuple(marker for label, marker in fingers.items() if label not in markers),
@@ -80,7 +109,11 @@ def layout_text(layout: MarkerLayout) -> str:
     own = {marker.label for marker in layout.fingers}
     left_out = {label: why for label, why in layout.left_out.items() if label not in own}
     if left_out:
-        lines += ["", "[left_out]", *(f"{key_text(label)} = {quoted(why)}" for label, why in left_out.items())]
+        lines += [
+            "",
+            "[left_out]",
+            *(f"{key_text(label)} = {quoted(why)}" for label, why in left_out.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -96,25 +129,39 @@ def marker_line(marker: Marker) -> str:
             entry[key] = list(value) if isinstance(value, tuple) else value
     if set(entry) == {"place"}:
         return f"{key_text(marker.label)} = {quoted(entry['place'])}"
-    return f"{key_text(marker.label)} = {{ {', '.join(f'{key} = {_value(value)}' for key, value in entry.items())} }}"
+    return (
+        f"{key_text(marker.label)} = {{ "
+        f"{', '.join(f'{key} = {_value(value)}' for key, value in entry.items())} }}"
+    )
 
 
-def _all_markers(data: Mapping[str, Any], base: MarkerLayout | None, where: str) -> dict[str, Marker]:
-    """The extended layout's markers, less ``without``, with this file's markers added or put in their place."""
+def _all_markers(
+    data: Mapping[str, Any], base: MarkerLayout | None, where: str
+) -> dict[str, Marker]:
+    """The extended layout's markers, less ``without``, with this file's markers added or put in
+    their place.
+    """
     markers = {marker.label: marker for marker in (base.markers if base else ())}
     for label in (one for entry in _strings(data, "without", where) for one in sides(entry)):
         if markers.pop(label, None) is None:
-            raise HabitusError(f"layout file {where}: without names {label!r}, which the extended layout does not have")
+            raise HabitusError(
+                f"layout file {where}: without names {label!r}, which the extended layout does "
+                "not have"
+            )
     for label, entry in data.get("markers", {}).items():
         for marker in _markers(label, entry, data.get("defaults", {}), where):
             markers[marker.label] = marker
     if not markers:
-        raise HabitusError(f"layout file {where} has no markers; expected a [markers] table with a line for each")
+        raise HabitusError(
+            f"layout file {where} has no markers; expected a [markers] table with a line for each"
+        )
     return markers
 
 
 def _fingers(data: Mapping[str, Any], base: MarkerLayout | None, where: str) -> dict[str, Marker]:
-    """Markers on fingers, this file's added to those of the extended layout or put in their place."""
+    """Markers on fingers, this file's added to those of the extended layout or put in their
+    place.
+    """
     found = {marker.label: marker for marker in (base.fingers if base else ())}
     for label, entry in data.get("fingers", {}).items():
         for marker in _markers(label, entry, data.get("defaults", {}), where):
@@ -135,7 +182,8 @@ def _count(data: Mapping[str, Any], where: str) -> int | None:
     count = data.get("num_vertices")
     if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
         raise HabitusError(
-            f"layout file {where}: num_vertices = {shown(count)}; expected the body's number of vertices"
+            f"layout file {where}: num_vertices = {shown(count)}; expected the body's number of "
+            "vertices"
         )
     return count
 
@@ -144,7 +192,8 @@ def _markers(label: str, entry: Any, defaults: Mapping[str, Any], where: str) ->
     entry = {"place": entry} if isinstance(entry, str) else entry
     if not isinstance(entry, dict):
         raise HabitusError(
-            f"layout file {where}: {shown(label)} = {shown(entry)}; expected a landmark name or {{ place = … }}"
+            f"layout file {where}: {shown(label)} = {shown(entry)}; expected a landmark name or "
+            f"{{ place = … }}"
         )
     entry = {**defaults, **entry}
     _only_keys(entry, {*_PLACE_KEYS, *_OTHER_KEYS}, f"{where}, marker {label}")
@@ -168,12 +217,16 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
             raise ValueError("an empty text; expected a landmark's name")
         both = sides(text)
         if len(both) > count:
-            raise ValueError(f"{text!r} has two sides but the label has one; write [LR] in the label")
+            raise ValueError(
+                f"{text!r} has two sides but the label has one; write [LR] in the label"
+            )
         return both[side] if len(both) > 1 else both[0]
 
     if ("place" in entry) == ("between" in entry) and ("place" in entry or "vertex" not in entry):
         raise ValueError("expected one place: place, between or vertex")
-    if not isinstance(entry.get("optional", False), bool) or not isinstance(entry.get("aliases", []), list):
+    if not isinstance(entry.get("optional", False), bool) or not isinstance(
+        entry.get("aliases", []), list
+    ):
         raise TypeError('expected optional = true or false, and aliases = ["…"]')
     if "vertex" in entry and (type(entry["vertex"]) is not int or entry["vertex"] < 0 or count > 1):
         raise ValueError("expected one vertex id, on a label of one side")
@@ -194,14 +247,18 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
 
 def _between(value: Any, sided: Callable[[Any], str]) -> tuple[str, str, float]:
     if not isinstance(value, list) or len(value) != 3 or not 0.0 <= float(value[2]) <= 1.0:
-        raise ValueError(f"between = {shown(value)}; expected [landmark, landmark, share from 0 to 1]")
+        raise ValueError(
+            f"between = {shown(value)}; expected [landmark, landmark, share from 0 to 1]"
+        )
     return sided(value[0]), sided(value[1]), float(value[2])
 
 
 def _shift(value: Any, side: int) -> tuple[float, float, float]:
     x, y, z = (float(one) for one in value)
     if not x * x + y * y + z * z < 0.25:
-        raise ValueError(f"shift = {shown(value)}; expected three numbers in metres, together below 0.5")
+        raise ValueError(
+            f"shift = {shown(value)}; expected three numbers in metres, together below 0.5"
+        )
     return (-x if side else x, y, z)
 
 
@@ -220,7 +277,11 @@ def _confidence(value: Any) -> float:
 
 def _lengths(entry: Mapping[str, Any]) -> dict[str, float]:
     """The marker's lengths in metres; 9.5 is meant in millimetres and refused."""
-    lengths = {key: float(entry[key]) for key in ("distance", "distance_spread", "place_spread") if key in entry}
+    lengths = {
+        key: float(entry[key])
+        for key in ("distance", "distance_spread", "place_spread")
+        if key in entry
+    }
     for key, value in lengths.items():
         if not 0.0 <= value < 0.5 or (value == 0.0 and key != "distance"):
             raise ValueError(f"{key} = {value:g}; expected metres between 0 and 0.5")
@@ -231,7 +292,9 @@ def _only_keys(data: Mapping[str, Any], known: set[str], where: str) -> None:
     unknown = sorted(set(data) - known)
     if unknown:
         expected = ", ".join(sorted(known))
-        raise HabitusError(f"layout file {where}: unknown key {', '.join(unknown)}; expected {expected}")
+        raise HabitusError(
+            f"layout file {where}: unknown key {', '.join(unknown)}; expected {expected}"
+        )
 
 
 def _strings(data: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:

@@ -14,9 +14,11 @@ from habitus.io.models.pickles import Record, read_pickle
 
 
 class ModelArrays:
-    """The named arrays of an npz or a pickle, read when asked for and checked for kind, shape and finiteness.
+    """The named arrays of an npz or a pickle, read when asked for and checked for kind, shape and
+    finiteness.
 
-    ``allowance`` is what the file may fill in all. Every failing raises HabitusError and names the array.
+    ``allowance`` is what the file may fill in all. Every failing raises HabitusError and names the
+    array.
     """
 
     def __init__(self, file: BinaryIO):
@@ -34,10 +36,15 @@ class ModelArrays:
         plain = read_pickle(content)
         if not isinstance(plain, Mapping):
             raise HabitusError("the pickle holds no named arrays; expected a body model")
-        self._read = {str(k): partial(_from_pickle, str(k), value, self.allowance) for k, value in plain.items()}
+        self._read = {
+            str(k): partial(_from_pickle, str(k), value, self.allowance)
+            for k, value in plain.items()
+        }
 
     def changed(self, arrays: Mapping[str, Callable[[], np.ndarray] | None]) -> "ModelArrays":
-        """The same file with other arrays in the place of some, made when asked for; without those that are None."""
+        """The same file with other arrays in the place of some, made when asked for; without those
+        that are None.
+        """
         other = object.__new__(ModelArrays)
         other.allowance = self.allowance
         other._read = {key: read for key, read in (self._read | arrays).items() if read is not None}
@@ -49,7 +56,9 @@ class ModelArrays:
     def __getitem__(self, key: str) -> np.ndarray:
         if key not in self._read:
             have = ", ".join(shown(name, 40) for name in sorted(self._read)[:12]) or "nothing"
-            raise HabitusError(f"no array {key!r} (it has {have}); expected a body model of the SMPL family")
+            raise HabitusError(
+                f"no array {key!r} (it has {have}); expected a body model of the SMPL family"
+            )
         return self._read[key]()
 
     def number(self, key: str, *shape: int | None, dtype: type = np.float64) -> np.ndarray:
@@ -61,24 +70,31 @@ class ModelArrays:
         if array.dtype.kind not in "biuf" or not fits or 0 in array.shape:
             want = ", ".join("*" if n is None else str(n) for n in shape)
             raise HabitusError(
-                f"array {key!r} is {array.dtype} of shape {array.shape}; expected numbers of shape ({want})"
+                f"array {key!r} is {array.dtype} of shape {array.shape}; expected numbers of "
+                f"shape ({want})"
             )
         if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise HabitusError(f"array {key!r} holds numbers that are not finite; get the file anew")
+            raise HabitusError(
+                f"array {key!r} holds numbers that are not finite; get the file anew"
+            )
         return np.array(array, dtype=dtype, order="C")
 
     def index(self, key: str, size: int, *shape: int | None) -> np.ndarray:
         """An integer array with values from 0 to size - 1."""
         array = self.number(key, *shape, dtype=np.int64)
         if array.min() < 0 or array.max() >= size:
-            raise HabitusError(f"array {key!r} runs from {array.min()} to {array.max()}; expected 0 to {size - 1}")
+            raise HabitusError(
+                f"array {key!r} runs from {array.min()} to {array.max()}; expected 0 to {size - 1}"
+            )
         return array
 
     def text(self, key: str) -> tuple[str, ...]:
         """The words of an array of text."""
         words = self[key]
         if words.dtype.kind not in "US" or words.ndim > 1 or words.size > MOST_NAMES:
-            raise HabitusError(f"array {key!r} is {words.dtype} of shape {words.shape}; expected texts (*)")
+            raise HabitusError(
+                f"array {key!r} is {words.dtype} of shape {words.shape}; expected texts (*)"
+            )
         return tuple(shown(_text(word), LONGEST_NAME) for word in np.atleast_1d(words).tolist())
 
 
@@ -87,7 +103,9 @@ def _text(word: str | bytes) -> str:
 
 
 def _from_archive(archive: Archive, name: str) -> np.ndarray:
-    """An array of an npz; one that is kept as a pickled object (a sparse matrix, say) from its inert records."""
+    """An array of an npz; one that is kept as a pickled object (a sparse matrix, say) from its
+    inert records.
+    """
     if not archive.header(name).dtype.hasobject:
         return archive.read(name)
     try:
@@ -106,7 +124,14 @@ def _from_pickle(name: str, value: Any, allowance: Allowance) -> np.ndarray:
 
 def _unboxed(value: Any) -> Any:
     """What an array of one object holds."""
-    state = value.state if isinstance(value, Record) and value.name.endswith("._reconstruct") else None
-    if isinstance(state, tuple) and len(state) == 5 and isinstance(state[4], list) and len(state[4]) == 1:
+    state = (
+        value.state if isinstance(value, Record) and value.name.endswith("._reconstruct") else None
+    )
+    if (
+        isinstance(state, tuple)
+        and len(state) == 5
+        and isinstance(state[4], list)
+        and len(state[4]) == 1
+    ):
         return state[4][0]
     return value

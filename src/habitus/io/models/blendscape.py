@@ -16,15 +16,22 @@ _PLAIN = ("name", "parents", "shape_variances")
 
 
 def save_blendscape(model: BlendScape, path: str | Path) -> None:
-    """Write a model as ``.npz`` under its fields' names, whole or not at all; the large tables in float32.
+    """Write a model as ``.npz`` under its fields' names, whole or not at all; the large tables in
+    float32.
 
     Raises HabitusError for another ending or where nothing can be written.
     """
     target = Path(path)
     if target.suffix != ".npz":
         raise HabitusError(f"{target}: ending {target.suffix!r}; expected .npz")
-    arrays = {item.name: np.asarray(getattr(model, item.name)) for item in fields(model) if item.name not in _PLAIN}
-    arrays |= {key: arrays[key].astype(np.float32) for key in ("shape_directions", "pose_regression")}
+    arrays = {
+        item.name: np.asarray(getattr(model, item.name))
+        for item in fields(model)
+        if item.name not in _PLAIN
+    }
+    arrays |= {
+        key: arrays[key].astype(np.float32) for key in ("shape_directions", "pose_regression")
+    }
     arrays |= {"name": np.array(model.name), "parents": np.array(model.parents)}
     if model.shape_variances is not None:
         arrays["shape_variances"] = model.shape_variances
@@ -33,7 +40,9 @@ def save_blendscape(model: BlendScape, path: str | Path) -> None:
 
 
 def load_blendscape(path: str | Path) -> BlendScape:
-    """The model in a file that `save_blendscape` wrote. Raises HabitusError, naming the file, where it is none."""
+    """The model in a file that `save_blendscape` wrote. Raises HabitusError, naming the file, where
+    it is none.
+    """
     source = Path(path)
     try:
         with source.open("rb") as file:
@@ -41,7 +50,9 @@ def load_blendscape(path: str | Path) -> BlendScape:
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
-        raise HabitusError(f"{source}: {error.strerror or error}; expected a BlendSCAPE model (.npz)") from error
+        raise HabitusError(
+            f"{source}: {error.strerror or error}; expected a BlendSCAPE model (.npz)"
+        ) from error
 
 
 def _model(arrays: ModelArrays) -> BlendScape:
@@ -49,7 +60,8 @@ def _model(arrays: ModelArrays) -> BlendScape:
     check_joints(len(parents))
     check_parents(parents)
     template = arrays.number("template", None, 3)
-    v, j = len(template), len(parents)
+    v = len(template)
+    j = len(parents)
     faces = arrays.index("faces", v, None, 3)
     f = len(faces)
     return BlendScape(
@@ -61,5 +73,7 @@ def _model(arrays: ModelArrays) -> BlendScape:
         mean_shape=arrays.number("mean_shape", f, 3, 3),
         shape_directions=arrays.number("shape_directions", None, f, 3, 3),
         pose_regression=arrays.number("pose_regression", 9 * (j - 1), f, 3, 3),
-        shape_variances=arrays.number("shape_variances", None) if "shape_variances" in arrays else None,
+        shape_variances=arrays.number("shape_variances", None)
+        if "shape_variances" in arrays
+        else None,
     )

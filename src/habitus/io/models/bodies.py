@@ -1,7 +1,8 @@
-"""Reads and writes body models: the project's own, and SMPL, SMPL-H, SMPL-X, MANO, SMAL as their owners ship them.
+"""Reads and writes body models: the project's own, and SMPL, SMPL-H, SMPL-X, MANO, SMAL as their
+owners ship them.
 
-Foreign names and shapes end here. Pickles are read by `habitus.io.models.pickles`: no code in them runs, and
-chumpy is not needed.
+Foreign names and shapes end here. Pickles are read by `habitus.io.models.pickles`: no code in them
+runs, and chumpy is not needed.
 """
 
 import pickle
@@ -30,25 +31,44 @@ from habitus.io.models.forms import is_official, official_form, own_form
 from habitus.mesh.joint_tree import check_parents
 
 _EXTRAS = (
-    "hands_mean", "hands_meanl", "hands_meanr", "hands_components", "hands_componentsl", "hands_componentsr",
-    "lmk_faces_idx", "lmk_bary_coords", "dynamic_lmk_faces_idx", "dynamic_lmk_bary_coords", "license", "version",
-    "description", "vt", "ft", "uv", "uv_faces",
-)  # fmt: skip
+    "hands_mean",
+    "hands_meanl",
+    "hands_meanr",
+    "hands_components",
+    "hands_componentsl",
+    "hands_componentsr",
+    "lmk_faces_idx",
+    "lmk_bary_coords",
+    "dynamic_lmk_faces_idx",
+    "dynamic_lmk_bary_coords",
+    "license",
+    "version",
+    "description",
+    "vt",
+    "ft",
+    "uv",
+    "uv_faces",
+)
 SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
 """The bodies that come along, by the names they are asked for."""
 
 
 def load_body(
-    path: str | Path, *, num_betas: int | None = None, detail: str = "coarse", joints: str | None = None
+    path: str | Path,
+    *,
+    num_betas: int | None = None,
+    detail: str = "coarse",
+    joints: str | None = None,
 ) -> BodyModel:
-    """The body model in a file (npz or pkl; any of the SMPL family), or one that habitus brings along: ``"neutral"``
-    (``"default"`` is the same), ``"female"``, ``"male"``.
+    """The body model in a file (npz or pkl; any of the SMPL family), or one that habitus brings
+    along: ``"neutral"`` (``"default"`` is the same), ``"female"``, ``"male"``.
 
-    All shape directions are kept unless ``num_betas`` says how many. ``detail``: a file with two levels of detail gives
-    the "coarse" one, which holds the other as ``body.full``, or the "full" one alone; other files have one level.
-    ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and eyes, too), as far as the file has them; by itself "smpl"
-    of the bodies that come along, all joints of other files. Hands are full joint rotations; their mean pose and
-    components go to ``extras``. Raises HabitusError, with the file named, where it is no body model, is damaged, has
+    All shape directions are kept unless ``num_betas`` says how many. ``detail``: a file with two
+    levels of detail gives the "coarse" one, which holds the other as ``body.full``, or the "full"
+    one alone; other files have one level. ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and
+    eyes, too), as far as the file has them; by itself "smpl" of the bodies that come along, all
+    joints of other files. Hands are full joint rotations; their mean pose and components go to
+    ``extras``. Raises HabitusError, with the file named, where it is no body model, is damaged, has
     not those joints, or asks for anything but arrays.
     """
     if detail not in DETAILS:
@@ -62,25 +82,32 @@ def load_body(
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
         raise HabitusError(
-            f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or {', '.join(SHIPPED)}"
+            f"{source}: {error.strerror or error}; expected a body model (.npz or .pkl), or "
+            f"{', '.join(SHIPPED)}"
         ) from error
     return model if num_betas is None else model.with_betas(num_betas)
 
 
 def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> BodyModel:
-    """The body in a file's bytes; a coarse one keeps them, for its full level is read from them when asked for."""
+    """The body in a file's bytes; a coarse one keeps them, for its full level is read from them
+    when asked for.
+    """
     arrays = ModelArrays(BytesIO(content))
     if "coarse_vertices" in arrays and detail == "coarse":
         arrays, rows = coarse_level(arrays)
         finer = partial(_read_body, content, name, "full", None)
         model = replace(_own_body(arrays, name), full_vertices=rows, finer=finer)
     else:
-        model = _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
+        model = (
+            _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
+        )
     return model if joints is None else model.with_joints(joints)
 
 
 def shipped_file(path: str | Path) -> Path:
-    """The file of a body that habitus brings along, by the name it is asked for; any other path as it is."""
+    """The file of a body that habitus brings along, by the name it is asked for; any other path as
+    it is.
+    """
     name = SHIPPED.get(str(path))
     return Path(path) if name is None else _shipped(name)
 
@@ -91,7 +118,9 @@ def load_whole_body(path: str | Path) -> BodyModel:
 
 
 def save_dynamics(path: str | Path, body: BodyModel, target: Path) -> None:
-    """Write the body of a file, by the name that `load_whole_body` took, with the dynamics that ``body`` has of it."""
+    """Write the body of a file, by the name that `load_whole_body` took, with the dynamics that
+    ``body`` has of it.
+    """
     source = _shipped(SHIPPED[str(path)]) if str(path) in SHIPPED else Path(path)
     if body.dynamics is not None and has_levels(source):
         add_dynamics(source, body.dynamics, target)
@@ -112,7 +141,9 @@ def _parents(raw: np.ndarray) -> tuple[int, ...]:
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joints and weights of each vertex, strongest first; as many as any vertex of the file needs: nothing is cut."""
+    """Joints and weights of each vertex, strongest first; as many as any vertex of the file needs:
+    nothing is cut.
+    """
     count = max(1, int((weights != 0).sum(1).max()))
     index = np.argsort(-np.abs(weights), axis=1, kind="stable")[:, :count]
     return index, np.take_along_axis(weights, index, 1)
@@ -122,32 +153,46 @@ def _check_weights(value: np.ndarray) -> None:
     off = np.abs(value.sum(1) - 1)
     if off.max() > 0.05:
         raise HabitusError(
-            f"skinning weights of vertex {off.argmax()} sum to {value[off.argmax()].sum():.3g}; expected 1"
+            f"skinning weights of vertex {off.argmax()} sum to {value[off.argmax()].sum():.3g}; "
+            "expected 1"
         )
 
 
-def _shape_and_expression(arrays: ModelArrays, vertices: int, joints: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """SMPL-X keeps expression directions behind the shape's: 300 + 100, or 10 + 10 in its first files."""
+def _shape_and_expression(
+    arrays: ModelArrays, vertices: int, joints: int
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """SMPL-X keeps expression directions behind the shape's: 300 + 100, or 10 + 10 in its first
+    files.
+    """
     shapedirs = arrays.number("shapedirs", vertices, 3, None)
     count = shapedirs.shape[-1]
     if "num_expressions" in arrays:  # written by save_body, which may have to fill up in between
-        shape, expressions = int(arrays.number("num_betas")), int(arrays.number("num_expressions"))
+        shape = int(arrays.number("num_betas"))
+        expressions = int(arrays.number("num_expressions"))
     else:
         expressions = {400: 100, 20: 10}.get(count, 0) if joints == 55 else 0
         shape = count - expressions
     if not (0 < shape <= count and 0 <= expressions <= count - shape):
         raise HabitusError(
-            f"{shape} shape and {expressions} expression directions of {count}; expected parts of the whole"
+            f"{shape} shape and {expressions} expression directions of {count}; expected parts of "
+            "the whole"
         )
-    return np.ascontiguousarray(shapedirs[..., :shape]), shapedirs[..., count - expressions :] if expressions else None
+    return np.ascontiguousarray(shapedirs[..., :shape]), shapedirs[
+        ..., count - expressions :
+    ] if expressions else None
 
 
 def _official_body(arrays: ModelArrays, name: str) -> BodyModel:
     for key in ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f"):
         arrays[key]
-    style, kind = (arrays.text(key)[0] if key in arrays else None for key in ("bs_style", "bs_type"))
+    style, kind = (
+        arrays.text(key)[0] if key in arrays else None for key in ("bs_style", "bs_type")
+    )
     if style not in (None, "lbs", "dqbs") or kind not in (None, "lrotmin"):
-        raise HabitusError(f"blend skinning {style!r} with {kind!r}; expected lbs or dqbs with lrotmin pose features")
+        raise HabitusError(
+            f"blend skinning {style!r} with {kind!r}; expected lbs or dqbs with lrotmin pose "
+            "features"
+        )
     v = len(arrays.number("v_template", None, 3))
     parents = _parents(arrays.number("kintree_table", 2, None, dtype=np.int64)[0])
     index, value = _influences(arrays.number("weights", v, len(parents)))
@@ -159,7 +204,13 @@ def _official_body(arrays: ModelArrays, name: str) -> BodyModel:
     numbers = {"shapedirs": shapedirs, "joint_regressor": regressor, "skinning_value": value}
     own = {"parents": parents, "joint_names": names, "skinning": style or "lbs", "extras": extras}
     own["expressiondirs"] = expression
-    return _build(arrays, name, numbers, {"skinning_index": index, "faces": arrays.index("f", v, None, 3)}, own)
+    return _build(
+        arrays,
+        name,
+        numbers,
+        {"skinning_index": index, "faces": arrays.index("f", v, None, 3)},
+        own,
+    )
 
 
 def _joint_names(parents: tuple[int, ...]) -> tuple[str, ...]:
@@ -179,7 +230,9 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     arrays.allowance.take(2 * j * v, 8, "joint regressor and skinning weights")
     regressor = np.zeros((j, v))
     values = arrays.number("joint_regressor_values", None)
-    rows, columns = (arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v)))
+    rows, columns = (
+        arrays.index(f"joint_regressor_{k}", n, len(values)) for k, n in (("rows", j), ("cols", v))
+    )
     np.add.at(regressor, (rows, columns), values)
     numbers = {
         "shapedirs": arrays.number("shapedirs", v, 3, None),
@@ -189,24 +242,43 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     mesh = read_mesh(arrays, v)
     extras = {key: arrays[key] for key in _EXTRAS if key in arrays and not (mesh and key == "uv")}
     skinning = arrays.text("skinning")[0] if "skinning" in arrays else "lbs"
-    own = {"parents": parents, "joint_names": arrays.text("joint_names"), "skinning": skinning, "extras": extras}
+    own = {
+        "parents": parents,
+        "joint_names": arrays.text("joint_names"),
+        "skinning": skinning,
+        "extras": extras,
+    }
     own["mesh"] = mesh
     if "expressiondirs" in arrays:
         own["expressiondirs"] = arrays.number("expressiondirs", v, 3, None)
-    own["pose_features"] = arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
+    own["pose_features"] = (
+        arrays.text("pose_features")[0] if "pose_features" in arrays else "rotations"
+    )
     most = numbers["shapedirs"].shape[-1]
-    own["shape_features"] = int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
-    return _build(arrays, name, numbers, {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)}, own)
+    own["shape_features"] = (
+        int(arrays.index("shape_features", most + 1)) if "shape_features" in arrays else 0
+    )
+    return _build(
+        arrays,
+        name,
+        numbers,
+        {"skinning_index": index, "faces": arrays.index("faces", v, None, 3)},
+        own,
+    )
 
 
 def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: dict) -> BodyModel:
     """A model from checked arrays and what both kinds of file may hold besides."""
-    v, j, b = len(numbers["shapedirs"]), len(own["parents"]), numbers["shapedirs"].shape[-1]
+    v = len(numbers["shapedirs"])
+    j = len(own["parents"])
+    b = numbers["shapedirs"].shape[-1]
     numbers["v_template"] = arrays.number("v_template", v, 3)
     if "posedirs" in arrays:
         numbers |= _pose_shapes(arrays, v, j, own)
     if len(own["joint_names"]) != j:
-        raise HabitusError(f"{len(own['joint_names'])} joint names for {j} joints; expected one each")
+        raise HabitusError(
+            f"{len(own['joint_names'])} joint names for {j} joints; expected one each"
+        )
     if "mirror" in arrays:
         indices["mirror"] = arrays.index("mirror", v, v)
     if "part" in arrays:
@@ -216,30 +288,42 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
-        own["pose_prior"] = PosePrior(own["joint_names"][1:], arrays.number("pose_mean", n), covariance)
+        own["pose_prior"] = PosePrior(
+            own["joint_names"][1:], arrays.number("pose_mean", n), covariance
+        )
     if "gender_weights" in arrays:
         rows = arrays.number("gender_weights", b, b), arrays.number("gender_bias", b)
         own |= {"female_rows": rows, "female_direction": (rows[0][-1], float(rows[1][-1]))}
     elif "female_weights" in arrays:
-        own["female_direction"] = (arrays.number("female_weights", b), float(arrays.number("female_bias")))
+        own["female_direction"] = (
+            arrays.number("female_weights", b),
+            float(arrays.number("female_bias")),
+        )
     if "people_mean" in arrays:
         own["people_mean"] = arrays.number("people_mean", b)
     return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
 
 
 def _pose_shapes(arrays: ModelArrays, v: int, j: int, own: dict) -> dict:
-    """Pose blend shapes, and the joints that drive them where these are some; nothing where all are zero.
+    """Pose blend shapes, and the joints that drive them where these are some; nothing where all are
+    zero.
 
     A file under official names has columns for all joints, whoever drives.
     """
-    features, shapes = find_pose_features(own.get("pose_features", "rotations")), own.get("shape_features", 0)
-    drivers, everyone = read_pose_joints(arrays, j), tuple(range(1, j))
+    features = find_pose_features(own.get("pose_features", "rotations"))
+    shapes = own.get("shape_features", 0)
+    drivers = read_pose_joints(arrays, j)
+    everyone = tuple(range(1, j))
     official = drivers is not None and "weights" in arrays
     count = features.count(j if drivers is None or official else 1 + len(drivers), shapes)
     posedirs = arrays.number("posedirs", v, 3, count)
     if official:
         posedirs = of_joints(posedirs, features.per_joint, everyone, drivers, shapes)
-    return {"posedirs": posedirs, "pose_joints": drivers} if posedirs.any() else {"pose_joints": drivers}
+    return (
+        {"posedirs": posedirs, "pose_joints": drivers}
+        if posedirs.any()
+        else {"pose_joints": drivers}
+    )
 
 
 def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarray:
@@ -249,7 +333,9 @@ def _part(arrays: ModelArrays, joint_names: tuple[str, ...], v: int) -> np.ndarr
     names, rows = np.unique(arrays["part"], return_inverse=True)
     unknown = [name for name in names if name not in joint_names]
     if unknown or len(rows) != v:
-        raise HabitusError(f"array 'part' names {unknown or len(rows)}; expected a joint for each of {v} vertices")
+        raise HabitusError(
+            f"array 'part' names {unknown or len(rows)}; expected a joint for each of {v} vertices"
+        )
     return np.array([joint_names.index(name) for name in names])[rows]
 
 
@@ -263,15 +349,18 @@ def named_vertices(arrays: ModelArrays, v: int) -> Mapping[str, int]:
 
 
 def save_body(model: BodyModel, path: str | Path) -> None:
-    """Write a body model, whole or not at all, with the official names, so that other tools read it too.
+    """Write a body model, whole or not at all, with the official names, so that other tools read it
+    too.
 
-    ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain arrays, no foreign
-    classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks, parts, mirror, pose prior, skinning
-    function, ages, quads) travels along, but not ``body.full``: save that by itself. Official files have no word for
-    pose blend shapes that are driven by anything but SMPL's rotations: such a body goes to a ``.npz`` under the
-    project's own names, which nothing else reads.
+    ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain
+    arrays, no foreign classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks,
+    parts, mirror, pose prior, skinning function, ages, quads) travels along, but not ``body.full``:
+    save that by itself. Official files have no word for pose blend shapes that are driven by
+    anything but SMPL's rotations: such a body goes to a ``.npz`` under the project's own names,
+    which nothing else reads.
 
-    Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be written.
+    Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be
+    written.
     """
     target = Path(path)
     if target.suffix not in (".npz", ".pkl"):
@@ -279,7 +368,8 @@ def save_body(model: BodyModel, path: str | Path) -> None:
     official = is_official(model)
     if target.suffix == ".pkl" and not official:
         raise HabitusError(
-            f"{target}: pose features {model.pose_features!r} with {model.shape_features} shape_features; official "
+            f"{target}: pose features {model.pose_features!r} with {model.shape_features} "
+            "shape_features; official "
             "files hold 'rotations' with 0: save the body as .npz"
         )
     arrays = official_form(model) if official else own_form(model)
@@ -287,5 +377,8 @@ def save_body(model: BodyModel, path: str | Path) -> None:
         if target.suffix == ".npz":
             np.savez(file, allow_pickle=False, **arrays)
         else:
-            plain = {key: value.tolist() if value.dtype.kind == "U" else value for key, value in arrays.items()}
+            plain = {
+                key: value.tolist() if value.dtype.kind == "U" else value
+                for key, value in arrays.items()
+            }
             pickle.dump(plain, file, protocol=2)

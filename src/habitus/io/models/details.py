@@ -1,4 +1,6 @@
-"""What the project's own body files hold besides SMPL's arrays: ages, quads and textures, two levels of detail."""
+"""What the project's own body files hold besides SMPL's arrays: ages, quads and textures, two
+levels of detail.
+"""
 
 from functools import partial
 
@@ -39,7 +41,12 @@ def read_ages(arrays: ModelArrays, template: np.ndarray) -> Ages | None:
         raise HabitusError(f"array 'age_years' is {years.tolist()}; expected ages that rise")
     directions = arrays.number("agedirs", *template.shape, len(years), dtype=np.float32)
     if "age_statures" in arrays:  # of a coarse level, which grows as the full one does
-        return Ages(years, directions, arrays.number("age_statures", len(years)), float(arrays.number("age_adult")))
+        return Ages(
+            years,
+            directions,
+            arrays.number("age_statures", len(years)),
+            float(arrays.number("age_adult")),
+        )
     return Ages(years, directions, *_statures(template, directions))
 
 
@@ -60,19 +67,32 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
     """The arrays that `read_mesh` reads."""
     if mesh is None:
         return {}
-    return {"quads": mesh.quads, "uv": mesh.uv, "quad_uv": mesh.quad_uv, "hidden_quads": mesh.hidden}
+    return {
+        "quads": mesh.quads,
+        "uv": mesh.uv,
+        "quad_uv": mesh.quad_uv,
+        "hidden_quads": mesh.hidden,
+    }
 
 
 _ROWS = (
-    "v_template", "shapedirs", "posedirs", "expressiondirs", "agedirs", "dynamicsdirs", "skinning_index",
-    "skinning_value", "part",
-)  # fmt: skip
+    "v_template",
+    "shapedirs",
+    "posedirs",
+    "expressiondirs",
+    "agedirs",
+    "dynamicsdirs",
+    "skinning_index",
+    "skinning_value",
+    "part",
+)
 _VERTICES = ("mirror", "landmark_vertices", "joint_regressor_cols")
 _OF_THE_FULL = ("quads", "uv", "quad_uv", "hidden_quads", "base_vertices")
 
 
 def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"]]:
-    """The arrays of a file's coarse level, read when asked for, and which of the full level's vertices are its own.
+    """The arrays of a file's coarse level, read when asked for, and which of the full level's
+    vertices are its own.
 
     Reading an array raises HabitusError where those vertices do not suffice for it.
     """
@@ -81,10 +101,17 @@ def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"
     if not (np.diff(rows) > 0).all():
         raise HabitusError("array 'coarse_vertices' does not rise; expected sorted vertex numbers")
     changes = {key: partial(_rows_of, arrays, key, rows, count) for key in _ROWS if key in arrays}
-    changes |= {key: partial(_renumbered, arrays, key, rows, count) for key in _VERTICES if key in arrays}
-    changes |= {"faces": partial(arrays.index, "coarse_faces", len(rows), None, 3), **dict.fromkeys(_OF_THE_FULL)}
+    changes |= {
+        key: partial(_renumbered, arrays, key, rows, count) for key in _VERTICES if key in arrays
+    }
+    changes |= {
+        "faces": partial(arrays.index, "coarse_faces", len(rows), None, 3),
+        **dict.fromkeys(_OF_THE_FULL),
+    }
     if "age_years" in arrays:
-        directions = arrays.number("agedirs", count, 3, None, dtype=np.float32)  # read once: it is large
+        directions = arrays.number(
+            "agedirs", count, 3, None, dtype=np.float32
+        )  # read once: it is large
         statures, adult = _statures(arrays.number("v_template", count, 3), directions)
         changes |= {"age_statures": lambda: statures, "age_adult": lambda: np.array(adult)}
         changes["agedirs"] = lambda: directions[rows]
@@ -105,5 +132,8 @@ def _renumbered(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> 
     given = arrays.index(key, count, None)
     found = place[given[rows] if key == "mirror" and len(given) == count else given]
     if (found < 0).any():
-        raise HabitusError(f"array {key!r} names vertices that are not among 'coarse_vertices'; expected only those")
+        raise HabitusError(
+            f"array {key!r} names vertices that are not among 'coarse_vertices'; expected only "
+            "those"
+        )
     return found

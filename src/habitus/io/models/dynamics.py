@@ -19,7 +19,8 @@ def read_dynamics(arrays: ModelArrays, vertices: int) -> Dynamics | None:
     directions = arrays.number("dynamicsdirs", vertices, 3, None)
     count = directions.shape[2]
     drive = arrays.number("dynamics_drive", None, count, None)
-    blocks, controls = len(drive), drive.shape[2]
+    blocks = len(drive)
+    controls = drive.shape[2]
     reach = arrays.number("dynamics_reach", 2, blocks - 1) if blocks > 1 else np.zeros((2, 0))
     regressor = DynamicsRegressor(
         history=arrays.number("dynamics_history", blocks, 2, count, count),
@@ -38,23 +39,38 @@ def dynamics_form(dynamics: Dynamics | None) -> dict[str, np.ndarray]:
     if dynamics is None:
         return {}
     known = dynamics.regressor
-    named = {"history": known.history, "drive": known.drive, "limits": known.limits, "reach": known.reach}
-    named |= {"joints": np.array(known.joints), "rate": np.array(known.rate_hz), "controls": np.array(known.controls)}
-    return {"dynamicsdirs": dynamics.directions} | {f"dynamics_{name}": array for name, array in named.items()}
+    named = {
+        "history": known.history,
+        "drive": known.drive,
+        "limits": known.limits,
+        "reach": known.reach,
+    }
+    named |= {
+        "joints": np.array(known.joints),
+        "rate": np.array(known.rate_hz),
+        "controls": np.array(known.controls),
+    }
+    return {"dynamicsdirs": dynamics.directions} | {
+        f"dynamics_{name}": array for name, array in named.items()
+    }
 
 
 def add_dynamics(source: str | os.PathLike[str], dynamics: Dynamics, target: Path) -> None:
-    """Copy a body's ``.npz`` under the project's own names with these dynamics, in the place of any that it has.
+    """Copy a body's ``.npz`` under the project's own names with these dynamics, in the place of any
+    that it has.
 
-    All else stays as it is, both levels of detail included; the dynamics are those of the full one. Blend shapes are
-    kept in float32. Raises HabitusError where the file is of another mesh.
+    All else stays as it is, both levels of detail included; the dynamics are those of the full one.
+    Blend shapes are kept in float32. Raises HabitusError where the file is of another mesh.
     """
     with Path(source).open("rb") as file:
         archive = Archive(file)
-        arrays = {name: archive.read(name) for name in archive.names if not name.startswith("dynamics")}
+        arrays = {
+            name: archive.read(name) for name in archive.names if not name.startswith("dynamics")
+        }
     if len(arrays["v_template"]) != len(dynamics.directions):
         raise HabitusError(
-            f"{source}: {len(arrays['v_template'])} vertices; expected the {len(dynamics.directions)} of the dynamics"
+            f"{source}: {len(arrays['v_template'])} vertices; expected the "
+            f"{len(dynamics.directions)} of the dynamics"
         )
     arrays |= dynamics_form(dynamics) | {"dynamicsdirs": dynamics.directions.astype(np.float32)}
     with atomic_write(target) as temporary, temporary.open("wb") as stream:

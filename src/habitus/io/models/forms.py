@@ -8,20 +8,34 @@ from habitus.io.models.dynamics import dynamics_form
 
 
 def is_official(model: BodyModel) -> bool:
-    """Whether an official file can hold it: pose blend shapes, if any, are linear in vec(R - I) alone."""
+    """Whether an official file can hold it: pose blend shapes, if any, are linear in vec(R - I)
+    alone.
+    """
     return model.pose_features == "rotations" and not model.shape_features
 
 
 def official_form(model: BodyModel) -> dict[str, np.ndarray]:
-    """The arrays under the names and in the shapes of the SMPL family's own files, and what only our files hold."""
+    """The arrays under the names and in the shapes of the SMPL family's own files, and what only
+    our files hold.
+    """
     return _official_arrays(model) | _own_arrays(model) | _smplx_fillers(model)
 
 
 def own_form(model: BodyModel) -> dict[str, np.ndarray]:
-    """The arrays under the project's own names: regressor and skinning weights without their zeros."""
+    """The arrays under the project's own names: regressor and skinning weights without their
+    zeros.
+    """
     regressor = model.joint_regressor
     rows, columns = np.nonzero(regressor)
-    keys = ("v_template", "shapedirs", "posedirs", "expressiondirs", "skinning_index", "skinning_value", "faces")
+    keys = (
+        "v_template",
+        "shapedirs",
+        "posedirs",
+        "expressiondirs",
+        "skinning_index",
+        "skinning_value",
+        "faces",
+    )
     arrays = {key: value for key in keys if (value := getattr(model, key)) is not None}
     arrays |= {
         "joint_regressor_rows": rows,
@@ -37,9 +51,11 @@ def own_form(model: BodyModel) -> dict[str, np.ndarray]:
 
 def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What ``smplx`` reads, too."""
-    v, j = model.num_vertices, model.num_joints
+    v = model.num_vertices
+    j = model.num_joints
     posedirs = model.smpl_posedirs()
-    shapedirs, expression = model.shapedirs, model.expressiondirs
+    shapedirs = model.shapedirs
+    expression = model.expressiondirs
     if expression is not None:  # smplx looks for expressions at a fixed place
         gap = max(0, (300 if expression.shape[-1] == 100 else 10) - model.num_betas)
         shapedirs = np.concatenate([shapedirs, np.zeros((v, 3, gap)), expression], -1)
@@ -61,7 +77,11 @@ def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
 def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     """What only this project's files hold."""
     arrays = {"joint_names": np.array(model.joint_names)}
-    arrays |= {key: value for key in ("part", "mirror", "people_mean") if (value := getattr(model, key)) is not None}
+    arrays |= {
+        key: value
+        for key in ("part", "mirror", "people_mean")
+        if (value := getattr(model, key)) is not None
+    }
     arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
     if model.pose_joints is not None:
         arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
@@ -80,8 +100,11 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
 
 
 def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
-    """The file's own extras, over neutral ones that ``smplx`` insists on: flat hands, landmarks at the first face."""
-    mean, components = np.zeros(45), np.eye(45)
+    """The file's own extras, over neutral ones that ``smplx`` insists on: flat hands, landmarks at
+    the first face.
+    """
+    mean = np.zeros(45)
+    components = np.eye(45)
     fillers: dict[str, np.ndarray] = {}
     if model.num_joints == 16:
         fillers = {"hands_mean": mean, "hands_components": components}
@@ -90,5 +113,8 @@ def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
             f"hands_components{side}": components for side in "lr"
         }
     if model.num_joints == 55:
-        fillers |= {"lmk_faces_idx": np.zeros(51, np.int64), "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)]}
+        fillers |= {
+            "lmk_faces_idx": np.zeros(51, np.int64),
+            "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)],
+        }
     return fillers | dict(model.extras)

@@ -25,17 +25,24 @@ def has_levels(source: str | Path) -> bool:
 
 
 def save_like(body: BodyModel, source: str | Path, target: str | Path) -> None:
-    """Write the full level of a body, learned from that of the file ``source``, under the project's own names.
+    """Write the full level of a body, learned from that of the file ``source``, under the project's
+    own names.
 
-    What is as it was in ``source`` is written as it stands there, to the bit; what is not, in the kinds of numbers that
-    the source has (blend shapes in half precision, where it has those in it), compressed. The coarse level is the one
-    of the source, on the same vertices: `load_body` gives it. Raises HabitusError where nothing can be written.
+    What is as it was in ``source`` is written as it stands there, to the bit; what is not, in the
+    kinds of numbers that the source has (blend shapes in half precision, where it has those in it),
+    compressed. The coarse level is the one of the source, on the same vertices: `load_body` gives
+    it. Raises HabitusError where nothing can be written.
     """
     start = load_body(shipped_file(source), detail="full")
-    before, after = own_form(start), own_form(body)
+    before = own_form(start)
+    after = own_form(body)
     with open_archive(shipped_file(source)) as file:
         arrays = {name: file[name] for name in file.names if name not in _OF_THE_FILE}
-    changed = {key for key, value in after.items() if key not in before or not np.array_equal(before[key], value)}
+    changed = {
+        key
+        for key, value in after.items()
+        if key not in before or not np.array_equal(before[key], value)
+    }
     changed |= set(_REGRESSOR) if changed & set(_REGRESSOR) else set()
     for key in changed:
         arrays[key] = _in_the_kind_of(arrays.get(key), after[key])
@@ -46,4 +53,6 @@ def save_like(body: BodyModel, source: str | Path, target: str | Path) -> None:
 
 def _in_the_kind_of(given: np.ndarray | None, value: np.ndarray) -> np.ndarray:
     kind = np.float32 if value.dtype.kind == "f" else value.dtype
-    return value.astype(kind if given is None or given.dtype.kind != value.dtype.kind else given.dtype)
+    return value.astype(
+        kind if given is None or given.dtype.kind != value.dtype.kind else given.dtype
+    )

@@ -18,14 +18,18 @@ _Argument = Callable[[bytes, int], tuple[Any, int]]
 def pickle_steps(content: bytes) -> Iterator[tuple[bytes, Any]]:
     """Each step of a pickle as (opcode, argument), up to the one that ends it.
 
-    Raises HabitusError where it ends early, claims more bytes than it has, or has steps without end.
+    Raises HabitusError where it ends early, claims more bytes than it has, or has steps without
+    end.
     """
     position = 0
     for _ in range(MOST_PICKLE_STEPS):
         code = content[position : position + 1]
         read = _ARGUMENTS.get(code)
         if read is None:
-            raise HabitusError(f"{f'an unknown step {shown(code)}' if code else 'it ends early'}; get the file anew")
+            raise HabitusError(
+                f"{f'an unknown step {shown(code)}' if code else 'it ends early'}; get the file "
+                "anew"
+            )
         argument, position = read(content, position + 1)
         yield code, argument
         if code == pickle.STOP:
@@ -100,8 +104,10 @@ def _long(raw: bytes) -> int:
 
 
 _BY_KIND: Mapping[_Argument, str] = {
-    _nothing: "MARK STOP POP POP_MARK DUP NONE REDUCE APPEND BUILD DICT EMPTY_DICT APPENDS LIST EMPTY_LIST OBJ SETITEM "
-    "TUPLE EMPTY_TUPLE SETITEMS NEWOBJ TUPLE1 TUPLE2 TUPLE3 NEWTRUE NEWFALSE EMPTY_SET ADDITEMS FROZENSET NEWOBJ_EX "
+    _nothing: "MARK STOP POP POP_MARK DUP NONE REDUCE APPEND BUILD DICT EMPTY_DICT APPENDS LIST "
+    "EMPTY_LIST OBJ SETITEM "
+    "TUPLE EMPTY_TUPLE SETITEMS NEWOBJ TUPLE1 TUPLE2 TUPLE3 NEWTRUE NEWFALSE EMPTY_SET ADDITEMS "
+    "FROZENSET NEWOBJ_EX "
     "STACK_GLOBAL MEMOIZE BINPERSID NEXT_BUFFER READONLY_BUFFER",
     _two_lines: "GLOBAL INST",
     _line(_whole): "INT LONG GET PUT",
@@ -126,4 +132,6 @@ _BY_KIND: Mapping[_Argument, str] = {
     _counted("<I", _utf8): "BINUNICODE",
     _counted("<Q", _utf8): "BINUNICODE8",
 }
-_ARGUMENTS = {getattr(pickle, name): read for read, names in _BY_KIND.items() for name in names.split()}
+_ARGUMENTS = {
+    getattr(pickle, name): read for read, names in _BY_KIND.items() for name in names.split()
+}

@@ -17,8 +17,8 @@ _DEEPEST = 32
 def as_array(value: Any, allowance: Allowance | None = None) -> np.ndarray:
     """The array that an entry of a pickle stands for; sparse matrices become dense.
 
-    Raises HabitusError where the entry is no array of numbers and no text, or would fill more than the file's
-    ``allowance`` (by default that of a small file).
+    Raises HabitusError where the entry is no array of numbers and no text, or would fill more than
+    the file's ``allowance`` (by default that of a small file).
     """
     allowance = allowance or Allowance(0)
     try:
@@ -30,7 +30,9 @@ def as_array(value: Any, allowance: Allowance | None = None) -> np.ndarray:
         told = shown(f"{type(error).__name__}: {error}", 120)
         raise HabitusError(f"damaged array ({told}); get the file anew") from error
     if array.dtype.kind not in "biufU":
-        raise HabitusError(f"an array of {array.dtype}; expected numbers or text; get the file anew")
+        raise HabitusError(
+            f"an array of {array.dtype}; expected numbers or text; get the file anew"
+        )
     return array
 
 
@@ -49,19 +51,24 @@ def _array(value: Any, allowance: Allowance, depth: int) -> np.ndarray:
         return _array(state["x"], allowance, depth + 1)
     if kind.endswith("._reconstruct") and state is not None:
         _, shape, dtype, fortran, data = state
-        return np.frombuffer(dtype=_dtype(dtype), buffer=_bytes(data)).reshape(shape, order="F" if fortran else "C")
+        return np.frombuffer(dtype=_dtype(dtype), buffer=_bytes(data)).reshape(
+            shape, order="F" if fortran else "C"
+        )
     if kind.endswith("._frombuffer"):
         data, dtype, shape, order = arguments
         return np.frombuffer(dtype=_dtype(dtype), buffer=_bytes(data)).reshape(shape, order=order)
     if kind.endswith(".scalar"):
         return np.frombuffer(dtype=_dtype(arguments[0]), buffer=_bytes(arguments[1]))[0]
     raise HabitusError(
-        f"an entry of kind {shown(kind)} where an array was expected; convert it to a plain array where it was made"
+        f"an entry of kind {shown(kind)} where an array was expected; convert it to a plain array "
+        "where it was made"
     )
 
 
 def _listed(value: Any, allowance: Allowance) -> np.ndarray:
-    """A number, a text or lists of them, counted first: lists that hold one list many times grow without end."""
+    """A number, a text or lists of them, counted first: lists that hold one list many times grow
+    without end.
+    """
     count, width = _weigh(value, 0)
     allowance.take(count, 4 * width, "it")
     return np.asarray(value)
@@ -73,10 +80,12 @@ def _weigh(value: Any, depth: int) -> tuple[int, int]:
         return 1, len(value) if isinstance(value, str | bytes) else 2
     if depth > _DEEPEST:
         raise HabitusError(f"lists nested more than {_DEEPEST} deep; expected an array")
-    total, widest = 1, 2
+    total = 1
+    widest = 2
     for entry in value:
         count, width = _weigh(entry, depth + 1)
-        total, widest = total + count, max(widest, width)
+        total = total + count
+        widest = max(widest, width)
         if total > MOST_PICKLE_STEPS:
             raise HabitusError(f"lists of more than {MOST_PICKLE_STEPS} entries; expected an array")
     return total, widest
@@ -90,7 +99,9 @@ def _unwrapped(record: Record) -> tuple[str, tuple[Any, ...], Any]:
 
 
 def _sparse(kind: str, state: Mapping[str, Any], allowance: Allowance, depth: int) -> np.ndarray:
-    data, starts, minor = (_array(state[key], allowance, depth + 1) for key in ("data", "indptr", "indices"))
+    data, starts, minor = (
+        _array(state[key], allowance, depth + 1) for key in ("data", "indptr", "indices")
+    )
     counts = np.diff(starts)
     if (counts < 0).any() or counts.sum() != len(minor):
         raise HabitusError("a sparse matrix whose rows do not add up; get the file anew")
@@ -104,11 +115,16 @@ def _sparse(kind: str, state: Mapping[str, Any], allowance: Allowance, depth: in
 
 
 def _bytes(data: Any) -> bytes:
-    """Raw bytes, which Python 2 wrote as text and Python 3 at old protocols as a call that encodes text."""
+    """Raw bytes, which Python 2 wrote as text and Python 3 at old protocols as a call that encodes
+    text.
+    """
     if isinstance(data, Record):
         data = data.arguments[0] if data.arguments else b""
     if not isinstance(data, str | bytes):
-        raise HabitusError(f"the numbers of an array are a {type(data).__name__}; expected bytes; get the file anew")
+        raise HabitusError(
+            f"the numbers of an array are a {type(data).__name__}; expected bytes; get the file "
+            "anew"
+        )
     return data.encode("latin1") if isinstance(data, str) else data
 
 

@@ -1,10 +1,10 @@
 """Reads the plain content of model pickles without running any of the code that a pickle can name.
 
-Python's own unpickler is not used: here a pickle is a list of steps that can set up texts, numbers, lists and records,
-and there is no step that imports or calls. Every name on a short list (arrays of numpy, sparse matrices of scipy, and
-the wrappers of chumpy around arrays) makes an inert record of its arguments and state, from which
-`habitus.io.models.pickled_arrays.as_array` builds an array of its own; any other name is refused. What is set up is no
-larger than the steps that set it up.
+Python's own unpickler is not used: here a pickle is a list of steps that can set up texts, numbers,
+lists and records, and there is no step that imports or calls. Every name on a short list (arrays of
+numpy, sparse matrices of scipy, and the wrappers of chumpy around arrays) makes an inert record of
+its arguments and state, from which `habitus.io.models.pickled_arrays.as_array` builds an array of
+its own; any other name is refused. What is set up is no larger than the steps that set it up.
 """
 
 import pickle
@@ -41,7 +41,9 @@ class Name:
 
 @dataclass(eq=False)
 class Record:
-    """What stands in for anything a pickle would construct: it keeps what it is given and does nothing."""
+    """What stands in for anything a pickle would construct: it keeps what it is given and does
+    nothing.
+    """
 
     name: str
     arguments: tuple[Any, ...]
@@ -72,7 +74,8 @@ def _checked(module: object, name: object) -> Name:
     if len(qualified) < 200 and _INERT.fullmatch(qualified):
         return Name(qualified)
     raise HabitusError(
-        f"it asks for {shown(qualified)}; a body model holds only arrays: nothing was run, get the file anew"
+        f"it asks for {shown(qualified)}; a body model holds only arrays: nothing was run, get "
+        "the file anew"
     )
 
 
@@ -135,7 +138,9 @@ class _Machine:
         value = self.pop()
         self.push(value)
         if not isinstance(value, kind):
-            raise HabitusError(f"it adds to a {type(value).__name__} as to a {kind.__name__}; get the file anew")
+            raise HabitusError(
+                f"it adds to a {type(value).__name__} as to a {kind.__name__}; get the file anew"
+            )
         return value
 
     def put(self, number: int) -> None:
@@ -181,14 +186,18 @@ class _Machine:
 
 def _refused(what: str) -> Callable[[_Machine, Any], None]:
     def act(machine: _Machine, argument: Any) -> None:
-        raise HabitusError(f"it asks for {what}; a body model holds only arrays: nothing was run, get the file anew")
+        raise HabitusError(
+            f"it asks for {what}; a body model holds only arrays: nothing was run, get the file "
+            "anew"
+        )
 
     return act
 
 
 _VALUES = frozenset(
     getattr(pickle, name)
-    for name in "INT LONG FLOAT STRING UNICODE BININT BININT1 BININT2 BINFLOAT LONG1 LONG4 SHORT_BINSTRING BINSTRING "
+    for name in "INT LONG FLOAT STRING UNICODE BININT BININT1 BININT2 BINFLOAT LONG1 LONG4 "
+    "SHORT_BINSTRING BINSTRING "
     "SHORT_BINBYTES BINBYTES BINBYTES8 BYTEARRAY8 SHORT_BINUNICODE BINUNICODE BINUNICODE8".split()
 )
 _STEPS: Mapping[bytes, Callable[[_Machine, Any], object]] = {
@@ -227,5 +236,7 @@ _STEPS: Mapping[bytes, Callable[[_Machine, Any], object]] = {
     pickle.BUILD: lambda m, a: m.build(),
     **dict.fromkeys((pickle.EXT1, pickle.EXT2, pickle.EXT4), _refused("a registered class")),
     **dict.fromkeys((pickle.PERSID, pickle.BINPERSID), _refused("an object outside the file")),
-    **dict.fromkeys((pickle.NEXT_BUFFER, pickle.READONLY_BUFFER), _refused("memory outside the file")),
+    **dict.fromkeys(
+        (pickle.NEXT_BUFFER, pickle.READONLY_BUFFER), _refused("memory outside the file")
+    ),
 }

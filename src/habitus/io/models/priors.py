@@ -25,11 +25,15 @@ def load_pose_prior(path: str | Path | None = None) -> PosePrior:
             names = arrays.text("joint_names")
             check_joints(len(names))
             size = 3 * len(names)
-            return PosePrior(names, arrays.number("mean", size), arrays.number("covariance", size, size))
+            return PosePrior(
+                names, arrays.number("mean", size), arrays.number("covariance", size, size)
+            )
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
-        raise HabitusError(f"{source}: {error.strerror or error}; expected a pose prior (.npz)") from error
+        raise HabitusError(
+            f"{source}: {error.strerror or error}; expected a pose prior (.npz)"
+        ) from error
 
 
 def prior_of(body: BodyModel | None) -> PosePrior:
@@ -41,5 +45,8 @@ def save_pose_prior(prior: PosePrior, path: str | Path) -> None:
     """Write a prior as npz, atomically."""
     with atomic_write(path) as temporary:
         np.savez_compressed(
-            temporary, joint_names=np.array(prior.joint_names), mean=prior.mean, covariance=prior.covariance
+            temporary,
+            joint_names=np.array(prior.joint_names),
+            mean=prior.mean,
+            covariance=prior.covariance,
         )

@@ -1,4 +1,6 @@
-"""What files tell of registrations besides their vertices: poses, places, shape coefficients, rest surfaces."""
+"""What files tell of registrations besides their vertices: poses, places, shape coefficients, rest
+surfaces.
+"""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -11,17 +13,27 @@ from habitus.mesh.known import Known
 
 KEYS = ("pose", "poses", "trans", "betas", "rest")
 Told = Mapping[str, np.ndarray]
-"""The arrays of one path by `KEYS`: rows of registrations, and ``rest`` (S, V, 3) of its subjects as they appear.
-``poses`` is AMASS' word for ``pose``."""
+"""The arrays of one path by `KEYS`: rows of registrations, and ``rest`` (S, V, 3) of its subjects
+as they appear. ``poses`` is AMASS' word for ``pose``.
+"""
 
 
-def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str) -> Told:
-    """The arrays as numbers in the shapes that they should have; one person's betas may be told once.
+def checked(
+    told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str
+) -> Told:
+    """The arrays as numbers in the shapes that they should have; one person's betas may be told
+    once.
 
     Raises HabitusError where they have other shapes.
     """
-    count, people = len(subjects), len(dict.fromkeys(subjects))
-    shapes = {"pose": (count, None, 3), "trans": (count, 3), "betas": (count, None), "rest": (people, vertices, 3)}
+    count = len(subjects)
+    people = len(dict.fromkeys(subjects))
+    shapes = {
+        "pose": (count, None, 3),
+        "trans": (count, 3),
+        "betas": (count, None),
+        "rest": (people, vertices, 3),
+    }
     found = {}
     for key, array in told.items():
         key = "pose" if key == "poses" else key
@@ -30,10 +42,15 @@ def checked(told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: i
         if key == "betas" and array.ndim == people == 1:
             array = np.tile(array, (count, 1))
         want = shapes[key]
-        alike = array.ndim == len(want) and all(n in (None, m) for n, m in zip(want, array.shape, strict=True))
+        alike = array.ndim == len(want) and all(
+            n in (None, m) for n, m in zip(want, array.shape, strict=True)
+        )
         if not alike or array.dtype.kind not in "fiu":
             text = ", ".join("*" if n is None else str(n) for n in want)
-            raise HabitusError(f"{where}: its {key} is {array.dtype} of shape {array.shape}; expected numbers ({text})")
+            raise HabitusError(
+                f"{where}: its {key} is {array.dtype} of shape {array.shape}; expected numbers "
+                f"({text})"
+            )
         found[key] = np.array(array, np.float64)
     return found
 
@@ -43,16 +60,20 @@ def joined_known(
 ) -> Known | None:
     """What several paths tell, one after the other, in metres; None where none tells anything.
 
-    ``factor`` takes the lengths of each registration to metres. Raises HabitusError where paths differ in how many
-    joints or shape coefficients there are.
+    ``factor`` takes the lengths of each registration to metres. Raises HabitusError where paths
+    differ in how many joints or shape coefficients there are.
     """
     if not any(told):
         return None
     counts = [len(words) for words in subjects]
-    rows = {key: _joined([one.get(key) for one in told], counts, key) for key in ("pose", "trans", "betas")}
+    rows = {
+        key: _joined([one.get(key) for one in told], counts, key)
+        for key in ("pose", "trans", "betas")
+    }
     if rows["trans"] is not None:
         rows["trans"] = rows["trans"] * factor[:, None]
-    rest, first = {}, 0
+    rest = {}
+    first = 0
     for one, words in zip(told, subjects, strict=True):
         for k, subject in enumerate(dict.fromkeys(words) if "rest" in one else ()):
             rest[subject] = one["rest"][k] * factor[first + list(words).index(subject)]
@@ -60,19 +81,28 @@ def joined_known(
     return Known(**rows, rest=MappingProxyType(rest))
 
 
-def _joined(arrays: Sequence[np.ndarray | None], counts: Sequence[int], key: str) -> np.ndarray | None:
+def _joined(
+    arrays: Sequence[np.ndarray | None], counts: Sequence[int], key: str
+) -> np.ndarray | None:
     shapes = {array.shape[1:] for array in arrays if array is not None}
     if not shapes:
         return None
     if len(shapes) > 1:
-        raise HabitusError(f"the datasets' {key} have shapes (*, {sorted(shapes)}); expected one shape in all of them")
+        raise HabitusError(
+            f"the datasets' {key} have shapes (*, {sorted(shapes)}); expected one shape in all of "
+            "them"
+        )
     (last,) = shapes
-    filled = [np.full((n, *last), np.nan) if a is None else a for a, n in zip(arrays, counts, strict=True)]
+    filled = [
+        np.full((n, *last), np.nan) if a is None else a for a, n in zip(arrays, counts, strict=True)
+    ]
     return np.concatenate(filled)
 
 
 def known_form(known: Known | None, subjects: Sequence[str]) -> dict[str, np.ndarray]:
-    """The arrays that are read back, for a file; rest surfaces only where they are known of all subjects."""
+    """The arrays that are read back, for a file; rest surfaces only where they are known of all
+    subjects.
+    """
     if known is None:
         return {}
     arrays = {key: value for key, value in known.items() if key != "rest" and value is not None}

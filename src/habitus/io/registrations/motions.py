@@ -19,9 +19,15 @@ from habitus.learn.dynamics.sequences import MovingSurface
 from habitus.mesh.registrations import Registrations, Vertices
 
 _NUMBERS = ("betas", "pose", "trans", "rate_hz", "vertex_ids")
-_SPELLINGS = {"poses": "pose", "mocap_framerate": "rate_hz", "mocap_frame_rate": "rate_hz", "rate": "rate_hz"}
+_SPELLINGS = {
+    "poses": "pose",
+    "mocap_framerate": "rate_hz",
+    "mocap_frame_rate": "rate_hz",
+    "rate": "rate_hz",
+}
 _FRAME = re.compile(r"(.*?)(?::|_(?=\d{3}))(\d+)")
-_STILL, _NAMES = "still_vertices", "joint_names"
+_STILL = "still_vertices"
+_NAMES = "joint_names"
 MOTION = "motion"
 """The group of an HDF5 file that holds a group a sequence, with what is told of its motion."""
 Told = Mapping[str, Any]
@@ -30,15 +36,17 @@ Told = Mapping[str, Any]
 def open_moving_surfaces(
     path: str | Path | Sequence[str | Path], *, rate_hz: float | None = None, unit: str = "m"
 ) -> tuple[MovingSurface, ...]:
-    """The sequences of a path, or of several, in any format of `open_registrations`; their vertices stay on disk.
+    """The sequences of a path, or of several, in any format of `open_registrations`; their vertices
+    stay on disk.
 
-    Registrations follow each other as frames of a sequence where their names do: ``NAME:0``, ``NAME:1``, ... or
-    ``NAME_0000``, ... (an ``.npz`` without names is one sequence, an ``.h5`` has its own). Beside the vertices
-    (N, V, 3) may lie ``rate_hz``, ``betas`` (B,) or (N, B), ``pose`` (N, J, 3) or (N, 3 J), ``trans`` (N, 3),
-    ``joint_names`` (J,) of the pose, ``vertex_ids`` (V,), and ``still_vertices`` (N, V, 3), the surfaces at rest in the
-    same poses: as arrays of the ``.npz`` or zarr group, as ``.npy`` files of the folder; in an ``.h5`` those of each
-    sequence in the group ``motion/<sequence>``. ``rate_hz`` is taken in the place of what is told. Raises HabitusError,
-    naming the file, where no rate is told and for all that is not such data.
+    Registrations follow each other as frames of a sequence where their names do: ``NAME:0``,
+    ``NAME:1``, ... or ``NAME_0000``, ... (an ``.npz`` without names is one sequence, an ``.h5`` has
+    its own). Beside the vertices (N, V, 3) may lie ``rate_hz``, ``betas`` (B,) or (N, B), ``pose``
+    (N, J, 3) or (N, 3 J), ``trans`` (N, 3), ``joint_names`` (J,) of the pose, ``vertex_ids`` (V,),
+    and ``still_vertices`` (N, V, 3), the surfaces at rest in the same poses: as arrays of the
+    ``.npz`` or zarr group, as ``.npy`` files of the folder; in an ``.h5`` those of each sequence in
+    the group ``motion/<sequence>``. ``rate_hz`` is taken in the place of what is told. Raises
+    HabitusError, naming the file, where no rate is told and for all that is not such data.
     """
     paths = [path] if isinstance(path, str | Path) else list(path)
     if not paths:
@@ -50,7 +58,10 @@ def _open(path: Path, rate_hz: float | None, unit: str) -> list[MovingSurface]:
     registrations = open_registrations(path, unit=unit)
     try:
         told = _told_by(path)
-        return [_sequence(name, rows, registrations, told(name), rate_hz) for name, rows in _runs(registrations)]
+        return [
+            _sequence(name, rows, registrations, told(name), rate_hz)
+            for name, rows in _runs(registrations)
+        ]
     except HabitusError as error:
         if path.name in str(error):
             raise
@@ -61,10 +72,14 @@ def _runs(registrations: Registrations) -> list[tuple[str, np.ndarray]]:
     """Names and rows of the sequences: frames that follow each other, of one person."""
     runs: list[tuple[str, list[int]]] = []
     before: tuple[str, str, int] | None = None
-    for row, (name, subject) in enumerate(zip(registrations.name, registrations.subject, strict=True)):
+    for row, (name, subject) in enumerate(
+        zip(registrations.name, registrations.subject, strict=True)
+    ):
         parts = _FRAME.fullmatch(name)
         if parts is None:
-            raise HabitusError(f"{shown(name)} tells no frame; expected names such as jump:17 or jump_0017")
+            raise HabitusError(
+                f"{shown(name)} tells no frame; expected names such as jump:17 or jump_0017"
+            )
         here = (parts[1], subject, int(parts[2]))
         if before is None or here[:2] != before[:2] or here[2] != before[2] + 1:
             runs.append((parts[1], []))
@@ -83,9 +98,14 @@ def _sequence(
             found[key] = _of_rows(key, np.asarray(found[key], np.float64), own, told["count"])
     if "trans" in found and isinstance(registrations.vertices, ScaledVertices):
         found["trans"] = found["trans"] * registrations.vertices.factor[rows][:, None]
-    rate = rate_hz or (float(np.asarray(found["rate_hz"]).ravel()[0]) if "rate_hz" in found else 0.0)
+    rate = rate_hz or (
+        float(np.asarray(found["rate_hz"]).ravel()[0]) if "rate_hz" in found else 0.0
+    )
     if not 1.0 <= rate <= 1e5:
-        raise HabitusError(f"the rate of {shown(name)} is {rate:g} Hz; tell how many frames a second: rate_hz, --rate")
+        raise HabitusError(
+            f"the rate of {shown(name)} is {rate:g} Hz; tell how many frames a second: rate_hz, "
+            "--rate"
+        )
     ids = found.get("vertex_ids")
     return MovingSurface(
         name=name,
@@ -102,13 +122,17 @@ def _sequence(
 
 
 def _of_rows(key: str, array: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
-    """What an array tells of a sequence; betas, of which a person has one set, of its first frame."""
+    """What an array tells of a sequence; betas, of which a person has one set, of its first
+    frame.
+    """
     if not np.isfinite(array).all():
         raise HabitusError(f"{key} holds numbers that are not finite; leave such frames out")
     if key == "betas" and array.ndim == 1:
         return array
     if len(array) != count:
-        raise HabitusError(f"{key} has shape {array.shape} for {count} registrations; expected a row for each")
+        raise HabitusError(
+            f"{key} has shape {array.shape} for {count} registrations; expected a row for each"
+        )
     array = array[rows]
     if key == "betas":
         if np.ptp(array, axis=0).max(initial=0.0) > 1e-6:
@@ -119,7 +143,9 @@ def _of_rows(key: str, array: np.ndarray, rows: np.ndarray, count: int) -> np.nd
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """Surfaces at rest of the frames of a sequence: rows ``own`` of others, in metres by a factor a frame."""
+    """Surfaces at rest of the frames of a sequence: rows ``own`` of others, in metres by a factor a
+    frame.
+    """
 
     source: Vertices
     own: Int[np.ndarray, " T"]
@@ -139,9 +165,14 @@ def _still(told: Told, own: np.ndarray, beside: Vertices, rows: np.ndarray) -> _
         return None
     if tuple(source.shape[1:]) != tuple(beside.shape[1:]) or own.max() >= source.shape[0]:
         raise HabitusError(
-            f"{_STILL} have shape {tuple(source.shape)}; expected that of the vertices, {tuple(beside.shape)}"
+            f"{_STILL} have shape {tuple(source.shape)}; expected that of the vertices, "
+            f"{tuple(beside.shape)}"
         )
-    return _Still(source, own, beside.factor[rows] if isinstance(beside, ScaledVertices) else np.ones(len(rows)))
+    return _Still(
+        source,
+        own,
+        beside.factor[rows] if isinstance(beside, ScaledVertices) else np.ones(len(rows)),
+    )
 
 
 def _told_by(path: Path) -> Callable[[str], Told]:
@@ -149,7 +180,9 @@ def _told_by(path: Path) -> Callable[[str], Told]:
     if path.suffix in (".h5", ".hdf5"):
         return lambda name: {**_told_by_h5(path, name), "rows": lambda rows: np.arange(len(rows))}
     if path.is_dir():
-        zarr = path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists()
+        zarr = (
+            path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists()
+        )
         told = _told_by_zarr(path) if zarr else _told_by_folder(path)
     else:
         told = _told_by_npz(path)
@@ -160,7 +193,9 @@ def _told_by_npz(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         archive = Archive(file)
         found: dict[str, Any] = {
-            _key(name): archive.read(name) for name in archive.names if _key(name) in (*_NUMBERS, _NAMES)
+            _key(name): archive.read(name)
+            for name in archive.names
+            if _key(name) in (*_NUMBERS, _NAMES)
         }
         if _STILL in archive:
             found[_STILL] = array_in_zip(path, archive, _STILL)
@@ -169,7 +204,9 @@ def _told_by_npz(path: Path) -> dict[str, Any]:
 
 def _told_by_folder(path: Path) -> dict[str, Any]:
     files = {_key(file.stem): file for file in sorted(path.glob("*.npy"))}
-    found: dict[str, Any] = {key: read_npy(files[key]) for key in (*_NUMBERS, _NAMES) if key in files}
+    found: dict[str, Any] = {
+        key: read_npy(files[key]) for key in (*_NUMBERS, _NAMES) if key in files
+    }
     if _STILL in files:
         found[_STILL] = array_in_file(files[_STILL])
     rows = next((len(found[key]) for key in ("pose", "trans") if key in found), 0)
@@ -180,21 +217,28 @@ def _told_by_zarr(path: Path) -> dict[str, Any]:
     group = require_extra("zarr", "zarr folders").open_group(str(path), mode="r")
     allowance = Allowance(folder_bytes(path))
     names = [name for name in group if _key(name) in (*_NUMBERS, _NAMES)]
-    found = {_key(name): np.asarray(zarr_array(group, path, name, allowance, whole=True)[...]) for name in names}
+    found = {
+        _key(name): np.asarray(zarr_array(group, path, name, allowance, whole=True)[...])
+        for name in names
+    }
     if _STILL in group:
         found[_STILL] = zarr_array(group, path, _STILL, allowance, whole=False)
     return _in_words(found) | {"count": group["vertices"].shape[0]}
 
 
 def _told_by_h5(path: Path, sequence: str) -> dict[str, Any]:
-    """Arrays of the group of a sequence; rate_hz, vertex_ids may stand in ``motion`` itself, for all."""
+    """Arrays of the group of a sequence; rate_hz, vertex_ids may stand in ``motion`` itself, for
+    all.
+    """
     found: dict[str, Any] = {}
     with require_extra("h5py", "HDF5 files").File(path, "r") as file:
         allowance = Allowance(path.stat().st_size)
         for place in (MOTION, f"{MOTION}/{sequence}"):
             for name in file.get(place, ()):
                 if _key(name) in _NUMBERS:
-                    found[_key(name)] = np.asarray(h5_array(file, f"{place}/{name}", allowance, whole=True)[()])
+                    found[_key(name)] = np.asarray(
+                        h5_array(file, f"{place}/{name}", allowance, whole=True)[()]
+                    )
         frames = file[sequence].shape[2]
     return found | {"count": frames}
 
@@ -207,4 +251,8 @@ def _in_words(found: dict[str, Any]) -> dict[str, Any]:
     if _NAMES not in found:
         return found
     names = np.atleast_1d(checked_texts(found[_NAMES])).ravel().tolist()
-    return found | {_NAMES: tuple(n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names)}
+    return found | {
+        _NAMES: tuple(
+            n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names
+        )
+    }

@@ -22,35 +22,47 @@ from habitus.io.units import METRES, unit_of
 from habitus.mesh.registrations import Registrations
 
 
-def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "m", every: int = 1) -> Registrations:
-    """The registrations of a path, or of several with one topology, one after the other; their vertices stay on disk.
+def open_registrations(
+    path: str | Path | Sequence[str | Path], *, unit: str = "m", every: int = 1
+) -> Registrations:
+    """The registrations of a path, or of several with one topology, one after the other; their
+    vertices stay on disk.
 
-    A path is: an ``.npz`` or a zarr group with ``vertices`` (N, V, 3), ``faces`` (F, 3), ``subject`` and, if told,
-    ``sex``, ``set``, ``name`` and ``unit`` (N,), ``weights`` of vertices, 0 to 1, (V,) or (N, V), and what is known of
-    registrations that were made (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B),
-    ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject and, if
-    told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or lies beside ``vertices.npy``,
-    ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so on; a folder of numbered meshes, ten a subject
-    (FAUST); a folder of such ``.npz``, one a person, say; an ``.h5`` of ``faces`` and sequences
-    ``<subject>_<sequence>`` of shape (V, 3, T)
-    (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers where the data
-    do not tell it. Where no set is told, a registration is of the set "pose" if its subject has several, else "shape".
-    Raises HabitusError, naming the file, for all else.
+    A path is: an ``.npz`` or a zarr group with ``vertices`` (N, V, 3), ``faces`` (F, 3),
+    ``subject`` and, if told, ``sex``, ``set``, ``name`` and ``unit`` (N,), ``weights`` of vertices,
+    0 to 1, (V,) or (N, V), and what is known of registrations that were made
+    (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B), ``rest``
+    (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject
+    and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or
+    lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so
+    on; a folder of numbered meshes, ten a subject (FAUST); a folder of such ``.npz``, one a person,
+    say; an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T) (Dyna),
+    of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers
+    where the data do not tell it. Where no set is told, a registration is of the set "pose" if its
+    subject has several, else "shape". Raises HabitusError, naming the file, for all else.
     """
     if unit_of(unit) is None:
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
     if every < 1:
         raise HabitusError(f"every {every} frames asked for; expected 1 or more")
-    paths = [each for one in ([path] if isinstance(path, str | Path) else path) for each in _archives(Path(one))]
+    paths = [
+        each
+        for one in ([path] if isinstance(path, str | Path) else path)
+        for each in _archives(Path(one))
+    ]
     if not paths:
         raise HabitusError(f"no registrations given; expected {KNOWN}")
     sources = [open_source(one, every) for one in paths]
     first = sources[0]
     for other in sources[1:]:
-        if other.vertices.shape[1] != first.vertices.shape[1] or not np.array_equal(other.faces, first.faces):
+        if other.vertices.shape[1] != first.vertices.shape[1] or not np.array_equal(
+            other.faces, first.faces
+        ):
             raise HabitusError(
-                f"{other.path}: {other.vertices.shape[1]} vertices and {len(other.faces)} faces, another topology than "
-                f"{first.path} with {first.vertices.shape[1]} and {len(first.faces)}; expected one template's"
+                f"{other.path}: {other.vertices.shape[1]} vertices and {len(other.faces)} faces, "
+                "another topology than "
+                f"{first.path} with {first.vertices.shape[1]} and {len(first.faces)}; expected "
+                "one template's"
             )
     words = {key: tuple(word for source in sources for word in source.words[key]) for key in WORDS}
     factor = np.array([METRES[unit_of(word or unit) or "m"] for word in words["unit"]])
@@ -64,7 +76,9 @@ def open_registrations(path: str | Path | Sequence[str | Path], *, unit: str = "
         name=words["name"],
         weights=_weights(sources),
         known=joined_known(
-            [source.told for source in sources], [source.words["subject"] for source in sources], factor
+            [source.told for source in sources],
+            [source.words["subject"] for source in sources],
+            factor,
         ),
     )
 
@@ -83,27 +97,41 @@ def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
         return sources[0].weights
     shapes = [tuple(source.vertices.shape[:2]) for source in sources]
     told = [1.0 if source.weights is None else source.weights for source in sources]
-    return np.concatenate([np.broadcast_to(weights, shape) for weights, shape in zip(told, shapes, strict=True)])
+    return np.concatenate(
+        [np.broadcast_to(weights, shape) for weights, shape in zip(told, shapes, strict=True)]
+    )
 
 
 def _sets(subject: Sequence[str], told: Sequence[str]) -> tuple[str, ...]:
     count = Counter(subject)
-    return tuple(word or ("pose" if count[one] > 1 else "shape") for one, word in zip(subject, told, strict=True))
+    return tuple(
+        word or ("pose" if count[one] > 1 else "shape")
+        for one, word in zip(subject, told, strict=True)
+    )
 
 
-def write_registrations(registrations: Registrations, path: str | Path, *, dtype: type = np.float32) -> None:
-    """Write registrations to an ``.npz`` (not compressed, so that it is mapped when read) or to a new folder.
+def write_registrations(
+    registrations: Registrations, path: str | Path, *, dtype: type = np.float32
+) -> None:
+    """Write registrations to an ``.npz`` (not compressed, so that it is mapped when read) or to a
+    new folder.
 
-    One registration is in memory at a time; the file or the folder is there whole or not at all. A folder holds
-    ``vertices.npy``, ``faces.npy`` and ``registrations.csv``. ``dtype`` is that of the vertices (m). Raises
-    HabitusError where nothing can be written, or the folder exists and holds something.
+    One registration is in memory at a time; the file or the folder is there whole or not at all. A
+    folder holds ``vertices.npy``, ``faces.npy`` and ``registrations.csv``. ``dtype`` is that of the
+    vertices (m). Raises HabitusError where nothing can be written, or the folder exists and holds
+    something.
     """
     target = Path(path)
     if target.suffix == ".npz":
-        with atomic_write(target) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+        with (
+            atomic_write(target) as temporary,
+            zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive,
+        ):
             with archive.open("vertices.npy", "w", force_zip64=True) as stream:
                 _write_vertices(registrations, stream, dtype)
-            arrays = {key: np.array(getattr(registrations, key), dtype=np.str_) for key in WORDS[:4]}
+            arrays = {
+                key: np.array(getattr(registrations, key), dtype=np.str_) for key in WORDS[:4]
+            }
             arrays |= _numbers(registrations)
             for key, array in {"faces": np.asarray(registrations.faces), **arrays}.items():
                 with archive.open(f"{key}.npy", "w") as stream:
@@ -115,7 +143,9 @@ def write_registrations(registrations: Registrations, path: str | Path, *, dtype
     try:
         _write_folder(registrations, target, dtype)
     except OSError as error:
-        raise HabitusError(f"cannot write {target}: {error.strerror or error}; choose another folder") from error
+        raise HabitusError(
+            f"cannot write {target}: {error.strerror or error}; choose another folder"
+        ) from error
 
 
 def _write_folder(registrations: Registrations, target: Path, dtype: type) -> None:

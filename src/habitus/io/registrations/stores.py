@@ -1,7 +1,8 @@
-"""HDF5 files and zarr folders: what they claim is held against what they hold before anything of it is read.
+"""HDF5 files and zarr folders: what they claim is held against what they hold before anything of it
+is read.
 
-Both may say that an array is larger than all disks, keep it in another file, inflate a piece of it without end, or name
-a step that runs code (zarr's codec "pickle"). Such ones are refused.
+Both may say that an array is larger than all disks, keep it in another file, inflate a piece of it
+without end, or name a step that runs code (zarr's codec "pickle"). Such ones are refused.
 """
 
 from collections.abc import Iterator
@@ -13,29 +14,52 @@ from habitus.io.limits import Allowance, array_size, check_inflated, check_prese
 
 _H5_FILTERS = {1: "gzip", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 _ZARR_STEPS = {
-    "bytes", "blosc", "zstd", "gzip", "zlib", "lz4", "crc32c", "crc32", "transpose", "shuffle", "delta", "vlen-utf8",
-}  # fmt: skip
+    "bytes",
+    "blosc",
+    "zstd",
+    "gzip",
+    "zlib",
+    "lz4",
+    "crc32c",
+    "crc32",
+    "transpose",
+    "shuffle",
+    "delta",
+    "vlen-utf8",
+}
 _INFLATING = {"gzip": 31, "zlib": 15}
 _STEEPEST = 1032  # deflate cannot grow more
 
 
 def h5_array(file: Any, name: str, allowance: Allowance, *, whole: bool) -> Any:
-    """The dataset ``name`` of an open HDF5 file; ``whole``: it will be in memory at once, else frame by frame.
+    """The dataset ``name`` of an open HDF5 file; ``whole``: it will be in memory at once, else
+    frame by frame.
 
-    Raises HabitusError where it is no plain array that lies in this file, or claims more than the file can hold.
+    Raises HabitusError where it is no plain array that lies in this file, or claims more than the
+    file can hold.
     """
-    h5py, what = require_extra("h5py", "HDF5 files"), shown(name)
+    h5py = require_extra("h5py", "HDF5 files")
+    what = shown(name)
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise HabitusError(f"{what} is a link to elsewhere; expected an array in this file")
     data = file[name]
-    if not isinstance(data, h5py.Dataset) or data.is_virtual or data.external or data.dtype.kind not in "fiu":
+    if (
+        not isinstance(data, h5py.Dataset)
+        or data.is_virtual
+        or data.external
+        or data.dtype.kind not in "fiu"
+    ):
         raise HabitusError(f"{what} is no plain array of numbers in this file; write it as one")
     made = data.id.get_create_plist()
     steps = [made.get_filter(k)[0] for k in range(made.get_nfilters())]
     odd = [str(step) for step in steps if step not in _H5_FILTERS]
     if odd:
-        raise HabitusError(f"{what} is packed with filter {', '.join(odd)}; expected {', '.join(_H5_FILTERS.values())}")
-    size, width = array_size(tuple(map(int, data.shape))), data.dtype.itemsize
+        raise HabitusError(
+            f"{what} is packed with filter {', '.join(odd)}; expected "
+            f"{', '.join(_H5_FILTERS.values())}"
+        )
+    size = array_size(tuple(map(int, data.shape)))
+    width = data.dtype.itemsize
     if data.chunks is None:
         check_present(size * width, data.id.get_storage_size(), what)
     if whole or data.chunks is not None:
@@ -47,13 +71,17 @@ def h5_array(file: Any, name: str, allowance: Allowance, *, whole: bool) -> Any:
 
 
 def _check_total(claimed: int, stored: int, what: str) -> None:
-    """A whole set of sequences may be larger than memory, but not larger than its packed pieces can be."""
+    """A whole set of sequences may be larger than memory, but not larger than its packed pieces can
+    be.
+    """
     if claimed > max(Allowance(0).most, _STEEPEST * stored):
         check_present(claimed, stored, what)
 
 
 def _check_h5_pieces(data: Any, steps: list[int], most: int, what: str) -> None:
-    """Pieces that are small enough cannot inflate far; the others are inflated once, on probation."""
+    """Pieces that are small enough cannot inflate far; the others are inflated once, on
+    probation.
+    """
     if 1 not in steps:
         return
     for k in range(data.id.get_num_chunks()):
@@ -63,9 +91,11 @@ def _check_h5_pieces(data: Any, steps: list[int], most: int, what: str) -> None:
 
 
 def zarr_array(group: Any, folder: Path, name: str, allowance: Allowance, *, whole: bool) -> Any:
-    """The array ``name`` of a zarr group in ``folder``; ``whole``: it will be in memory at once, else row by row.
+    """The array ``name`` of a zarr group in ``folder``; ``whole``: it will be in memory at once,
+    else row by row.
 
-    Raises HabitusError where it is none, is packed in a way that runs code, or claims more than the folder can hold.
+    Raises HabitusError where it is none, is packed in a way that runs code, or claims more than the
+    folder can hold.
     """
     data = group[name]
     if not hasattr(data, "metadata") or not hasattr(data, "chunks"):
@@ -74,7 +104,8 @@ def zarr_array(group: Any, folder: Path, name: str, allowance: Allowance, *, who
     odd = sorted(steps - _ZARR_STEPS)
     if odd:
         raise HabitusError(
-            f"{name} is packed with {shown(', '.join(odd))}; expected {', '.join(sorted(_ZARR_STEPS))} (no sharding)"
+            f"{name} is packed with {shown(', '.join(odd))}; expected "
+            f"{', '.join(sorted(_ZARR_STEPS))} (no sharding)"
         )
     width = max(1, getattr(data.dtype, "itemsize", 8))
     size = array_size(tuple(map(int, data.shape)))
@@ -101,13 +132,17 @@ def _steps(metadata: Any) -> Iterator[str]:
 def _pieces(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.rglob("*")):
         if path.is_symlink():
-            raise HabitusError(f"{shown(path.name)} is a link to elsewhere; expected the files of this folder")
+            raise HabitusError(
+                f"{shown(path.name)} is a link to elsewhere; expected the files of this folder"
+            )
         if path.is_file() and path.name not in ("zarr.json", ".zarray", ".zattrs"):
             yield path
 
 
 def _check_zarr_piece(piece: Path, steps: set[str], most: int, what: str) -> None:
-    """What a packed piece says that it unpacks to; where it does not say, it is inflated once, on probation."""
+    """What a packed piece says that it unpacks to; where it does not say, it is inflated once, on
+    probation.
+    """
     with piece.open("rb") as file:
         head = file.read(18)
         claimed = [_CLAIMS[step](head) for step in steps & set(_CLAIMS)]
@@ -129,7 +164,8 @@ def _zstd_claim(head: bytes) -> int:
     """The size of its content that a zstd frame names (RFC 8878, 3.1.1.1)."""
     if len(head) < 6 or head[:4] != b"\x28\xb5\x2f\xfd":
         return 0
-    kind, single = head[4] >> 6, head[4] >> 5 & 1
+    kind = head[4] >> 6
+    single = head[4] >> 5 & 1
     if kind == 0 and not single:
         raise HabitusError("a zstd frame that does not name its size; write it anew")
     begins = 5 + (0 if single else 1) + (0, 1, 2, 4)[head[4] & 3]

@@ -13,33 +13,55 @@ from habitus.io.units import METRES, unit_of
 from habitus.mesh.registrations import SETS
 
 COLUMNS = ("file", "subject", "sex", "set", "unit", "frame", "name")
-_SEXES = {"female": "female", "f": "female", "woman": "female", "w": "female", "male": "male", "m": "male"}
+_SEXES = {
+    "female": "female",
+    "f": "female",
+    "woman": "female",
+    "w": "female",
+    "male": "male",
+    "m": "male",
+}
 _SEXES |= {"man": "male", "": "", "neutral": "", "unknown": "", "-": ""}
-_SPELLINGS = {"gender": "sex", "units": "unit", "id": "subject", "split": "set", "filename": "file", "path": "file"}
+_SPELLINGS = {
+    "gender": "sex",
+    "units": "unit",
+    "id": "subject",
+    "split": "set",
+    "filename": "file",
+    "path": "file",
+}
 
 
 def read_table(path: Path) -> dict[str, tuple[str, ...]]:
-    """The columns of a table that are known, by name, a word a row; ``sex``, ``set`` and ``unit`` in one spelling.
+    """The columns of a table that are known, by name, a word a row; ``sex``, ``set`` and ``unit``
+    in one spelling.
 
-    A comma, a semicolon or a tab parts the cells. Raises HabitusError, naming the line, where a row tells no subject
-    or a word that is not known.
+    A comma, a semicolon or a tab parts the cells. Raises HabitusError, naming the line, where a row
+    tells no subject or a word that is not known.
     """
     try:
         text = read_text(path.read_bytes(), str(path))
     except OSError as error:
-        raise HabitusError(f"{path}: {error.strerror or error}; expected a table of registrations") from error
+        raise HabitusError(
+            f"{path}: {error.strerror or error}; expected a table of registrations"
+        ) from error
     check_text(len(text), str(path))
     head = text.strip().splitlines()[0]
     mark = max(",;\t", key=head.count)
     try:
         rows = list(csv.reader(io.StringIO(text, newline=""), delimiter=mark, strict=True))
     except csv.Error as error:
-        raise HabitusError(f"{path}: no table ({error}); expected cells parted by commas") from error
-    names = [_SPELLINGS.get(word, word) for word in (cell.strip().lower() for cell in (rows or [[]])[0])]
+        raise HabitusError(
+            f"{path}: no table ({error}); expected cells parted by commas"
+        ) from error
+    names = [
+        _SPELLINGS.get(word, word) for word in (cell.strip().lower() for cell in (rows or [[]])[0])
+    ]
     known = [name for name in names if name in COLUMNS]
     if "subject" not in known or len(set(known)) < len(known):
         raise HabitusError(
-            f"{path}: its columns are {shown(', '.join(names))!r}; expected each of {', '.join(COLUMNS)} at most once, "
+            f"{path}: its columns are {shown(', '.join(names))!r}; expected each of "
+            f"{', '.join(COLUMNS)} at most once, "
             "and subject"
         )
     columns: dict[str, list[str]] = {name: [] for name in known}
@@ -53,7 +75,9 @@ def read_table(path: Path) -> dict[str, tuple[str, ...]]:
 
 
 def known_word(column: str, word: str, where: str) -> str:
-    """A word of a column in the one spelling that the project uses. Raises HabitusError where it is not known."""
+    """A word of a column in the one spelling that the project uses. Raises HabitusError where it is
+    not known.
+    """
     word = word if column == "file" else plain_name(word)
     if column == "sex":
         if word.lower() not in _SEXES:
@@ -61,11 +85,15 @@ def known_word(column: str, word: str, where: str) -> str:
         return _SEXES[word.lower()]
     if column == "set":
         if word and word.lower() not in SETS:
-            raise HabitusError(f"{where}: set is {shown(word)!r}; expected one of {', '.join(SETS)}, or nothing")
+            raise HabitusError(
+                f"{where}: set is {shown(word)!r}; expected one of {', '.join(SETS)}, or nothing"
+            )
         return word.lower()
     if column == "unit":
         if word and unit_of(word) is None:
-            raise HabitusError(f"{where}: unit is {shown(word)!r}; expected one of {', '.join(METRES)}")
+            raise HabitusError(
+                f"{where}: unit is {shown(word)!r}; expected one of {', '.join(METRES)}"
+            )
         return unit_of(word) or ""
     if column in ("subject", "file") and not word:
         raise HabitusError(f"{where}: tells no {column}; expected one in every row")

@@ -1,7 +1,8 @@
 """Vertices of many registrations that stay on disk until they are asked for.
 
-All have a shape (N, V, 3), are indexed like an array along N, may be read by threads and sent to other processes (which
-open the files anew), and raise HabitusError, naming the file, where something in it cannot be read.
+All have a shape (N, V, 3), are indexed like an array along N, may be read by threads and sent to
+other processes (which open the files anew), and raise HabitusError, naming the file, where
+something in it cannot be read.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,9 @@ from habitus.mesh.registrations import Vertices
 
 
 class FileVertices:
-    """What readers of vertices have in common: rows are read one by one, open files are not sent to other processes."""
+    """What readers of vertices have in common: rows are read one by one, open files are not sent to
+    other processes.
+    """
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -38,7 +41,11 @@ class FileVertices:
         chosen = np.arange(self.shape[0])[rows]
         if chosen.ndim == 0:
             return self._one(int(chosen))
-        return np.stack([self._one(int(k)) for k in chosen]) if len(chosen) else np.zeros((0, *self.shape[1:]))
+        return (
+            np.stack([self._one(int(k)) for k in chosen])
+            if len(chosen)
+            else np.zeros((0, *self.shape[1:]))
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {key: value for key, value in self.__dict__.items() if not key.startswith("_")}
@@ -49,7 +56,9 @@ class FileVertices:
 
 @dataclass(frozen=True, eq=False)
 class MappedVertices(FileVertices):
-    """An array that lies uncompressed in a file from ``offset`` (bytes) on, its axes given by ``axes``: mapped."""
+    """An array that lies uncompressed in a file from ``offset`` (bytes) on, its axes given by
+    ``axes``: mapped.
+    """
 
     path: Path
     offset: int
@@ -60,7 +69,10 @@ class MappedVertices(FileVertices):
 
     def __post_init__(self):
         if len(self.stored) != 3:
-            raise HabitusError(f"{self.path}: its vertices have shape {self.stored}; expected three axes: (N, V, 3)")
+            raise HabitusError(
+                f"{self.path}: its vertices have shape {self.stored}; expected three axes: (N, V, "
+                "3)"
+            )
         if self.dtype.kind not in "fiu":
             raise HabitusError(f"{self.path}: its vertices are {self.dtype}; expected numbers")
 
@@ -73,7 +85,9 @@ class MappedVertices(FileVertices):
         try:
             mapped = np.memmap(self.path, self.dtype, "r", self.offset, self.stored, self.order)  # type: ignore
         except (OSError, ValueError) as error:
-            raise HabitusError(f"{self.path}: {error}; the file is not whole: copy it again") from error
+            raise HabitusError(
+                f"{self.path}: {error}; the file is not whole: copy it again"
+            ) from error
         return mapped.transpose(self.axes)
 
     def _one(self, k: int) -> np.ndarray:
@@ -95,18 +109,22 @@ class MeshVertices(FileVertices):
         vertices, faces = read_mesh(self.paths[k])
         if len(vertices) != self.vertices:
             raise HabitusError(
-                f"{self.paths[k].name}: another topology: {len(vertices)} vertices; expected {self.vertices}"
+                f"{self.paths[k].name}: another topology: {len(vertices)} vertices; expected "
+                f"{self.vertices}"
             )
         if not np.array_equal(faces, self.faces):
             raise HabitusError(
-                f"{self.paths[k].name}: another topology: its {len(faces)} faces are not those of the other files"
+                f"{self.paths[k].name}: another topology: its {len(faces)} faces are not those of "
+                "the other files"
             )
         return vertices
 
 
 @dataclass(frozen=True, eq=False)
 class SequenceVertices(FileVertices):
-    """Frames of the sequences (V, 3, T) of an HDF5 file: ``frames`` lists which sequence and frame each row is."""
+    """Frames of the sequences (V, 3, T) of an HDF5 file: ``frames`` lists which sequence and frame
+    each row is.
+    """
 
     path: Path
     vertices: int
@@ -122,7 +140,9 @@ class SequenceVertices(FileVertices):
 
     @cached_property
     def _mapped(self) -> list[MappedVertices | None]:
-        """Sequences that lie in one piece are mapped: a frame's numbers are spread over all of it."""
+        """Sequences that lie in one piece are mapped: a frame's numbers are spread over all of
+        it.
+        """
         found: list[MappedVertices | None] = []
         for name in self.sequences:
             data = self._file[name]
@@ -130,7 +150,9 @@ class SequenceVertices(FileVertices):
             plain = data.chunks is None and not data.external and data.dtype.isnative
             axes = (2, 0, 1)
             found.append(
-                MappedVertices(self.path, offset, data.dtype, data.shape, axes=axes) if plain and offset else None
+                MappedVertices(self.path, offset, data.dtype, data.shape, axes=axes)
+                if plain and offset
+                else None
             )
         return found
 
@@ -142,7 +164,9 @@ class SequenceVertices(FileVertices):
         try:
             return self._file[self.sequences[sequence]][:, :, frame]
         except (OSError, RuntimeError) as error:
-            raise HabitusError(f"{self.path}: {self.sequences[sequence]}: {error}; copy the file again") from error
+            raise HabitusError(
+                f"{self.path}: {self.sequences[sequence]}: {error}; copy the file again"
+            ) from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +177,9 @@ class ZarrVertices(FileVertices):
 
     @cached_property
     def _array(self) -> Any:
-        return require_extra("zarr", "zarr folders").open_group(str(self.path), mode="r")["vertices"]
+        return require_extra("zarr", "zarr folders").open_group(str(self.path), mode="r")[
+            "vertices"
+        ]
 
     def _shape(self) -> tuple[int, int, int]:
         return tuple(self._array.shape)
@@ -202,18 +228,25 @@ class JoinedVertices(FileVertices):
 
 
 def array_in_zip(path: Path, archive: Archive, name: str) -> np.ndarray | MappedVertices:
-    """An array of an npz: mapped where it lies uncompressed, else read. Raises HabitusError for pickled ones."""
-    place, header = archive.place(name), archive.header(name)
+    """An array of an npz: mapped where it lies uncompressed, else read. Raises HabitusError for
+    pickled ones.
+    """
+    place = archive.place(name)
+    header = archive.header(name)
     if place is None or header.dtype.hasobject:
         return archive.read(name)
     return MappedVertices(path, place, header.dtype, header.shape, "F" if header.fortran else "C")
 
 
 def array_in_file(path: Path) -> MappedVertices:
-    """A ``.npy`` file, mapped. Raises HabitusError for pickled ones, OSError where there is none."""
+    """A ``.npy`` file, mapped. Raises HabitusError for pickled ones, OSError where there is
+    none.
+    """
     with path.open("rb") as stream:
         header = mapped_header(stream, path)
-    return MappedVertices(path, header.begins, header.dtype, header.shape, "F" if header.fortran else "C")
+    return MappedVertices(
+        path, header.begins, header.dtype, header.shape, "F" if header.fortran else "C"
+    )
 
 
 def joined(sources: Sequence[Vertices]) -> Vertices:

@@ -1,4 +1,6 @@
-"""Azure Kinect's own calibration (the JSON in its recordings), for the resolutions that its modes cut out."""
+"""Azure Kinect's own calibration (the JSON in its recordings), for the resolutions that its modes
+cut out.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,7 +10,8 @@ import numpy as np
 from habitus.errors import HabitusError, shown
 from habitus.observe.camera import Camera
 
-# size of a mode's image: the size that the whole sensor is scaled to, and the first pixel of the part that is kept
+# size of a mode's image: the size that the whole sensor is scaled to, and the first pixel of the
+# part that is kept
 _DEPTH_MODES = {
     (640, 576): ((1024, 1024), (192, 180)),
     (320, 288): ((512, 512), (96, 90)),
@@ -31,17 +34,29 @@ def is_azure(table: Mapping[str, Any]) -> bool:
     return "CalibrationInformation" in table or "Cameras" in table
 
 
-def azure_cameras(table: Mapping[str, Any], where: str, size: tuple[int, int]) -> tuple[Camera, Camera]:
-    """Depth and colour camera; size: of the depth images. The colour camera is for 1280 x 720 (`resized`).
+def azure_cameras(
+    table: Mapping[str, Any], where: str, size: tuple[int, int]
+) -> tuple[Camera, Camera]:
+    """Depth and colour camera; size: of the depth images. The colour camera is for 1280 x 720
+    (`resized`).
 
     Raises HabitusError where one is missing or the resolution is none of the sensor's.
     """
     cameras = table.get("CalibrationInformation", table).get("Cameras", [])
     found = {}
     for name, purpose in (("depth", "Depth"), ("colour", "PhotoVideo")):
-        one = next((each for each in cameras if purpose in str(each.get("Purpose", each.get("Location", "")))), None)
+        one = next(
+            (
+                each
+                for each in cameras
+                if purpose in str(each.get("Purpose", each.get("Location", "")))
+            ),
+            None,
+        )
         if one is None:
-            raise HabitusError(f"{where}: holds no {name} camera; expected an Azure Kinect's calibration")
+            raise HabitusError(
+                f"{where}: holds no {name} camera; expected an Azure Kinect's calibration"
+            )
         found[name] = one
     if size not in _DEPTH_MODES:
         raise HabitusError(
@@ -58,7 +73,9 @@ def azure_cameras(table: Mapping[str, Any], where: str, size: tuple[int, int]) -
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera | None:
-    """The colour camera, made for 1280 x 720, for images of another of the sensor's resolutions; None for others."""
+    """The colour camera, made for 1280 x 720, for images of another of the sensor's resolutions;
+    None for others.
+    """
     if size not in _COLOUR_MODES:
         return None
     whole, first = _COLOUR_MODES[size]
@@ -66,19 +83,29 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera | None:
     principal = (camera.principal_point + camera.principal_point.new_tensor([0.0, 120.0])) * factor
     principal = principal - principal.new_tensor(first)
     return camera.replace(
-        width=size[0], height=size[1], focal_length=camera.focal_length * factor, principal_point=principal
+        width=size[0],
+        height=size[1],
+        focal_length=camera.focal_length * factor,
+        principal_point=principal,
     )
 
 
 def _camera(
-    table: Mapping[str, Any], where: str, size: tuple[int, int], mode: tuple[tuple[int, int], tuple[int, int]]
+    table: Mapping[str, Any],
+    where: str,
+    size: tuple[int, int],
+    mode: tuple[tuple[int, int], tuple[int, int]],
 ) -> Camera:
-    """Numbers are in widths and heights of the whole sensor; pixels' centres there are at halves."""
+    """Numbers are in widths and heights of the whole sensor; pixels' centres there are at
+    halves.
+    """
     try:
         values = [float(value) for value in table["Intrinsics"]["ModelParameters"]][: len(_ORDER)]
         p = dict(zip(_ORDER, values, strict=True))
     except (KeyError, TypeError, ValueError) as error:
-        raise HabitusError(f"{where}: its ModelParameters are {shown(error)}; expected 14 numbers a camera") from error
+        raise HabitusError(
+            f"{where}: its ModelParameters are {shown(error)}; expected 14 numbers a camera"
+        ) from error
     (width, height), (left, top) = mode
     lens = [p["k1"], p["k2"], p["p1"], p["p2"], p["k3"], p["k4"], p["k5"], p["k6"]]
     return Camera.of(
@@ -95,4 +122,6 @@ def _place(table: Mapping[str, Any], where: str) -> tuple[np.ndarray, np.ndarray
         turn = np.array(table["Rt"]["Rotation"], dtype=float).reshape(3, 3)
         return turn, np.array(table["Rt"]["Translation"], dtype=float).reshape(3)
     except (KeyError, TypeError, ValueError) as error:
-        raise HabitusError(f"{where}: its Rt is {shown(error)}; expected Rotation and Translation") from error
+        raise HabitusError(
+            f"{where}: its Rt is {shown(error)}; expected Rotation and Translation"
+        ) from error

@@ -1,6 +1,8 @@
-"""Intrinsics and extrinsics under the names of Open3D, RealSense, OpenCV, ROS and ours, as the renderer's cameras.
+"""Intrinsics and extrinsics under the names of Open3D, RealSense, OpenCV, ROS and ours, as the
+renderer's cameras.
 
-All of them count pixels' centres as whole numbers; the renderer has them at halves, so 0.5 is added.
+All of them count pixels' centres as whole numbers; the renderer has them at halves, so 0.5 is
+added.
 """
 
 from collections.abc import Mapping
@@ -16,16 +18,63 @@ from habitus.observe.camera import Camera
 from habitus.rotations import matrix_from_rotvec
 
 DEPTH = ("depth", "ir", "depth_camera", "depth_intrinsics", "infrared")
-COLOUR = ("color", "colour", "rgb", "color_camera", "colour_camera", "rgb_camera", "color_intrinsics")
-_MATRIX = ("intrinsic_matrix", "camera_matrix", "K", "k", "matrix", "cameraMatrix", "intrinsics", "intrinsic")
-_LENS = ("distortion_coefficients", "dist_coeffs", "distortion", "D", "d", "coeffs", "distCoeffs", "dist")
-_WIDTH, _HEIGHT = ("width", "image_width"), ("height", "image_height")
+COLOUR = (
+    "color",
+    "colour",
+    "rgb",
+    "color_camera",
+    "colour_camera",
+    "rgb_camera",
+    "color_intrinsics",
+)
+_MATRIX = (
+    "intrinsic_matrix",
+    "camera_matrix",
+    "K",
+    "k",
+    "matrix",
+    "cameraMatrix",
+    "intrinsics",
+    "intrinsic",
+)
+_LENS = (
+    "distortion_coefficients",
+    "dist_coeffs",
+    "distortion",
+    "D",
+    "d",
+    "coeffs",
+    "distCoeffs",
+    "dist",
+)
+_WIDTH = ("width", "image_width")
+_HEIGHT = ("height", "image_height")
 _WAY = (
-    "depth_to_color", "depth_to_colour", "depth_to_rgb", "extrinsics", "extrinsic", "T_color_depth", "T_colour_depth",
-)  # fmt: skip
+    "depth_to_color",
+    "depth_to_colour",
+    "depth_to_rgb",
+    "extrinsics",
+    "extrinsic",
+    "T_color_depth",
+    "T_colour_depth",
+)
 _FROM_COLOUR = ("color_to_depth", "colour_to_depth", "T_depth_color", "T_depth_colour")
-_SCALES = ("depth_scale", "depth_unit", "depth_units", "depth_factor", "depth_map_factor", "DepthMapFactor")
-BENT = ("brown_conrady", "modified_brown_conrady", "plumb_bob", "rational_polynomial", "opencv", "radtan")
+_SCALES = (
+    "depth_scale",
+    "depth_unit",
+    "depth_units",
+    "depth_factor",
+    "depth_map_factor",
+    "DepthMapFactor",
+)
+BENT = (
+    "brown_conrady",
+    "modified_brown_conrady",
+    "plumb_bob",
+    "rational_polynomial",
+    "opencv",
+    "radtan",
+)
 STRAIGHT = ("none", "pinhole", "")
 FARTHEST_APART = 1.0
 """Metres between the cameras of one sensor; a larger number is millimetres."""
@@ -33,8 +82,8 @@ FARTHEST_APART = 1.0
 
 @dataclass(frozen=True)
 class Rig:
-    """The cameras of a sensor: depth's, colour's if told (points of the depth camera's frame to colour pixels), and
-    metres of one step of depth if told. ``notes``: what was taken for granted.
+    """The cameras of a sensor: depth's, colour's if told (points of the depth camera's frame to
+    colour pixels), and metres of one step of depth if told. ``notes``: what was taken for granted.
     """
 
     depth: Camera | None
@@ -44,16 +93,20 @@ class Rig:
 
 
 def read_rig(table: Any, where: str, size: tuple[int, int]) -> Rig:
-    """The cameras in a description. size: width and height of depth images, where the file does not tell its own.
+    """The cameras in a description. size: width and height of depth images, where the file does not
+    tell its own.
 
     Raises HabitusError where it holds no intrinsics, or lenses that OpenCV's model does not know.
     """
     if not isinstance(table, Mapping):
-        raise HabitusError(f"{where}: holds {type(table).__name__}; expected a table of camera intrinsics")
+        raise HabitusError(
+            f"{where}: holds {type(table).__name__}; expected a table of camera intrinsics"
+        )
     if is_azure(table):
         return Rig(*azure_cameras(table, where, size), None)
     metres = scale_of(table, where)
-    depth_part, colour_part = _part(table, DEPTH), _part(table, COLOUR)
+    depth_part = _part(table, DEPTH)
+    colour_part = _part(table, COLOUR)
     if depth_part is None and colour_part is None:
         return Rig(_camera(table, where, size), None, metres)
     depth = None if depth_part is None else _camera(depth_part, f"{where}: depth", size)
@@ -63,7 +116,11 @@ def read_rig(table: Any, where: str, size: tuple[int, int]) -> Rig:
     way, notes = _way(table, where)
     if colour is not None and depth is not None:
         if way is None:
-            notes = (*notes, f"{where}: tells no way from the depth to the colour camera; they are taken as one place")
+            notes = (
+                *notes,
+                f"{where}: tells no way from the depth to the colour camera; they are taken as "
+                "one place",
+            )
         else:
             colour = colour.replace(**_placed(way))
     return Rig(depth, colour, metres, notes)
@@ -86,16 +143,29 @@ def _part(table: Mapping[str, Any], names: tuple[str, ...]) -> Mapping[str, Any]
 def _camera(table: Mapping[str, Any], where: str, size: tuple[int, int]) -> Camera:
     inner = table.get("intrinsics", table.get("intrinsic"))
     table = {**table, **inner} if isinstance(inner, Mapping) else table
-    width, height = (_whole(table, names, default) for names, default in zip((_WIDTH, _HEIGHT), size, strict=True))
+    width, height = (
+        _whole(table, names, default)
+        for names, default in zip((_WIDTH, _HEIGHT), size, strict=True)
+    )
     fx, fy, cx, cy = _focal(table, where)
-    model = str(table.get("model", table.get("distortion_model", "opencv"))).lower().removeprefix("distortion.")
+    model = (
+        str(table.get("model", table.get("distortion_model", "opencv")))
+        .lower()
+        .removeprefix("distortion.")
+    )
     lens = next((_numbers(table[name]) for name in _LENS if name in table), None)
     if lens is not None and not np.any(lens):
         lens = None
     if lens is not None and model not in BENT + STRAIGHT:
-        raise HabitusError(f"{where}: lens model {shown(model)!r}; expected one of {listed(BENT)}, or no distortion")
+        raise HabitusError(
+            f"{where}: lens model {shown(model)!r}; expected one of {listed(BENT)}, or no "
+            "distortion"
+        )
     if lens is not None and (lens.size > 14 or lens.size < 4):
-        raise HabitusError(f"{where}: {lens.size} distortion coefficients; expected 4, 5 or 8: k1 k2 p1 p2 k3 k4 k5 k6")
+        raise HabitusError(
+            f"{where}: {lens.size} distortion coefficients; expected 4, 5 or 8: k1 k2 p1 p2 k3 k4 "
+            "k5 k6"
+        )
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return Camera.from_opencv(matrix, lens, np.zeros(3), np.zeros(3), width, height)
 
@@ -114,7 +184,8 @@ def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, f
     if matrix is not None and matrix.size == 4:
         return tuple(matrix.tolist())  # type: ignore[return-value]
     raise HabitusError(
-        f"{where}: tells no intrinsics; expected fx, fy, cx, cy (or ppx, ppy), or a camera matrix of nine numbers"
+        f"{where}: tells no intrinsics; expected fx, fy, cx, cy (or ppx, ppy), or a camera matrix "
+        "of nine numbers"
     )
 
 
@@ -139,30 +210,45 @@ def _by_columns(table: Mapping[str, Any]) -> bool:
 
 def _rigid(value: Any, where: str, columns: bool) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(value, Mapping) and "data" not in value:
-        turn = next((_numbers(value[name]) for name in ("rotation", "R", "r") if name in value), np.eye(3).ravel())
-        shift = next((_numbers(value[name]) for name in ("translation", "T", "t") if name in value), np.zeros(3))
+        turn = next(
+            (_numbers(value[name]) for name in ("rotation", "R", "r") if name in value),
+            np.eye(3).ravel(),
+        )
+        shift = next(
+            (_numbers(value[name]) for name in ("translation", "T", "t") if name in value),
+            np.zeros(3),
+        )
     else:
         flat = _numbers(value)
         if flat.size not in (12, 16):
-            raise HabitusError(f"{where}: extrinsics of {flat.size} numbers; expected a matrix of 3 x 4 or 4 x 4")
+            raise HabitusError(
+                f"{where}: extrinsics of {flat.size} numbers; expected a matrix of 3 x 4 or 4 x 4"
+            )
         matrix = flat.reshape(-1, 4)
-        turn, shift = matrix[:3, :3].ravel(), matrix[:3, 3]
+        turn = matrix[:3, :3].ravel()
+        shift = matrix[:3, 3]
     if turn.size == 3:
         turn = np.asarray(matrix_from_rotvec(turn)).ravel()
     if turn.size != 9 or shift.size != 3:
         raise HabitusError(
-            f"{where}: rotation of {turn.size} and translation of {shift.size} numbers; expected 9 and 3"
+            f"{where}: rotation of {turn.size} and translation of {shift.size} numbers; expected "
+            "9 and 3"
         )
     turn = turn.reshape(3, 3).T if columns else turn.reshape(3, 3)
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2) or np.linalg.det(turn) < 0:
-        raise HabitusError(f"{where}: the extrinsics' rotation is none; expected three orthogonal rows")
+        raise HabitusError(
+            f"{where}: the extrinsics' rotation is none; expected three orthogonal rows"
+        )
     return turn, shift
 
 
-def _in_metres(turn: np.ndarray, shift: np.ndarray, backwards: bool, where: str) -> tuple[Any, tuple[str, ...]]:
+def _in_metres(
+    turn: np.ndarray, shift: np.ndarray, backwards: bool, where: str
+) -> tuple[Any, tuple[str, ...]]:
     notes = ()
     if np.linalg.norm(shift) > FARTHEST_APART:
-        shift, notes = shift / 1000.0, (f"{where}: the colour camera's place was taken as millimetres",)
+        shift = shift / 1000.0
+        notes = (f"{where}: the colour camera's place was taken as millimetres",)
     return ((turn.T, -turn.T @ shift) if backwards else (turn, shift)), notes
 
 
@@ -182,8 +268,13 @@ def scale_of(table: Any, where: str) -> float | None:
         if isinstance(table, Mapping) and name in table:
             value = _numbers(table[name])
             if value.size != 1 or not np.isfinite(value).all() or value.ravel()[0] <= 0:
-                raise HabitusError(f"{where}: {name} is {shown(table[name])}; expected 0.001 (m), or 1000 (steps a m)")
-            return float(value.ravel()[0]) if value.ravel()[0] < 1 else 1.0 / float(value.ravel()[0])
+                raise HabitusError(
+                    f"{where}: {name} is {shown(table[name])}; expected 0.001 (m), or 1000 (steps "
+                    "a m)"
+                )
+            return (
+                float(value.ravel()[0]) if value.ravel()[0] < 1 else 1.0 / float(value.ravel()[0])
+            )
     return None
 
 

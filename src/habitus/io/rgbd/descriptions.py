@@ -19,7 +19,9 @@ def read_description(path: Path) -> Any:
     except FileNotFoundError:
         raise HabitusError(f"{path}: no such file; expected camera intrinsics") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise HabitusError(f"{path}: cannot be read ({shown(error, 120)}); expected JSON or YAML") from error
+        raise HabitusError(
+            f"{path}: cannot be read ({shown(error, 120)}); expected JSON or YAML"
+        ) from error
     except HabitusError as error:
         raise HabitusError(f"{path}: is no {path.suffix[1:].upper()} ({error})") from error
 

@@ -20,7 +20,9 @@ def read_image(path: Path) -> np.ndarray:
     try:
         with Image.open(path) as image:
             if image.width * image.height > MOST_PIXELS:
-                raise HabitusError(f"{image.width} x {image.height} pixels; expected a camera's image")
+                raise HabitusError(
+                    f"{image.width} x {image.height} pixels; expected a camera's image"
+                )
             if image.mode in ("P", "1", "CMYK", "YCbCr"):
                 image = image.convert("RGB" if image.mode != "1" else "L")
             return np.array(image)
@@ -29,18 +31,25 @@ def read_image(path: Path) -> np.ndarray:
     except HabitusError as error:
         raise HabitusError(f"{path}: {error}") from error
     except Exception as error:  # a damaged file may raise anything
-        raise HabitusError(f"{path}: cannot be read as an image ({reason(error)}); get it anew") from error
+        raise HabitusError(
+            f"{path}: cannot be read as an image ({reason(error)}); get it anew"
+        ) from error
 
 
 def read_depth(path: Path, metres: float) -> Float[np.ndarray, "H W"]:
-    """Depth in metres, 0 where there is none: whole numbers of 16 bits times ``metres``, or floating numbers.
+    """Depth in metres, 0 where there is none: whole numbers of 16 bits times ``metres``, or
+    floating numbers.
 
     Raises HabitusError for colour images and for 8 bits, which hold no depth.
     """
     image = read_image(path)
     if image.ndim != 2 or image.dtype.itemsize < 2:
-        kind = f"{image.shape[2]} channels" if image.ndim == 3 else f"{8 * image.dtype.itemsize} bits"
-        raise HabitusError(f"{path}: has {kind}; expected depth in one channel of 16 bits, as a PNG")
+        kind = (
+            f"{image.shape[2]} channels" if image.ndim == 3 else f"{8 * image.dtype.itemsize} bits"
+        )
+        raise HabitusError(
+            f"{path}: has {kind}; expected depth in one channel of 16 bits, as a PNG"
+        )
     with np.errstate(invalid="ignore"):
         depth = image.astype(np.float32) * np.float32(metres)
     return np.where(np.isfinite(depth), depth, np.float32(0.0))

@@ -12,20 +12,27 @@ _BY_COUNT = {len(names): names for names in CONVENTIONS.values()}
 
 
 def read_keypoints(path: Path) -> dict[str, tuple[float, float, float]]:
-    """u, v (pixels) and confidence of each keypoint that was seen, of the clearest person in a file.
+    """u, v (pixels) and confidence of each keypoint that was seen, of the clearest person in a
+    file.
 
-    OpenPose's (people, pose_keypoints_2d; 25 points) and COCO's (annotations or a list, keypoints; 17 points). Raises
-    HabitusError for other files.
+    OpenPose's (people, pose_keypoints_2d; 25 points) and COCO's (annotations or a list, keypoints;
+    17 points). Raises HabitusError for other files.
     """
     people = [found for one in _people(read_description(path)) if (found := _points(one))]
     if not people:
-        raise HabitusError(f"{path}: holds no person; expected OpenPose's people or COCO's annotations with keypoints")
+        raise HabitusError(
+            f"{path}: holds no person; expected OpenPose's people or COCO's annotations with "
+            "keypoints"
+        )
     return max(people, key=lambda points: sum(point[2] for point in points.values()))
 
 
 def _people(table: Any) -> list[Any]:
     if isinstance(table, Mapping):
-        table = next((table[key] for key in ("people", "annotations", "predictions") if key in table), [table])
+        table = next(
+            (table[key] for key in ("people", "annotations", "predictions") if key in table),
+            [table],
+        )
     return table if isinstance(table, list) else []
 
 
@@ -41,6 +48,10 @@ def _points(person: Any) -> dict[str, tuple[float, float, float]]:
     if len(flat) != 3 * len(names):
         return {}
     rows = zip(names, zip(flat[::3], flat[1::3], flat[2::3], strict=True), strict=True)
-    scale = 0.5 if max(flat[2::3], default=0.0) > 1.0 else 1.0  # COCO's annotators write 2 for visible
+    scale = (
+        0.5 if max(flat[2::3], default=0.0) > 1.0 else 1.0
+    )  # COCO's annotators write 2 for visible
     # these conventions count pixels' centres as whole numbers
-    return {name: (u + 0.5, v + 0.5, min(scale * sure, 1.0)) for name, (u, v, sure) in rows if sure > 0}
+    return {
+        name: (u + 0.5, v + 0.5, min(scale * sure, 1.0)) for name, (u, v, sure) in rows if sure > 0
+    }

@@ -36,8 +36,8 @@ class ViewFiles:
 
 @dataclass(frozen=True)
 class FolderFiles:
-    """What a folder holds: views, the empty room's images, descriptions of cameras; metres of a step, if the layout
-    fixes it.
+    """What a folder holds: views, the empty room's images, descriptions of cameras; metres of a
+    step, if the layout fixes it.
     """
 
     views: tuple[ViewFiles, ...]
@@ -50,10 +50,16 @@ class FolderFiles:
 
 
 def find_files(folder: Path) -> FolderFiles:
-    """The views of a folder. Raises HabitusError where it holds no depth image, or colour that does not pair up."""
+    """The views of a folder. Raises HabitusError where it holds no depth image, or colour that does
+    not pair up.
+    """
     if not folder.is_dir():
-        raise HabitusError(f"{folder}: is no folder; expected one with depth images and the cameras' intrinsics")
-    descriptions = tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in DESCRIPTIONS and p.is_file()))
+        raise HabitusError(
+            f"{folder}: is no folder; expected one with depth images and the cameras' intrinsics"
+        )
+    descriptions = tuple(
+        sorted(p for p in folder.iterdir() if p.suffix.lower() in DESCRIPTIONS and p.is_file())
+    )
     if (folder / "depth.txt").is_file():
         return _tum(folder, descriptions)
     found = {kind: _images(folder, kind) for kind in KINDS}
@@ -61,7 +67,8 @@ def find_files(folder: Path) -> FolderFiles:
     colour, background_colour = _without_background(found["colour"] + _in_empty(folder, "colour"))
     if not depth:
         raise HabitusError(
-            f"{folder}: holds no depth image; expected depth/*.png, or *depth*.png, of 16 bits (docs/rgbd.md)"
+            f"{folder}: holds no depth image; expected depth/*.png, or *depth*.png, of 16 bits "
+            "(docs/rgbd.md)"
         )
     views = zip(
         depth,
@@ -71,7 +78,9 @@ def find_files(folder: Path) -> FolderFiles:
         strict=True,
     )
     cameras = tuple(p for p in descriptions if not any(p == view for view in found["keypoints"]))
-    return FolderFiles(tuple(ViewFiles(*view) for view in views), background, background_colour, cameras)
+    return FolderFiles(
+        tuple(ViewFiles(*view) for view in views), background, background_colour, cameras
+    )
 
 
 def _images(folder: Path, kind: str) -> list[Path]:
@@ -82,7 +91,9 @@ def _images(folder: Path, kind: str) -> list[Path]:
             if inner.is_dir() and inner.name.lower() == name:
                 return _sorted(p for p in inner.iterdir() if p.suffix.lower() in endings)
     words = re.compile(rf"(?<![a-z])({'|'.join(KINDS[kind])})(?![a-z])")
-    flat = [p for p in folder.iterdir() if p.suffix.lower() in endings and words.search(p.stem.lower())]
+    flat = [
+        p for p in folder.iterdir() if p.suffix.lower() in endings and words.search(p.stem.lower())
+    ]
     return _sorted(p for p in flat if p.is_file())
 
 
@@ -97,8 +108,13 @@ def _in_empty(folder: Path, kind: str) -> list[Path]:
 
 def _without_background(paths: list[Path]) -> tuple[list[Path], Path | None]:
     """Views, and the first image that is named as the empty room's."""
-    empty = [p for p in paths if _BACKGROUND.search(p.stem.lower()) or p.parent.name.lower() in EMPTY
-             or p.parent.parent.name.lower() in EMPTY]  # fmt: skip
+    empty = [
+        p
+        for p in paths
+        if _BACKGROUND.search(p.stem.lower())
+        or p.parent.name.lower() in EMPTY
+        or p.parent.parent.name.lower() in EMPTY
+    ]
     return [p for p in paths if p not in empty], empty[0] if empty else None
 
 
@@ -111,8 +127,10 @@ def _paired(depth: list[Path], others: list[Path], what: str, folder: Path) -> l
         return [numbered[_number(path)] for path in depth]
     if len(others) != len(depth):
         raise HabitusError(
-            f"{folder}: {len(depth)} depth and {len(others)} {what} images whose names do not pair up "
-            f"({listed(path.name for path in others)}); give each view one, with the same number in its name"
+            f"{folder}: {len(depth)} depth and {len(others)} {what} images whose names do not "
+            "pair up "
+            f"({listed(path.name for path in others)}); give each view one, with the same number "
+            "in its name"
         )
     return list(others)
 
@@ -125,21 +143,35 @@ def _number(path: Path) -> str:
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:
     """By numbers in names, as people count."""
-    return sorted(paths, key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
+    return sorted(
+        paths,
+        key=lambda p: [
+            int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)
+        ],
+    )
 
 
 def _tum(folder: Path, descriptions: tuple[Path, ...]) -> FolderFiles:
-    """Lists of time stamps and files, as TUM's RGB-D benchmark has them; colour of the nearest time."""
-    depth, colour = _list(folder / "depth.txt", folder), []
+    """Lists of time stamps and files, as TUM's RGB-D benchmark has them; colour of the nearest
+    time.
+    """
+    depth = _list(folder / "depth.txt", folder)
+    colour = []
     if (folder / "rgb.txt").is_file():
         colour = _list(folder / "rgb.txt", folder)
     views = []
     for time, path in depth:
         near = min(colour, key=lambda other: abs(other[0] - time), default=None)
-        views.append(ViewFiles(path, near[1] if near is not None and abs(near[0] - time) < TUM_APART else None))
+        views.append(
+            ViewFiles(
+                path, near[1] if near is not None and abs(near[0] - time) < TUM_APART else None
+            )
+        )
     notes = ("TUM's layout: 5000 steps of depth a metre",)
     if not views:
-        raise HabitusError(f"{folder / 'depth.txt'}: lists no image; expected lines of a time stamp and a file")
+        raise HabitusError(
+            f"{folder / 'depth.txt'}: lists no image; expected lines of a time stamp and a file"
+        )
     return FolderFiles(tuple(views), None, None, descriptions, TUM_METRES, "tum", notes)
 
 
@@ -153,5 +185,7 @@ def _list(path: Path, folder: Path) -> list[tuple[float, Path]]:
         try:
             found.append((float(words[0]), folder / inside(words[1])))
         except (ValueError, IndexError):
-            raise HabitusError(f"{path}: the line {line[:60]!r}; expected a time stamp and a file") from None
+            raise HabitusError(
+                f"{path}: the line {line[:60]!r}; expected a time stamp and a file"
+            ) from None
     return found

@@ -1,4 +1,6 @@
-"""Reads a folder of depth and colour images of one person, with the cameras' intrinsics: an `RgbdCapture`."""
+"""Reads a folder of depth and colour images of one person, with the cameras' intrinsics: an
+`RgbdCapture`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,48 +41,73 @@ def read_views(
     depth_unit: float | None = None,
     cameras: PathLike | None = None,
 ) -> RgbdCapture:
-    """The views in a folder: `docs/rgbd.md` tells the layouts (ours, Open3D's, TUM's) and the names in descriptions.
+    """The views in a folder: `docs/rgbd.md` tells the layouts (ours, Open3D's, TUM's) and the names
+    in descriptions.
 
-    views: which of them, counted from 0; by itself up to 12, spread evenly. depth_unit: metres of one step, where no
-    file tells it or tells it wrongly. cameras: a description elsewhere. Raises HabitusError with the file named.
+    views: which of them, counted from 0; by itself up to 12, spread evenly. depth_unit: metres of
+    one step, where no file tells it or tells it wrongly. cameras: a description elsewhere. Raises
+    HabitusError with the file named.
     """
     source = Path(folder)
     files = find_files(source)
     chosen = _chosen(files.views, views, source)
     notes = list(files.notes)
     if len(chosen) < len(files.views) and views is None:
-        notes.append(f"{len(files.views)} views are there; {len(chosen)} of them, spread evenly, are used")
+        notes.append(
+            f"{len(files.views)} views are there; {len(chosen)} of them, spread evenly, are used"
+        )
     paths = files.descriptions if cameras is None else (Path(cameras),)
     shape = read_depth(chosen[0].depth, 1.0).shape
-    rig = _rig([_Told(path, read_description(path)) for path in paths], (shape[1], shape[0]), source)
+    rig = _rig(
+        [_Told(path, read_description(path)) for path in paths], (shape[1], shape[0]), source
+    )
     notes += rig.notes
-    metres = next((value for value in (depth_unit, rig.metres, files.metres) if value is not None), MILLIMETRE)
+    metres = next(
+        (value for value in (depth_unit, rig.metres, files.metres) if value is not None), MILLIMETRE
+    )
     if depth_unit is None and rig.metres is None and files.metres is None:
         notes.append("no file tells the unit of depth; millimetres were assumed (--depth-unit)")
     made = tuple(_view(one, files, rig, metres, source) for one in chosen)
     _check_distance(made, metres, source)
-    if rig.colour is None and any(one.colour for one in chosen) and all(view.colour is None for view in made):
-        notes.append("colour images were left out: no file tells their camera, and they are not of the depth's size")
+    if (
+        rig.colour is None
+        and any(one.colour for one in chosen)
+        and all(view.colour is None for view in made)
+    ):
+        notes.append(
+            "colour images were left out: no file tells their camera, and they are not of the "
+            "depth's size"
+        )
     return RgbdCapture(plain_name(source.resolve().name), made, tuple(notes))
 
 
-def _chosen(found: tuple[ViewFiles, ...], wanted: Sequence[int] | None, source: Path) -> list[ViewFiles]:
+def _chosen(
+    found: tuple[ViewFiles, ...], wanted: Sequence[int] | None, source: Path
+) -> list[ViewFiles]:
     if wanted is None:
-        picked = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_VIEWS)).round().astype(int))
+        picked = np.unique(
+            np.linspace(0, len(found) - 1, min(len(found), MOST_VIEWS)).round().astype(int)
+        )
         return [found[k] for k in picked]
     for k in wanted:
         if not 0 <= k < len(found):
-            raise HabitusError(f"{source}: there is no view {k}; it has {len(found)}, counted from 0")
+            raise HabitusError(
+                f"{source}: there is no view {k}; it has {len(found)}, counted from 0"
+            )
     return [found[k] for k in wanted]
 
 
 def _rig(told: list[_Told], size: tuple[int, int], source: Path) -> Rig:
     """The cameras out of all descriptions: one file for both, or one each."""
     apart = {"depth": DEPTH, "colour": COLOUR}
-    named = {kind: [one for one in told if any(w in one.path.stem.lower() for w in w_)] for kind, w_ in apart.items()}
+    named = {
+        kind: [one for one in told if any(w in one.path.stem.lower() for w in w_)]
+        for kind, w_ in apart.items()
+    }
     if named["depth"] and named["colour"] and named["depth"][0] is not named["colour"][0]:
         return _of_two(named["depth"][0], named["colour"][0], told, size)
-    problems, notes = [], ()
+    problems = []
+    notes = ()
     for one in told:
         try:
             rig = read_rig(one.table, str(one.path), size)
@@ -95,20 +122,24 @@ def _rig(told: list[_Told], size: tuple[int, int], source: Path) -> Rig:
     if problems:
         raise HabitusError(problems[0])
     raise HabitusError(
-        f"{source}: holds no intrinsics; expected a .json or .yaml with fx, fy, cx, cy or a camera matrix "
+        f"{source}: holds no intrinsics; expected a .json or .yaml with fx, fy, cx, cy or a "
+        "camera matrix "
         "(docs/rgbd.md), or --cameras FILE"
     )
 
 
 def _of_two(depth: _Told, colour: _Told, told: list[_Told], size: tuple[int, int]) -> Rig:
-    one, other = read_rig(depth.table, str(depth.path), size), read_rig(colour.table, str(colour.path), size)
+    one = read_rig(depth.table, str(depth.path), size)
+    other = read_rig(colour.table, str(colour.path), size)
     assert one.depth is not None or one.colour is not None
-    camera, notes = other.colour or other.depth, (*one.notes, *other.notes)
+    camera = other.colour or other.depth
+    notes = (*one.notes, *other.notes)
     metres = one.metres or next((r for each in told if (r := _metres(each, size))), None)
     for each in told:
         if camera is not None:
             moved, more = placed(camera, each.table, str(each.path))
-            camera, notes = moved, (*notes, *more)
+            camera = moved
+            notes = (*notes, *more)
     return Rig(one.depth or one.colour, camera, metres, notes)
 
 
@@ -123,7 +154,9 @@ def _view(one: ViewFiles, files: FolderFiles, rig: Rig, metres: float, source: P
     depth = read_depth(one.depth, metres)
     camera = _of_size(rig.depth, (depth.shape[1], depth.shape[0]), one.depth)
     colour = None if one.colour is None else read_colour(one.colour)
-    colour_camera = None if colour is None else _colour_camera(rig, camera, (colour.shape[1], colour.shape[0]))
+    colour_camera = (
+        None if colour is None else _colour_camera(rig, camera, (colour.shape[1], colour.shape[0]))
+    )
     background = None if files.background is None else read_depth(files.background, metres)
     empty = None
     if files.background_colour is not None and colour_camera is not None:
@@ -142,14 +175,17 @@ def _view(one: ViewFiles, files: FolderFiles, rig: Rig, metres: float, source: P
 
 
 def _of_size(camera: Camera | None, size: tuple[int, int], path: Path) -> Camera:
-    """The camera for images of this size: as it is, or scaled where the sides are in one proportion."""
+    """The camera for images of this size: as it is, or scaled where the sides are in one
+    proportion.
+    """
     assert camera is not None
     factor = size[0] / camera.width
     if (camera.width, camera.height) == size:
         return camera
     if abs(camera.height * factor - size[1]) > 1.0:
         raise HabitusError(
-            f"{path}: {size[0]} x {size[1]} pixels, the intrinsics are for {camera.width} x {camera.height}; "
+            f"{path}: {size[0]} x {size[1]} pixels, the intrinsics are for {camera.width} x "
+            f"{camera.height}; "
             "give those of this resolution"
         )
     return camera.scaled(factor).replace(width=size[0], height=size[1])
@@ -160,7 +196,9 @@ def _colour_camera(rig: Rig, depth: Camera, size: tuple[int, int]) -> Camera | N
         return depth if (depth.width, depth.height) == size else None
     if (rig.colour.width, rig.colour.height) == size:
         return rig.colour
-    found = resized(rig.colour, size) if (rig.colour.width, rig.colour.height) == (1280, 720) else None
+    found = (
+        resized(rig.colour, size) if (rig.colour.width, rig.colour.height) == (1280, 720) else None
+    )
     return found or _of_size(rig.colour, size, Path("colour"))
 
 
@@ -169,11 +207,13 @@ def _check_distance(views: tuple[DepthView, ...], metres: float, source: Path) -
         seen = view.depth[view.depth > 0]
         if not len(seen):
             raise HabitusError(
-                f"{source}: {view.name}: no depth within 12 m at {metres:g} m a step; is the unit right (--depth-unit)?"
+                f"{source}: {view.name}: no depth within 12 m at {metres:g} m a step; is the unit "
+                "right (--depth-unit)?"
             )
         middle = float(np.median(seen))
         if not LIKELY[0] < middle < LIKELY[1]:
             raise HabitusError(
-                f"{source}: {view.name}: the middle of its depth is {middle:.3g} m at {metres:g} m a step; expected "
+                f"{source}: {view.name}: the middle of its depth is {middle:.3g} m at {metres:g} "
+                "m a step; expected "
                 f"{LIKELY[0]:g} to {LIKELY[1]:g} m: is the unit right (--depth-unit)?"
             )

@@ -15,7 +15,8 @@ from habitus.types import PathLike
 
 
 def write_views(capture: RgbdCapture, folder: PathLike, unit: float = 0.001) -> None:
-    """depth/ and color/ images of the views and of the empty room, and cameras.json. All views share their cameras.
+    """depth/ and color/ images of the views and of the empty room, and cameras.json. All views
+    share their cameras.
 
     Raises HabitusError where the folder cannot be written.
     """
@@ -54,5 +55,14 @@ def _write(path: Path, image: np.ndarray) -> None:
 
 def _told(camera: Camera) -> dict[str, Any]:
     (fx, fy), (cx, cy) = camera.focal_length.tolist(), camera.principal_point.tolist()
-    found = {"width": camera.width, "height": camera.height, "fx": fx, "fy": fy, "cx": cx - 0.5, "cy": cy - 0.5}
-    return found if camera.distortion is None else {**found, "distortion": camera.distortion.tolist()}
+    found = {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": fx,
+        "fy": fy,
+        "cx": cx - 0.5,
+        "cy": cy - 0.5,
+    }
+    return (
+        found if camera.distortion is None else {**found, "distortion": camera.distortion.tolist()}
+    )

@@ -1,4 +1,6 @@
-"""Datagrams and when they were there: as the kernel says where it does (Linux), else when they are read."""
+"""Datagrams and when they were there: as the kernel says where it does (Linux), else when they are
+read.
+"""
 
 import socket
 import struct
@@ -12,7 +14,9 @@ _FORM = struct.Struct("@qq")
 
 
 def stamped(one: socket.socket) -> socket.socket:
-    """The socket with much room for what waits, its datagrams stamped with the time where that can be had."""
+    """The socket with much room for what waits, its datagrams stamped with the time where that can
+    be had.
+    """
     one.setblocking(False)
     one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
     if sys.platform == "linux":
@@ -21,7 +25,9 @@ def stamped(one: socket.socket) -> socket.socket:
 
 
 def received(one: socket.socket) -> tuple[bytes, float] | None:
-    """A datagram and its time of arrival on the clock of `time.perf_counter`; None where none is there."""
+    """A datagram and its time of arrival on the clock of `time.perf_counter`; None where none is
+    there.
+    """
     try:
         if not hasattr(one, "recvmsg"):
             return one.recv(_LARGEST), time.perf_counter()

@@ -16,7 +16,9 @@ from habitus.io.streams.source import Frame, heading
 
 PORT = 1510
 PATIENCE_S = 3.0
-_TRY_S, _ANSWER_S, _ALIVE_S = 0.3, 0.3, 1.0
+_TRY_S = 0.3
+_ANSWER_S = 0.3
+_ALIVE_S = 1.0
 _UNITS = {1000: "m", 10: "cm", 1: "mm"}
 _MOST = 1000
 """Packets that are taken at once."""
@@ -31,21 +33,30 @@ class NatNet:
     patient = False
 
     def __init__(self, address: object = None, rate_hz: float | None = None):
-        self._to, self.ended, self.bad = host_and_port(address, PORT), False, 0
+        self._to = host_and_port(address, PORT)
+        self.ended = False
+        self.bad = 0
         self.name = f"natnet {self._to[0]}:{self._to[1]}"
         self._command = stamped(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         self._sockets = [self._command]
         try:
-            self._server = natnet.read_server(self._asked(natnet.connect_message(), natnet.SERVER_INFO))
+            self._server = natnet.read_server(
+                self._asked(natnet.connect_message(), natnet.SERVER_INFO)
+            )
             if self._server.version < natnet.OLDEST:
                 spoken = ".".join(map(str, self._server.version))
-                raise HabitusError(f"{self.name}: {self._server.name} speaks NatNet {spoken}; expected 3.0 or later")
+                raise HabitusError(
+                    f"{self.name}: {self._server.name} speaks NatNet {spoken}; expected 3.0 or "
+                    "later"
+                )
             if self._server.group is not None:
                 self._sockets.append(_joined(self._server.group, self._server.data_port, self._to))
             self._describe(rate_hz)
         except natnet.BadPacket as error:
             self.close()
-            raise HabitusError(f"{self.name}: its answer is no NatNet ({error}); check the address") from None
+            raise HabitusError(
+                f"{self.name}: its answer is no NatNet ({error}); check the address"
+            ) from None
         except BaseException:
             self.close()
             raise
@@ -93,23 +104,32 @@ class NatNet:
         return [Frame(found.number, at, points, self._heading)]
 
     def _doubted(self, now: float) -> bool:
-        """Whether another model definition is being waited for: until then nobody knows which marker is which."""
+        """Whether another model definition is being waited for: until then nobody knows which
+        marker is which.
+        """
         if self._stale and now - self._asked_at > _ANSWER_S:
-            self._asked_at, self._stale, self._waiting = now, False, True
+            self._asked_at = now
+            self._stale = False
+            self._waiting = True
             self._send(natnet.message(natnet.REQUEST_MODEL))
         return self._waiting and now - self._asked_at <= _ANSWER_S
 
     def _describe(self, rate_hz: float | None) -> None:
         """Ask for what frames do not tell: rate, unit, up axis, labels."""
-        self._alive, self._asked_at, self._stale, self._waiting = -np.inf, -np.inf, False, False
+        self._alive = -np.inf
+        self._asked_at = -np.inf
+        self._stale = False
+        self._waiting = False
         rate, unit, up = (self._property(name, form) for name, form in _PROPERTIES)
-        self._rate, self._model = rate_hz or (rate if rate and rate > 0 else None), natnet.Model((), {}, {})
+        self._rate = rate_hz or (rate if rate and rate > 0 else None)
+        self._model = natnet.Model((), {}, {})
         self._unit = _UNITS.get(round(unit or 1000), "m")
         self._up = None if up is None or up not in (0, 1, 2) else f"+{'xyz'[int(up)]}"
         self._take_model(self._asked(natnet.message(natnet.REQUEST_MODEL), natnet.MODEL))
         if not self._model.labels:
             raise HabitusError(
-                f"{self.name}: {self._server.name} describes no markers; create a skeleton there, and stream "
+                f"{self.name}: {self._server.name} describes no markers; create a skeleton there, "
+                "and stream "
                 "labelled markers"
             )
 
@@ -124,7 +144,9 @@ class NatNet:
     def _property(self, name: str, form: str) -> float | None:
         """The server's answer to a question, None where it has none."""
         with suppress(HabitusError):
-            answer = self._asked(natnet.message(natnet.REQUEST, name.encode() + b"\0"), natnet.RESPONSE, _ANSWER_S)
+            answer = self._asked(
+                natnet.message(natnet.REQUEST, name.encode() + b"\0"), natnet.RESPONSE, _ANSWER_S
+            )
             if len(answer) >= 8:
                 return float(struct.unpack_from(form, answer, 4)[0])
         return None
@@ -146,7 +168,8 @@ class NatNet:
                     if found == natnet.UNRECOGNISED:
                         until = 0.0
         raise HabitusError(
-            f"{self.name}: no answer within {patience:g} s; is Motive running there, does it stream, "
+            f"{self.name}: no answer within {patience:g} s; is Motive running there, does it "
+            "stream, "
             "and does no firewall stand between?"
         )
 
@@ -155,7 +178,9 @@ class NatNet:
             self._command.sendto(packet, self._to)
         except OSError as error:
             why = error.strerror or error
-            raise HabitusError(f"{self.name}: cannot be reached ({why}); check the address") from None
+            raise HabitusError(
+                f"{self.name}: cannot be reached ({why}); check the address"
+            ) from None
 
 
 _PROPERTIES = (("FrameRate", "<f"), ("UnitsToMillimeters", "<f"), ("UpAxis", "<i"))
@@ -170,10 +195,15 @@ def _joined(group: str, port: int, server: tuple[str, int]) -> socket.socket:
             local = way.getsockname()[0]
         data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         data.bind(("", port))
-        data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + socket.inet_aton(local))
+        data.setsockopt(
+            socket.IPPROTO_IP,
+            socket.IP_ADD_MEMBERSHIP,
+            socket.inet_aton(group) + socket.inet_aton(local),
+        )
     except OSError as error:
         data.close()
         raise HabitusError(
-            f"natnet: the multicast group {group}:{port} cannot be joined ({error.strerror or error}); choose unicast"
+            f"natnet: the multicast group {group}:{port} cannot be joined "
+            f"({error.strerror or error}); choose unicast"
         ) from None
     return data

@@ -1,8 +1,10 @@
-"""NatNet packets, as OptiTrack's Motive sends them: what is in them of markers, for bitstream versions 3.0 to 4.2.
+"""NatNet packets, as OptiTrack's Motive sends them: what is in them of markers, for bitstream
+versions 3.0 to 4.2.
 
-The package natnet is not used: it takes a fifth of a millisecond for five markers, reads nine of a force plate's twelve
-corner coordinates, so that what stands behind a plate in a model definition is garbage, and a packet that it cannot
-read ends the thread that receives. All numbers are little-endian.
+The package natnet is not used: it takes a fifth of a millisecond for five markers, reads nine of a
+force plate's twelve corner coordinates, so that what stands behind a plate in a model definition is
+garbage, and a packet that it cannot read ends the thread that receives. All numbers are
+little-endian.
 """
 
 import struct
@@ -13,12 +15,23 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-CONNECT, SERVER_INFO, REQUEST, RESPONSE, REQUEST_MODEL, MODEL, FRAME = 0, 1, 2, 3, 4, 5, 7
-KEEP_ALIVE, UNRECOGNISED = 10, 100
+CONNECT = 0
+SERVER_INFO = 1
+REQUEST = 2
+RESPONSE = 3
+REQUEST_MODEL = 4
+MODEL = 5
+FRAME = 7
+KEEP_ALIVE = 10
+UNRECOGNISED = 100
 OLDEST = (3, 0)
 
-_LABELLED = np.dtype([("id", "<u4"), ("place", "<f4", 3), ("size", "<f4"), ("flags", "<u2"), ("residual", "<f4")])
-_OCCLUDED, _UNLABELLED, _MODELS_CHANGED = 0x01, 0x10, 0x02
+_LABELLED = np.dtype(
+    [("id", "<u4"), ("place", "<f4", 3), ("size", "<f4"), ("flags", "<u2"), ("residual", "<f4")]
+)
+_OCCLUDED = 0x01
+_UNLABELLED = 0x10
+_MODELS_CHANGED = 0x02
 _BONE = 4 + 28 + 4 + 2
 """Bytes of a rigid body in a frame: id, place and quaternion, error, flags."""
 
@@ -28,7 +41,9 @@ class BadPacket(Exception):
 
 
 class Server(NamedTuple):
-    """Who answers: the program, its bitstream version, and where its frames go (multicast group None for unicast)."""
+    """Who answers: the program, its bitstream version, and where its frames go (multicast group
+    None for unicast).
+    """
 
     name: str
     version: tuple[int, int]
@@ -38,8 +53,8 @@ class Server(NamedTuple):
 
 @dataclass(frozen=True)
 class Model:
-    """A model definition: labels ``set:marker`` (P,) of all marker sets, where each set begins, and which model's id in
-    frames is which set's (set name -> first column and count; id -> set name).
+    """A model definition: labels ``set:marker`` (P,) of all marker sets, where each set begins, and
+    which model's id in frames is which set's (set name -> first column and count; id -> set name).
     """
 
     labels: tuple[str, ...]
@@ -48,7 +63,9 @@ class Model:
 
 
 class Markers(NamedTuple):
-    """A frame: its number, points (P, 3), NaN where missing, and whether the server says that its models changed."""
+    """A frame: its number, points (P, 3), NaN where missing, and whether the server says that its
+    models changed.
+    """
 
     number: int
     points: Float[np.ndarray, "P 3"]
@@ -59,7 +76,8 @@ class _Reader:
     """A cursor over a packet's bytes."""
 
     def __init__(self, data: bytes, at: int = 4):
-        self.data, self.at = data, at
+        self.data = data
+        self.at = at
 
     def skip(self, size: int) -> None:
         if size < 0 or self.at + size > len(self.data):
@@ -67,7 +85,8 @@ class _Reader:
         self.at += size
 
     def take(self, form: str) -> tuple:
-        at, size = self.at, struct.calcsize("<" + form)
+        at = self.at
+        size = struct.calcsize("<" + form)
         self.skip(size)
         return struct.unpack_from("<" + form, self.data, at)
 
@@ -82,7 +101,8 @@ class _Reader:
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise BadPacket("cut off")
-        found, self.at = self.data[self.at : end].decode("utf-8", "replace"), end + 1
+        found = self.data[self.at : end].decode("utf-8", "replace")
+        self.at = end + 1
         return found
 
     def array(self, kind: np.dtype, count: int) -> np.ndarray:
@@ -97,7 +117,9 @@ def message(kind: int, payload: bytes = b"") -> bytes:
 
 
 def connect_message(name: bytes = b"habitus") -> bytes:
-    """What asks a server who it is: a name of 256 bytes, a version, and the bitstream version that is understood."""
+    """What asks a server who it is: a name of 256 bytes, a version, and the bitstream version that
+    is understood.
+    """
     return message(CONNECT, name.ljust(256, b"\0") + bytes((0, 0, 0, 0)) + bytes((*OLDEST, 0, 0)))
 
 
@@ -126,7 +148,9 @@ def read_server(packet: bytes) -> Server:
 
 def read_model(packet: bytes, version: tuple[int, int]) -> Model:
     """A model definition. Raises BadPacket."""
-    reader, sets, ids = _Reader(packet), dict[str, list[str]](), dict[int, str]()
+    reader = _Reader(packet)
+    sets = dict[str, list[str]]()
+    ids = dict[int, str]()
     for _ in range(reader.count(4)):
         (kind,) = reader.take("i")
         end = None
@@ -148,11 +172,14 @@ def read_model(packet: bytes, version: tuple[int, int]) -> Model:
 
 def _model(sets: Mapping[str, list[str]], ids: Mapping[int, str]) -> Model:
     """Without the set of all markers, which repeats those of the others."""
-    labels, places = list[str](), {}
+    labels = list[str]()
+    places = {}
     for name, markers in sets.items():
         if name.lower() != "all" or len(sets) == 1:
             places[name] = (len(labels), len(markers))
-            labels += [f"{name}:{marker.removeprefix(name).lstrip('_:') or marker}" for marker in markers]
+            labels += [
+                f"{name}:{marker.removeprefix(name).lstrip('_:') or marker}" for marker in markers
+            ]
     return Model(tuple(labels), places, {id_: name for id_, name in ids.items() if name in places})
 
 
@@ -213,7 +240,8 @@ _DESCRIPTIONS = {1: _bone, 2: _skeleton, 3: _plate, 4: _device, 5: _camera, 6: _
 
 def read_frame(packet: bytes, version: tuple[int, int], model: Model) -> Markers:
     """A frame's markers on a model. Raises BadPacket."""
-    reader, points = _Reader(packet), np.full((len(model.labels), 3), np.nan)
+    reader = _Reader(packet)
+    points = np.full((len(model.labels), 3), np.nan)
     sized = version >= (4, 1)
     (number,) = reader.take("i")
     _read_sets(reader, sized, model, points)
@@ -245,20 +273,26 @@ def _section(reader: _Reader, sized: bool) -> int:
 
 
 def _read_sets(reader: _Reader, sized: bool, model: Model, points: np.ndarray) -> None:
-    """Places by marker sets: they count for sets whose markers are not told one by one, with what is occluded."""
+    """Places by marker sets: they count for sets whose markers are not told one by one, with what
+    is occluded.
+    """
     told = set(model.ids.values())
     for _ in range(_section(reader, sized)):
-        name, count = reader.text(), reader.count(12)
+        name = reader.text()
+        count = reader.count(12)
         places = reader.array(np.dtype("<f4"), 3 * count).reshape(-1, 3)
         first, size = model.sets.get(name, (0, -1))
         if size == count and name not in told:
-            points[first : first + count] = np.where(places.any(axis=1, keepdims=True), places, np.nan)
+            points[first : first + count] = np.where(
+                places.any(axis=1, keepdims=True), places, np.nan
+            )
 
 
 def _place(markers: np.ndarray, model: Model, points: np.ndarray) -> None:
     """Labelled markers that are seen, not filled in by the program, at their columns."""
     seen = markers[(markers["flags"] & (_OCCLUDED | _UNLABELLED)) == 0]
-    owner, index = seen["id"] >> 16, (seen["id"] & 0xFFFF).astype(np.int64) - 1
+    owner = seen["id"] >> 16
+    index = (seen["id"] & 0xFFFF).astype(np.int64) - 1
     for id_, name in model.ids.items():
         first, count = model.sets[name]
         mine = (owner == id_) & (index >= 0) & (index < count)

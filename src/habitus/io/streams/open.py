@@ -11,14 +11,17 @@ SOURCES = ("replay", "natnet", "qtm")
 def open_source(kind: str, address: PathLike | None, rate_hz: float | None) -> Source:
     """A source that is listened to from now on.
 
-    kind: one of `SOURCES`. address: a file for "replay", else a host with or without ``:port``. rate_hz: how fast a
-    file is played. Raises HabitusError where nothing is there, in time or at all.
+    kind: one of `SOURCES`. address: a file for "replay", else a host with or without ``:port``.
+    rate_hz: how fast a file is played. Raises HabitusError where nothing is there, in time or at
+    all.
     """
     if kind not in SOURCES:
         raise HabitusError(f"there is no source {kind!r}; expected one of {', '.join(SOURCES)}")
     if kind == "replay":
         if address is None:
-            raise HabitusError("replay: no capture was given; expected a file (C3D, TRC, CSV, TSV or npz)")
+            raise HabitusError(
+                "replay: no capture was given; expected a file (C3D, TRC, CSV, TSV or npz)"
+            )
         return Replay(address, rate_hz)
     if kind == "natnet":
         from habitus.io.streams.natnet import NatNet

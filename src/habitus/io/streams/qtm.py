@@ -26,8 +26,8 @@ _ENDS = "EventQTMShuttingDown"
 class Qtm:
     """Frames of a Qualisys Track Manager. rate_hz: where it is not what the program says.
 
-    Raises HabitusError where qtm-rt is not installed, nobody answers within `PATIENCE_S`, or no labelled markers are
-    told.
+    Raises HabitusError where qtm-rt is not installed, nobody answers within `PATIENCE_S`, or no
+    labelled markers are told.
     """
 
     patient = False
@@ -35,11 +35,15 @@ class Qtm:
     def __init__(self, address: object = None, rate_hz: float | None = None):
         self._qtm = require_extra("qtm_rt", "QTM streams", "live")
         self._host, self._port = host_and_port(address, PORT)
-        self.name, self.ended, self.bad = f"qtm {self._host}:{self._port}", False, 0
-        self._rate, self._frames = rate_hz, queue.SimpleQueue[Frame]()
+        self.name = f"qtm {self._host}:{self._port}"
+        self.ended = False
+        self.bad = 0
+        self._rate = rate_hz
+        self._frames = queue.SimpleQueue[Frame]()
         self._heading: RawPoints | None = None
         self._asking: asyncio.Task[None] | None = None
-        self._loop, self._connection = asyncio.new_event_loop(), None
+        self._loop = asyncio.new_event_loop()
+        self._connection = None
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         try:
@@ -52,7 +56,9 @@ class Qtm:
         """The frames that are there."""
         found: list[Frame] = []
         try:
-            found.append(self._frames.get(timeout=timeout) if timeout > 0 else self._frames.get_nowait())
+            found.append(
+                self._frames.get(timeout=timeout) if timeout > 0 else self._frames.get_nowait()
+            )
             while True:
                 found.append(self._frames.get_nowait())
         except queue.Empty:
@@ -71,7 +77,9 @@ class Qtm:
             self._loop.close()
 
     def _done(self, work: Any, patience: float) -> Any:
-        """The result of some asynchronous work. Raises HabitusError where it takes too long or the program refuses."""
+        """The result of some asynchronous work. Raises HabitusError where it takes too long or the
+        program refuses.
+        """
         future = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result(patience)
@@ -79,34 +87,51 @@ class Qtm:
             raise
         except TimeoutError:
             future.cancel()
-            raise HabitusError(f"{self.name}: no answer within {patience:g} s; is QTM's real-time output on?") from None
+            raise HabitusError(
+                f"{self.name}: no answer within {patience:g} s; is QTM's real-time output on?"
+            ) from None
         except Exception as error:  # qtm-rt's own, and asyncio's
             raise HabitusError(f"{self.name}: {error}; check QTM's real-time output") from None
 
     async def _begin(self) -> None:
         connect = self._qtm.connect(
-            self._host, self._port, _VERSION, on_event=self._on_event, on_disconnect=self._on_end, timeout=PATIENCE_S
+            self._host,
+            self._port,
+            _VERSION,
+            on_event=self._on_event,
+            on_disconnect=self._on_end,
+            timeout=PATIENCE_S,
         )
         self._connection = await asyncio.wait_for(connect, PATIENCE_S)
         if self._connection is None:
             raise HabitusError(
-                f"{self.name}: nobody answers; is QTM running there, its real-time output on, and no firewall between?"
+                f"{self.name}: nobody answers; is QTM running there, its real-time output on, and "
+                "no firewall between?"
             )
         await self._describe()
         if self._heading is None or not self._heading.labels:
-            raise HabitusError(f"{self.name}: no labelled markers are told; apply an AIM model and open a measurement")
+            raise HabitusError(
+                f"{self.name}: no labelled markers are told; apply an AIM model and open a "
+                "measurement"
+            )
         await self._connection.stream_frames(components=["3d"], on_packet=self._on_packet)
 
     async def _describe(self) -> None:
         """Ask for labels, rate and up axis; what they change is another heading."""
         assert self._connection is not None
-        found = _described(await self._connection.get_parameters(["general", "3d"]), self._rate, self.name)
-        if self._heading is None or (found.labels, found.rate_hz) != (self._heading.labels, self._heading.rate_hz):
+        found = _described(
+            await self._connection.get_parameters(["general", "3d"]), self._rate, self.name
+        )
+        if self._heading is None or (found.labels, found.rate_hz) != (
+            self._heading.labels,
+            self._heading.rate_hz,
+        ):
             self._heading = found
 
     def _on_packet(self, packet: Any) -> None:
         """A frame; the package calls it in its own thread."""
-        arrived, head = time.perf_counter(), self._heading
+        arrived = time.perf_counter()
+        head = self._heading
         try:
             _, markers = packet.get_3d_markers()
             points = np.array(markers, dtype=np.float64).reshape(-1, 3)
@@ -140,11 +165,15 @@ def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints
         root = read_xml(parameters.decode("utf-8", "replace"), MOST_TEXT)
     except HabitusError as error:
         raise HabitusError(f"{name}: its parameters are not XML ({error})") from None
-    labels = tuple((label.findtext("Name") or "").strip() for label in root.iterfind(".//The_3D/Label"))
+    labels = tuple(
+        (label.findtext("Name") or "").strip() for label in root.iterfind(".//The_3D/Label")
+    )
     up = (root.findtext(".//The_3D/AxisUpwards") or "").strip().lower()
     axis = up if up[:1] in ("+", "-") else f"+{up}"
     claim = axis if axis[1:] in ("x", "y", "z") else None
-    return heading("qtm", labels, rate_hz or _number(root, ".//General/Frequency"), "mm", claim, "+z")
+    return heading(
+        "qtm", labels, rate_hz or _number(root, ".//General/Frequency"), "mm", claim, "+z"
+    )
 
 
 def _number(root: Element, path: str) -> float | None:

@@ -13,18 +13,22 @@ from habitus.types import PathLike
 class Replay:
     """The frames of a capture file, at its own rate or another.
 
-    rate_hz: how many frames a second are played, None for the file's rate, 0 for as many as are asked for. Raises
-    HabitusError where the file cannot be read.
+    rate_hz: how many frames a second are played, None for the file's rate, 0 for as many as are
+    asked for. Raises HabitusError where the file cannot be read.
     """
 
     def __init__(self, path: PathLike, rate_hz: float | None = None):
         path = Path(path)
         raw, rate = read_raw(path)
-        self.name, self.ended, self.bad, self.patient = path.name, False, 0, rate_hz == 0
+        self.name = path.name
+        self.ended = False
+        self.bad = 0
+        self.patient = rate_hz == 0
         self._points = hide_placeholders(raw.points)
         self._heading = replace(raw, points=raw.points[:0], rate_hz=rate)
         self._pace = rate if rate_hz is None else rate_hz
-        self._next, self._began = 0, 0.0
+        self._next = 0
+        self._began = 0.0
 
     def poll(self, timeout: float) -> list[Frame]:
         """The frames that are due by now; of a patient source one."""
@@ -46,8 +50,12 @@ class Replay:
         self.ended = True
 
     def _taken(self, until: int, now: float) -> list[Frame]:
-        first, until = self._next, min(until, len(self._points))
+        first = self._next
+        until = min(until, len(self._points))
         self._next = max(first, until)
         self.ended = self._next == len(self._points)
         due = [now if self.patient else self._began + k / self._pace for k in range(first, until)]
-        return [Frame(k, at, self._points[k], self._heading) for k, at in zip(range(first, until), due, strict=True)]
+        return [
+            Frame(k, at, self._points[k], self._heading)
+            for k, at in zip(range(first, until), due, strict=True)
+        ]

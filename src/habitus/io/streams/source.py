@@ -1,4 +1,6 @@
-"""What every source of a live stream is: frames of points as they come, with what the stream says of its points."""
+"""What every source of a live stream is: frames of points as they come, with what the stream says
+of its points.
+"""
 
 from typing import NamedTuple, Protocol
 
@@ -9,10 +11,12 @@ from habitus.io.captures.points import RawPoints
 
 
 class Frame(NamedTuple):
-    """One frame: its number, when it was there (`time.perf_counter`), and its points (N, 3), NaN where missing.
+    """One frame: its number, when it was there (`time.perf_counter`), and its points (N, 3), NaN
+    where missing.
 
-    Points are in the stream's own unit and axes. ``heading`` is a `RawPoints` without frames: labels, unit, axes, rate;
-    another object from the frame on in which the stream says something else.
+    Points are in the stream's own unit and axes. ``heading`` is a `RawPoints` without frames:
+    labels, unit, axes, rate; another object from the frame on in which the stream says something
+    else.
     """
 
     number: int
@@ -24,8 +28,8 @@ class Frame(NamedTuple):
 class Source(Protocol):
     """Where frames come from.
 
-    name: for messages. ended: no further frame will come. patient: it waits for whoever reads, so that no frame is ever
-    late. bad: packets that could not be read.
+    name: for messages. ended: no further frame will come. patient: it waits for whoever reads, so
+    that no frame is ever late. bad: packets that could not be read.
     """
 
     name: str
@@ -46,7 +50,12 @@ class Source(Protocol):
 
 
 def heading(
-    kind: str, labels: tuple[str, ...], rate_hz: float | None, unit: str, up_claim: str | None, up_usual: str
+    kind: str,
+    labels: tuple[str, ...],
+    rate_hz: float | None,
+    unit: str,
+    up_claim: str | None,
+    up_usual: str,
 ) -> RawPoints:
     """What a stream says of its points; ``kind`` names the protocol."""
     return RawPoints(

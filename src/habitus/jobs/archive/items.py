@@ -10,7 +10,9 @@ from habitus.jobs.mosh import Mosh
 
 @dataclass(frozen=True)
 class Order:
-    """What all items share: the recipe, the body's name or file, the folder of results, and what they look like."""
+    """What all items share: the recipe, the body's name or file, the folder of results, and what
+    they look like.
+    """
 
     recipe: Mosh
     body: str
@@ -28,7 +30,9 @@ class Look:
 
 @dataclass(frozen=True)
 class Seen:
-    """Somebody in a file: the file's name for them, how much there is of them, and what they wore."""
+    """Somebody in a file: the file's name for them, how much there is of them, and what they
+    wore.
+    """
 
     subject: str | None
     frames: int
@@ -38,7 +42,9 @@ class Seen:
 
 @dataclass(frozen=True)
 class Looked:
-    """Everybody in a file and a digest of its content, or why there is nobody; `no_capture`: which is no failure."""
+    """Everybody in a file and a digest of its content, or why there is nobody; `no_capture`: which
+    is no failure.
+    """
 
     digest: str = ""
     people: tuple[Seen, ...] = ()
@@ -48,7 +54,9 @@ class Looked:
 
 @dataclass(frozen=True)
 class Taken:
-    """A capture as it was when it was looked at; ``person`` is somebody's name where the file holds several people."""
+    """A capture as it was when it was looked at; ``person`` is somebody's name where the file holds
+    several people.
+    """
 
     path: Path
     person: str | None
@@ -58,7 +66,9 @@ class Taken:
 
 @dataclass(frozen=True)
 class Shape:
-    """A subject whose shape is to be found by its captures and written to a file, relative to the folder of results."""
+    """A subject whose shape is to be found by its captures and written to a file, relative to the
+    folder of results.
+    """
 
     name: str
     captures: tuple[Taken, ...]
@@ -67,8 +77,9 @@ class Shape:
 
 @dataclass(frozen=True)
 class Shaped:
-    """A subject's shape: a digest of it, the captures (by number) that gave frames, what it measures, a picture; those
-    that cannot be fitted, by number; or why there is none, and each capture is to be fitted by itself.
+    """A subject's shape: a digest of it, the captures (by number) that gave frames, what it
+    measures, a picture; those that cannot be fitted, by number; or why there is none, and each
+    capture is to be fitted by itself.
     """
 
     digest: str = ""
@@ -91,7 +102,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The numbers of a capture's metrics.json and a picture of it, or why there are none; seconds of CPU."""
+    """The numbers of a capture's metrics.json and a picture of it, or why there are none; seconds
+    of CPU.
+    """
 
     numbers: dict[str, Any] = field(default_factory=dict)
     picture: bytes = b""

@@ -1,4 +1,6 @@
-"""A subject whose shape stage is done, as a file: everything that a fit of one more of its captures needs."""
+"""A subject whose shape stage is done, as a file: everything that a fit of one more of its captures
+needs.
+"""
 
 import json
 from collections.abc import Mapping
@@ -26,7 +28,9 @@ _ARRAYS = ("betas", "latent_markers", "pose", "trans")
 
 @dataclass(frozen=True)
 class BodyChoice:
-    """Which body a subject is fitted with, in words that any process can load it by; see `Mosh` and `Chosen`."""
+    """Which body a subject is fitted with, in words that any process can load it by; see `Mosh` and
+    `Chosen`.
+    """
 
     joints: str
     age: float | None
@@ -37,7 +41,9 @@ class BodyChoice:
 
 @dataclass(frozen=True)
 class KnownSubject:
-    """What a subject's captures told together: its body, layout and shape, and where each marker sits."""
+    """What a subject's captures told together: its body, layout and shape, and where each marker
+    sits.
+    """
 
     choice: BodyChoice
     agreed: Agreed
@@ -58,10 +64,15 @@ class KnownSubject:
 
 
 def write_known(known: KnownSubject, path: Path) -> str:
-    """Write a subject as npz, whole or not at all, and return a digest of all that a fit depends on."""
+    """Write a subject as npz, whole or not at all, and return a digest of all that a fit depends
+    on.
+    """
     shape = known.shape
     arrays = {name: np.asarray(getattr(shape, name), dtype=np.float64) for name in _ARRAYS}
-    arrays |= {"triangles": shape.attachment.triangles, "coefficients": shape.attachment.coefficients}
+    arrays |= {
+        "triangles": shape.attachment.triangles,
+        "coefficients": shape.attachment.coefficients,
+    }
     told = {
         "choice": asdict(known.choice),
         "layout": asdict(known.agreed.layout),
@@ -73,7 +84,13 @@ def write_known(known: KnownSubject, path: Path) -> str:
     }
     text = json.dumps(told, sort_keys=True, default=_plain)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, told=np.array(text), seconds=np.float64(known.seconds), **arrays)
+        np.savez(
+            file,
+            allow_pickle=False,
+            told=np.array(text),
+            seconds=np.float64(known.seconds),
+            **arrays,
+        )
     digest = blake2b(text.encode(), digest_size=16)
     for name in sorted(arrays):
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())
@@ -85,7 +102,8 @@ def read_known(path: Path) -> KnownSubject:
     try:
         with np.load(path) as file:
             arrays = {name: file[name] for name in (*_ARRAYS, "triangles", "coefficients")}
-            told, seconds = json.loads(str(file["told"])), float(file["seconds"])
+            told = json.loads(str(file["told"]))
+            seconds = float(file["seconds"])
         attachment = MarkerAttachment(arrays.pop("triangles"), arrays.pop("coefficients"))
         shape = ShapeFit(**arrays, attachment=attachment, **told["shape"])
         return KnownSubject(
@@ -110,13 +128,17 @@ def _layout(told: Mapping[str, Any]) -> MarkerLayout:
 
 
 def _marker(told: Mapping[str, Any]) -> Marker:
-    fields: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x for name, x in told.items()}
+    fields: dict[str, Any] = {
+        name: tuple(x) if isinstance(x, list) else x for name, x in told.items()
+    }
     return Marker(**fields)
 
 
 def _agreed(told: Mapping[str, Any], layout: MarkerLayout) -> Agreed:
     suspects = tuple(Suspect(**one) for one in told["suspects"])
-    return Agreed(layout, told["confidence"], tuple(told["warnings"]), suspects, tuple(told["doubts"]))
+    return Agreed(
+        layout, told["confidence"], tuple(told["warnings"]), suspects, tuple(told["doubts"])
+    )
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,6 @@
-"""What is known of an archive's captures and subjects, in one SQLite file that survives a kill at any moment."""
+"""What is known of an archive's captures and subjects, in one SQLite file that survives a kill at
+any moment.
+"""
 
 import json
 import sqlite3
@@ -17,7 +19,9 @@ from habitus.jobs.finding import Found, Worn
 
 FILE = "archive.sqlite"
 VERSION = 1
-DONE, FAILED, WAITING = "done", "failed", "waiting"
+DONE = "done"
+FAILED = "failed"
+WAITING = "waiting"
 _TABLES = """
 CREATE TABLE files (path TEXT PRIMARY KEY, size INTEGER, changed INTEGER, digest TEXT, state TEXT, reason TEXT);
 CREATE TABLE captures (
@@ -27,12 +31,14 @@ CREATE TABLE subjects (
     name TEXT PRIMARY KEY, file TEXT, recipe TEXT, sources TEXT, digest TEXT, reason TEXT, measured TEXT, betas TEXT,
     picture BLOB, seconds REAL);
 CREATE INDEX captures_of ON captures (subject);
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)
 class Row:
-    """A capture as the manifest has it: the file's path below the archive's folder, who in it, where its results go."""
+    """A capture as the manifest has it: the file's path below the archive's folder, who in it,
+    where its results go.
+    """
 
     path: str
     person: str
@@ -50,15 +56,19 @@ class Manifest:
     def __init__(self, connection: sqlite3.Connection):
         self._db = connection
 
-    # -- files --------------------------------------------------------------------------------------------------------
+    # -- files -------------------------------------------------------------------------------------
 
     def stamps(self) -> dict[str, tuple[int, int, str]]:
         """Size, time of the last change and state of every file that was looked at."""
         rows = self._db.execute("SELECT path, size, changed, state FROM files")
         return {path: (size, changed, state) for path, size, changed, state in rows}
 
-    def looked(self, path: str, stamp: tuple[int, int], found: Looked, folders: Sequence[str]) -> None:
-        """What a file holds, in the place of what was known of it; results whose input is the same stay."""
+    def looked(
+        self, path: str, stamp: tuple[int, int], found: Looked, folders: Sequence[str]
+    ) -> None:
+        """What a file holds, in the place of what was known of it; results whose input is the same
+        stay.
+        """
         state = "left out" if found.no_capture else FAILED if found.reason else DONE
         with self._db:
             self._db.execute(
@@ -67,12 +77,16 @@ class Manifest:
             )
             names = _names(found.people)
             kept = ",".join("?" * len(names))
-            self._db.execute(f"DELETE FROM captures WHERE path = ? AND person NOT IN ({kept})", (path, *names))
+            self._db.execute(
+                f"DELETE FROM captures WHERE path = ? AND person NOT IN ({kept})", (path, *names)
+            )
             for name, folder, seen in zip(names, folders, found.people, strict=True):
                 told = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.worn))
                 self._db.execute(
-                    "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, subject, state, key) "
-                    f"VALUES (?, ?, ?, ?, ?, ?, ?, '', '{WAITING}', '') ON CONFLICT (path, person) DO UPDATE SET "
+                    "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, "
+                    "subject, state, key) "
+                    f"VALUES (?, ?, ?, ?, ?, ?, ?, '', '{WAITING}', '') ON CONFLICT (path, "
+                    "person) DO UPDATE SET "
                     "folder = excluded.folder, said = excluded.said, frames = excluded.frames, "
                     "rate_hz = excluded.rate_hz, worn = excluded.worn",
                     (path, name, *told),
@@ -82,13 +96,17 @@ class Manifest:
         """Files that are gone."""
         with self._db:
             for table in ("files", "captures"):
-                self._db.executemany(f"DELETE FROM {table} WHERE path = ?", [(path,) for path in paths])
+                self._db.executemany(
+                    f"DELETE FROM {table} WHERE path = ?", [(path,) for path in paths]
+                )
 
-    # -- captures -----------------------------------------------------------------------------------------------------
+    # -- captures ----------------------------------------------------------------------------------
 
     def worn(self) -> Iterator[tuple[str, str, Worn]]:
         """Path, person and what they wore of every capture, in the order of their paths."""
-        rows = self._db.execute("SELECT path, person, said, worn FROM captures ORDER BY path, person")
+        rows = self._db.execute(
+            "SELECT path, person, said, worn FROM captures ORDER BY path, person"
+        )
         for path, person, said, packed in rows:
             yield path, person, _unpacked(said, packed)
 
@@ -99,7 +117,9 @@ class Manifest:
                 "UPDATE captures SET subject = ? WHERE path = ? AND person = ?",
                 [(subject, *key) for key, subject in groups.items()],
             )
-            self._db.execute("DELETE FROM subjects WHERE name NOT IN (SELECT DISTINCT subject FROM captures)")
+            self._db.execute(
+                "DELETE FROM subjects WHERE name NOT IN (SELECT DISTINCT subject FROM captures)"
+            )
 
     def captures(self, subject: str | None = None) -> list[Row]:
         """All captures, or those of a subject, in the order of their paths."""
@@ -124,38 +144,53 @@ class Manifest:
     def _set(self, row: Row, told: tuple[Any, ...]) -> None:
         with self._db:
             self._db.execute(
-                "UPDATE captures SET state = ?, key = ?, reason = ?, numbers = ?, picture = ?, seconds = ? "
+                "UPDATE captures SET state = ?, key = ?, reason = ?, numbers = ?, picture = ?, "
+                "seconds = ? "
                 "WHERE path = ? AND person = ?",
                 (*told, row.path, row.person),
             )
 
-    # -- subjects -----------------------------------------------------------------------------------------------------
+    # -- subjects ----------------------------------------------------------------------------------
 
     def subject(self, name: str) -> tuple[str, str, dict[str, str], str] | None:
-        """File, recipe, the digests of the captures that gave frames, and digest of a subject's shape."""
-        row = self._db.execute("SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)).fetchone()
+        """File, recipe, the digests of the captures that gave frames, and digest of a subject's
+        shape.
+        """
+        row = self._db.execute(
+            "SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)
+        ).fetchone()
         return row and (row[0], row[1], json.loads(row[2]), row[3])
 
-    def shaped(self, name: str, file: str, recipe: str, sources: Mapping[str, str], found: Shaped) -> None:
+    def shaped(
+        self, name: str, file: str, recipe: str, sources: Mapping[str, str], found: Shaped
+    ) -> None:
         """A subject's shape."""
-        told = (json.dumps(sources), found.digest, found.reason, json.dumps(found.measured), json.dumps(found.betas))
+        told = (
+            json.dumps(sources),
+            found.digest,
+            found.reason,
+            json.dumps(found.measured),
+            json.dumps(found.betas),
+        )
         with self._db:
             self._db.execute(
                 "INSERT OR REPLACE INTO subjects VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (name, file, recipe, *told, found.picture, found.seconds),
             )
 
-    # -- what became of all -------------------------------------------------------------------------------------------
+    # -- what became of all ------------------------------------------------------------------------
 
     def results(self) -> Iterator[dict[str, Any]]:
-        """Every capture and every file that could not be read, in the order of their paths, as the page and the table
-        have them.
+        """Every capture and every file that could not be read, in the order of their paths, as the
+        page and the table have them.
         """
         self._db.row_factory, before = sqlite3.Row, self._db.row_factory
         try:
             rows = self._db.execute(
-                "SELECT path, person, folder, subject, frames, rate_hz, state, reason, numbers, picture, seconds "
-                "FROM captures UNION ALL SELECT path, '', '', '', NULL, NULL, state, reason, NULL, NULL, NULL "
+                "SELECT path, person, folder, subject, frames, rate_hz, state, reason, numbers, "
+                "picture, seconds "
+                "FROM captures UNION ALL SELECT path, '', '', '', NULL, NULL, state, reason, "
+                "NULL, NULL, NULL "
                 f"FROM files WHERE state = '{FAILED}' ORDER BY path, person"
             )
             for row in rows:
@@ -165,14 +200,21 @@ class Manifest:
 
     def people(self) -> list[dict[str, Any]]:
         """Every subject, in the order of their names."""
-        rows = self._db.execute("SELECT name, reason, measured, betas, picture, seconds FROM subjects ORDER BY name")
+        rows = self._db.execute(
+            "SELECT name, reason, measured, betas, picture, seconds FROM subjects ORDER BY name"
+        )
         keys = ("name", "reason", "measured", "betas", "picture", "seconds")
         found = [dict(zip(keys, row, strict=True)) for row in rows]
-        return [one | {name: json.loads(one[name]) for name in ("measured", "betas")} for one in found]
+        return [
+            one | {name: json.loads(one[name]) for name in ("measured", "betas")} for one in found
+        ]
 
     def count(self) -> int:
         """How many rows `results` has."""
-        sql = f"SELECT (SELECT COUNT(*) FROM captures) + (SELECT COUNT(*) FROM files WHERE state = '{FAILED}')"
+        sql = (
+            "SELECT (SELECT COUNT(*) FROM captures) + (SELECT COUNT(*) FROM files WHERE state "
+            f"= '{FAILED}')"
+        )
         return self._db.execute(sql).fetchone()[0]
 
     def left_out(self) -> int:
@@ -182,7 +224,8 @@ class Manifest:
 
 @contextmanager
 def open_manifest(folder: Path) -> Iterator[Manifest]:
-    """The manifest of a folder of results, made if need be; nobody else may be at work in the folder.
+    """The manifest of a folder of results, made if need be; nobody else may be at work in the
+    folder.
 
     Raises HabitusError for a file that is none, or of another version.
     """
@@ -196,10 +239,14 @@ def open_manifest(folder: Path) -> Iterator[Manifest]:
         if version == 0:
             connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {VERSION}; COMMIT;")
         elif version != VERSION:
-            raise HabitusError(f"{path}: is of another version of habitus; choose another folder with --out")
+            raise HabitusError(
+                f"{path}: is of another version of habitus; choose another folder with --out"
+            )
         yield Manifest(connection)
     except sqlite3.Error as error:
-        raise HabitusError(f"{path}: {error}; free some room, or remove the file to begin anew") from error
+        raise HabitusError(
+            f"{path}: {error}; free some room, or remove the file to begin anew"
+        ) from error
     finally:
         if connection is not None:
             connection.close()
@@ -210,7 +257,11 @@ def folder_names(found: Found, people: Sequence[Seen]) -> list[str]:
     from habitus.io.names import file_name
 
     name = file_name(found.name)
-    names = [name] if len(people) == 1 else [file_name(f"{name}_{one or 'unnamed'}") for one in _names(people)]
+    names = (
+        [name]
+        if len(people) == 1
+        else [file_name(f"{name}_{one or 'unnamed'}") for one in _names(people)]
+    )
     return [(found.place / one).as_posix() for one in names]
 
 

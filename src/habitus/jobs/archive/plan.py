@@ -17,13 +17,14 @@ from habitus.jobs.archive.tasks import digest_of
 
 SUBJECTS = "subjects"
 """Folder of the subjects' shapes, below that of the results."""
-_CAPTURE_COST, _SHAPE_COST = 600, 4000  # frames whose fit takes as long: reading, exports, report; a shape stage
+_CAPTURE_COST = 600
+_SHAPE_COST = 4000  # frames whose fit takes as long: reading, exports, report; a shape stage
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How far an archive is: captures, how many of them are done, failed, or were done before; seconds that are left,
-    None while nobody knows; what is going on.
+    """How far an archive is: captures, how many of them are done, failed, or were done before;
+    seconds that are left, None while nobody knows; what is going on.
     """
 
     stage: str = ""
@@ -36,8 +37,8 @@ class Tally:
 
 
 class Plan:
-    """What is to be done next: captures of subjects whose shape is known, then the next subject's shape, the largest
-    subjects and the longest captures first.
+    """What is to be done next: captures of subjects whose shape is known, then the next subject's
+    shape, the largest subjects and the longest captures first.
 
     files: where each capture's file lies; recipe: a digest of all that is asked for.
     """
@@ -50,23 +51,37 @@ class Plan:
         recipe: str,
         on_failure: Callable[[str, str], None],
     ):
-        self._manifest, self._out, self._files, self._recipe = manifest, order.out, files, recipe
+        self._manifest = manifest
+        self._out = order.out
+        self._files = files
+        self._recipe = recipe
         self._on_failure = on_failure
         self._ready: deque[tuple[Row, str | None, str]] = deque()
         self._shapes: deque[Shape] = deque()
         self._of_shape: dict[str, list[Row]] = {}
         self._under_way: dict[Path, tuple[Row, str]] = {}
-        self.kept, self.failed, self.count, self.fitted_now = 0, 0, 0, 0
-        self._work, self._left, self._began = 0, 0, time.monotonic()
+        self.kept = 0
+        self.failed = 0
+        self.count = 0
+        self.fitted_now = 0
+        self._work = 0
+        self._left = 0
+        self._began = time.monotonic()
         subjects: dict[str, list[Row]] = {}
         folders: set[str] = set()
         for row in self._manifest.captures():
             if row.folder in folders:
-                self._failed(row, f"its results would overwrite another capture's, {row.folder}; rename one of them")
+                self._failed(
+                    row,
+                    f"its results would overwrite another capture's, {row.folder}; rename one of "
+                    "them",
+                )
             else:
                 folders.add(row.folder)
                 subjects.setdefault(row.subject, []).append(row)
-        for name, rows in sorted(subjects.items(), key=lambda pair: -sum(row.frames for row in pair[1])):
+        for name, rows in sorted(
+            subjects.items(), key=lambda pair: -sum(row.frames for row in pair[1])
+        ):
             self._begin(name, rows)
         self._left = self._work
 
@@ -87,7 +102,11 @@ class Plan:
         file, recipe, sources, _ = known
         digests = {_key(row): row.digest for row in rows}
         there = not file or (self._out / file).is_file()
-        return there and recipe == self._recipe and all(digests.get(k) == v for k, v in sources.items())
+        return (
+            there
+            and recipe == self._recipe
+            and all(digests.get(k) == v for k, v in sources.items())
+        )
 
     def _fit_with(self, rows: list[Row], file: str | None, digest: str) -> None:
         for row in sorted(rows, key=lambda row: -row.frames):
@@ -105,7 +124,7 @@ class Plan:
     def _taken(self, row: Row) -> Taken:
         return Taken(self._files[row.path], row.person or None, row.digest, self._out / row.folder)
 
-    # -- in turn ------------------------------------------------------------------------------------------------------
+    # -- in turn -----------------------------------------------------------------------------------
 
     def take(self) -> Shape | Fit | None:
         """The next item; None where there is none before another ends."""
@@ -166,7 +185,9 @@ def _digest(parts: list[str]) -> str:
 
 
 def recipe_digest(order: Order) -> str:
-    """Of all that a result depends on besides its capture: options, the files that these name, and the version."""
+    """Of all that a result depends on besides its capture: options, the files that these name, and
+    the version.
+    """
     told: dict[str, Any] = asdict(order.recipe) | {"lean": order.lean, "npz_style": order.npz_style}
     files = [Path(str(name)) for name in (order.body, order.recipe.layout)]
     contents = [digest_of(path) if path.is_file() else str(path) for path in files]

@@ -1,4 +1,6 @@
-"""An archive: every capture below a folder, fitted subject by subject, in as many processes as there are."""
+"""An archive: every capture below a folder, fitted subject by subject, in as many processes as
+there are.
+"""
 
 import os
 import time
@@ -29,15 +31,17 @@ from habitus.report.archive.page import write_archive_page
 from habitus.report.archive.table import write_table
 from habitus.types import PathLike
 
-PAGE, TABLE = "index.html", "archive.parquet"
+PAGE = "index.html"
+TABLE = "archive.parquet"
 
 
 @dataclass(frozen=True)
 class Archive:
-    """What became of an archive: the folder of results, its captures' numbers, and why there are none of some.
+    """What became of an archive: the folder of results, its captures' numbers, and why there are
+    none of some.
 
-    ``failed``: paths below the folder of captures and reasons. ``fitted`` were fitted now, ``kept`` before;
-    ``levels`` counts verdicts; ``left_out`` files are no captures.
+    ``failed``: paths below the folder of captures and reasons. ``fitted`` were fitted now, ``kept``
+    before; ``levels`` counts verdicts; ``left_out`` files are no captures.
     """
 
     folder: Path
@@ -73,17 +77,20 @@ def archive(
     progress: Callable[[Tally], None] = lambda tally: None,
     on_failure: Callable[[str, str], None] = lambda path, reason: None,
 ) -> Archive:
-    """Fit every capture below a folder, subject by subject, and go on where an earlier run of the same stopped.
+    """Fit every capture below a folder, subject by subject, and go on where an earlier run of the
+    same stopped.
 
-    ``out`` receives a folder a capture, as deep as it lay, with what `habitus.mosh` writes, index.html,
-    archive.parquet, and archive.sqlite, which knows what is done and by which input: what did not change is not fitted
-    again. subjects: a table (CSV: capture, subject) of whose captures are whose; else the files' subjects and folders
-    tell. mosh: the recipe. body: a name or a file. workers: processes of one thread each (as many as there are cores),
-    or the address of a Dask scheduler, whose machines must see both folders under the same paths. lean: of each capture
-    only body.npz and metrics.json. progress is told a `Tally`, on_failure a path and why it has no result. Raises
-    HabitusError where nothing can begin.
+    ``out`` receives a folder a capture, as deep as it lay, with what `habitus.mosh` writes,
+    index.html, archive.parquet, and archive.sqlite, which knows what is done and by which input:
+    what did not change is not fitted again. subjects: a table (CSV: capture, subject) of whose
+    captures are whose; else the files' subjects and folders tell. mosh: the recipe. body: a name or
+    a file. workers: processes of one thread each (as many as there are cores), or the address of a
+    Dask scheduler, whose machines must see both folders under the same paths. lean: of each capture
+    only body.npz and metrics.json. progress is told a `Tally`, on_failure a path and why it has no
+    result. Raises HabitusError where nothing can begin.
     """
-    began, recipe = time.monotonic(), mosh or Mosh()
+    began = time.monotonic()
+    recipe = mosh or Mosh()
     check_extra("duckdb", "tables of an archive", "archive")
     order = Order(recipe, str(body), Path(out).absolute(), lean, npz_style)
     check_npz_style(npz_style, recipe.body(order.body))
@@ -92,7 +99,11 @@ def archive(
     if not top.is_dir():
         raise HabitusError(f"{folder}: is no folder; an archive is made of all captures below one")
     found = find_captures([top], order.out)
-    table = None if subjects is None else read_subjects(Path(subjects), [one.path.relative_to(top) for one in found])
+    table = (
+        None
+        if subjects is None
+        else read_subjects(Path(subjects), [one.path.relative_to(top) for one in found])
+    )
     with locked(order.out, OURS), ExitStack() as stack:
         for place in {one.place for one in found}:
             tidy(order.out / place, OURS)
@@ -122,11 +133,12 @@ class _Run:
     def __post_init__(self) -> None:
         self.recipe = recipe_digest(self.order)
 
-    # -- what there is ------------------------------------------------------------------------------------------------
+    # -- what there is -----------------------------------------------------------------------------
 
     def look(self) -> None:
         """Look at every file that is new or changed since it was looked at."""
-        known, here = self.manifest.stamps(), self.files
+        known = self.manifest.stamps()
+        here = self.files
         self.manifest.forget([path for path in known if path not in here])
         stamps = {path: _stamp(one.path) for path, one in here.items()}
         new = deque(path for path in here if known.get(path) != (*stamps[path], DONE))
@@ -152,14 +164,20 @@ class _Run:
 
     def group(self, table: SubjectsTable | None) -> None:
         """Tell whose each capture is."""
-        self.manifest.group(grouped_by_subject(self.manifest.worn(), table, file_name(self.top.name)))
+        self.manifest.group(
+            grouped_by_subject(self.manifest.worn(), table, file_name(self.top.name))
+        )
 
     def _done(self, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:
         """Items as they end; no process is started for none."""
         first = [one for one in [take()] if one is not None]
-        return self.processes().done(work, self.order, lambda: first.pop() if first else take()) if first else iter(())
+        return (
+            self.processes().done(work, self.order, lambda: first.pop() if first else take())
+            if first
+            else iter(())
+        )
 
-    # -- the work -----------------------------------------------------------------------------------------------------
+    # -- the work ----------------------------------------------------------------------------------
 
     def fit(self) -> None:
         """Find the shapes that are missing and fit the captures that are not done."""
@@ -168,19 +186,29 @@ class _Run:
         self.progress(plan.tally())
         for task, result in self._done(plan.take):
             if isinstance(task, Shape):
-                plan.shaped(task, Shaped(reason=str(result)) if isinstance(result, Lost) else result)
+                plan.shaped(
+                    task, Shaped(reason=str(result)) if isinstance(result, Lost) else result
+                )
             else:
                 result = Fitted(reason=str(result)) if isinstance(result, Lost) else result
                 plan.fitted(task, result)
             self.progress(plan.tally())
-        self.fitted, self.kept = plan.fitted_now, plan.kept
+        self.fitted = plan.fitted_now
+        self.kept = plan.kept
 
     def finish(self, seconds: float) -> Archive:
         """Write the page and the table, and tell what became of all."""
         people = self.manifest.people()
-        write_archive_page(self.order.out / PAGE, self.top.name, self.manifest.results(), people, self.manifest.count())
+        write_archive_page(
+            self.order.out / PAGE,
+            self.top.name,
+            self.manifest.results(),
+            people,
+            self.manifest.count(),
+        )
         write_table(self.order.out / TABLE, self.manifest.results())
-        failed, levels = [], {}
+        failed = []
+        levels = {}
         for row in self.manifest.results():
             if row["state"] != DONE:
                 failed.append((row["path"], row["reason"]))
@@ -188,11 +216,22 @@ class _Run:
                 level = (row["numbers"].get("verdict") or {}).get("level", "")
                 levels[level] = levels.get(level, 0) + 1
         left_out = self.manifest.left_out()
-        return Archive(self.order.out, self.fitted, self.kept, tuple(failed), levels, len(people), left_out, seconds)
+        return Archive(
+            self.order.out,
+            self.fitted,
+            self.kept,
+            tuple(failed),
+            levels,
+            len(people),
+            left_out,
+            seconds,
+        )
 
 
 def _called(relative: Path) -> str:
-    """A file in the manifest: its path below the folder of captures, as a text whatever it holds."""
+    """A file in the manifest: its path below the folder of captures, as a text whatever it
+    holds.
+    """
     return os.fsencode(relative.as_posix()).decode("utf-8", "backslashreplace")
 
 

@@ -21,7 +21,8 @@ class SubjectsTable:
     subjects: dict[PurePosixPath, str]
 
     def subject(self, path: Path) -> str | None:
-        """Of a file, by its path relative to the folder: by its own row, else that of the nearest folder that has one.
+        """Of a file, by its path relative to the folder: by its own row, else that of the nearest
+        folder that has one.
 
         A row may leave the file's ending out.
         """
@@ -33,10 +34,12 @@ class SubjectsTable:
 
 
 def read_subjects(path: Path, files: Iterable[Path]) -> SubjectsTable:
-    """A table (CSV with the columns capture and subject, separated by commas, semicolons or tabs) of these files.
+    """A table (CSV with the columns capture and subject, separated by commas, semicolons or tabs)
+    of these files.
 
-    A row's capture is a file or a folder, relative to the archive's folder. Raises HabitusError, naming the line, for a
-    row of which there is neither, one without a subject, and two that differ.
+    A row's capture is a file or a folder, relative to the archive's folder. Raises HabitusError,
+    naming the line, for a row of which there is neither, one without a subject, and two that
+    differ.
     """
     rows = _rows(path)
     known = {place for file in files for place in _names(PurePosixPath(file.as_posix()))}
@@ -46,16 +49,25 @@ def read_subjects(path: Path, files: Iterable[Path]) -> SubjectsTable:
         place = PurePosixPath(capture.replace("\\", "/"))
         if not capture or not subject:
             lacking = COLUMNS[0] if not capture else COLUMNS[1]
-            raise HabitusError(f"{path}: line {line} has no {lacking}; expected a capture or folder and whose it is")
+            raise HabitusError(
+                f"{path}: line {line} has no {lacking}; expected a capture or folder and whose it "
+                "is"
+            )
         if place not in known:
             near = get_close_matches(str(place), [str(one) for one in known], n=1)
-            hint = f"did you mean {near[0]}?" if near else "expected paths relative to the archive's folder"
+            hint = (
+                f"did you mean {near[0]}?"
+                if near
+                else "expected paths relative to the archive's folder"
+            )
             raise HabitusError(
-                f"{path}: line {line} names {shown(capture)}, which is no capture or folder there; {hint}"
+                f"{path}: line {line} names {shown(capture)}, which is no capture or folder "
+                f"there; {hint}"
             )
         if subjects.setdefault(place, plain_name(subject)) != plain_name(subject):
             raise HabitusError(
-                f"{path}: line {line} gives {shown(capture)} to a second subject; expected one row for it"
+                f"{path}: line {line} gives {shown(capture)} to a second subject; expected one "
+                "row for it"
             )
     return SubjectsTable(subjects)
 
@@ -77,7 +89,12 @@ def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     columns = [name.strip().lower() for name in reader.fieldnames or ()]
     if not set(COLUMNS) <= set(columns):
         raise HabitusError(
-            f"{path}: its first line reads {shown(head)!r}; expected the columns {' and '.join(COLUMNS)}"
+            f"{path}: its first line reads {shown(head)!r}; expected the columns "
+            f"{' and '.join(COLUMNS)}"
         )
     reader.fieldnames = columns
-    return [(reader.line_num, row) for row in reader if any(isinstance(x, str) and x.strip() for x in row.values())]
+    return [
+        (reader.line_num, row)
+        for row in reader
+        if any(isinstance(x, str) and x.strip() for x in row.values())
+    ]

@@ -1,5 +1,5 @@
-"""What processes of an archive do: look at a file, find a subject's shape, fit a capture. Each on one thread; what is
-wrong with an item is its result, so that it costs no other.
+"""What processes of an archive do: look at a file, find a subject's shape, fit a capture. Each on
+one thread; what is wrong with an item is its result, so that it costs no other.
 """
 
 import json
@@ -21,7 +21,19 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
-from habitus.jobs.archive.items import Done, Fit, Fitted, Look, Looked, Order, Seen, Shape, Shaped, Taken, Task
+from habitus.jobs.archive.items import (
+    Done,
+    Fit,
+    Fitted,
+    Look,
+    Looked,
+    Order,
+    Seen,
+    Shape,
+    Shaped,
+    Taken,
+    Task,
+)
 from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.finding import SURE, Worn
@@ -33,7 +45,9 @@ from habitus.kernels.threads import one_thread
 from habitus.report.archive.pictures import motion_picture, shape_picture
 
 MOST_FRAMES = 200_000
-"""Frames of a subject's captures that its shape stage looks at: more are left out, capture by capture."""
+"""Frames of a subject's captures that its shape stage looks at: more are left out, capture by
+capture.
+"""
 
 
 def work(order: Order, task: Task) -> Done:
@@ -61,31 +75,42 @@ def reason_of(error: Exception, path: Path) -> str:
             text = text.removeprefix(begin)
         return text
     if isinstance(error, MemoryError):
-        return "there was too little memory for it; give each process more, and the same command again"
+        return (
+            "there was too little memory for it; give each process more, and the same command again"
+        )
     kind = f"{type(error).__name__}: {shown(error, 200)}"
-    return f"{kind}; this is a fault of habitus: report it, with what habitus mosh -v says of this file alone"
+    return (
+        f"{kind}; this is a fault of habitus: report it, with what habitus mosh -v says of "
+        "this file alone"
+    )
 
 
 def _look(order: Order, path: Path) -> Looked:
     try:
         digest = digest_of(path)
         people = order.recipe.read(path)
-        return Looked(digest, tuple(Seen(one.subject, len(one), one.rate_hz, Worn.of(one)) for one in people))
+        return Looked(
+            digest, tuple(Seen(one.subject, len(one), one.rate_hz, Worn.of(one)) for one in people)
+        )
     except Exception as error:
         return Looked(reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE)
 
 
 def _read(order: Order, taken: Taken) -> Capture:
-    """The capture, under its results' name. Raises HabitusError where the file has changed since it was looked at."""
+    """The capture, under its results' name. Raises HabitusError where the file has changed since it
+    was looked at.
+    """
     if digest_of(taken.path) != taken.digest:
-        raise HabitusError("the file changed while the archive was made; give the same command again")
+        raise HabitusError(
+            "the file changed while the archive was made; give the same command again"
+        )
     people = order.recipe.read(taken.path)
     if taken.person is not None:
         people = tuple(one for one in people if (one.subject or "") == taken.person)
     return replace(people[0], name=file_name(taken.folder.name))
 
 
-# -- a subject's shape ------------------------------------------------------------------------------------------------
+# -- a subject's shape -----------------------------------------------------------------------------
 
 
 def _shape(order: Order, task: Shape) -> Shaped:
@@ -103,8 +128,12 @@ def _shape(order: Order, task: Shape) -> Shaped:
         return Shaped(bad=bad, reason=reason_of(error, Path(task.name)))
 
 
-def _some_captures(order: Order, taken: Sequence[Taken]) -> tuple[dict[int, Capture], dict[int, str]]:
-    """Captures by number, evenly among all where they are more than is looked at, and why others cannot be read."""
+def _some_captures(
+    order: Order, taken: Sequence[Taken]
+) -> tuple[dict[int, Capture], dict[int, str]]:
+    """Captures by number, evenly among all where they are more than is looked at, and why others
+    cannot be read.
+    """
     captures: dict[int, Capture] = {}
     bad: dict[int, str] = {}
     frames = 0
@@ -128,7 +157,9 @@ def _spread_order(count: int) -> list[int]:
 def _together(
     order: Order, captures: dict[int, Capture], task: Shape, bad: dict[int, str]
 ) -> tuple[Person | None, BodyModel]:
-    """The person of all captures that can be fitted; ``captures`` loses the others, ``bad`` gains them."""
+    """The person of all captures that can be fitted; ``captures`` loses the others, ``bad`` gains
+    them.
+    """
     body = fitted_body(order.body, order.recipe.joints, order.recipe.age, "neutral")
     if not captures:
         return None, body
@@ -163,12 +194,16 @@ def _shaped(
     (person,), fingered = with_fingers([person], body, order.body, recipe.joints)
     joints = recipe.joints if fingered is body else "smplh"
     model = model_of(fingered, recipe.age, recipe.gender, person, recipe.settings, silent)
-    found = known_subject(model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings)
+    found = known_subject(
+        model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings
+    )
     layout, _, subject = found
     told = "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
     choice = BodyChoice(joints, model.body.age, model.gender, model.female_probability, model.notes)
     agreed = replace(Agreed.of(person), layout=layout)
-    known = KnownSubject(choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told)
+    known = KnownSubject(
+        choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told
+    )
     digest = write_known(known, order.out / task.file)
     betas = subject.shape.betas
     return Shaped(
@@ -182,20 +217,27 @@ def _shaped(
     )
 
 
-# -- a capture --------------------------------------------------------------------------------------------------------
+# -- a capture -------------------------------------------------------------------------------------
 
 
 def _fit(order: Order, task: Fit) -> Fitted:
-    began, clock = time.thread_time(), time.perf_counter()
+    began = time.thread_time()
+    clock = time.perf_counter()
     try:
         capture = _read(order, task.capture)
         seconds = time.perf_counter() - clock
-        fit = _alone(order, capture, seconds) if task.file is None else _known(order, capture, task.file, seconds)
+        fit = (
+            _alone(order, capture, seconds)
+            if task.file is None
+            else _known(order, capture, task.file, seconds)
+        )
         fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, lean=order.lean)
         numbers = json.loads((task.capture.folder / "metrics.json").read_text("utf-8"))
         return Fitted(numbers, motion_picture(fit), time.thread_time() - began)
     except Exception as error:
-        return Fitted(reason=reason_of(error, task.capture.path), seconds=time.thread_time() - began)
+        return Fitted(
+            reason=reason_of(error, task.capture.path), seconds=time.thread_time() - began
+        )
 
 
 def _alone(order: Order, capture: Capture, seconds: float) -> MarkerFit:
@@ -204,12 +246,17 @@ def _alone(order: Order, capture: Capture, seconds: float) -> MarkerFit:
 
 def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerFit:
     known = _kept(order.out / file, (order.out / file).stat().st_mtime_ns)
-    choice, settings, layout = known.choice, order.recipe.settings, known.agreed.layout
+    choice = known.choice
+    settings = order.recipe.settings
+    layout = known.agreed.layout
     body = fitted_body(order.body, choice.joints, choice.age, choice.gender)
-    prior, recording = prior_of(body), known.agreed.recording(capture)
+    prior = prior_of(body)
+    recording = known.agreed.recording(capture)
     fit = fit_known(body, prior, layout, recording, known.subject(body), settings)
     fit = attempted(fit, body, prior, layout, recording, settings, True)
-    fit = replace(fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout)
+    fit = replace(
+        fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout
+    )
     return known.chosen(body).told(fit)
 
 

@@ -1,4 +1,6 @@
-"""Principal directions of more surfaces than memory holds, in one pass, and every surface's coefficients (S 6: PCA)."""
+"""Principal directions of more surfaces than memory holds, in one pass, and every surface's
+coefficients (S 6: PCA).
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +13,9 @@ from habitus.errors import HabitusError
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """D blend shapes (m a root mean square), their coefficients in every row, and each one's share of the variance."""
+    """D blend shapes (m a root mean square), their coefficients in every row, and each one's share
+    of the variance.
+    """
 
     directions: Float[np.ndarray, "V 3 D"]
     coefficients: Float[np.ndarray, "T D"]
@@ -20,7 +24,9 @@ class Components:
 
 @dataclass(eq=False)
 class _Sketch:
-    """T rows as ``coefficients`` of orthonormal directions; of those only so many that matter most are kept."""
+    """T rows as ``coefficients`` of orthonormal directions; of those only so many that matter most
+    are kept.
+    """
 
     directions: Float[np.ndarray, "k M"]
     coefficients: list[Float[np.ndarray, "n k"]]
@@ -41,7 +47,9 @@ class _Sketch:
         self.energy += float((rows**2).sum())
 
     def cut(self, rank: int) -> None:
-        axes = np.linalg.eigh(sum(each.T @ each for each in self.coefficients))[1][:, ::-1][:, :rank]
+        axes = np.linalg.eigh(sum(each.T @ each for each in self.coefficients))[1][:, ::-1][
+            :, :rank
+        ]
         self.coefficients = [each @ axes for each in self.coefficients]
         self.directions = axes.T @ self.directions
 
@@ -52,10 +60,11 @@ def principal_components(
     rank: int,
     group: Int[np.ndarray, " T"] | None = None,
 ) -> Components:
-    """The ``count`` principal directions of all rows, about each ``group``'s own mean; of group -1 about zero.
+    """The ``count`` principal directions of all rows, about each ``group``'s own mean; of group -1
+    about zero.
 
-    No more than ``rank`` directions and what one block adds are held at once: exact where no more matter. Each
-    direction's largest entry is positive. Raises HabitusError where nothing moves.
+    No more than ``rank`` directions and what one block adds are held at once: exact where no more
+    matter. Each direction's largest entry is positive. Raises HabitusError where nothing moves.
     """
     sketch = None
     for rows in blocks:
@@ -65,17 +74,23 @@ def principal_components(
         if len(sketch.directions) > 2 * rank:
             sketch.cut(rank)
     if sketch is None or sketch.energy <= 0.0:
-        raise HabitusError("no surface differs from what the body says: there are no dynamics to learn")
+        raise HabitusError(
+            "no surface differs from what the body says: there are no dynamics to learn"
+        )
     table = np.concatenate(sketch.coefficients)
     lost = sketch.energy - float((table**2).sum())
     if group is not None:
         for one in np.unique(group[group >= 0]):
             table[group == one] -= table[group == one].mean(0)
     values, axes = np.linalg.eigh(table.T @ table)
-    values, axes = values[::-1][:count], axes[:, ::-1][:, :count]
+    values = values[::-1][:count]
+    axes = axes[:, ::-1][:, :count]
     if len(values) < count or values[-1] <= 1e-10 * values[0]:
         have = int((values > 1e-10 * values[0]).sum())
-        raise HabitusError(f"{count} components asked of surfaces that move in {have} ways; ask for as many, or fewer")
+        raise HabitusError(
+            f"{count} components asked of surfaces that move in {have} ways; ask for as many, or "
+            "fewer"
+        )
     sizes = np.sqrt(values / len(table))
     rows = axes.T @ sketch.directions
     sign = np.sign(rows[np.arange(count), np.abs(rows).argmax(1)])

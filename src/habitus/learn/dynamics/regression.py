@@ -1,11 +1,13 @@
-"""The autoregressive regressor of dynamic coefficients (S eq. 17; Dyna's eq. 22), by ridge regression.
+"""The autoregressive regressor of dynamic coefficients (S eq. 17; Dyna's eq. 22), by ridge
+regression.
 
-Within a sequence the shape is one, so that its rows are [delta_{t-1}, delta_{t-2}, u_t] times [1, betas]: normal
-equations of all sequences are sums of Kronecker products of small ones.
+Within a sequence the shape is one, so that its rows are [delta_{t-1}, delta_{t-2}, u_t] times [1,
+betas]: normal equations of all sequences are sums of Kronecker products of small ones.
 
-Coefficients of real surfaces hold noise, which makes histories from least squares die down too fast. What runs free
-holds none: with its history as instruments (Zhat^T Z X = Zhat^T Y in the place of Z^T Z X = Z^T Y, a few rounds, each
-with what the last one predicts) the estimate is right in the mean.
+Coefficients of real surfaces hold noise, which makes histories from least squares die down too
+fast. What runs free holds none: with its history as instruments (Zhat^T Z X = Zhat^T Y in the place
+of Z^T Z X = Z^T Y, a few rounds, each with what the last one predicts) the estimate is right in the
+mean.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +28,9 @@ BEYOND = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A sequence to learn from: coefficients (T, D), controls (T, C), and the person's betas (B,)."""
+    """A sequence to learn from: coefficients (T, D), controls (T, C), and the person's betas
+    (B,).
+    """
 
     coefficients: Float[np.ndarray, "T D"]
     controls: Float[np.ndarray, "T C"]
@@ -35,7 +39,9 @@ class Example:
 
 @dataclass(frozen=True)
 class Choice:
-    """A way to learn, and the error of what runs free on motions held out: 1 is that of a body without dynamics."""
+    """A way to learn, and the error of what runs free on motions held out: 1 is that of a body
+    without dynamics.
+    """
 
     shape_features: int
     ridge: float
@@ -60,14 +66,18 @@ def learn_regressor(
     rate_hz: float,
     options: DynamicsOptions,
 ) -> Learned:
-    """Ridge and number of shape coefficients by the error of running free on held-out groups; then all data together.
+    """Ridge and number of shape coefficients by the error of running free on held-out groups; then
+    all data together.
 
-    ``group``: examples of one group are held out together. ``sizes`` (D,): how much a unit of each coefficient moves.
+    ``group``: examples of one group are held out together. ``sizes`` (D,): how much a unit of each
+    coefficient moves.
     """
     equations = _Equations.of(examples, joints, rate_hz, options)
     folds = _folds(group)
     varied = np.ptp([example.betas for example in examples], axis=0) > 0
-    known = int(np.argmin(varied)) if not varied.all() else len(varied)  # the first so many differ between people
+    known = (
+        int(np.argmin(varied)) if not varied.all() else len(varied)
+    )  # the first so many differ between people
     features = sorted({min(count, known, len(set(group)) - 1) for count in options.shape_features})
     choices = [
         choice
@@ -76,13 +86,17 @@ def learn_regressor(
         for choice in _judged(equations, folds, sizes, Choice(count, ridge, 0.0))
     ]
     choices.sort(key=lambda choice: choice.error)
-    *_, regressor = _rounds(equations, np.ones(len(examples), dtype=bool), choices[0], choices[0].rounds)
+    *_, regressor = _rounds(
+        equations, np.ones(len(examples), dtype=bool), choices[0], choices[0].rounds
+    )
     return Learned(regressor, tuple(choices))
 
 
 @dataclass(frozen=True, eq=False)
 class _Equations:
-    """Each example's own normal equations in scaled controls, from which those of any choice are summed."""
+    """Each example's own normal equations in scaled controls, from which those of any choice are
+    summed.
+    """
 
     examples: Sequence[Example]
     left: list[Float[np.ndarray, "P P"]]
@@ -95,7 +109,10 @@ class _Equations:
 
     @staticmethod
     def of(
-        examples: Sequence[Example], joints: tuple[str, ...], rate_hz: float, options: DynamicsOptions
+        examples: Sequence[Example],
+        joints: tuple[str, ...],
+        rate_hz: float,
+        options: DynamicsOptions,
     ) -> "_Equations":
         total = sum(len(example.controls) for example in examples)
         square = sum((example.controls**2).sum(0) for example in examples)
@@ -107,28 +124,41 @@ class _Equations:
         return _Equations(examples, left, right, counts, scale, joints, rate_hz, options.controls)
 
     def instrumented(self, regressor: DynamicsRegressor, used: np.ndarray) -> "_Equations":
-        """The same with the histories of what this regressor predicts as instruments, of the examples ``used``."""
-        left, right = list(self.left), list(self.right)
+        """The same with the histories of what this regressor predicts as instruments, of the
+        examples ``used``.
+        """
+        left = list(self.left)
+        right = list(self.right)
         for k in np.flatnonzero(used).tolist():
-            left[k], right[k] = _products(self.examples[k], predicted(regressor, self.examples[k]), self.scale)
+            left[k], right[k] = _products(
+                self.examples[k], predicted(regressor, self.examples[k]), self.scale
+            )
         return replace(self, left=left, right=right)
 
     def solve(self, used: np.ndarray, shapes: int, ridge: float) -> DynamicsRegressor:
         """The regressor of the ``used`` examples (N,) with the first ``shapes`` coefficients."""
-        count, size, blocks = self.right[0].shape[1], self.left[0].shape[0], 1 + shapes
-        left, right = np.zeros((blocks, size, blocks, size)), np.zeros((blocks, size, count))
+        count = self.right[0].shape[1]
+        size = self.left[0].shape[0]
+        blocks = 1 + shapes
+        left = np.zeros((blocks, size, blocks, size))
+        right = np.zeros((blocks, size, count))
         for k in np.flatnonzero(used).tolist():
             factors = np.concatenate([[1.0], self.examples[k].betas[:shapes]])
             for row, factor in enumerate(factors):
                 left[row] += (factor * self.left[k])[:, None] * factors[:, None]
                 right[row] += factor * self.right[k]
-        matrix, right = left.reshape(blocks * size, -1), right.reshape(blocks * size, count)
+        matrix = left.reshape(blocks * size, -1)
+        right = right.reshape(blocks * size, count)
         held = np.full((blocks, size), ridge)
         held[:, : 2 * count] = _TINY
-        tables = np.linalg.solve(matrix + max(int(self.rows[used].sum()), 1) * np.diag(held.ravel()), right)
+        tables = np.linalg.solve(
+            matrix + max(int(self.rows[used].sum()), 1) * np.diag(held.ravel()), right
+        )
         return self._regressor(tables.reshape(blocks, size, count), used)
 
-    def _regressor(self, tables: Float[np.ndarray, "S1 P D"], used: np.ndarray) -> DynamicsRegressor:
+    def _regressor(
+        self, tables: Float[np.ndarray, "S1 P D"], used: np.ndarray
+    ) -> DynamicsRegressor:
         blocks, _, count = tables.shape
         shown = [example for example, take in zip(self.examples, used, strict=True) if take]
         betas = np.array([example.betas[: blocks - 1] for example in shown])
@@ -139,7 +169,8 @@ class _Equations:
             drive=np.ascontiguousarray(drive),
             joints=self.joints,
             rate_hz=self.rate_hz,
-            limits=BEYOND * np.max([np.abs(example.controls).max(0, initial=0.0) for example in shown], axis=0),
+            limits=BEYOND
+            * np.max([np.abs(example.controls).max(0, initial=0.0) for example in shown], axis=0),
             reach=np.array([betas.min(0), betas.max(0)]),
             controls=self.controls,
         )
@@ -148,29 +179,43 @@ class _Equations:
 def _products(
     example: Example, course: Float[np.ndarray, "T D"], scale: Float[np.ndarray, " C"]
 ) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, "P D"]]:
-    """Zhat^T Z and Zhat^T Y: rows of the example, and those with the history of ``course`` in the place of its own."""
-    d, controls = example.coefficients, example.controls[2:] / scale
+    """Zhat^T Z and Zhat^T Y: rows of the example, and those with the history of ``course`` in the
+    place of its own.
+    """
+    d = example.coefficients
+    controls = example.controls[2:] / scale
     own, other = (np.concatenate([each[1:-1], each[:-2], controls], axis=1) for each in (d, course))
     return other.T @ own, other.T @ d[2:]
 
 
-def _rounds(equations: _Equations, used: np.ndarray, choice: Choice, count: int) -> Iterator[DynamicsRegressor]:
+def _rounds(
+    equations: _Equations, used: np.ndarray, choice: Choice, count: int
+) -> Iterator[DynamicsRegressor]:
     """The regressor without instruments, then those of each round with them."""
     regressor = equations.solve(used, choice.shape_features, choice.ridge)
     yield regressor
     for _ in range(count):
-        regressor = equations.instrumented(regressor, used).solve(used, choice.shape_features, choice.ridge)
+        regressor = equations.instrumented(regressor, used).solve(
+            used, choice.shape_features, choice.ridge
+        )
         yield regressor
 
 
 def _judged(
-    equations: _Equations, folds: list[tuple[np.ndarray, np.ndarray]], sizes: np.ndarray, choice: Choice
+    equations: _Equations,
+    folds: list[tuple[np.ndarray, np.ndarray]],
+    sizes: np.ndarray,
+    choice: Choice,
 ) -> list[Choice]:
-    """The choice after 0, 1, ... rounds of instruments, with its error of all examples, each not seen before."""
-    wrong, whole = np.zeros(1 + _ROUNDS), 0.0
+    """The choice after 0, 1, ... rounds of instruments, with its error of all examples, each not
+    seen before.
+    """
+    wrong = np.zeros(1 + _ROUNDS)
+    whole = 0.0
     for used, judged in folds:
         found = _errors(equations, list(_rounds(equations, used, choice, _ROUNDS)), judged, sizes)
-        wrong, whole = wrong + found[0], whole + found[1]
+        wrong = wrong + found[0]
+        whole = whole + found[1]
     errors = (wrong / max(whole, 1e-300)).tolist()
     return [replace(choice, error=error, rounds=k) for k, error in enumerate(errors)]
 
@@ -178,24 +223,34 @@ def _judged(
 def predicted(regressor: DynamicsRegressor, example: Example) -> Float[np.ndarray, "T D"]:
     """The coefficients of an example's motion, running free from rest."""
     history, drive = regressor.of_person(example.betas)
-    return free_run(history, np.clip(example.controls, -regressor.limits, regressor.limits) @ drive.T)
+    return free_run(
+        history, np.clip(example.controls, -regressor.limits, regressor.limits) @ drive.T
+    )
 
 
 def _errors(
-    equations: _Equations, regressors: Sequence[DynamicsRegressor], judged: np.ndarray, sizes: np.ndarray
+    equations: _Equations,
+    regressors: Sequence[DynamicsRegressor],
+    judged: np.ndarray,
+    sizes: np.ndarray,
 ) -> tuple[Float[np.ndarray, " R"], float]:
     """Squared errors of the judged examples by each regressor, and their own squares."""
-    wrong, whole = np.zeros(len(regressors)), 0.0
+    wrong = np.zeros(len(regressors))
+    whole = 0.0
     for k in np.flatnonzero(judged).tolist():
         example = equations.examples[k]
         whole += float(((example.coefficients * sizes) ** 2).sum())
         for r, regressor in enumerate(regressors):
-            wrong[r] += float((((predicted(regressor, example) - example.coefficients) * sizes) ** 2).sum())
+            wrong[r] += float(
+                (((predicted(regressor, example) - example.coefficients) * sizes) ** 2).sum()
+            )
     return wrong, whole
 
 
 def _folds(group: Int[np.ndarray, " N"]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Which examples are learned from and which are judged, in up to four folds; a single group is judged on itself."""
+    """Which examples are learned from and which are judged, in up to four folds; a single group is
+    judged on itself.
+    """
     _, number = np.unique(group, return_inverse=True)
     count = min(_FOLDS, int(number.max()) + 1)
     if count == 1:

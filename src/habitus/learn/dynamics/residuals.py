@@ -29,10 +29,11 @@ class _Shared:
 def rest_residuals(
     body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers
 ) -> Iterator[tuple[int, Float[np.ndarray, "n M"]]]:
-    """Which sequence, and the residuals (m; M = 3 V, vertex by vertex) of its next frames: sequence after sequence.
+    """Which sequence, and the residuals (m; M = 3 V, vertex by vertex) of its next frames: sequence
+    after sequence.
 
-    Sequences know betas, pose and trans. Vertices that are not seen in a frame, of weight 0, count as not moved, others
-    as much as they are trusted.
+    Sequences know betas, pose and trans. Vertices that are not seen in a frame, of weight 0, count
+    as not moved, others as much as they are trusted.
     """
     rig = Rig(
         body.parents, body.skinning, body.pose_features, body.shape_features,
@@ -45,13 +46,18 @@ def rest_residuals(
 
 
 def _block(shared: _Shared, item: tuple[int, int]) -> Float[np.ndarray, "n M"]:
-    sequence, first = shared.sequences[item[0]], item[1]
+    sequence = shared.sequences[item[0]]
+    first = item[1]
     frames = range(first, min(first + _BLOCK, len(sequence)))
     return np.stack([away.ravel() for away in _residuals(shared, sequence, frames)])
 
 
-def _residuals(shared: _Shared, sequence: MovingSurface, frames: range) -> Iterator[Float[np.ndarray, "V 3"]]:
-    body, pose, trans = shared.body, sequence.pose, sequence.trans
+def _residuals(
+    shared: _Shared, sequence: MovingSurface, frames: range
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    body = shared.body
+    pose = sequence.pose
+    trans = sequence.trans
     assert pose is not None and trans is not None
     ids = slice(None) if sequence.vertex_ids is None else sequence.vertex_ids
     if sequence.still is not None:
@@ -69,13 +75,18 @@ def _residuals(shared: _Shared, sequence: MovingSurface, frames: range) -> Itera
         yield unposed(posed(shared.rig, pose[frame]).turn, away)
 
 
-def unposed(turn: Float[np.ndarray, "V 3 3"], away: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+def unposed(
+    turn: Float[np.ndarray, "V 3 3"], away: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
     """Offsets d at rest with turn d = away, for the blended rotations of skinning.
 
-    Where these squeeze a volume below `SQUEEZED` of itself (deep folds, strong twists), d is the minimum of
+    Where these squeeze a volume below `SQUEEZED` of itself (deep folds, strong twists), d is the
+    minimum of
     |turn d - away|^2 + mu |d|^2 instead; mu rises smoothly from 0 there to `DAMPING` where nothing is left.
-    """
-    a, b, c = turn[:, 0], turn[:, 1], turn[:, 2]
+    """  # noqa: E501
+    a = turn[:, 0]
+    b = turn[:, 1]
+    c = turn[:, 2]
     across = np.cross(b, c), np.cross(c, a), np.cross(a, b)
     volume = np.einsum("vi,vi->v", a, across[0])
     flat = volume < SQUEEZED

@@ -1,4 +1,6 @@
-"""The data that dynamics are learned from: registrations of a person in motion, and the motion (S 6)."""
+"""The data that dynamics are learned from: registrations of a person in motion, and the motion (S
+6).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -15,11 +17,13 @@ _LAYOUTS = {len(layout.joint_names): layout.joint_names for layout in (SMPL, SMP
 
 @dataclass(frozen=True, eq=False)
 class MovingSurface:
-    """T registrations of one person, frame after frame, and, as far as known, shape, pose (rad) and place (m).
+    """T registrations of one person, frame after frame, and, as far as known, shape, pose (rad) and
+    place (m).
 
-    ``still`` are surfaces of the same frames without dynamics: the person at rest in that pose, as a simulation knows
-    it; without, that is what the body says. ``joint_names`` are those of the pose where they are not the body's;
-    ``vertex_ids`` the body's vertices that the registrations are of, where they are not of all.
+    ``still`` are surfaces of the same frames without dynamics: the person at rest in that pose, as
+    a simulation knows it; without, that is what the body says. ``joint_names`` are those of the
+    pose where they are not the body's; ``vertex_ids`` the body's vertices that the registrations
+    are of, where they are not of all.
     """
 
     name: str
@@ -37,20 +41,29 @@ class MovingSurface:
         return len(self.registrations)
 
     def for_body(self, body: BodyModel) -> "MovingSurface":
-        """The same with betas and pose as this body has them. Raises HabitusError where they are not of such a body."""
+        """The same with betas and pose as this body has them. Raises HabitusError where they are
+        not of such a body.
+        """
         self._check_vertices(body)
         told = {"betas": self.betas, "pose": self.pose, "trans": self.trans}
         missing = [key for key, value in told.items() if value is None]
         if len(missing) == len(told):
             return self
         if self.pose is None or self.betas is None or self.trans is None:
-            raise HabitusError(f"{self.name}: tells no {missing[0]}; expected betas, pose and trans, or none of them")
+            raise HabitusError(
+                f"{self.name}: tells no {missing[0]}; expected betas, pose and trans, or none of "
+                "them"
+            )
         frames = len(self)
         if len(self.betas) > body.num_betas or self.betas.ndim != 1:
-            raise HabitusError(f"{self.name}: betas of shape {self.betas.shape}; expected {body.num_betas} or fewer")
+            raise HabitusError(
+                f"{self.name}: betas of shape {self.betas.shape}; expected {body.num_betas} or "
+                "fewer"
+            )
         if self.pose.ndim != 3 or len(self.pose) != frames or self.trans.shape != (frames, 3):
             raise HabitusError(
-                f"{self.name}: pose of shape {self.pose.shape} and trans of {self.trans.shape}; expected "
+                f"{self.name}: pose of shape {self.pose.shape} and trans of {self.trans.shape}; "
+                "expected "
                 f"({frames}, J, 3) and ({frames}, 3)"
             )
         betas = np.zeros(body.num_betas)
@@ -65,7 +78,8 @@ class MovingSurface:
         names = self.joint_names or _LAYOUTS.get(count, ())
         if len(names) != count:
             raise HabitusError(
-                f"{self.name}: a pose of {count} joints without names; {body.name} has {body.num_joints}"
+                f"{self.name}: a pose of {count} joints without names; {body.name} has "
+                f"{body.num_joints}"
             )
         found = np.zeros((len(self.pose), body.num_joints, 3))
         for k, name in enumerate(names):
@@ -76,11 +90,15 @@ class MovingSurface:
         return found
 
     def _check_vertices(self, body: BodyModel) -> None:
-        count, ids = self.registrations.num_vertices, self.vertex_ids
+        count = self.registrations.num_vertices
+        ids = self.vertex_ids
         expected = body.num_vertices if ids is None else len(ids)
-        if count != expected or (ids is not None and not 0 <= ids.min() <= ids.max() < body.num_vertices):
+        if count != expected or (
+            ids is not None and not 0 <= ids.min() <= ids.max() < body.num_vertices
+        ):
             raise HabitusError(
-                f"{self.name}: registrations of {count} vertices; {body.name} has {body.num_vertices} (its full level, "
+                f"{self.name}: registrations of {count} vertices; {body.name} has "
+                f"{body.num_vertices} (its full level, "
                 "if it has two); tell with vertex_ids which of them these are"
             )
 
@@ -89,10 +107,13 @@ def check_sequences(sequences: tuple[MovingSurface, ...]) -> float:
     """The rate of all. Raises HabitusError where there is none, or nothing to learn from."""
     rates = sorted({round(one.rate_hz, 6) for one in sequences})
     if not sequences or max(len(one) for one in sequences) < 5:
-        raise HabitusError(f"{len(sequences)} sequences, none of five frames; expected people in motion")
+        raise HabitusError(
+            f"{len(sequences)} sequences, none of five frames; expected people in motion"
+        )
     if len(rates) > 1:
         told = ", ".join(f"{rate:g}" for rate in rates)
         raise HabitusError(
-            f"sequences at {told} Hz; expected one rate, at which dynamics are learned: resample the others"
+            f"sequences at {told} Hz; expected one rate, at which dynamics are learned: resample "
+            "the others"
         )
     return sequences[0].rate_hz

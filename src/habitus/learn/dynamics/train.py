@@ -24,8 +24,8 @@ _PIECES = 4  # of a sequence that is alone
 
 @dataclass(frozen=True, eq=False)
 class LearnedDynamics:
-    """A body with dynamics; each component's share of the residuals' variance; the choices that there were, best first;
-    and the coefficients (T, D) of each sequence.
+    """A body with dynamics; each component's share of the residuals' variance; the choices that
+    there were, best first; and the coefficients (T, D) of each sequence.
     """
 
     body: BodyModel
@@ -35,7 +35,9 @@ class LearnedDynamics:
 
     @property
     def modes(self) -> Float[np.ndarray, "M 2"]:
-        """Frequency (Hz) and damping ratio of each way in which the mean person's flesh swings, slowest first."""
+        """Frequency (Hz) and damping ratio of each way in which the mean person's flesh swings,
+        slowest first.
+        """
         assert self.body.dynamics is not None
         return swinging(self.body.dynamics)
 
@@ -49,11 +51,13 @@ def learn_dynamics(
 ) -> LearnedDynamics:
     """Dynamic blend shapes of ``body`` and their regressor, in the place of any that it has.
 
-    Residuals of the surfaces are carried back to the rest pose, their principal components are the blend shapes, and a
-    regressor that is linear in history, controls and shape is learned by ridge. Sequences know betas, pose and trans;
-    all have one rate, at which the regressor is learned. Raises HabitusError where they do not fit the body.
+    Residuals of the surfaces are carried back to the rest pose, their principal components are the
+    blend shapes, and a regressor that is linear in history, controls and shape is learned by ridge.
+    Sequences know betas, pose and trans; all have one rate, at which the regressor is learned.
+    Raises HabitusError where they do not fit the body.
     """
-    options, workers = options or DynamicsOptions(), workers or Threads(1)
+    options = options or DynamicsOptions()
+    workers = workers or Threads(1)
     sequences = tuple(one.for_body(body) for one in sequences)
     rate = check_sequences(sequences)
     found = _components(body, sequences, options, workers, progress)
@@ -65,7 +69,9 @@ def learn_dynamics(
     for one, course in zip(sequences, coefficients, strict=True):
         rest = body.rest_joints(one.betas)
         assert one.pose is not None and one.trans is not None and one.betas is not None
-        controls = motion_controls(options.controls, joints, body.parents, rest, one.pose, one.trans, rate)
+        controls = motion_controls(
+            options.controls, joints, body.parents, rest, one.pose, one.trans, rate
+        )
         examples.append(Example(course, controls, one.betas))
     progress("regressor", 0.0)
     sizes = np.sqrt((found.directions**2).sum((0, 1)))
@@ -84,7 +90,10 @@ def _components(
     progress: Progress,
 ) -> Components:
     subjects = list(dict.fromkeys(one.subject for one in sequences))
-    personal = [subjects.index(one.subject) if options.personal and one.still is None else -1 for one in sequences]
+    personal = [
+        subjects.index(one.subject) if options.personal and one.still is None else -1
+        for one in sequences
+    ]
     group = np.repeat(personal, [len(one) for one in sequences])
 
     def blocks():
@@ -98,19 +107,26 @@ def _components(
 
 
 def _grouped(examples: list[Example], subjects: list[str]) -> tuple[list[Example], np.ndarray]:
-    """What is held out together: people, or where there are not three, sequences; of a single one its pieces."""
+    """What is held out together: people, or where there are not three, sequences; of a single one
+    its pieces.
+    """
     known = list(dict.fromkeys(subjects))
     if len(known) >= 3:
         return examples, np.array([known.index(one) for one in subjects])
     if len(examples) == 1:
         (one,) = examples
-        courses, controls = (np.array_split(each, _PIECES) for each in (one.coefficients, one.controls))
+        courses, controls = (
+            np.array_split(each, _PIECES) for each in (one.coefficients, one.controls)
+        )
         examples = [Example(*parts, one.betas) for parts in zip(courses, controls, strict=True)]
     return examples, np.arange(len(examples))
 
 
-def swinging(dynamics: Dynamics, betas: Float[np.ndarray, " B"] | None = None) -> Float[np.ndarray, "M 2"]:
-    """Frequency (Hz) and damping ratio of each way in which flesh swings, of the mean person or of ``betas``.
+def swinging(
+    dynamics: Dynamics, betas: Float[np.ndarray, " B"] | None = None
+) -> Float[np.ndarray, "M 2"]:
+    """Frequency (Hz) and damping ratio of each way in which flesh swings, of the mean person or of
+    ``betas``.
 
     What dies down without swinging is left out.
     """

@@ -1,4 +1,6 @@
-"""Compiled loops over vertices for posing: blended rotations and translations, and their pose Jacobians."""
+"""Compiled loops over vertices for posing: blended rotations and translations, and their pose
+Jacobians.
+"""
 
 import numpy as np
 
@@ -8,7 +10,9 @@ from habitus.learn.posing.quaternions import blend, conjugate, dot4, product, wr
 
 @jit_inline
 def _move(motion, point):
-    x, y, z = point[0], point[1], point[2]
+    x = point[0]
+    y = point[1]
+    z = point[2]
     return (
         motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3],
         motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3],
@@ -22,7 +26,9 @@ def apply_blends(turn, rest, translation_blend, index, translations):
     out = np.empty_like(rest)
     for v in range(len(rest)):
         for a in range(3):
-            total = turn[v, a, 0] * rest[v, 0] + turn[v, a, 1] * rest[v, 1] + turn[v, a, 2] * rest[v, 2]
+            total = (
+                turn[v, a, 0] * rest[v, 0] + turn[v, a, 1] * rest[v, 1] + turn[v, a, 2] * rest[v, 2]
+            )
             for k in range(index.shape[1]):
                 joint = index[v, k]
                 for b in range(3):
@@ -49,20 +55,27 @@ def translation_jacobian(translation_blend, index, maps):
 
 @jit
 def dual_quaternion_blends(index, signed, quaternions):
-    """Blended rotations (V,3,3) and the matrices (V,K,3,3) that take joints' translations c_k to a vertex'.
+    """Blended rotations (V,3,3) and the matrices (V,K,3,3) that take joints' translations c_k to a
+    vertex'.
 
-    With b = sum w_k q_k, ``signed`` weights w, the vertex' translation is vec(sum w_k c_k q_k b*) / |b|^2, and the
-    vector part of c (s, u) is (s I - [u]x) c.
+    With b = sum w_k q_k, ``signed`` weights w, the vertex' translation is vec(sum w_k c_k q_k b*) /
+    |b|^2, and the vector part of c (s, u) is (s I - [u]x) c.
     """
     vertices, influences = index.shape
-    turn, blends = np.empty((vertices, 3, 3)), np.empty((vertices, influences, 3, 3))
+    turn = np.empty((vertices, 3, 3))
+    blends = np.empty((vertices, influences, 3, 3))
     for v in range(vertices):
         b = blend(index[v], signed[v], quaternions)
         scale = 1.0 / dot4(b, b)
         write_rotation(turn[v], b, scale)
         for k in range(influences):
             joint = index[v, k]
-            q = (quaternions[joint, 0], quaternions[joint, 1], quaternions[joint, 2], quaternions[joint, 3])
+            q = (
+                quaternions[joint, 0],
+                quaternions[joint, 1],
+                quaternions[joint, 2],
+                quaternions[joint, 3],
+            )
             s, x, y, z = product(q, conjugate(b))
             f = scale * signed[v, k]
             matrix = blends[v, k]
@@ -74,14 +87,16 @@ def dual_quaternion_blends(index, signed, quaternions):
 
 @jit
 def linear_pose_jacobian(index, value, rest, motions, positions, parents, axes, out):
-    """Add to out (V,3,J,3) how vertices move as joint j turns by axes_j[:, m]: the turn times the lever (LBS).
+    """Add to out (V,3,J,3) how vertices move as joint j turns by axes_j[:, m]: the turn times the
+    lever (LBS).
 
     The lever of joint j is sum_k w_k (R_k rest + c_k - p_j) over the joints k that hang on j.
     """
     lever = np.zeros((len(parents), 3))
     for v in range(len(index)):
         for k in range(index.shape[1]):
-            w, joint = value[v, k], index[v, k]
+            w = value[v, k]
+            joint = index[v, k]
             if w != 0.0:
                 x, y, z = _move(motions[joint], rest[v])
                 while joint >= 0:
@@ -92,27 +107,38 @@ def linear_pose_jacobian(index, value, rest, motions, positions, parents, axes, 
         for k in range(index.shape[1]):
             joint = index[v, k]
             while joint >= 0:
-                x, y, z = lever[joint, 0], lever[joint, 1], lever[joint, 2]
+                x = lever[joint, 0]
+                y = lever[joint, 1]
+                z = lever[joint, 2]
                 for m in range(3):
-                    a, b, c = axes[joint, 0, m], axes[joint, 1, m], axes[joint, 2, m]
+                    a = axes[joint, 0, m]
+                    b = axes[joint, 1, m]
+                    c = axes[joint, 2, m]
                     out[v, 0, joint, m] += b * z - c * y
                     out[v, 1, joint, m] += c * x - a * z
                     out[v, 2, joint, m] += a * y - b * x
-                lever[joint, 0] = lever[joint, 1] = lever[joint, 2] = 0.0  # counted once, and clean for the next
+                lever[joint, 0] = lever[joint, 1] = lever[joint, 2] = (
+                    0.0  # counted once, and clean for the next
+                )
                 joint = parents[joint]
 
 
 @jit
-def dual_pose_jacobian(index, signed, rest, moved, quaternions, translations, positions, parents, axes, out):
+def dual_pose_jacobian(
+    index, signed, rest, moved, quaternions, translations, positions, parents, axes, out
+):
     """The same with dual quaternions; ``moved`` (V,3) are the posed vertices.
 
-    With b the blended real part and e the blended dual part, dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b')
-    + vec(e' b*)]; turning by w about p makes w r / 2 and (w d + (p x w) r) / 2 of real r and dual d.
+    With b the blended real part and e the blended dual part, dx = 2/|b|^2 [vec(b' y b*) + vec(e
+    b'*) - x (b . b') + vec(e' b*)]; turning by w about p makes w r / 2 and (w d + (p x w) r) / 2 of
+    real r and dual d.
     """
-    real, dual = np.zeros((len(parents), 4)), np.zeros((len(parents), 4))
+    real = np.zeros((len(parents), 4))
+    dual = np.zeros((len(parents), 4))
     for v in range(len(index)):
         for k in range(index.shape[1]):
-            w, joint = signed[v, k], index[v, k]
+            w = signed[v, k]
+            joint = index[v, k]
             q = (
                 w * quaternions[joint, 0],
                 w * quaternions[joint, 1],
@@ -120,7 +146,13 @@ def dual_pose_jacobian(index, signed, rest, moved, quaternions, translations, po
                 w * quaternions[joint, 3],
             )
             d = product(
-                (0.0, 0.5 * translations[joint, 0], 0.5 * translations[joint, 1], 0.5 * translations[joint, 2]), q
+                (
+                    0.0,
+                    0.5 * translations[joint, 0],
+                    0.5 * translations[joint, 1],
+                    0.5 * translations[joint, 2],
+                ),
+                q,
             )
             while joint >= 0:
                 for i in range(4):
@@ -138,15 +170,21 @@ def dual_pose_jacobian(index, signed, rest, moved, quaternions, translations, po
                 r = (real[joint, 0], real[joint, 1], real[joint, 2], real[joint, 3])
                 d = (dual[joint, 0], dual[joint, 1], dual[joint, 2], dual[joint, 3])
                 if r[0] != 0.0 or r[1] != 0.0 or r[2] != 0.0 or r[3] != 0.0:
-                    px, py, pz = positions[joint, 0], positions[joint, 1], positions[joint, 2]
+                    px = positions[joint, 0]
+                    py = positions[joint, 1]
+                    pz = positions[joint, 2]
                     for m in range(3):
-                        x, y, z = 0.5 * axes[joint, 0, m], 0.5 * axes[joint, 1, m], 0.5 * axes[joint, 2, m]
+                        x = 0.5 * axes[joint, 0, m]
+                        y = 0.5 * axes[joint, 1, m]
+                        z = 0.5 * axes[joint, 2, m]
                         dr = product((0.0, x, y, z), r)
                         dd = product((0.0, x, y, z), d)
                         ds = product((0.0, py * z - pz * y, pz * x - px * z, px * y - py * x), r)
                         first = product(dr, turned)
                         second = product(e, conjugate(dr))
-                        third = product((dd[0] + ds[0], dd[1] + ds[1], dd[2] + ds[2], dd[3] + ds[3]), back)
+                        third = product(
+                            (dd[0] + ds[0], dd[1] + ds[1], dd[2] + ds[2], dd[3] + ds[3]), back
+                        )
                         along = dot4(b, dr)
                         for a in range(3):
                             out[v, a, joint, m] += f * (
@@ -159,8 +197,11 @@ def dual_pose_jacobian(index, signed, rest, moved, quaternions, translations, po
 
 @jit
 def blend_shape_jacobian(turn, posedirs, slope, out):
-    """Add to out (V,3,J,3) what pose blend shapes do as joints turn: turn_v P_v df; slope is (J-1,k,3)."""
-    joints, count = slope.shape[0], slope.shape[1]
+    """Add to out (V,3,J,3) what pose blend shapes do as joints turn: turn_v P_v df; slope is
+    (J-1,k,3).
+    """
+    joints = slope.shape[0]
+    count = slope.shape[1]
     for v in range(len(turn)):
         for j in range(joints):
             for m in range(3):

@@ -20,22 +20,28 @@ def pose_normalized(
     seen: Bool[np.ndarray, " V"] | None = None,
     laplacian: csr_array | None = None,
 ) -> Float[np.ndarray, "V 3"]:
-    """The rest surface T (m) with W(T + B(pose), J T, pose) = target: as many equations as unknowns.
+    """The rest surface T (m) with W(T + B(pose), J T, pose) = target: as many equations as
+    unknowns.
 
-    Joints are regressed from T, so that vertex by vertex ``T = A^-1 (r - C j)``: 3 J equations for j = J T are left.
-    The surface is placed so that its root joint is the ``general`` person's. Where not all vertices are ``seen``, what
-    the surface differs by from the general person's is carried on into the holes (`fill_holes`, of the mesh's graph
-    ``laplacian``): the others are solved for as before.
+    Joints are regressed from T, so that vertex by vertex ``T = A^-1 (r - C j)``: 3 J equations for
+    j = J T are left. The surface is placed so that its root joint is the ``general`` person's.
+    Where not all vertices are ``seen``, what the surface differs by from the general person's is
+    carried on into the holes (`fill_holes`, of the mesh's graph ``laplacian``): the others are
+    solved for as before.
     """
     applied = posed(rig, pose)
-    turn, joint_jacobian = applied.turn, applied.joint_jacobian()
+    turn = applied.turn
+    joint_jacobian = applied.joint_jacobian()
     posedirs = rig.posedirs_for(general.descriptor)
     offset = np.zeros_like(target) if posedirs is None else posedirs @ pose_feature(rig, pose)
     away = target - applied.vertices(general.template + offset, general.joints)
     target = target - (away if seen is None else away[seen]).mean(0)
     right = target - (turn @ (general.template + offset)[..., None])[..., 0]
-    back = np.linalg.solve(turn.transpose(0, 2, 1) @ turn + _HOLD * np.eye(3), turn.transpose(0, 2, 1))
-    own, shared = (back @ right[..., None])[..., 0], back @ joint_jacobian
+    back = np.linalg.solve(
+        turn.transpose(0, 2, 1) @ turn + _HOLD * np.eye(3), turn.transpose(0, 2, 1)
+    )
+    own = (back @ right[..., None])[..., 0]
+    shared = back @ joint_jacobian
     if seen is not None and laplacian is not None:
         own, shared = (fill_holes(laplacian, seen, each) for each in (own, shared))
     columns = joint_jacobian.shape[-1]

@@ -8,8 +8,12 @@ def blend(index, signed, quaternions):
     """The weighted sum of the joints' quaternions."""
     w = x = y = z = 0.0
     for k in range(len(index)):
-        q, f = quaternions[index[k]], signed[k]
-        w, x, y, z = w + f * q[0], x + f * q[1], y + f * q[2], z + f * q[3]
+        q = quaternions[index[k]]
+        f = signed[k]
+        w = w + f * q[0]
+        x = x + f * q[1]
+        y = y + f * q[2]
+        z = z + f * q[3]
     return w, x, y, z
 
 
@@ -41,7 +45,11 @@ def write_rotation(out, b, scale):
     """The rotation (3,3) of b, where scale is 1 / |b|^2."""
     w, x, y, z = b
     f = 2.0 * scale
-    out[0, 0], out[1, 1], out[2, 2] = 1 - f * (y * y + z * z), 1 - f * (x * x + z * z), 1 - f * (x * x + y * y)
+    out[0, 0], out[1, 1], out[2, 2] = (
+        1 - f * (y * y + z * z),
+        1 - f * (x * x + z * z),
+        1 - f * (x * x + y * y),
+    )
     out[0, 1], out[1, 0] = f * (x * y - w * z), f * (x * y + w * z)
     out[0, 2], out[2, 0] = f * (x * z + w * y), f * (x * z - w * y)
     out[1, 2], out[2, 1] = f * (y * z - w * x), f * (y * z + w * x)

@@ -11,11 +11,13 @@ from habitus.body.kinematics import ancestors
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Skinning weights W and pose blend shapes P, and the tree, skinning and pose features that they belong to.
+    """Skinning weights W and pose blend shapes P, and the tree, skinning and pose features that
+    they belong to.
 
-    ``index`` and ``value`` hold the K joints of each vertex and their weights. The last axis of ``posedirs`` (m) is
-    that of ``BodyModel.posedirs``: blocks of (J - 1) k features, the first for everybody, one more for each of the
-    ``shape_features`` numbers that describe a person. Without pose blend shapes it is None.
+    ``index`` and ``value`` hold the K joints of each vertex and their weights. The last axis of
+    ``posedirs`` (m) is that of ``BodyModel.posedirs``: blocks of (J - 1) k features, the first for
+    everybody, one more for each of the ``shape_features`` numbers that describe a person. Without
+    pose blend shapes it is None.
     """
 
     parents: tuple[int, ...]
@@ -53,8 +55,12 @@ class Rig:
         """Parents as an array; -1 for the root."""
         return np.array(self.parents, dtype=np.int64)
 
-    def posedirs_for(self, descriptor: Float[np.ndarray, " s"]) -> Float[np.ndarray, "V 3 G"] | None:
-        """The pose blend shapes of a person: the blocks summed with 1 and the person's descriptor."""
+    def posedirs_for(
+        self, descriptor: Float[np.ndarray, " s"]
+    ) -> Float[np.ndarray, "V 3 G"] | None:
+        """The pose blend shapes of a person: the blocks summed with 1 and the person's
+        descriptor.
+        """
         if self.posedirs is None or self.shape_features == 0:
             return self.posedirs
         blocks = self.posedirs.reshape(self.num_vertices, 3, 1 + self.shape_features, -1)
@@ -63,7 +69,9 @@ class Rig:
 
 @dataclass(frozen=True, eq=False)
 class RestPerson:
-    """A person's rest surface and rest joints (m), and the numbers that shape-dependent blend shapes go by."""
+    """A person's rest surface and rest joints (m), and the numbers that shape-dependent blend
+    shapes go by.
+    """
 
     template: Float[np.ndarray, "V 3"]
     joints: Float[np.ndarray, "J 3"]
@@ -71,7 +79,9 @@ class RestPerson:
 
 
 def influences(weights: Float[np.ndarray, "V J"], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The ``count`` strongest joints of each vertex, strongest first, and their weights scaled to sum to one."""
+    """The ``count`` strongest joints of each vertex, strongest first, and their weights scaled to
+    sum to one.
+    """
     count = min(count, weights.shape[1])
     index = np.argsort(-weights, axis=1, kind="stable")[:, :count]
     value = np.take_along_axis(weights, index, 1)

@@ -1,10 +1,12 @@
-"""Posing in training: given pose, W and P, a posed surface is linear in the rest surface and the rest joints.
+"""Posing in training: given pose, W and P, a posed surface is linear in the rest surface and the
+rest joints.
 
-With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k B_vk (L_k J) + trans``: ``turn`` blends the
-joints' rotations, ``L_k J = p_k - R_k J_k`` is the translation of joint k's motion, linear in the rest joints J, and
-``translation_blend`` B_vk is the weight ``w_vk`` in linear blend skinning. In dual quaternion skinning the dual part is
-linear in the translations as well, so that B_vk is a 3x3 matrix (Kavan et al. 2008). Hence the rest surface, the joints
-and the pose blend shapes are linear least squares each; S 4.1 descends on them.
+With either skinning, vertex v stands at ``turn_v (t_v + P_v f) + sum_k B_vk (L_k J) + trans``:
+``turn`` blends the joints' rotations, ``L_k J = p_k - R_k J_k`` is the translation of joint k's
+motion, linear in the rest joints J, and ``translation_blend`` B_vk is the weight ``w_vk`` in linear
+blend skinning. In dual quaternion skinning the dual part is linear in the translations as well, so
+that B_vk is a 3x3 matrix (Kavan et al. 2008). Hence the rest surface, the joints and the pose blend
+shapes are linear least squares each; S 4.1 descends on them.
 """
 
 from dataclasses import dataclass
@@ -21,7 +23,9 @@ from habitus.rotations import matrix_from_rotvec, quaternion_from_matrix
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Rotations relative to the parent and in the world, and the maps L_k from rest joints to motions' translations."""
+    """Rotations relative to the parent and in the world, and the maps L_k from rest joints to
+    motions' translations.
+    """
 
     local: Float[np.ndarray, "J 3 3"]
     world: Float[np.ndarray, "J 3 3"]
@@ -33,22 +37,34 @@ class Skeleton:
         return self.translations(joints) + (self.world @ joints[..., None])[..., 0]
 
     def translations(self, joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-        """p_k - R_k J_k: the translations of the motions that translation_blend rest vertices along (m)."""
+        """p_k - R_k J_k: the translations of the motions that translation_blend rest vertices along
+        (m).
+        """
         return self.maps @ joints.ravel()
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A pose applied to a rig: the linear map from rest surface and rest joints to the posed surface."""
+    """A pose applied to a rig: the linear map from rest surface and rest joints to the posed
+    surface.
+    """
 
     rig: Rig
     skeleton: Skeleton
     turn: Float[np.ndarray, "V 3 3"]
     translation_blend: Float[np.ndarray, "V K 3 3"]
 
-    def vertices(self, rest: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+    def vertices(
+        self, rest: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]
+    ) -> Float[np.ndarray, "V 3"]:
         """The surface (m) without ``trans``; ``rest`` holds the pose blend shapes already."""
-        return apply_blends(self.turn, rest, self.translation_blend, self.rig.index, self.skeleton.translations(joints))
+        return apply_blends(
+            self.turn,
+            rest,
+            self.translation_blend,
+            self.rig.index,
+            self.skeleton.translations(joints),
+        )
 
     def joint_jacobian(self) -> Float[np.ndarray, "V 3 C"]:
         """Derivative of the surface by the rest joints, C = 3 J."""
@@ -60,7 +76,9 @@ def skeleton(parents: tuple[int, ...], pose: Float[np.ndarray, "J 3"]) -> Skelet
     local = matrix_from_rotvec(np.asarray(pose, dtype=np.float64))
     count = len(parents)
     unit = np.eye(3 * count).reshape(count, 3, 3 * count)
-    world, above, positions = np.empty_like(local), np.empty_like(local), np.empty((count, 3, 3 * count))
+    world = np.empty_like(local)
+    above = np.empty_like(local)
+    positions = np.empty((count, 3, 3 * count))
     world[0], above[0], positions[0] = local[0], np.eye(3), unit[0]
     for joint, parent in enumerate(parents[1:], 1):
         above[joint] = world[parent]
@@ -81,13 +99,21 @@ def pose_feature(rig: Rig, pose: Float[np.ndarray, "*batch J 3"]) -> Float[np.nd
     return flatten(value[..., 1:, :], -2)
 
 
-def rest_surface(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+def rest_surface(
+    rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "V 3"]:
     """The person's rest surface with the pose blend shapes of this pose (m)."""
     posedirs = rig.posedirs_for(person.descriptor)
-    return person.template if posedirs is None else person.template + posedirs @ pose_feature(rig, pose)
+    return (
+        person.template
+        if posedirs is None
+        else person.template + posedirs @ pose_feature(rig, pose)
+    )
 
 
-def surface(rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "V 3"]:
+def surface(
+    rig: Rig, person: RestPerson, pose: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "V 3"]:
     """The person in a pose (m), without ``trans``."""
     return posed(rig, pose).vertices(rest_surface(rig, person, pose), person.joints)
 
@@ -108,7 +134,9 @@ def world_quaternions(bones: Skeleton) -> Float[np.ndarray, "J 4"]:
 
 
 def signed_value(rig: Rig, quaternions: Float[np.ndarray, "J 4"]) -> Float[np.ndarray, "V K"]:
-    """Weights with the sign that turns each joint's quaternion to the side of the vertex' strongest joint's."""
+    """Weights with the sign that turns each joint's quaternion to the side of the vertex' strongest
+    joint's.
+    """
     sides = np.where(quaternions @ quaternions.T < 0, -1.0, 1.0)
     return rig.value * sides[rig.index, rig.strongest[:, None]]
 

@@ -12,11 +12,12 @@ TURNS = 12
 def shapes_with_holes(
     surfaces: Vertices, seen: Bool[np.ndarray, "S V"], count: int, turns: int = TURNS
 ) -> tuple[Float[np.ndarray, "S V 3"], ShapeSpace]:
-    """Surfaces (m) whose unseen vertices are replaced, and their shape space: `principal_shapes`, in turns with the
-    most likely rest of each surface (expectation maximisation; Roweis, "EM algorithms for PCA and SPCA", 1998).
+    """Surfaces (m) whose unseen vertices are replaced, and their shape space: `principal_shapes`,
+    in turns with the most likely rest of each surface (expectation maximisation; Roweis, "EM
+    algorithms for PCA and SPCA", 1998).
 
-    Coefficients are drawn to the mean as much as the seen vertices' distance from the space asks for. Unseen vertices
-    start where they are in ``surfaces``.
+    Coefficients are drawn to the mean as much as the seen vertices' distance from the space asks
+    for. Unseen vertices start where they are in ``surfaces``.
     """
     filled = np.array(surfaces[:], dtype=np.float64)
     rows = np.flatnonzero(~seen.all(1))
@@ -24,15 +25,24 @@ def shapes_with_holes(
         space = principal_shapes(filled, count)
         left = space.variances[space.num_betas :].sum() / space.mean.size
         for row in rows.tolist():
-            filled[row, ~seen[row]] = _likely(space, filled[row], seen[row], max(left, 1e-10))[~seen[row]]
+            filled[row, ~seen[row]] = _likely(space, filled[row], seen[row], max(left, 1e-10))[
+                ~seen[row]
+            ]
     return filled, principal_shapes(filled, count)
 
 
 def _likely(
-    space: ShapeSpace, surface: Float[np.ndarray, "V 3"], seen: Bool[np.ndarray, " V"], variance: float
+    space: ShapeSpace,
+    surface: Float[np.ndarray, "V 3"],
+    seen: Bool[np.ndarray, " V"],
+    variance: float,
 ) -> Float[np.ndarray, "V 3"]:
-    """The surface of the space that is most likely, given some vertices, each with so much variance (m^2)."""
+    """The surface of the space that is most likely, given some vertices, each with so much variance
+    (m^2).
+    """
     columns = space.directions[seen].reshape(-1, space.num_betas)
     away = (surface - space.mean)[seen].ravel()
-    betas = np.linalg.solve(columns.T @ columns + variance * np.eye(space.num_betas), columns.T @ away)
+    betas = np.linalg.solve(
+        columns.T @ columns + variance * np.eye(space.num_betas), columns.T @ away
+    )
     return space.reconstruct(betas)

@@ -1,7 +1,9 @@
-"""Joints from surfaces: for each joint a combination of vertices, sparse and convex (S 4.1 "Joint regressor", Fig. 7).
+"""Joints from surfaces: for each joint a combination of vertices, sparse and convex (S 4.1 "Joint
+regressor", Fig. 7).
 
-Convex combinations follow joints that lie between vertices which move as the joint does. Deep in the trunk none do, and
-weights below zero are needed: there a convex row may be corrected by small weights of either sign.
+Convex combinations follow joints that lie between vertices which move as the joint does. Deep in
+the trunk none do, and weights below zero are needed: there a convex row may be corrected by small
+weights of either sign.
 """
 
 from collections.abc import Sequence
@@ -19,8 +21,11 @@ SUM_WEIGHT = 1.0
 RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Strengths that are tried of what keeps a signed row near its convex one."""
 PAYS = 0.9
-"""With signs "auto" a row is signed where that lowers the error on people left out to this share or less."""
-_FOLDS, _LEAST_PEOPLE = 5, 3
+"""With signs "auto" a row is signed where that lowers the error on people left out to this share or
+less.
+"""
+_FOLDS = 5
+_LEAST_PEOPLE = 3
 
 
 def fit_joint_regressor(
@@ -33,33 +38,38 @@ def fit_joint_regressor(
     mirror: Int[np.ndarray, " V"] | None = None,
     joint_mirror: Int[np.ndarray, " J"] | None = None,
 ) -> Float[np.ndarray, "J V"]:
-    """The regressor J that takes the rest surfaces of S subjects to their joints (metres; S 4.1, T 5.4.1).
+    """The regressor J that takes the rest surfaces of S subjects to their joints (metres; S 4.1, T
+    5.4.1).
 
-    With ``signs`` "convex" each row w minimises, by non-negative least squares (Lawson and Hanson, "Solving least
-    squares problems", 1974),
+    With ``signs`` "convex" each row w minimises, by non-negative least squares (Lawson and Hanson,
+    "Solving least squares problems", 1974),
 
         sum over subjects |w (T_i - J_i)|^2 + nearness^2 (w d)^2 + SUM_WEIGHT^2 (sum w - 1)^2
 
-    and is then scaled to sum to 1. T_i - J_i are the vertices seen from the joint: the sum of the row scales the data
-    term as a whole, so any ``SUM_WEIGHT`` gives the same rows, and where the origin lies does not matter. d are the
-    vertices' mean distances from the joint: of combinations that explain few subjects equally well, the nearest is
-    taken; it weighs as much as 0.0009 of a subject. Only a joint's ``candidates`` get weight (all vertices where None).
+    and is then scaled to sum to 1. T_i - J_i are the vertices seen from the joint: the sum of the
+    row scales the data term as a whole, so any ``SUM_WEIGHT`` gives the same rows, and where the
+    origin lies does not matter. d are the vertices' mean distances from the joint: of combinations
+    that explain few subjects equally well, the nearest is taken; it weighs as much as 0.0009 of a
+    subject. Only a joint's ``candidates`` get weight (all vertices where None).
 
-    With "signed" such a row is corrected by v that minimises ``sum |(w + v) (T_i - J_i)|^2 + ridge^2 |v d|^2``, sum v
-    = 0; the ridge is that of `RIDGES` with the least error on people left out, a fifth of them at a time. With "auto"
-    this is done for the joints where it pays (`PAYS`). Corrections are not sparse. Fewer than three people give convex
-    rows.
+    With "signed" such a row is corrected by v that minimises ``sum |(w + v) (T_i - J_i)|^2 +
+    ridge^2 |v d|^2``, sum v = 0; the ridge is that of `RIDGES` with the least error on people left
+    out, a fifth of them at a time. With "auto" this is done for the joints where it pays (`PAYS`).
+    Corrections are not sparse. Fewer than three people give convex rows.
 
-    Where both ``mirror`` (partners across x = 0) and ``joint_mirror`` are given, subjects count also mirrored, and the
-    regressor is symmetric. A row has about as many weights as there are numbers to explain, at most three a subject
-    (six, with mirrors), however many candidates there are. Raises HabitusError where shapes do not fit or a joint has
-    no candidate.
+    Where both ``mirror`` (partners across x = 0) and ``joint_mirror`` are given, subjects count
+    also mirrored, and the regressor is symmetric. A row has about as many weights as there are
+    numbers to explain, at most three a subject (six, with mirrors), however many candidates there
+    are. Raises HabitusError where shapes do not fit or a joint has no candidate.
     """
     _check(templates, joints, candidates, signs)
-    people, j, v = len(joints), joints.shape[1], templates.shape[1]
+    people = len(joints)
+    j = joints.shape[1]
+    v = templates.shape[1]
     allowed = np.ones((j, v), bool) if candidates is None else candidates
     if mirror is None or joint_mirror is None:
-        mirror, partner = None, np.arange(j)
+        mirror = None
+        partner = np.arange(j)
     else:
         partner = joint_mirror
         allowed = allowed | allowed[partner][:, mirror]
@@ -71,7 +81,9 @@ def fit_joint_regressor(
         away = templates[:, near] - joints[:, None, k]
         row = _row(away, nearness)
         if signs != "convex" and people >= _LEAST_PEOPLE:
-            row = row + _correction(away, row, _ridge(away, people, nearness, PAYS if signs == "auto" else np.inf))
+            row = row + _correction(
+                away, row, _ridge(away, people, nearness, PAYS if signs == "auto" else np.inf)
+            )
         regressor[k, near] = row
         if mirror is not None:
             if partner[k] == k:
@@ -81,18 +93,23 @@ def fit_joint_regressor(
 
 
 def _row(away: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarray, " C"]:
-    """The convex combination of vertices, seen from a joint, that lies nearest to it in all subjects."""
+    """The convex combination of vertices, seen from a joint, that lies nearest to it in all
+    subjects.
+    """
     distance = np.linalg.norm(away, axis=2).mean(0)
     data = away.transpose(0, 2, 1).reshape(-1, len(distance))
     if len(data) > len(distance):
         data = np.linalg.qr(data, mode="r")
-    system = np.concatenate([data, nearness * distance[None], np.full((1, len(distance)), SUM_WEIGHT)])
+    system = np.concatenate(
+        [data, nearness * distance[None], np.full((1, len(distance)), SUM_WEIGHT)]
+    )
     row, _ = nnls(system, np.append(np.zeros(len(system) - 1), SUM_WEIGHT))
     return row / row.sum()
 
 
 def _ridge(away: Float[np.ndarray, "S C 3"], people: int, nearness: float, pays: float) -> float:
-    """The ridge of least error on people left out; infinite where it is not ``pays`` times that of convex rows or less.
+    """The ridge of least error on people left out; infinite where it is not ``pays`` times that of
+    convex rows or less.
 
     The rows of ``away`` are people, then perhaps the same people mirrored.
     """
@@ -100,7 +117,8 @@ def _ridge(away: Float[np.ndarray, "S C 3"], people: int, nearness: float, pays:
     fold = person % min(_FOLDS, people)
     errors = np.zeros(1 + len(RIDGES))
     for k in range(fold.max() + 1):
-        known, new = away[fold != k], away[fold == k]
+        known = away[fold != k]
+        new = away[fold == k]
         row = _row(known, nearness)
         rows = [row, *(row + each for each in _corrections(known, row, RIDGES))]
         errors += [(np.tensordot(each, new, (0, 1)) ** 2).sum() for each in rows]
@@ -108,21 +126,27 @@ def _ridge(away: Float[np.ndarray, "S C 3"], people: int, nearness: float, pays:
     return RIDGES[best] if errors[1 + best] <= pays**2 * errors[0] else np.inf
 
 
-def _correction(away: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridge: float) -> np.ndarray:
+def _correction(
+    away: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridge: float
+) -> np.ndarray:
     return np.zeros_like(row) if np.isinf(ridge) else _corrections(away, row, (ridge,))[0]
 
 
 def _corrections(
     away: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridges: Sequence[float]
 ) -> list[Float[np.ndarray, " C"]]:
-    """For each ridge the weights that sum to 0 and correct a row: as few equations as people have numbers."""
+    """For each ridge the weights that sum to 0 and correct a row: as few equations as people have
+    numbers.
+    """
     scale = 1 / np.maximum(np.linalg.norm(away, axis=2).mean(0), 1e-6)
     system = away.transpose(0, 2, 1).reshape(-1, len(row)) * scale
     along = scale / np.linalg.norm(scale)
     system = system - np.outer(system @ along, along)
     values, vectors = np.linalg.eigh(system @ system.T)
     pull = vectors.T @ np.tensordot(away, row, (1, 0)).ravel()
-    found = [-system.T @ (vectors @ (pull / (np.maximum(values, 0.0) + ridge**2))) for ridge in ridges]
+    found = [
+        -system.T @ (vectors @ (pull / (np.maximum(values, 0.0) + ridge**2))) for ridge in ridges
+    ]
     return [scale * (each - along * (along @ each)) for each in found]
 
 
@@ -133,16 +157,26 @@ def _check(
     signs: str,
 ) -> None:
     if signs not in REGRESSORS:
-        raise HabitusError(f"signs of the regressor are {signs!r}; expected one of {', '.join(REGRESSORS)}")
+        raise HabitusError(
+            f"signs of the regressor are {signs!r}; expected one of {', '.join(REGRESSORS)}"
+        )
     if templates.ndim != 3 or joints.ndim != 3 or len(templates) != len(joints) or len(joints) == 0:
         raise HabitusError(
-            f"templates {templates.shape} and joints {joints.shape}; expected (S, V, 3) and (S, J, 3) of S subjects"
+            f"templates {templates.shape} and joints {joints.shape}; expected (S, V, 3) and (S, "
+            "J, 3) of S subjects"
         )
     if not (np.isfinite(templates).all() and np.isfinite(joints).all()):
-        raise HabitusError("templates or joints are not finite; expected numbers in metres: leave such subjects out")
+        raise HabitusError(
+            "templates or joints are not finite; expected numbers in metres: leave such subjects "
+            "out"
+        )
     if candidates is not None:
         if candidates.shape != (joints.shape[1], templates.shape[1]):
-            raise HabitusError(f"candidates {candidates.shape}; expected {(joints.shape[1], templates.shape[1])}")
+            raise HabitusError(
+                f"candidates {candidates.shape}; expected {(joints.shape[1], templates.shape[1])}"
+            )
         bare = np.flatnonzero(~candidates.any(1))
         if len(bare):
-            raise HabitusError(f"joint {bare[0]} has no candidate vertices; expected some: give it weights or all")
+            raise HabitusError(
+                f"joint {bare[0]} has no candidate vertices; expected some: give it weights or all"
+            )

@@ -17,8 +17,9 @@ _NOISE = 1e-12  # of the largest variance: directions with less are rounding
 class ShapeSpace:
     """Surfaces around their mean (metres): ``mean + directions @ betas``.
 
-    A coefficient of 1 is one standard deviation, as in SMPL; directions are orthogonal. ``variances`` (m^2, summed over
-    the vertices) are those along all directions, not only the B that are kept, in descending order.
+    A coefficient of 1 is one standard deviation, as in SMPL; directions are orthogonal.
+    ``variances`` (m^2, summed over the vertices) are those along all directions, not only the B
+    that are kept, in descending order.
     """
 
     mean: Float[np.ndarray, "V 3"]
@@ -40,8 +41,12 @@ class ShapeSpace:
         return self.mean + np.tensordot(betas, self.directions[..., : betas.shape[-1]], (-1, -1))
 
     def coefficients(self, surfaces: Float[np.ndarray, "*b V 3"]) -> Float[np.ndarray, "*b B"]:
-        """The coefficients of the surfaces in the space that come nearest (least squares over vertices)."""
-        flat = self.directions.reshape(-1, self.num_betas)  # not orthogonal where a body brought them along
+        """The coefficients of the surfaces in the space that come nearest (least squares over
+        vertices).
+        """
+        flat = self.directions.reshape(
+            -1, self.num_betas
+        )  # not orthogonal where a body brought them along
         away = np.tensordot(surfaces - self.mean, self.directions, 2)
         return np.linalg.solve(flat.T @ flat, away[..., None])[..., 0]
 
@@ -51,15 +56,19 @@ def shape_space_of(body: BodyModel) -> ShapeSpace:
     return ShapeSpace(body.v_template, body.shapedirs, (body.shapedirs**2).sum((0, 1)))
 
 
-def principal_shapes(surfaces: Vertices, count: int, *, weights: Float[np.ndarray, " S"] | None = None) -> ShapeSpace:
-    """PCA of surfaces (S, V, 3) in metres, all in one pose: the ``count`` directions of most variance (S 4.2, T 5.4.2).
+def principal_shapes(
+    surfaces: Vertices, count: int, *, weights: Float[np.ndarray, " S"] | None = None
+) -> ShapeSpace:
+    """PCA of surfaces (S, V, 3) in metres, all in one pose: the ``count`` directions of most
+    variance (S 4.2, T 5.4.2).
 
-    Surfaces are read in blocks, a few times each; what is decomposed is S x S or 3V x 3V, whichever is smaller. S
-    surfaces vary in S - 1 directions at most: no more are returned, and none along which they do not vary. Variances
-    are unbiased; ``weights`` (S,), not negative, say how much each surface counts. A direction's sign is such that the
-    surface grows with its coefficient (moves away from the mean's middle) or, where it does neither, that the largest
-    entry is positive. Raises HabitusError for fewer than two surfaces that differ, for numbers that are not finite, and
-    where no direction is asked for.
+    Surfaces are read in blocks, a few times each; what is decomposed is S x S or 3V x 3V, whichever
+    is smaller. S surfaces vary in S - 1 directions at most: no more are returned, and none along
+    which they do not vary. Variances are unbiased; ``weights`` (S,), not negative, say how much
+    each surface counts. A direction's sign is such that the surface grows with its coefficient
+    (moves away from the mean's middle) or, where it does neither, that the largest entry is
+    positive. Raises HabitusError for fewer than two surfaces that differ, for numbers that are not
+    finite, and where no direction is asked for.
     """
     if count < 1:
         raise HabitusError(f"{count} shape directions asked for; expected 1 or more")
@@ -77,17 +86,22 @@ def principal_shapes(surfaces: Vertices, count: int, *, weights: Float[np.ndarra
 
 
 class _Blocks:
-    """The surfaces as rows, read a block at a time: without their mean, and scaled so that squares sum to variances."""
+    """The surfaces as rows, read a block at a time: without their mean, and scaled so that squares
+    sum to variances.
+    """
 
     def __init__(self, surfaces: Vertices, share: Float[np.ndarray, " S"]):
-        self.surfaces, self.share = surfaces, share
+        self.surfaces = surfaces
+        self.share = share
         self.scale = np.sqrt(share / (1 - (share**2).sum()))
         size = int(np.prod(surfaces.shape[1:]))
         step = max(1, _BLOCK // size)
         self.slices = [slice(k, min(k + step, len(share))) for k in range(0, len(share), step)]
         self.mean = sum((share[rows] @ self._read(rows) for rows in self.slices), np.zeros(size))
         if not np.isfinite(self.mean).all():
-            raise HabitusError("surfaces are not finite; expected numbers in metres: leave such surfaces out")
+            raise HabitusError(
+                "surfaces are not finite; expected numbers in metres: leave such surfaces out"
+            )
 
     @property
     def tall(self) -> bool:
@@ -132,13 +146,19 @@ def _shares(count: int, weights: Float[np.ndarray, " S"] | None) -> Float[np.nda
     """How much each surface counts, summing to 1."""
     counts = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
     if counts.shape != (count,) or not (counts >= 0).all() or not np.isfinite(counts).all():
-        raise HabitusError(f"weights {counts.shape} of {count} surfaces; expected one finite number >= 0 for each")
+        raise HabitusError(
+            f"weights {counts.shape} of {count} surfaces; expected one finite number >= 0 for each"
+        )
     if np.count_nonzero(counts) < 2:
-        raise HabitusError(f"{np.count_nonzero(counts)} surfaces to learn shapes from; expected 2 or more")
+        raise HabitusError(
+            f"{np.count_nonzero(counts)} surfaces to learn shapes from; expected 2 or more"
+        )
     return counts / counts.sum()
 
 
-def _signs(flat: Float[np.ndarray, "D B"], mean: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " B"]:
+def _signs(
+    flat: Float[np.ndarray, "D B"], mean: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, " B"]:
     outward = (mean - mean.mean(0)).ravel()
     growth = outward @ flat
     clear = np.abs(growth) > 1e-6 * np.linalg.norm(outward) * np.linalg.norm(flat, axis=0)

@@ -1,4 +1,6 @@
-"""Initial estimate of the alternation: weights and joints of the template, poses by edges (S 4.1, S 4.3)."""
+"""Initial estimate of the alternation: weights and joints of the template, poses by edges (S 4.1, S
+4.3).
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -24,9 +26,14 @@ _LEAST = 4  # vertices of a part that tell how it is turned
 
 
 def state_problem(
-    registrations: Registrations, template: Template, options: TrainOptions, body: BodyModel | None = None
+    registrations: Registrations,
+    template: Template,
+    options: TrainOptions,
+    body: BodyModel | None = None,
 ) -> Problem:
-    """The multi-pose registrations with what is known of the template, or of the ``body`` that training starts from."""
+    """The multi-pose registrations with what is known of the template, or of the ``body`` that
+    training starts from.
+    """
     if options.start == "body":
         weights, regressor = _of_body(body, template, options)
     else:
@@ -43,10 +50,17 @@ def state_problem(
 def _of_body(
     body: BodyModel | None, template: Template, options: TrainOptions
 ) -> tuple[Float[np.ndarray, "V J"], Float[np.ndarray, "J V"]]:
-    """Skinning weights and joint regressor of a body; weights with as many joints a vertex as asked for, or as it has
-    where they are fixed."""
-    if body is None or body.parents != template.parents or body.num_vertices != template.num_vertices:
-        raise HabitusError("start 'body' without a body of this template; expected the one that the template is of")
+    """Skinning weights and joint regressor of a body; weights with as many joints a vertex as asked
+    for, or as it has where they are fixed.
+    """
+    if (
+        body is None
+        or body.parents != template.parents
+        or body.num_vertices != template.num_vertices
+    ):
+        raise HabitusError(
+            "start 'body' without a body of this template; expected the one that the template is of"
+        )
     if "skinning_weights" in options.fixed:
         return body.skinning_weights, body.joint_regressor
     index, value = influences(body.skinning_weights, options.influences)
@@ -60,12 +74,19 @@ def initial_rig(problem: Problem, template: Template, body: BodyModel | None = N
     options = problem.options
     if "skinning_weights" in options.fixed:
         assert body is not None
-        index, value = body.skinning_index, body.skinning_value
+        index = body.skinning_index
+        value = body.skinning_value
     else:
         index, value = influences(problem.initial_weights, options.influences)
     posedirs = _initial_pose_shapes(problem, template, body if options.start == "body" else None)
     return Rig(
-        template.parents, options.skinning, options.pose_features, options.shape_features, index, value, posedirs
+        template.parents,
+        options.skinning,
+        options.pose_features,
+        options.shape_features,
+        index,
+        value,
+        posedirs,
     )
 
 
@@ -75,7 +96,8 @@ def _initial_pose_shapes(
     options = problem.options
     if options.pose_shapes == "none":
         return None
-    per_joint, blocks = POSE_FEATURES[options.pose_features].per_joint, 1 + options.shape_features
+    per_joint = POSE_FEATURES[options.pose_features].per_joint
+    blocks = 1 + options.shape_features
     none = np.zeros((template.num_vertices, 3, (template.num_joints - 1) * per_joint * blocks))
     if body is None or body.posedirs is None:
         return none
@@ -83,26 +105,36 @@ def _initial_pose_shapes(
         if "posedirs" not in options.fixed:
             return none
         raise HabitusError(
-            f"posedirs fixed, but those of {body.name} are driven by {body.pose_features!r} and {body.shape_features} "
+            f"posedirs fixed, but those of {body.name} are driven by {body.pose_features!r} and "
+            f"{body.shape_features} "
             f"shape coefficients; expected {options.pose_features!r} alone"
         )
     posedirs = body.smpl_posedirs()
     return posedirs if "posedirs" in options.fixed else allowed_pose_shapes(problem, posedirs)
 
 
-def initial_estimate(problem: Problem, template: Template, workers: Workers, body: BodyModel | None = None) -> Estimate:
-    """All subjects have the template's shape; poses are fitted by edges, which vary little with shape (eq. 15). What is
-    known of people and poses takes the place of both, where training starts from a body.
+def initial_estimate(
+    problem: Problem, template: Template, workers: Workers, body: BodyModel | None = None
+) -> Estimate:
+    """All subjects have the template's shape; poses are fitted by edges, which vary little with
+    shape (eq. 15). What is known of people and poses takes the place of both, where training starts
+    from a body.
     """
     check_known(problem, body)
-    rig, regressor = initial_rig(problem, template, body), problem.anatomy.regressor
+    rig = initial_rig(problem, template, body)
+    regressor = problem.anatomy.regressor
     templates = people(problem, template.vertices, body)
-    joints, descriptors = regressor @ templates, np.zeros((len(templates), problem.options.shape_features))
+    joints = regressor @ templates
+    descriptors = np.zeros((len(templates), problem.options.shape_features))
     persons = [RestPerson(*each) for each in zip(templates, joints, descriptors, strict=True)]
-    general = RestPerson(template.vertices, regressor @ template.vertices, np.zeros(problem.options.shape_features))
+    general = RestPerson(
+        template.vertices, regressor @ template.vertices, np.zeros(problem.options.shape_features)
+    )
     told = told_poses(problem)
-    pose, trans = np.zeros((len(told), template.num_joints, 3)), np.zeros((len(told), 3))
-    known, others = np.flatnonzero(told), np.flatnonzero(~told)
+    pose = np.zeros((len(told), template.num_joints, 3))
+    trans = np.zeros((len(told), 3))
+    known = np.flatnonzero(told)
+    others = np.flatnonzero(~told)
     fits = known_fits(problem, rig, persons, known, workers)
     fits += edge_poses(rig, general, template.part, problem.registrations.take(others), workers)
     for row, fit in zip([*known, *others], fits, strict=True):
@@ -113,13 +145,21 @@ def initial_estimate(problem: Problem, template: Template, workers: Workers, bod
 def edge_poses(
     rig: Rig, person: RestPerson, part: np.ndarray, registrations: Registrations, workers: Workers
 ) -> list[PoseFit]:
-    """The pose of every registration by a general person's edges (eq. 15), from a start by rigid parts."""
+    """The pose of every registration by a general person's edges (eq. 15), from a start by rigid
+    parts.
+    """
     distance = edge_distance(registrations.faces, registrations.num_vertices)
     shared = (rig, person, part, registrations, distance)
-    return [fit for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8)) for fit in block]
+    return [
+        fit
+        for block in workers.map(_edge_poses, shared, in_blocks(len(registrations), 8))
+        for fit in block
+    ]
 
 
-def _edge_poses(shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range) -> list[PoseFit]:
+def _edge_poses(
+    shared: tuple[Rig, RestPerson, np.ndarray, Registrations, EdgeDistance], rows: range
+) -> list[PoseFit]:
     rig, person, part, registrations, distance = shared
     return [edge_pose(rig, person, part, *registrations.read_seen(row), distance) for row in rows]
 
@@ -134,7 +174,9 @@ def edge_pose(
 ) -> PoseFit:
     """The pose of one registration (eq. 15)."""
     start = pose_by_parts(person.template, target, part, rig.parents, weight)
-    return fit_pose(rig, person, target, start, distance=distance.weighted(weight), max_iterations=_ITERATIONS)
+    return fit_pose(
+        rig, person, target, start, distance=distance.weighted(weight), max_iterations=_ITERATIONS
+    )
 
 
 def pose_by_parts(
@@ -144,13 +186,17 @@ def pose_by_parts(
     parents: tuple[int, ...],
     weight: Float[np.ndarray, " V"] | None = None,
 ) -> Float[np.ndarray, "J 3"]:
-    """A rough pose: how each part has turned as if it were rigid; small parts turn with their parent."""
-    world, seen = np.empty((len(parents), 3, 3)), True if weight is None else weight > 0
+    """A rough pose: how each part has turned as if it were rigid; small parts turn with their
+    parent.
+    """
+    world = np.empty((len(parents), 3, 3))
+    seen = True if weight is None else weight > 0
     for joint, parent in enumerate(parents):
         rows = np.flatnonzero((part == joint) & seen)
         world[joint] = np.eye(3) if parent < 0 else world[parent]
         if len(rows) >= _LEAST:
-            a, b = rest[rows] - rest[rows].mean(0), target[rows] - target[rows].mean(0)
+            a = rest[rows] - rest[rows].mean(0)
+            b = target[rows] - target[rows].mean(0)
             u, _, vt = np.linalg.svd(b.T @ a)
             world[joint] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
     above = np.stack([np.eye(3) if parent < 0 else world[parent] for parent in parents])

@@ -1,4 +1,6 @@
-"""What is known of registrations that were made: people and poses to start from, or to hold fixed."""
+"""What is known of registrations that were made: people and poses to start from, or to hold
+fixed.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,22 +16,33 @@ from habitus.parallel.workers import Workers, in_blocks
 
 
 def check_known(problem: Problem, body: BodyModel | None) -> None:
-    """Raise HabitusError where what is known is not by this body's joints and shape directions, or does not suffice
-    for what is held fixed."""
-    known, fixed, data = problem.registrations.known, problem.options.fixed, problem.registrations
+    """Raise HabitusError where what is known is not by this body's joints and shape directions, or
+    does not suffice for what is held fixed.
+    """
+    known = problem.registrations.known
+    fixed = problem.options.fixed
+    data = problem.registrations
     if known is not None and body is not None and problem.options.start == "body":
-        for name, array, count in (("pose", known.pose, body.num_joints), ("betas", known.betas, body.num_betas)):
-            if array is not None and (array.shape[1] != count if name == "pose" else array.shape[1] > count):
+        for name, array, count in (
+            ("pose", known.pose, body.num_joints),
+            ("betas", known.betas, body.num_betas),
+        ):
+            if array is not None and (
+                array.shape[1] != count if name == "pose" else array.shape[1] > count
+            ):
                 raise HabitusError(
-                    f"the registrations' {name} have {array.shape[1]} rows of numbers, {body.name} has {count}; "
+                    f"the registrations' {name} have {array.shape[1]} rows of numbers, "
+                    f"{body.name} has {count}; "
                     "expected those of this body: choose its joints (--joints) or another body"
                 )
     for word, told in (("people", told_people(problem)), ("poses", told_poses(problem))):
         if word in fixed and not told.all():
             some = data.subjects if word == "people" else data.name
             raise HabitusError(
-                f"{word} fixed, but those of {int((~told).sum())} of {len(told)} (first {some[int((~told).argmax())]}) "
-                f"are not told; expected {'betas or rest' if word == 'people' else 'pose'} in the dataset"
+                f"{word} fixed, but those of {int((~told).sum())} of {len(told)} (first "
+                f"{some[int((~told).argmax())]}) "
+                f"are not told; expected {'betas or rest' if word == 'people' else 'pose'} in the "
+                "dataset"
             )
 
 
@@ -40,14 +53,18 @@ def told_poses(problem: Problem) -> Bool[np.ndarray, " N"]:
 
 def told_people(problem: Problem) -> Bool[np.ndarray, " S"]:
     """The subjects whose rest surfaces are known and are to be started from."""
-    data, known = problem.registrations, _known(problem)
+    data = problem.registrations
+    known = _known(problem)
     by_betas = known.told("betas", len(data))[_first_rows(problem)]
     return np.array([subject in known.rest for subject in data.subjects], bool) | by_betas
 
 
-def people(problem: Problem, general: Float[np.ndarray, "V 3"], body: BodyModel | None) -> Float[np.ndarray, "S V 3"]:
+def people(
+    problem: Problem, general: Float[np.ndarray, "V 3"], body: BodyModel | None
+) -> Float[np.ndarray, "S V 3"]:
     """Rest surfaces (m) of the subjects: those known, the general one of the others."""
-    data, known = problem.registrations, _known(problem)
+    data = problem.registrations
+    known = _known(problem)
     found = np.repeat(general[None], problem.subjects, 0)
     for k, (subject, row) in enumerate(zip(data.subjects, _first_rows(problem), strict=True)):
         if subject in known.rest:
@@ -62,12 +79,16 @@ def known_fits(
 ) -> list[PoseFit]:
     """The known poses of some registrations; their places as known, or where they lie best."""
     blocks = [rows[block.start : block.stop] for block in in_blocks(len(rows), 32)]
-    return [fit for block in workers.map(_known_fits, (problem, rig, persons), blocks) for fit in block]
+    return [
+        fit for block in workers.map(_known_fits, (problem, rig, persons), blocks) for fit in block
+    ]
 
 
 def _known_fits(shared: tuple[Problem, Rig, list[RestPerson]], rows: np.ndarray) -> list[PoseFit]:
     problem, rig, persons = shared
-    known, data, fits = _known(problem), problem.registrations, []
+    known = _known(problem)
+    data = problem.registrations
+    fits = []
     places = known.told("trans", len(data))
     for row in rows:
         pose = known.pose[row]
@@ -81,7 +102,9 @@ def _known_fits(shared: tuple[Problem, Rig, list[RestPerson]], rows: np.ndarray)
 
 
 def _known(problem: Problem) -> Known:
-    """What is known, where training starts from a body; nothing otherwise: joints would be other ones."""
+    """What is known, where training starts from a body; nothing otherwise: joints would be other
+    ones.
+    """
     known = problem.registrations.known
     return Known() if known is None or problem.options.start != "body" else known
 

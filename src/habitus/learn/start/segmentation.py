@@ -1,4 +1,6 @@
-"""Initial skinning weights and joint regressor from a segmentation of the template (S 4.1, Fig. 6; T 5.4.1)."""
+"""Initial skinning weights and joint regressor from a segmentation of the template (S 4.1, Fig. 6;
+T 5.4.1).
+"""
 
 from collections.abc import Callable
 
@@ -21,10 +23,11 @@ _STEEPEST = 100.0  # cotangents of needles; a regular triangle's is 0.58
 def diffuse_weights(template: Template) -> Float[np.ndarray, "V J"]:
     """Initial skinning weights W_I: the segmentation, diffused over the surface (S 4.1, Fig. 6b).
 
-    Each part's indicator is heat that spreads over the mesh, faster on large parts: a border is smeared by 0.35 times
-    the radius of the sphere that has the part's area. On a grown body that blends weights (5 to 95 %) over some 16 cm
-    at a knee, 10 at an elbow and 6 at a wrist, as hand-made weights do. At most four joints a vertex are kept. Rows sum
-    to 1 and nothing is negative; weights are symmetric where the template has its mirrors. A piece of the mesh that
+    Each part's indicator is heat that spreads over the mesh, faster on large parts: a border is
+    smeared by 0.35 times the radius of the sphere that has the part's area. On a grown body that
+    blends weights (5 to 95 %) over some 16 cm at a knee, 10 at an elbow and 6 at a wrist, as
+    hand-made weights do. At most four joints a vertex are kept. Rows sum to 1 and nothing is
+    negative; weights are symmetric where the template has its mirrors. A piece of the mesh that
     lies in one part and touches nothing else keeps a weight of 1.
     """
     heat = np.eye(template.num_joints)[template.part]
@@ -35,14 +38,17 @@ def diffuse_weights(template: Template) -> Float[np.ndarray, "V J"]:
 
 
 def ring_regressor(template: Template) -> Float[np.ndarray, "J V"]:
-    """Initial joint regressor J_I: a joint is the mean of the ring of vertices between its part and its parent's.
+    """Initial joint regressor J_I: a joint is the mean of the ring of vertices between its part and
+    its parent's.
 
-    The ring are the vertices of the edges that lead from one part to the other (S 4.1). The root is the mean of its
-    children's joints, or that of all its vertices if it has none. Rows sum to 1; symmetric where the template has its
-    mirrors. Raises HabitusError where a part does not touch its parent's.
+    The ring are the vertices of the edges that lead from one part to the other (S 4.1). The root is
+    the mean of its children's joints, or that of all its vertices if it has none. Rows sum to 1;
+    symmetric where the template has its mirrors. Raises HabitusError where a part does not touch
+    its parent's.
     """
     edges = igl.edges(_faces(template))
-    part, parents = template.part[edges], template.parents
+    part = template.part[edges]
+    parents = template.parents
     regressor = np.zeros((template.num_joints, template.num_vertices))
     for joint, parent in enumerate(parents):
         if parent >= 0:
@@ -57,10 +63,12 @@ def ring_regressor(template: Template) -> Float[np.ndarray, "J V"]:
 
 
 def _no_ring(template: Template, joint: int) -> HabitusError:
-    name, parent = template.joint_names[joint], template.joint_names[template.parents[joint]]
+    name = template.joint_names[joint]
+    parent = template.joint_names[template.parents[joint]]
     count = len(template.part_vertices(joint))
     return HabitusError(
-        f"no edge of the template leads from the part of {name!r} ({count} vertices) to its parent's, {parent!r}; "
+        f"no edge of the template leads from the part of {name!r} ({count} vertices) to its "
+        f"parent's, {parent!r}; "
         "expected parts that touch: repair the segmentation, the tree of joints or the mesh"
     )
 
@@ -69,15 +77,22 @@ def _faces(template: Template) -> Int[np.ndarray, "F 3"]:
     return np.ascontiguousarray(template.faces, dtype=np.int64)
 
 
-def _heat_step(template: Template) -> tuple[Callable[[np.ndarray], np.ndarray], Float[np.ndarray, "V 1"]]:
-    """A backward Euler step of the heat equation, as a function of the vertices' heat content; and their masses (V, 1).
+def _heat_step(
+    template: Template,
+) -> tuple[Callable[[np.ndarray], np.ndarray], Float[np.ndarray, "V 1"]]:
+    """A backward Euler step of the heat equation, as a function of the vertices' heat content; and
+    their masses (V, 1).
 
-    The equation is u' = s div(s grad u), s the part's radius in the units of the spread: in one dimension, heat where
-    lengths are counted in radii. So half of each joint's weight stays at the border, also between parts of two sizes.
-    Edges that a cotangent Laplacian repels heat along (obtuse triangles) conduct none, so heat never turns negative.
+    The equation is u' = s div(s grad u), s the part's radius in the units of the spread: in one
+    dimension, heat where lengths are counted in radii. So half of each joint's weight stays at the
+    border, also between parts of two sizes. Edges that a cotangent Laplacian repels heat along
+    (obtuse triangles) conduct none, so heat never turns negative.
     """
-    vertices, faces = np.ascontiguousarray(template.vertices, dtype=np.float64), _faces(template)
-    mass = np.bincount(faces.ravel(), np.repeat(igl.doublearea(vertices, faces) / 6, 3), len(vertices))
+    vertices = np.ascontiguousarray(template.vertices, dtype=np.float64)
+    faces = _faces(template)
+    mass = np.bincount(
+        faces.ravel(), np.repeat(igl.doublearea(vertices, faces) / 6, 3), len(vertices)
+    )
     mass = np.maximum(mass, 1e-9 * mass.max())  # vertices without area
     area = np.bincount(template.part, mass, template.num_joints)
     speed = SPREAD * np.sqrt(area[template.part] / (8 * np.pi))
@@ -99,7 +114,9 @@ def _symmetric(weights: Float[np.ndarray, "V J"], template: Template) -> Float[n
 
 
 def _strongest(weights: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
-    """At most four joints a vertex; of joints that tie for the last place, none, which keeps mirrors alike."""
+    """At most four joints a vertex; of joints that tie for the last place, none, which keeps
+    mirrors alike.
+    """
     if weights.shape[1] > MOST:
         fifth = np.partition(weights, -MOST - 1, axis=1)[:, -MOST - 1, None]
         weights = np.where((weights > fifth) | (weights == 1), weights, 0.0)

@@ -1,4 +1,5 @@
-"""The blocks of eq. 14, each solved with the others held: poses, subjects, skinning weights, pose blend shapes (S 4.3).
+"""The blocks of eq. 14, each solved with the others held: poses, subjects, skinning weights, pose
+blend shapes (S 4.3).
 
 Every step takes an estimate to a better one; none of them can raise the energy.
 """
@@ -38,10 +39,12 @@ from habitus.parallel.workers import Workers, in_blocks
 
 @dataclass(frozen=True)
 class Step:
-    """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend on them.
+    """One block of the alternation: the unknowns that it moves, and the terms of eq. 14 that depend
+    on them.
 
-    The first of ``moves`` is what the step is for; the others move with it where they are free. ``solve`` minimises
-    these terms, or lowers them, with all other unknowns fixed. Names are those of `energy_terms`.
+    The first of ``moves`` is what the step is for; the others move with it where they are free.
+    ``solve`` minimises these terms, or lowers them, with all other unknowns fixed. Names are those
+    of `energy_terms`.
     """
 
     moves: tuple[str, ...]
@@ -62,7 +65,9 @@ def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimat
     """Pose and translation of every registration (E_D)."""
     blocks = in_blocks(len(problem.registrations), 8)
     fits = [fit for block in workers.map(_poses, (problem, estimate), blocks) for fit in block]
-    return replace(estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits]))
+    return replace(
+        estimate, pose=np.stack([f.pose for f in fits]), trans=np.stack([f.trans for f in fits])
+    )
 
 
 def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
@@ -70,11 +75,13 @@ def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Esti
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
     shared = (problem, estimate, sample, subset_rig(estimate.rig, sample.vertices))
     found = list(workers.map(_subject, shared, range(problem.subjects)))
-    pose, trans = estimate.pose.copy(), estimate.trans.copy()
+    pose = estimate.pose.copy()
+    trans = estimate.trans.copy()
     for subject, (_, _, its_pose, its_trans) in enumerate(found):
         rows = problem.rows_of(subject)
         pose[rows], trans[rows] = its_pose, its_trans
-    templates, joints = np.stack([t for t, *_ in found]), np.stack([j for _, j, *_ in found])
+    templates = np.stack([t for t, *_ in found])
+    joints = np.stack([j for _, j, *_ in found])
     return replace(estimate, templates=templates, joints=joints, pose=pose, trans=trans)
 
 
@@ -90,11 +97,18 @@ def weight_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estim
     return replace(estimate, rig=_lowest(problem, estimate, rigs, workers))
 
 
-def _minimum(problem: Problem, rig: Rig, quadratics: Quadratics, allowed: np.ndarray | None = None) -> Rig:
+def _minimum(
+    problem: Problem, rig: Rig, quadratics: Quadratics, allowed: np.ndarray | None = None
+) -> Rig:
     """The rig with the weights that minimise the quadratics and E_W."""
     options = problem.options
     index, value = minimize_quadratics(
-        quadratics, problem.candidates, problem.initial_weights, options.weights.skinning, options.influences, allowed
+        quadratics,
+        problem.candidates,
+        problem.initial_weights,
+        options.weights.skinning,
+        options.influences,
+        allowed,
     )
     return replace(rig, index=index, value=value)
 
@@ -111,11 +125,15 @@ def pose_shape_step(problem: Problem, estimate: Estimate, workers: Workers) -> E
     """Pose blend shapes, where there are any (E_D + E_P)."""
     if estimate.rig.posedirs is None:
         return estimate
-    return replace(estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers)))
+    return replace(
+        estimate, rig=replace(estimate.rig, posedirs=solve_pose_shapes(problem, estimate, workers))
+    )
 
 
 STEPS: Mapping[str, Step] = {
-    "subjects": Step(("templates", "joints", "pose", "trans"), ("data", "symmetry", "joints"), subject_step),
+    "subjects": Step(
+        ("templates", "joints", "pose", "trans"), ("data", "symmetry", "joints"), subject_step
+    ),
     "weights": Step(("skinning_weights",), ("data", "skinning"), weight_step),
     "pose shapes": Step(("posedirs",), ("data", "pose_shapes"), pose_shape_step),
     "poses": Step(("pose", "trans"), ("data",), pose_step),
@@ -144,12 +162,16 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
     """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
     problem, estimate, sample, _ = shared
-    rows, person = problem.rows_of(subject), estimate.person(subject)
+    rows = problem.rows_of(subject)
+    person = estimate.person(subject)
     surfaces, weights = zip(*(problem.registrations.read_seen(row) for row in rows), strict=True)
-    tries, found = [(estimate.pose[rows], estimate.trans[rows])], []
+    tries = [(estimate.pose[rows], estimate.trans[rows])]
+    found = []
     if "pose" not in problem.held:
         targets = [
-            SampledTarget(surface[sample.vertices], None if weight is None else weight[sample.vertices])
+            SampledTarget(
+                surface[sample.vertices], None if weight is None else weight[sample.vertices]
+            )
             for surface, weight in zip(surfaces, weights, strict=True)
         ]
         tries.insert(0, _refined(shared, person, tries[0], targets))
@@ -157,7 +179,9 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
         posed = [PosedTarget(*each) for each in zip(surfaces, pose, trans, weights, strict=True)]
         terms = posed, problem.anatomy, problem.options.weights
         held = "joint_regressor" in problem.options.fixed
-        rest = solve_subject(estimate.rig, person.descriptor, *terms, held=held, around=person.template)
+        rest = solve_subject(
+            estimate.rig, person.descriptor, *terms, held=held, around=person.template
+        )
         person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *terms)
         found.append((person_energy, (*rest, pose, trans)))
     return min(found, key=lambda pair: pair[0])[1]
@@ -169,17 +193,23 @@ def _refined(
     given: tuple[np.ndarray, np.ndarray],
     targets: list[SampledTarget],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Better poses and translations of a subject's registrations, found on a sample of the vertices."""
+    """Better poses and translations of a subject's registrations, found on a sample of the
+    vertices.
+    """
     problem, estimate, sample, few = shared
     ring = problem.anatomy.regressor @ person.template
     few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
-    better = refine(problem, few, sample, SampledSubject(few_rest, *given), targets, ring, _SKELETON_STEPS)
+    better = refine(
+        problem, few, sample, SampledSubject(few_rest, *given), targets, ring, _SKELETON_STEPS
+    )
     return remove_mean_rotation(estimate.rig.parents, given[0], better.pose), better.trans
 
 
 def _quadratics(shared: tuple[Problem, Estimate], rows: range) -> Quadratics:
     problem, estimate = shared
-    return gather_quadratics(estimate.rig, problem.candidates, posed_targets(problem, estimate, rows))
+    return gather_quadratics(
+        estimate.rig, problem.candidates, posed_targets(problem, estimate, rows)
+    )
 
 
 def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.ndarray:

@@ -1,9 +1,11 @@
-"""Local pose blend shapes: each vertex is driven by the joints near it that matter (S 5.2's idea, the errors of S 3).
+"""Local pose blend shapes: each vertex is driven by the joints near it that matter (S 5.2's idea,
+the errors of S 3).
 
-With residuals y - A P f of a vertex in all registrations, A its blended rotation and f the features of the joints that
-may drive it, E_D + E_P is a quadratic in the few numbers of P: it is formed and solved exactly, in posed space, where
-the creases of linear blend skinning (A nearly singular) ask for little. Joints are let go of by what that costs people
-left out: those of one half of the people, with what the other half says.
+With residuals y - A P f of a vertex in all registrations, A its blended rotation and f the features
+of the joints that may drive it, E_D + E_P is a quadratic in the few numbers of P: it is formed and
+solved exactly, in posed space, where the creases of linear blend skinning (A nearly singular) ask
+for little. Joints are let go of by what that costs people left out: those of one half of the
+people, with what the other half says.
 """
 
 from collections.abc import Iterator
@@ -29,8 +31,10 @@ _REACH = 2  # bones from a vertex' strongest joint
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What all chunks share: features of the registrations, joints that may drive each vertex, columns of each joint,
-    and which half of the people a registration is of; ``least`` is None where no joint is to be let go of."""
+    """What all chunks share: features of the registrations, joints that may drive each vertex,
+    columns of each joint, and which half of the people a registration is of; ``least`` is None
+    where no joint is to be let go of.
+    """
 
     problem: Problem
     estimate: Estimate
@@ -42,19 +46,29 @@ class _Task:
 
 
 def solve_local(
-    problem: Problem, estimate: Estimate, features: Float[np.ndarray, "N F"], workers: Workers, *, choose: bool = False
+    problem: Problem,
+    estimate: Estimate,
+    features: Float[np.ndarray, "N F"],
+    workers: Workers,
+    *,
+    choose: bool = False,
 ) -> Float[np.ndarray, "V 3 F"]:
-    """The local pose blend shapes (m) of least E_D + E_P; vertices that no registration shows keep theirs.
+    """The local pose blend shapes (m) of least E_D + E_P; vertices that no registration shows keep
+    theirs.
 
-    ``features`` are those of every registration, times what describes its person. With ``choose`` joints are let go of
-    where that costs people left out less than the options' ``least_effect``.
+    ``features`` are those of every registration, times what describes its person. With ``choose``
+    joints are let go of where that costs people left out less than the options' ``least_effect``.
     """
     rig = estimate.rig
     assert rig.posedirs is not None
     joints = rig.num_joints - 1
-    columns = np.arange(features.shape[1]).reshape(1 + rig.shape_features, joints, -1).transpose(1, 0, 2)
+    columns = (
+        np.arange(features.shape[1]).reshape(1 + rig.shape_features, joints, -1).transpose(1, 0, 2)
+    )
     columns = columns.reshape(joints, -1)
-    driven = neighbourhoods(problem, estimate, np.abs(features).max(0)[columns].max(1) > 1e-9, columns)
+    driven = neighbourhoods(
+        problem, estimate, np.abs(features).max(0)[columns].max(1) > 1e-9, columns
+    )
     half = halves(problem.registrations.subject_index)
     least = problem.options.least_effect if choose else None
     task = _Task(problem, estimate, features, driven, columns, half, least)
@@ -67,7 +81,8 @@ def solve_local(
 
 
 def halves(person: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
-    """Which half of the people a registration is of, two neighbours together: they may be one and its mirror image.
+    """Which half of the people a registration is of, two neighbours together: they may be one and
+    its mirror image.
 
     Of fewer than four people each gives every other registration to a half.
     """
@@ -75,10 +90,15 @@ def halves(person: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
 
 
 def neighbourhoods(
-    problem: Problem, estimate: Estimate, moving: Bool[np.ndarray, " D"], columns: Int[np.ndarray, "D k"]
+    problem: Problem,
+    estimate: Estimate,
+    moving: Bool[np.ndarray, " D"],
+    columns: Int[np.ndarray, "D k"],
 ) -> Bool[np.ndarray, "V D"]:
-    """The joints (all but the root) that may drive each vertex: within two bones of its strongest one, or next to one
-    that moves it, as far as they move in the data; and those that drive it already."""
+    """The joints (all but the root) that may drive each vertex: within two bones of its strongest
+    one, or next to one that moves it, as far as they move in the data; and those that drive it
+    already.
+    """
     far = kinship(estimate.rig.parents)
     weights = problem.initial_weights
     near = (far[weights.argmax(1)] <= _REACH) | ((weights > 0).astype(float) @ (far <= 1) > 0)
@@ -96,11 +116,15 @@ def _chunk(task: _Task, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 F"
         columns = task.columns[task.driven[ids[rows[0]]]]
         out[rows] = 0.0
         if columns.size:
-            out[np.ix_(rows, range(3), columns.ravel())] = _solved(task, square[:, rows], right[:, rows], columns)
+            out[np.ix_(rows, range(3), columns.ravel())] = _solved(
+                task, square[:, rows], right[:, rows], columns
+            )
     return out
 
 
-def _alike(driven: Bool[np.ndarray, "n D"], seen: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " m"]]:
+def _alike(
+    driven: Bool[np.ndarray, "n D"], seen: Bool[np.ndarray, " n"]
+) -> Iterator[Int[np.ndarray, " m"]]:
     """Vertices that are seen, a few at a time, driven by the same joints."""
     for kind in np.unique(driven[seen], axis=0):
         rows = np.flatnonzero((driven == kind).all(1) & seen)
@@ -111,13 +135,19 @@ def _alike(driven: Bool[np.ndarray, "n D"], seen: Bool[np.ndarray, " n"]) -> Ite
 _UPPER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
-def _gathered(task: _Task, ids: np.ndarray) -> tuple[Float[np.ndarray, "N n 6"], Float[np.ndarray, "N n 3"]]:
+def _gathered(
+    task: _Task, ids: np.ndarray
+) -> tuple[Float[np.ndarray, "N n 6"], Float[np.ndarray, "N n 3"]]:
     """Each registration's A'A and A'y of some vertices, times their weights."""
     count = len(task.features)
     few = replace(task.estimate, rig=replace(subset_rig(task.estimate.rig, ids), posedirs=None))
-    square, right = np.empty((count, len(ids), 6), np.float32), np.empty((count, len(ids), 3), np.float32)
-    for row, (person, target) in enumerate(posed_targets(task.problem, task.estimate, range(count))):
-        applied, some = posed(few.rig, target.pose), RestPerson(person.template[ids], person.joints, person.descriptor)
+    square = np.empty((count, len(ids), 6), np.float32)
+    right = np.empty((count, len(ids), 3), np.float32)
+    for row, (person, target) in enumerate(
+        posed_targets(task.problem, task.estimate, range(count))
+    ):
+        applied = posed(few.rig, target.pose)
+        some = RestPerson(person.template[ids], person.joints, person.descriptor)
         left = target.vertices[ids] - target.trans - applied.vertices(some.template, some.joints)
         weight = None if target.weight is None else target.weight[ids]
         back = weighted(applied.turn.transpose(0, 2, 1), weight)
@@ -128,16 +158,30 @@ def _gathered(task: _Task, ids: np.ndarray) -> tuple[Float[np.ndarray, "N n 6"],
 
 
 def _solved(
-    task: _Task, square: Float[np.ndarray, "N m 6"], right: Float[np.ndarray, "N m 3"], columns: Int[np.ndarray, "g k"]
+    task: _Task,
+    square: Float[np.ndarray, "N m 6"],
+    right: Float[np.ndarray, "N m 3"],
+    columns: Int[np.ndarray, "g k"],
 ) -> Float[np.ndarray, "m 3 G"]:
-    """Pose blend shapes of vertices that the same joints may drive, by the columns of these joints."""
-    features, weight = task.features[:, columns.ravel()], task.problem.options.weights.pose_shapes
-    halves = [np.flatnonzero(task.half == k) for k in (0, 1)] if task.least is not None else [slice(None)]
+    """Pose blend shapes of vertices that the same joints may drive, by the columns of these
+    joints.
+    """
+    features = task.features[:, columns.ravel()]
+    weight = task.problem.options.weights.pose_shapes
+    halves = (
+        [np.flatnonzero(task.half == k) for k in (0, 1)]
+        if task.least is not None
+        else [slice(None)]
+    )
     equations = [_normal_equations(features[rows], square[rows], right[rows]) for rows in halves]
-    size, found = features.shape[1], np.zeros((square.shape[1], 3, columns.size))
-    groups = np.arange(3 * size).reshape(3, *columns.shape).transpose(1, 0, 2).reshape(len(columns), -1)
+    size = features.shape[1]
+    found = np.zeros((square.shape[1], 3, columns.size))
+    groups = (
+        np.arange(3 * size).reshape(3, *columns.shape).transpose(1, 0, 2).reshape(len(columns), -1)
+    )
     for k in range(len(found)):
-        grams, pulls = [gram[k] for gram, _ in equations], [pull[k] for _, pull in equations]
+        grams = [gram[k] for gram, _ in equations]
+        pulls = [pull[k] for _, pull in equations]
         use = np.arange(3 * size)
         if task.least is not None:
             limit = task.least**2 * float(square[:, k, :3].sum()) / 3
@@ -151,10 +195,13 @@ def _solved(
 
 
 def _normal_equations(
-    features: Float[np.ndarray, "N G"], square: Float[np.ndarray, "N m 6"], right: Float[np.ndarray, "N m 3"]
+    features: Float[np.ndarray, "N G"],
+    square: Float[np.ndarray, "N m 6"],
+    right: Float[np.ndarray, "N m 3"],
 ) -> tuple[Float[np.ndarray, "m 3G 3G"], Float[np.ndarray, "m 3G"]]:
     """Of each vertex: sums over registrations of A'A (x) f f' and of A'y (x) f."""
-    count, size = square.shape[1], features.shape[1]
+    count = square.shape[1]
+    size = features.shape[1]
     one, two = np.triu_indices(size)
     products = features[:, one] * features[:, two]
     sums = (square.reshape(len(square), -1).astype(np.float64).T @ products).reshape(count, 6, -1)

@@ -1,4 +1,6 @@
-"""Solvers for E_D + E_P over the pose blend shapes: full (S 4.1), sparse (S 5.2), low rank, L1 (T 5.6)."""
+"""Solvers for E_D + E_P over the pose blend shapes: full (S 4.1), sparse (S 5.2), low rank, L1 (T
+5.6).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,15 +22,21 @@ _SWEEPS = 4
 
 
 class Penalty(Protocol):
-    """E_P in one of its forms, and how to lower E_D + E_P over the pose blend shapes, a table (3V, F)."""
+    """E_P in one of its forms, and how to lower E_D + E_P over the pose blend shapes, a table (3V,
+    F).
+    """
 
     @property
     def term(self) -> Term:
         """E_P of eq. 14."""
         ...
 
-    def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
-        """A better table; ``descent`` and ``curvature`` are the data term's halved derivatives, bounded by ``gram``."""
+    def solve(
+        self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear
+    ) -> Table:
+        """A better table; ``descent`` and ``curvature`` are the data term's halved derivatives,
+        bounded by ``gram``.
+        """
         ...
 
 
@@ -43,15 +51,21 @@ class Full:
         """E_P: squares."""
         return pose_shape_term(self.weight)
 
-    def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
+    def solve(
+        self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear
+    ) -> Table:
         """Conjugate gradients, preconditioned by the Gram matrix."""
         factor = cho_factor(_bound(gram, self.weight))
-        return _conjugate_gradients(start, self.weight, descent, curvature, lambda r: cho_solve(factor, r.T).T)
+        return _conjugate_gradients(
+            start, self.weight, descent, curvature, lambda r: cho_solve(factor, r.T).T
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Sparse:
-    """The same where a vertex is driven by some features only: those where ``driven`` (V, F) holds (S 5.2)."""
+    """The same where a vertex is driven by some features only: those where ``driven`` (V, F) holds
+    (S 5.2).
+    """
 
     weight: float
     driven: Bool[np.ndarray, "V F"]
@@ -61,7 +75,9 @@ class Sparse:
         """E_P: squares."""
         return pose_shape_term(self.weight)
 
-    def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
+    def solve(
+        self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear
+    ) -> Table:
         """Conjugate gradients over the features that may drive a vertex; others stay at zero."""
         matrix = _bound(gram, self.weight)
         kinds, kind = np.unique(self.driven, axis=0, return_inverse=True)
@@ -88,7 +104,9 @@ class Sparse:
 
 @dataclass(frozen=True)
 class LowRank:
-    """lambda_P |P|^2 among tables of some rank: fewer blend shapes at run time (T 5.6, future work)."""
+    """lambda_P |P|^2 among tables of some rank: fewer blend shapes at run time (T 5.6, future
+    work).
+    """
 
     weight: float
     rank: int
@@ -98,10 +116,15 @@ class LowRank:
         """E_P: squares."""
         return pose_shape_term(self.weight)
 
-    def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
-        """Steps to the minimum of the bound, each the nearest table of that rank in the bound's own metric."""
+    def solve(
+        self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear
+    ) -> Table:
+        """Steps to the minimum of the bound, each the nearest table of that rank in the bound's own
+        metric.
+        """
         matrix = _bound(gram, self.weight)
-        factor, root = cho_factor(matrix), np.linalg.cholesky(matrix)
+        factor = cho_factor(matrix)
+        root = np.linalg.cholesky(matrix)
         table = start
         for _ in range(_MAJORISED_STEPS):
             goal = table + cho_solve(factor, (descent(table) - self.weight * table).T).T
@@ -114,7 +137,9 @@ class LowRank:
 
 @dataclass(frozen=True)
 class SparseL1:
-    """A weight times the sum of absolute values, in place of squares: most numbers become zero (S 4.1's remark)."""
+    """A weight times the sum of absolute values, in place of squares: most numbers become zero (S
+    4.1's remark).
+    """
 
     weight: float
 
@@ -123,17 +148,24 @@ class SparseL1:
         """E_P: absolute values."""
         return pose_shape_term(self.weight, absolute=True)
 
-    def solve(self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear) -> Table:
+    def solve(
+        self, start: Table, gram: Float[np.ndarray, "F F"], descent: Linear, curvature: Linear
+    ) -> Table:
         """Steps that lower the bound by sweeps over its coordinates."""
         table = start.copy()
         for _ in range(_MAJORISED_STEPS):
-            slope, moved = descent(table), table.copy()
+            slope = descent(table)
+            moved = table.copy()
             change = np.zeros_like(table)
             for _ in range(_SWEEPS):
                 for f in range(len(gram)):
                     if gram[f, f] > 0:
                         pull = slope[:, f] - change @ gram[:, f] + gram[f, f] * moved[:, f]
-                        new = np.sign(pull) * np.maximum(np.abs(pull) - 0.5 * self.weight, 0) / gram[f, f]
+                        new = (
+                            np.sign(pull)
+                            * np.maximum(np.abs(pull) - 0.5 * self.weight, 0)
+                            / gram[f, f]
+                        )
                         change[:, f] += new - moved[:, f]
                         moved[:, f] = new
             table = moved
@@ -141,7 +173,9 @@ class SparseL1:
 
 
 def _bound(gram: Float[np.ndarray, "F F"], weight: float) -> Float[np.ndarray, "F F"]:
-    """The bound on the curvature, kept invertible where fewer registrations than features leave some of them free."""
+    """The bound on the curvature, kept invertible where fewer registrations than features leave
+    some of them free.
+    """
     floor = 1e-10 * max(float(gram.trace()), 1.0) / len(gram)
     return gram + max(weight, floor) * np.eye(len(gram))
 
@@ -153,7 +187,8 @@ def _conjugate_gradients(
     table = start
     residual = descent(table) - weight * table
     ready = precondition(residual)
-    along, size = ready, float((residual * ready).sum())
+    along = ready
+    size = float((residual * ready).sum())
     for step in range(_GRADIENT_STEPS):
         if size <= 0.0:
             break
@@ -165,5 +200,6 @@ def _conjugate_gradients(
         residual = residual - length * product
         ready = precondition(residual)
         new = float((residual * ready).sum())
-        along, size = ready + (new / size) * along, new
+        along = ready + (new / size) * along
+        size = new
     return table

@@ -1,10 +1,12 @@
-"""Pose blend shapes, given everything else: a large linear least-squares problem (S 4.1, E_D + E_P).
+"""Pose blend shapes, given everything else: a large linear least-squares problem (S 4.1, E_D +
+E_P).
 
-With residuals y_j - A_j P f_j, A_j the blended rotations and f_j the pose features, the gradient is a sum of outer
-products over registrations. Blended rotations do not lengthen, A'A <= I, so that the features' Gram matrix, the same
-for all vertices, bounds the curvature from above and nearly equals it: it preconditions conjugate gradients, and a step
-by its inverse never raises the energy where rank or sparsity are constrained (``penalties.py``). Local ones are
-solved for vertex by vertex (``local_pose_shapes.py``).
+With residuals y_j - A_j P f_j, A_j the blended rotations and f_j the pose features, the gradient is
+a sum of outer products over registrations. Blended rotations do not lengthen, A'A <= I, so that the
+features' Gram matrix, the same for all vertices, bounds the curvature from above and nearly equals
+it: it preconditions conjugate gradients, and a step by its inverse never raises the energy where
+rank or sparsity are constrained (``penalties.py``). Local ones are solved for vertex by vertex
+(``local_pose_shapes.py``).
 """
 
 from dataclasses import replace
@@ -22,7 +24,9 @@ from habitus.parallel.workers import Workers, in_blocks
 _BLOCK = 32
 
 
-def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) -> Float[np.ndarray, "V 3 F"]:
+def solve_pose_shapes(
+    problem: Problem, estimate: Estimate, workers: Workers
+) -> Float[np.ndarray, "V 3 F"]:
     """Better pose blend shapes (m): data term and penalty together never rise."""
     start = estimate.rig.posedirs
     assert start is not None
@@ -39,7 +43,9 @@ def solve_pose_shapes(problem: Problem, estimate: Estimate, workers: Workers) ->
 
 
 def let_go(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
-    """Local pose blend shapes without the joints that matter less than the options' ``least_effect``."""
+    """Local pose blend shapes without the joints that matter less than the options'
+    ``least_effect``.
+    """
     if problem.options.pose_shapes != "local" or "posedirs" in problem.held:
         return estimate
     features = extended_features(problem, estimate)
@@ -48,7 +54,9 @@ def let_go(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
 
 
 def extended_features(problem: Problem, estimate: Estimate) -> Float[np.ndarray, "N F"]:
-    """Every registration's pose features times one and times each number that describes its person."""
+    """Every registration's pose features times one and times each number that describes its
+    person.
+    """
     features = pose_feature(estimate.rig, estimate.pose)
     numbers = estimate.descriptors[problem.registrations.subject_index]
     factors = np.concatenate([np.ones((len(features), 1)), numbers], 1)
@@ -61,24 +69,34 @@ def penalty(problem: Problem, features: int) -> Penalty:
     weight = options.weights.pose_shapes
     if options.pose_shapes == "sparse":
         return Sparse(weight, _driven(problem, features))
-    return {"full": Full(weight), "low_rank": LowRank(weight, options.rank), "l1": SparseL1(options.l1)}[
-        options.pose_shapes
-    ]
+    return {
+        "full": Full(weight),
+        "low_rank": LowRank(weight, options.rank),
+        "l1": SparseL1(options.l1),
+    }[options.pose_shapes]
 
 
-def allowed_pose_shapes(problem: Problem, posedirs: Float[np.ndarray, "V 3 F"]) -> Float[np.ndarray, "V 3 F"]:
-    """The nearest pose blend shapes of the kind that the options name: of lower rank, or driven by nearby joints."""
+def allowed_pose_shapes(
+    problem: Problem, posedirs: Float[np.ndarray, "V 3 F"]
+) -> Float[np.ndarray, "V 3 F"]:
+    """The nearest pose blend shapes of the kind that the options name: of lower rank, or driven by
+    nearby joints.
+    """
     options = problem.options
     if options.pose_shapes == "sparse":
         return posedirs * _driven(problem, posedirs.shape[-1])[:, None]
     if options.pose_shapes == "low_rank":
         u, s, vt = np.linalg.svd(posedirs.reshape(-1, posedirs.shape[-1]), full_matrices=False)
-        return ((u[:, : options.rank] * s[: options.rank]) @ vt[: options.rank]).reshape(posedirs.shape)
+        return ((u[:, : options.rank] * s[: options.rank]) @ vt[: options.rank]).reshape(
+            posedirs.shape
+        )
     return posedirs
 
 
 def _driven(problem: Problem, features: int) -> Bool[np.ndarray, "V F"]:
-    """Features that may drive a vertex in sparse blend shapes: those of its initial weights' joints (S 5.2)."""
+    """Features that may drive a vertex in sparse blend shapes: those of its initial weights' joints
+    (S 5.2).
+    """
     joints = problem.initial_weights[:, 1:] > 0
     blocks = 1 + problem.options.shape_features
     return np.tile(np.repeat(joints, features // (blocks * joints.shape[1]), axis=1), (1, blocks))
@@ -90,10 +108,14 @@ def _descent(
     """Half the negative gradient of the data term: sum of A'r f'."""
     rig = replace(estimate.rig, posedirs=table.reshape(-1, 3, table.shape[1]))
     shared = (problem, replace(estimate, rig=rig), features)
-    return sum(workers.map(_descent_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(table))
+    return sum(
+        workers.map(_descent_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(table)
+    )
 
 
-def _descent_of(shared: tuple[Problem, Estimate, np.ndarray], rows: range) -> Float[np.ndarray, "U F"]:
+def _descent_of(
+    shared: tuple[Problem, Estimate, np.ndarray], rows: range
+) -> Float[np.ndarray, "U F"]:
     problem, estimate, features = shared
     pulls = []
     for person, target in posed_targets(problem, estimate, rows):
@@ -109,7 +131,9 @@ def _curvature(
 ) -> Float[np.ndarray, "U F"]:
     """Half the data term's second derivative applied to a direction: sum of A'A D f f'."""
     shared = (problem.registrations if problem.weighted else None, estimate, features, along)
-    return sum(workers.map(_curvature_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(along))
+    return sum(
+        workers.map(_curvature_of, shared, in_blocks(len(features), _BLOCK)), np.zeros_like(along)
+    )
 
 
 def _curvature_of(

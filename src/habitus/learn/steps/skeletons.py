@@ -1,10 +1,11 @@
 """A subject's rest surface, joints and all its poses at once, on a sample of the vertices.
 
-Alternating between them converges slowly, because poses compensate for a displaced joint and vice versa. Here one
-Gauss-Newton step of the terms E_D, E_Y and E_J is taken over everything that belongs to one subject. Poses and
-translations are eliminated one registration at a time, which leaves the sampled rest surface and the joints. A few
-vertices of each part determine the skeleton; ``subjects.solve_subject`` then solves for the whole rest surface, and the
-result is kept only where it lowers the energy.
+Alternating between them converges slowly, because poses compensate for a displaced joint and vice
+versa. Here one Gauss-Newton step of the terms E_D, E_Y and E_J is taken over everything that
+belongs to one subject. Poses and translations are eliminated one registration at a time, which
+leaves the sampled rest surface and the joints. A few vertices of each part determine the skeleton;
+``subjects.solve_subject`` then solves for the whole rest surface, and the result is kept only where
+it lowers the energy.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,8 +30,9 @@ _FIRST_DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Sampled vertices, how many each stands for, and each one's mirror partner as a number in the sample (without
-    mirror: itself)."""
+    """Sampled vertices, how many each stands for, and each one's mirror partner as a number in the
+    sample (without mirror: itself).
+    """
 
     vertices: Int[np.ndarray, " n"]
     count: Float[np.ndarray, " n"]
@@ -39,7 +41,9 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class SampledSubject:
-    """All of one subject on the sample: rest vertices and joints (m), poses (rad), translations (m)."""
+    """All of one subject on the sample: rest vertices and joints (m), poses (rad), translations
+    (m).
+    """
 
     person: RestPerson
     pose: Float[np.ndarray, "n J 3"]
@@ -55,20 +59,30 @@ class SampledTarget:
 
 
 def sample_parts(weights: Float[np.ndarray, "V J"], mirror: Int[np.ndarray, " V"] | None) -> Sample:
-    """About equally many vertices of each part, spread over it, always with their mirror partners."""
+    """About equally many vertices of each part, spread over it, always with their mirror
+    partners.
+    """
     part = weights.argmax(1)
     whole = np.arange(len(part)) if mirror is None else mirror
     chosen = np.zeros(len(part), bool)
     for joint in range(weights.shape[1]):
         rows = np.flatnonzero(part == joint)
-        chosen[rows[np.unique(np.linspace(0, len(rows) - 1, _A_PART).astype(int))] if len(rows) else rows] = True
+        chosen[
+            rows[np.unique(np.linspace(0, len(rows) - 1, _A_PART).astype(int))]
+            if len(rows)
+            else rows
+        ] = True
     chosen |= chosen[whole]
     vertices = np.flatnonzero(chosen)
-    size, kept = (np.bincount(part[rows], minlength=weights.shape[1]) for rows in (slice(None), vertices))
+    size, kept = (
+        np.bincount(part[rows], minlength=weights.shape[1]) for rows in (slice(None), vertices)
+    )
     count = (size / np.maximum(kept, 1))[part[vertices]]
     position = np.full(len(part), -1)
     position[vertices] = np.arange(len(vertices))
-    return Sample(vertices, (count + count[position[whole[vertices]]]) / 2, position[whole[vertices]])
+    return Sample(
+        vertices, (count + count[position[whole[vertices]]]) / 2, position[whole[vertices]]
+    )
 
 
 def subset_rig(rig: Rig, vertices: Int[np.ndarray, " n"]) -> Rig:
@@ -89,18 +103,22 @@ def refine(
     ring: Float[np.ndarray, "J 3"],
     steps: int,
 ) -> SampledSubject:
-    """Better poses, joints and rest vertices together: Levenberg-Marquardt steps; ``rig`` is the sample's.
+    """Better poses, joints and rest vertices together: Levenberg-Marquardt steps; ``rig`` is the
+    sample's.
 
     ``ring`` (m) are the initial regressor's joints, taken as fixed here.
     """
     held = "joint_regressor" in problem.options.fixed
     system = _System(rig, sample, sample_terms(problem, sample, ring), targets, held)
-    damping, energy = _FIRST_DAMPING, _energy(system, subject)
+    damping = _FIRST_DAMPING
+    energy = _energy(system, subject)
     for _ in range(steps):
         trial = _moved(subject, *_step(system, subject, damping))
         new = _energy(system, trial)
         if new < energy:
-            subject, energy, damping = trial, new, damping / 5
+            subject = trial
+            energy = new
+            damping = damping / 5
         else:
             damping *= 20
     return subject
@@ -109,33 +127,50 @@ def refine(
 def remove_mean_rotation(
     parents: tuple[int, ...], before: Float[np.ndarray, "n J 3"], after: Float[np.ndarray, "n J 3"]
 ) -> Float[np.ndarray, "n J 3"]:
-    """``after`` with the mean change of each part's world rotation since ``before`` removed (rotation vectors, rad).
+    """``after`` with the mean change of each part's world rotation since ``before`` removed
+    (rotation vectors, rad).
 
-    Rotating a part at rest while its poses rotate back costs little energy, and blend skinning favours a rest pose near
-    most poses; the zero pose would drift away from the template's. Rotations of the rest surface act from the right of
-    world rotations, independently for each part.
+    Rotating a part at rest while its poses rotate back costs little energy, and blend skinning
+    favours a rest pose near most poses; the zero pose would drift away from the template's.
+    Rotations of the rest surface act from the right of world rotations, independently for each
+    part.
     """
     first, last = (_world(parents, pose) for pose in (before, after))
     common = rotvec_from_matrix(first.mT @ last).mean(0)
     turned = last @ matrix_from_rotvec(-common)
-    above = np.stack([np.broadcast_to(np.eye(3), (len(turned), 3, 3)), *(turned[:, p] for p in parents[1:])], 1)
+    above = np.stack(
+        [np.broadcast_to(np.eye(3), (len(turned), 3, 3)), *(turned[:, p] for p in parents[1:])], 1
+    )
     return rotvec_from_matrix(above.mT @ turned)
 
 
-def _world(parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]) -> Float[np.ndarray, "n J 3 3"]:
+def _world(
+    parents: tuple[int, ...], pose: Float[np.ndarray, "n J 3"]
+) -> Float[np.ndarray, "n J 3 3"]:
     return world_motions(matrix_from_rotvec(pose), np.zeros(pose.shape), parents)[..., :3]
 
 
-def _moved(subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray) -> SampledSubject:
+def _moved(
+    subject: SampledSubject, rest: np.ndarray, joints: np.ndarray, poses: np.ndarray
+) -> SampledSubject:
     person = subject.person
-    moved = RestPerson(person.template + rest.reshape(-1, 3), person.joints + joints.reshape(-1, 3), person.descriptor)
+    moved = RestPerson(
+        person.template + rest.reshape(-1, 3),
+        person.joints + joints.reshape(-1, 3),
+        person.descriptor,
+    )
     turns = poses[:, :-3].reshape(subject.pose.shape)
     return SampledSubject(moved, subject.pose + turns, subject.trans + poses[:, -3:])
 
 
-def sample_terms(problem: Problem, sample: Sample, ring: Float[np.ndarray, "J 3"]) -> dict[str, Term]:
-    """E_Y and E_J on the sample, each vertex weighted by how many it stands for, J_I T fixed at ``ring``."""
-    anatomy, weights = problem.anatomy, problem.options.weights
+def sample_terms(
+    problem: Problem, sample: Sample, ring: Float[np.ndarray, "J 3"]
+) -> dict[str, Term]:
+    """E_Y and E_J on the sample, each vertex weighted by how many it stands for, J_I T fixed at
+    ``ring``.
+    """
+    anatomy = problem.anatomy
+    weights = problem.options.weights
     mirror = None if anatomy.mirror is None else sample.partner
     return {
         "symmetry": symmetry_term(mirror, anatomy.joint_mirror, weights, sample.count),
@@ -159,7 +194,8 @@ def _energy(system: "_System", subject: SampledSubject) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Constants of one subject's refinement: the sample's rig and terms, and the registrations' sampled vertices.
+    """Constants of one subject's refinement: the sample's rig and terms, and the registrations'
+    sampled vertices.
 
     ``held``: joints stay where they are.
     """
@@ -171,33 +207,45 @@ class _System:
     held: bool
 
 
-def _step(system: _System, subject: SampledSubject, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The damped Gauss-Newton step of half the energy: of the rest vertices (3 U), of the joints (3 J), and of each
-    pose with its translation (n, 3 J + 3). Only the lower half of the matrix is kept right.
+def _step(
+    system: _System, subject: SampledSubject, damping: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The damped Gauss-Newton step of half the energy: of the rest vertices (3 U), of the joints (3
+    J), and of each pose with its translation (n, 3 J + 3). Only the lower half of the matrix is
+    kept right.
     """
     matrix, gradient = normal_equations(system.terms, _values(subject.person))
-    matrix, right, eliminated = _eliminate_poses(system, subject, damping, 0.5 * matrix, -0.5 * gradient)
+    matrix, right, eliminated = _eliminate_poses(
+        system, subject, damping, 0.5 * matrix, -0.5 * gradient
+    )
     size = subject.person.template.size
     if system.held:
         matrix[size:], right[size:] = 0.0, 0.0
         matrix[size:, size:] = np.eye(len(matrix) - size)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
     found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
-    turns = [solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1) for f, s in eliminated]
+    turns = [
+        solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1)
+        for f, s in eliminated
+    ]
     return found[:size], found[size:], np.stack(turns)
 
 
 def _eliminate_poses(
     system: _System, subject: SampledSubject, damping: float, matrix: np.ndarray, right: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-    """Add the data term and take its Schur complement over poses and translations, a registration at a time.
+    """Add the data term and take its Schur complement over poses and translations, a registration
+    at a time.
 
-    Also what recovers each pose's step: the Cholesky factor of its block, and the factor solved for its columns.
+    Also what recovers each pose's step: the Cholesky factor of its block, and the factor solved for
+    its columns.
     """
     eliminated = []
     for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
         count = weighted(system.sample.count, target.weight)
-        one = _normal_equations(system.rig, count, subject.person, pose, target.vertices - trans, damping)
+        one = _normal_equations(
+            system.rig, count, subject.person, pose, target.vertices - trans, damping
+        )
         one.add_to(matrix, right)
         columns = np.column_stack([one.cross.T, one.pull])
         solved = solve_triangular(one.factor, columns, lower=True, check_finite=False)
@@ -209,10 +257,12 @@ def _eliminate_poses(
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """One registration's normal equations: its pose and translation (3 J + 3 numbers), and the rest person.
+    """One registration's normal equations: its pose and translation (3 J + 3 numbers), and the rest
+    person.
 
-    ``factor`` is the Cholesky factor of the pose's own block, ``cross`` couples rest vertices and joints to it, and
-    ``pull`` and ``shared_pull`` are the right sides. ``spread`` are the transposed slopes by rest vertices.
+    ``factor`` is the Cholesky factor of the pose's own block, ``cross`` couples rest vertices and
+    joints to it, and ``pull`` and ``shared_pull`` are the right sides. ``spread`` are the
+    transposed slopes by rest vertices.
     """
 
     factor: Float[np.ndarray, "p p"]
@@ -224,9 +274,12 @@ class _Normal:
 
     def add_to(self, matrix: np.ndarray, right: np.ndarray) -> None:
         """The blocks of rest vertices and joints."""
-        size, joint_jacobian = len(self.joint_jacobian), self.joint_jacobian
+        size = len(self.joint_jacobian)
+        joint_jacobian = self.joint_jacobian
         _add_blocks(matrix, self.spread @ self.spread.transpose(0, 2, 1))
-        between = (self.spread @ joint_jacobian.reshape(-1, 3, joint_jacobian.shape[1])).reshape(size, -1)
+        between = (self.spread @ joint_jacobian.reshape(-1, 3, joint_jacobian.shape[1])).reshape(
+            size, -1
+        )
         matrix[size:, :size] += between.T
         matrix[size:, size:] += joint_jacobian.T @ joint_jacobian
         right += self.shared_pull
@@ -240,17 +293,23 @@ def _normal_equations(
     target: np.ndarray,
     damping: float,
 ) -> _Normal:
-    """Gauss-Newton, each vertex weighted by its ``count``; ``target`` (m) is the registration minus ``trans``."""
+    """Gauss-Newton, each vertex weighted by its ``count``; ``target`` (m) is the registration minus
+    ``trans``.
+    """
     size = 3 * len(count)
     root = np.sqrt(np.repeat(count, 3))
     moved, pose_jacobian, turn, joint_jacobian = surface_jacobians(rig, person, pose)
     left = root * (target - moved).ravel()
-    own = root[:, None] * np.concatenate([pose_jacobian.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1)
+    own = root[:, None] * np.concatenate(
+        [pose_jacobian.reshape(size, -1), np.tile(np.eye(3), (len(turn), 1))], 1
+    )
     joint_jacobian = root[:, None] * joint_jacobian.reshape(size, -1)
     hess = own.T @ own
     factor = np.linalg.cholesky(hess + np.diag(damping * hess.diagonal() + 1e-12))
     spread = (root.reshape(-1, 3, 1) * turn).transpose(0, 2, 1)
-    cross = np.concatenate([(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), joint_jacobian.T @ own])
+    cross = np.concatenate(
+        [(spread @ own.reshape(-1, 3, own.shape[1])).reshape(size, -1), joint_jacobian.T @ own]
+    )
     shared = np.concatenate([(spread @ left.reshape(-1, 3, 1)).ravel(), joint_jacobian.T @ left])
     return _Normal(factor, cross, own.T @ left, shared, spread, joint_jacobian)
 

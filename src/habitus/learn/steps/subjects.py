@@ -1,7 +1,9 @@
-"""Rest surface and rest joints of one subject, given poses and rig: E_D + E_Y + E_J in closed form (S 4.1, eq. 14).
+"""Rest surface and rest joints of one subject, given poses and rig: E_D + E_Y + E_J in closed form
+(S 4.1, eq. 14).
 
-The normal equations are block-diagonal in the vertices (pairs of vertices, with the symmetry term), but for the joints
-and the joints' regressor, which couple everything through 3 J numbers each: those are solved for first.
+The normal equations are block-diagonal in the vertices (pairs of vertices, with the symmetry term),
+but for the joints and the joints' regressor, which couple everything through 3 J numbers each:
+those are solved for first.
 """
 
 from collections.abc import Iterable
@@ -17,9 +19,13 @@ from habitus.learn.posing.surface import pose_feature, posed
 from habitus.learn.terms import FLIP, asymmetry, costs, data_residual, subject_terms
 
 HOLD = 1e-2
-"""Weight up to which vertices that no registration shows are held where they were; a registration's is 1."""
+"""Weight up to which vertices that no registration shows are held where they were; a registration's
+is 1.
+"""
 TERMS = ("data", "symmetry", "joints")
-"""Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and joints."""
+"""Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and
+joints.
+"""
 
 
 def solve_subject(
@@ -32,18 +38,26 @@ def solve_subject(
     held: bool = False,
     around: Float[np.ndarray, "V 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
-    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's registrations.
+    """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's
+    registrations.
 
-    ``held``: joints are exactly what the anatomy's regressor makes of the surface. Vertices that no registration shows
-    stay near those of the surface ``around``, which is needed where there are such.
+    ``held``: joints are exactly what the anatomy's regressor makes of the surface. Vertices that no
+    registration shows stay near those of the surface ``around``, which is needed where there are
+    such.
     """
-    vertices, columns = rig.num_vertices, 3 * rig.num_joints
-    blocks, cross = np.zeros((vertices, 3, 3)), np.zeros((vertices, 3, columns))
-    joints, right, right_joints = np.zeros((columns, columns)), np.zeros((vertices, 3)), np.zeros(columns)
-    posedirs, seen = rig.posedirs_for(descriptor), np.zeros(vertices)
+    vertices = rig.num_vertices
+    columns = 3 * rig.num_joints
+    blocks = np.zeros((vertices, 3, 3))
+    cross = np.zeros((vertices, 3, columns))
+    joints = np.zeros((columns, columns))
+    right = np.zeros((vertices, 3))
+    right_joints = np.zeros(columns)
+    posedirs = rig.posedirs_for(descriptor)
+    seen = np.zeros(vertices)
     for target in targets:
         applied = posed(rig, target.pose)
-        turn, joint_jacobian = applied.turn, applied.joint_jacobian()
+        turn = applied.turn
+        joint_jacobian = applied.joint_jacobian()
         left = target.vertices - target.trans
         if posedirs is not None:
             left = left - (turn @ (posedirs @ pose_feature(rig, target.pose))[..., None])[..., 0]
@@ -63,11 +77,17 @@ def solve_subject(
     if anatomy.joint_mirror is not None:
         joints += weights.symmetry * weights.joint_symmetry * joint_asymmetry(anatomy.joint_mirror)
     pairs = _Pairs.of(blocks, anatomy.mirror, weights.symmetry)
-    return _solve(pairs, cross, joints, right, right_joints, anatomy, None if held else weights.joints)
+    return _solve(
+        pairs, cross, joints, right, right_joints, anatomy, None if held else weights.joints
+    )
 
 
 def subject_energy(
-    rig: Rig, person: RestPerson, targets: Iterable[PosedTarget], anatomy: Anatomy, weights: EnergyWeights
+    rig: Rig,
+    person: RestPerson,
+    targets: Iterable[PosedTarget],
+    anatomy: Anatomy,
+    weights: EnergyWeights,
 ) -> float:
     """The cost (m^2) of `TERMS` for one subject."""
     values = {"templates": person.template, "joints": person.joints}
@@ -93,17 +113,23 @@ def _solve(
     anatomy: Anatomy,
     weight: float | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eliminate the vertices; what is left are the joints J and how strongly the regressor pulls at them.
+    """Eliminate the vertices; what is left are the joints J and how strongly the regressor pulls at
+    them.
 
-    T = A^-1 (r - C J + J_I' m) with m = ``weight`` (J - J_I T), or where that is None with the m for which J = J_I T.
+    T = A^-1 (r - C J + J_I' m) with m = ``weight`` (J - J_I T), or where that is None with the m
+    for which J = J_I T.
     """
-    count, columns = len(right), len(right_joints)
+    count = len(right)
+    columns = len(right_joints)
     ring = np.kron(anatomy.regressor, np.eye(3)).reshape(columns, count * 3)
-    solved = pairs.solve(np.concatenate([right[..., None], cross, ring.T.reshape(count, 3, columns)], -1)).reshape(
-        count * 3, -1
-    )
-    by_right, by_cross, by_ring = solved[:, 0], solved[:, 1 : 1 + columns], solved[:, 1 + columns :]
-    flat, unit = cross.reshape(-1, columns), np.eye(columns)
+    solved = pairs.solve(
+        np.concatenate([right[..., None], cross, ring.T.reshape(count, 3, columns)], -1)
+    ).reshape(count * 3, -1)
+    by_right = solved[:, 0]
+    by_cross = solved[:, 1 : 1 + columns]
+    by_ring = solved[:, 1 + columns :]
+    flat = cross.reshape(-1, columns)
+    unit = np.eye(columns)
     scale, give = (1.0, 0.0) if weight is None else (weight, 1.0)
     matrix = np.block(
         [
@@ -111,8 +137,11 @@ def _solve(
             [joints - flat.T @ by_cross, unit + flat.T @ by_ring],
         ]
     )
-    found = np.linalg.solve(matrix, np.concatenate([scale * (ring @ by_right), right_joints - flat.T @ by_right]))
-    joint, pull = found[:columns], found[columns:]
+    found = np.linalg.solve(
+        matrix, np.concatenate([scale * (ring @ by_right), right_joints - flat.T @ by_right])
+    )
+    joint = found[:columns]
+    pull = found[columns:]
     surface = by_right - by_cross @ joint + by_ring @ pull
     return surface.reshape(count, 3), joint.reshape(-1, 3)
 
@@ -128,11 +157,14 @@ class _Pairs:
     pair_blocks: Float[np.ndarray, "m 6 6"]
 
     @staticmethod
-    def of(blocks: Float[np.ndarray, "V 3 3"], mirror: Int[np.ndarray, " V"] | None, symmetry: float) -> "_Pairs":
+    def of(
+        blocks: Float[np.ndarray, "V 3 3"], mirror: Int[np.ndarray, " V"] | None, symmetry: float
+    ) -> "_Pairs":
         """``blocks`` plus ``symmetry`` times the quadratic form of |T - U(T)|^2."""
         vertices = np.arange(len(blocks))
         partner = vertices if mirror is None else mirror
-        alone, left = vertices[partner == vertices], vertices[partner > vertices]
+        alone = vertices[partner == vertices]
+        left = vertices[partner > vertices]
         own = 0.0 if mirror is None else symmetry
         alone_blocks = blocks[alone] + own * np.diag((1 - FLIP) ** 2)
         pair = np.zeros((len(left), 6, 6))
@@ -145,6 +177,8 @@ class _Pairs:
         """The inverse applied to many right sides."""
         out = np.empty_like(right)
         out[self.alone] = np.linalg.solve(self.alone_blocks, right[self.alone])
-        both = np.linalg.solve(self.pair_blocks, np.concatenate([right[self.left], right[self.right]], 1))
+        both = np.linalg.solve(
+            self.pair_blocks, np.concatenate([right[self.left], right[self.right]], 1)
+        )
         out[self.left], out[self.right] = both[:, :3], both[:, 3:]
         return out

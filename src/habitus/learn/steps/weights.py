@@ -1,8 +1,10 @@
-"""Skinning weights, given everything else: each vertex by itself, at most four joints, exactly (S 4.1, E_D + E_W).
+"""Skinning weights, given everything else: each vertex by itself, at most four joints, exactly (S
+4.1, E_D + E_W).
 
-A vertex' weights enter linear blend skinning linearly, so that its part of the energy is a quadratic in a few weights
-that are not negative and sum to one. There are 162 ways to choose up to four of eight joints: all are solved, and the
-best is kept. Dual quaternions are linearised first, and a proposal is kept only where it lowers the energy.
+A vertex' weights enter linear blend skinning linearly, so that its part of the energy is a
+quadratic in a few weights that are not negative and sum to one. There are 162 ways to choose up to
+four of eight joints: all are solved, and the best is kept. Dual quaternions are linearised first,
+and a proposal is kept only where it lowers the energy.
 """
 
 from collections.abc import Iterable
@@ -15,15 +17,26 @@ from jaxtyping import Float, Int
 from habitus.learn.estimate import PosedTarget, weighted
 from habitus.learn.options import CANDIDATES
 from habitus.learn.posing.rig import RestPerson, Rig, kinship
-from habitus.learn.posing.surface import Skeleton, rest_surface, signed_value, skeleton, surface, world_quaternions
+from habitus.learn.posing.surface import (
+    Skeleton,
+    rest_surface,
+    signed_value,
+    skeleton,
+    surface,
+    world_quaternions,
+)
 from habitus.learn.steps.weights_kernels import best_weights, dual_influences, linear_influences
 
-_LITTLE = 1e-12  # m^2: keeps vertices that nobody shows at their initial weights, whatever E_W weighs
+_LITTLE = (
+    1e-12  # m^2: keeps vertices that nobody shows at their initial weights, whatever E_W weighs
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Quadratics:
-    """Per vertex the energy as a function of its candidates' weights w: w N w - 2 n w + constant."""
+    """Per vertex the energy as a function of its candidates' weights w: w N w - 2 n w +
+    constant.
+    """
 
     matrix: Float[np.ndarray, "V C C"]
     vector: Float[np.ndarray, "V C"]
@@ -32,8 +45,12 @@ class Quadratics:
         return Quadratics(self.matrix + other.matrix, self.vector + other.vector)
 
 
-def candidate_joints(parents: tuple[int, ...], initial: Float[np.ndarray, "V J"]) -> Int[np.ndarray, "V C"]:
-    """The joints that may move a vertex: those of the initial weights, then those next to the strongest in the tree."""
+def candidate_joints(
+    parents: tuple[int, ...], initial: Float[np.ndarray, "V J"]
+) -> Int[np.ndarray, "V C"]:
+    """The joints that may move a vertex: those of the initial weights, then those next to the
+    strongest in the tree.
+    """
     far = kinship(parents)[initial.argmax(1)]
     order = np.where(initial > 0, -1 - initial, far)
     return np.argsort(order, axis=1, kind="stable")[:, :CANDIDATES].astype(np.int64)
@@ -42,9 +59,12 @@ def candidate_joints(parents: tuple[int, ...], initial: Float[np.ndarray, "V J"]
 def gather_quadratics(
     rig: Rig, candidates: Int[np.ndarray, "V C"], items: Iterable[tuple[RestPerson, PosedTarget]]
 ) -> Quadratics:
-    """The data term of some registrations by the weights, linearised at the rig's where it is not linear."""
+    """The data term of some registrations by the weights, linearised at the rig's where it is not
+    linear.
+    """
     count = candidates.shape[1]
-    matrix, vector = np.zeros((rig.num_vertices, count, count)), np.zeros((rig.num_vertices, count))
+    matrix = np.zeros((rig.num_vertices, count, count))
+    vector = np.zeros((rig.num_vertices, count))
     dense = np.take_along_axis(rig.weights, candidates, 1)
     for person, target in items:
         bones = skeleton(rig.parents, target.pose)
@@ -64,28 +84,39 @@ def minimize_quadratics(
     influences: int,
     allowed: Float[np.ndarray, "V J"] | None = None,
 ) -> tuple[Int[np.ndarray, "V K"], Float[np.ndarray, "V K"]]:
-    """Joints and weights that minimise the quadratics plus ``weight`` |w - w_I|^2, among ``allowed`` (> 0) joints."""
+    """Joints and weights that minimise the quadratics plus ``weight`` |w - w_I|^2, among
+    ``allowed`` (> 0) joints.
+    """
     count = candidates.shape[1]
     near = np.take_along_axis(initial, candidates, 1)
-    may = np.ones(candidates.shape, bool) if allowed is None else np.take_along_axis(allowed, candidates, 1) > 0
+    may = (
+        np.ones(candidates.shape, bool)
+        if allowed is None
+        else np.take_along_axis(allowed, candidates, 1) > 0
+    )
     supports = [s for size in range(1, influences + 1) for s in combinations(range(count), size)]
     table = np.array([s + (-1,) * (influences - len(s)) for s in supports], dtype=np.int64)
     weight = max(weight, _LITTLE)
     scale = quadratics.matrix.trace(axis1=1, axis2=2)[:, None] / count
-    # plus scale (sum w - 1)^2, which is nothing: dual quaternions hear no scale of w, their matrix alone is singular
+    # plus scale (sum w - 1)^2, which is nothing: dual quaternions hear no scale of w, their matrix
+    # alone is singular
     matrix = quadratics.matrix + weight * np.eye(count) + scale[..., None]
     value = best_weights(matrix, quadratics.vector + weight * near + scale, may, table)
     order = np.argsort(-value, axis=1, kind="stable")[:, :influences]
     return np.take_along_axis(candidates, order, 1), np.take_along_axis(value, order, 1)
 
 
-def vertex_costs(rigs: list[Rig], items: Iterable[tuple[RestPerson, PosedTarget]]) -> Float[np.ndarray, "R V"]:
+def vertex_costs(
+    rigs: list[Rig], items: Iterable[tuple[RestPerson, PosedTarget]]
+) -> Float[np.ndarray, "R V"]:
     """Squared distance (m^2) of each vertex over some registrations, for several rigs."""
     out = np.zeros((len(rigs), rigs[0].num_vertices))
     for person, target in items:
         goal = target.vertices - target.trans
         for row, rig in zip(out, rigs, strict=True):
-            row += weighted(((surface(rig, person, target.pose) - goal) ** 2).sum(-1), target.weight)
+            row += weighted(
+                ((surface(rig, person, target.pose) - goal) ** 2).sum(-1), target.weight
+            )
     return out
 
 
@@ -98,7 +129,9 @@ def midpoint_rig(rig: Rig, other: Rig) -> Rig:
 def select_rigs(rigs: list[Rig], best: Int[np.ndarray, " V"]) -> Rig:
     """Each vertex' weights from the rig of that number."""
     rows = np.arange(rigs[0].num_vertices)
-    index, value = (np.stack([getattr(rig, key) for rig in rigs])[best, rows] for key in ("index", "value"))
+    index, value = (
+        np.stack([getattr(rig, key) for rig in rigs])[best, rows] for key in ("index", "value")
+    )
     return replace(rigs[0], index=index, value=value)
 
 
@@ -129,7 +162,14 @@ def _dual(
     sides = np.where(quaternions @ quaternions.T < 0, -1.0, 1.0)[candidates, rig.strongest[:, None]]
     signed = signed_value(rig, quaternions)
     rows = dual_influences(
-        rig.index, signed, candidates, sides, rest, moved, quaternions, bones.translations(person.joints)
+        rig.index,
+        signed,
+        candidates,
+        sides,
+        rest,
+        moved,
+        quaternions,
+        bones.translations(person.joints),
     )
     return rows, target.vertices - target.trans - moved + np.einsum("vc,vca->va", dense, rows)
 

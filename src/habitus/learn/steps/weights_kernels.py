@@ -1,4 +1,6 @@
-"""Compiled loops over vertices for skinning weights: influence of candidate joints, best sparse weights."""
+"""Compiled loops over vertices for skinning weights: influence of candidate joints, best sparse
+weights.
+"""
 
 import numpy as np
 
@@ -11,7 +13,9 @@ def linear_influences(candidates, rest, motions):
     """Posed positions of each vertex under each candidate joint alone (V,C,3)."""
     out = np.empty((len(rest), candidates.shape[1], 3))
     for v in range(len(rest)):
-        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
+        x = rest[v, 0]
+        y = rest[v, 1]
+        z = rest[v, 2]
         for c in range(candidates.shape[1]):
             m = motions[candidates[v, c]]
             for a in range(3):
@@ -23,7 +27,8 @@ def linear_influences(candidates, rest, motions):
 def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, translations):
     """Derivative of each vertex by each candidate's weight with dual quaternions (V,C,3).
 
-    dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b') + vec(e' b*)] with b' and e' the candidate's own parts.
+    dx = 2/|b|^2 [vec(b' y b*) + vec(e b'*) - x (b . b') + vec(e' b*)] with b' and e' the
+    candidate's own parts.
     """
     out = np.empty((len(rest), candidates.shape[1], 3))
     for v in range(len(rest)):
@@ -36,7 +41,8 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
         turned = product((0.0, rest[v, 0], rest[v, 1], rest[v, 2]), back)
         f = 2.0 / dot4(b, b)
         for c in range(candidates.shape[1]):
-            joint, side = candidates[v, c], sides[v, c]
+            joint = candidates[v, c]
+            side = sides[v, c]
             q = (
                 side * quaternions[joint, 0], side * quaternions[joint, 1],
                 side * quaternions[joint, 2], side * quaternions[joint, 3],
@@ -46,7 +52,9 @@ def dual_influences(index, signed, candidates, sides, rest, moved, quaternions, 
             third = product(_dual(quaternions, translations, joint, side), back)
             along = dot4(b, q)
             for a in range(3):
-                out[v, c, a] = f * (first[a + 1] + second[a + 1] + third[a + 1] - moved[v, a] * along)
+                out[v, c, a] = f * (
+                    first[a + 1] + second[a + 1] + third[a + 1] - moved[v, a] * along
+                )
     return out
 
 
@@ -56,19 +64,31 @@ def _dual(quaternions, translations, joint, factor):
         factor * quaternions[joint, 0], factor * quaternions[joint, 1],
         factor * quaternions[joint, 2], factor * quaternions[joint, 3],
     )  # fmt: skip
-    return product((0.0, 0.5 * translations[joint, 0], 0.5 * translations[joint, 1], 0.5 * translations[joint, 2]), q)
+    return product(
+        (
+            0.0,
+            0.5 * translations[joint, 0],
+            0.5 * translations[joint, 1],
+            0.5 * translations[joint, 2],
+        ),
+        q,
+    )
 
 
 @jit
 def best_weights(matrix, vector, may, supports):
-    """Per vertex the w >= 0 of sum 1 that minimises w M w - 2 m w over all supports (candidates' numbers, -1 fills).
+    """Per vertex the w >= 0 of sum 1 that minimises w M w - 2 m w over all supports (candidates'
+    numbers, -1 fills).
 
-    On a support the minimum under sum(w) = 1 is x + t y with M x = m, M y = 1; it counts where no weight is negative.
+    On a support the minimum under sum(w) = 1 is x + t y with M x = m, M y = 1; it counts where no
+    weight is negative.
     """
     vertices, count = vector.shape
     out = np.zeros((vertices, count))
     size = supports.shape[1]
-    factor, x, y = np.empty((size, size)), np.empty(size), np.empty(size)
+    factor = np.empty((size, size))
+    x = np.empty(size)
+    y = np.empty(size)
     for v in range(vertices):
         best = np.inf
         for s in range(len(supports)):
@@ -84,7 +104,8 @@ def best_weights(matrix, vector, may, supports):
                 sum_x += x[i]
                 sum_y += y[i]
             t = (1.0 - sum_x) / sum_y
-            energy, feasible = 0.0, True
+            energy = 0.0
+            feasible = True
             for i in range(n):
                 x[i] += t * y[i]
                 feasible = feasible and x[i] >= 0.0
@@ -106,7 +127,9 @@ def best_weights(matrix, vector, may, supports):
 
 @jit_inline
 def _solve(matrix, vector, support, n, factor, x, y):
-    """Cholesky on the support: matrix x = vector, matrix y = 1; False where it is not positive definite."""
+    """Cholesky on the support: matrix x = vector, matrix y = 1; False where it is not positive
+    definite.
+    """
     for i in range(n):
         for j in range(i + 1):
             total = matrix[support[i], support[j]]
@@ -119,13 +142,15 @@ def _solve(matrix, vector, support, n, factor, x, y):
             else:
                 factor[i, j] = total / factor[j, j]
     for i in range(n):
-        a, b = vector[support[i]], 1.0
+        a = vector[support[i]]
+        b = 1.0
         for k in range(i):
             a -= factor[i, k] * x[k]
             b -= factor[i, k] * y[k]
         x[i], y[i] = a / factor[i, i], b / factor[i, i]
     for i in range(n - 1, -1, -1):
-        a, b = x[i], y[i]
+        a = x[i]
+        b = y[i]
         for k in range(i + 1, n):
             a -= factor[k, i] * x[k]
             b -= factor[k, i] * y[k]

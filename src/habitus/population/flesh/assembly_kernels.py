@@ -1,14 +1,23 @@
-"""Sums over tetrahedra: energy, forces and the block matrix of second derivatives, and products with that matrix."""
+"""Sums over tetrahedra: energy, forces and the block matrix of second derivatives, and products
+with that matrix.
+"""
 
 import numpy as np
 
 from habitus.kernels.jit import jit
-from habitus.population.flesh.elastic_kernels import energy_density, gradient_of, modes_of, rotations_of
+from habitus.population.flesh.elastic_kernels import (
+    energy_density,
+    gradient_of,
+    modes_of,
+    rotations_of,
+)
 
 
 @jit
 def total_energy(nodes, tets, inverse, volume, mu, lam):
-    """Elastic energy; the inverses of the rest edges (T, 3, 3) may be stretched by active muscles."""
+    """Elastic energy; the inverses of the rest edges (T, 3, 3) may be stretched by active
+    muscles.
+    """
     f = np.empty((3, 3))
     total = 0.0
     for t in range(len(tets)):
@@ -27,11 +36,22 @@ def determinants(nodes, tets, inverse, out):
 
 @jit
 def add_elastic(nodes, tets, inverse, volume, mu, lam, slots, gradient, blocks):
-    """Add the energy's derivatives to gradient (N, 3), and to blocks (K, 3, 3) where slots (T, 16) are not negative."""
-    f, u, v, square = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    work, vectors, stretch = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    shear, sigma = np.empty((3, 2)), np.empty(3)
-    force, rest, local, half = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    """Add the energy's derivatives to gradient (N, 3), and to blocks (K, 3, 3) where slots (T, 16)
+    are not negative.
+    """
+    f = np.empty((3, 3))
+    u = np.empty((3, 3))
+    v = np.empty((3, 3))
+    square = np.empty((3, 3))
+    work = np.empty((3, 3))
+    vectors = np.empty((3, 3))
+    stretch = np.empty((3, 3))
+    shear = np.empty((3, 2))
+    sigma = np.empty(3)
+    force = np.empty((3, 3))
+    rest = np.empty((3, 3))
+    local = np.empty((3, 3))
+    half = np.empty((3, 3))
     element = np.empty((4, 4, 3, 3))
     for t in range(len(tets)):
         gradient_of(nodes, tets[t], inverse[t], f)
@@ -46,7 +66,11 @@ def add_elastic(nodes, tets, inverse, volume, mu, lam, slots, gradient, blocks):
             gradient[tets[t, 0], c] -= volume[t] * total
         for a in range(3):
             for k in range(3):
-                rest[a, k] = inverse[t, a, 0] * v[0, k] + inverse[t, a, 1] * v[1, k] + inverse[t, a, 2] * v[2, k]
+                rest[a, k] = (
+                    inverse[t, a, 0] * v[0, k]
+                    + inverse[t, a, 1] * v[1, k]
+                    + inverse[t, a, 2] * v[2, k]
+                )
         _element(u, rest, stretch, shear, volume[t], local, half, element)
         _scatter(element, slots[t], blocks)
 
@@ -67,19 +91,29 @@ def _forces(f, u, sigma, v, first, mu, inverse, force):
 
 @jit
 def _element(u, rest, stretch, shear, volume, local, half, element):
-    """Blocks (4, 4, 3, 3) between the corners, those of the first from the others, as moving all does nothing."""
+    """Blocks (4, 4, 3, 3) between the corners, those of the first from the others, as moving all
+    does nothing.
+    """
     for a in range(1, 4):
         for b in range(a, 4):
-            ra, rb = rest[a - 1], rest[b - 1]
+            ra = rest[a - 1]
+            rb = rest[b - 1]
             for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                own = stretch[i, i] * ra[i] * rb[i] + shear[k, 0] * ra[j] * rb[j] + shear[j, 0] * ra[k] * rb[k]
+                j = (i + 1) % 3
+                k = (i + 2) % 3
+                own = (
+                    stretch[i, i] * ra[i] * rb[i]
+                    + shear[k, 0] * ra[j] * rb[j]
+                    + shear[j, 0] * ra[k] * rb[k]
+                )
                 local[i, i] = volume * own
                 local[i, j] = volume * (stretch[i, j] * ra[i] * rb[j] + shear[k, 1] * ra[j] * rb[i])
                 local[j, i] = volume * (stretch[i, j] * ra[j] * rb[i] + shear[k, 1] * ra[i] * rb[j])
             for i in range(3):
                 for j in range(3):
-                    half[i, j] = u[i, 0] * local[0, j] + u[i, 1] * local[1, j] + u[i, 2] * local[2, j]
+                    half[i, j] = (
+                        u[i, 0] * local[0, j] + u[i, 1] * local[1, j] + u[i, 2] * local[2, j]
+                    )
             for i in range(3):
                 for j in range(3):
                     value = half[i, 0] * u[j, 0] + half[i, 1] * u[j, 1] + half[i, 2] * u[j, 2]
@@ -88,7 +122,9 @@ def _element(u, rest, stretch, shear, volume, local, half, element):
     for i in range(3):
         for j in range(3):
             for a in range(1, 4):
-                element[a, 0, i, j] = -element[a, 1, i, j] - element[a, 2, i, j] - element[a, 3, i, j]
+                element[a, 0, i, j] = (
+                    -element[a, 1, i, j] - element[a, 2, i, j] - element[a, 3, i, j]
+                )
                 element[0, a, j, i] = element[a, 0, i, j]
     for i in range(3):
         for j in range(3):
@@ -108,7 +144,9 @@ def _scatter(element, slots, blocks):
 
 @jit
 def add_springs(corners, weights, stiffness, slots, blocks):
-    """Add springs on points in tetrahedra, weights (S, 4) of their corners, to the matrix: constant blocks."""
+    """Add springs on points in tetrahedra, weights (S, 4) of their corners, to the matrix: constant
+    blocks.
+    """
     for s in range(len(corners)):
         for a in range(4):
             for b in range(4):
@@ -121,7 +159,9 @@ def add_springs(corners, weights, stiffness, slots, blocks):
 
 @jit
 def spring_energy(nodes, corners, weights, stiffness, targets, gradient):
-    """Energy of the springs towards targets (S, 3); their forces are added to the gradient (N, 3)."""
+    """Energy of the springs towards targets (S, 3); their forces are added to the gradient (N,
+    3).
+    """
     total = 0.0
     for s in range(len(corners)):
         for c in range(3):
@@ -140,8 +180,11 @@ def multiply(starts, columns, blocks, x, out):
     for r in range(len(starts) - 1):
         a = b = c = 0.0
         for k in range(starts[r], starts[r + 1]):
-            m, n = blocks[k], columns[k]
-            x0, x1, x2 = x[n, 0], x[n, 1], x[n, 2]
+            m = blocks[k]
+            n = columns[k]
+            x0 = x[n, 0]
+            x1 = x[n, 1]
+            x2 = x[n, 2]
             a += m[0, 0] * x0 + m[0, 1] * x1 + m[0, 2] * x2
             b += m[1, 0] * x0 + m[1, 1] * x1 + m[1, 2] * x2
             c += m[2, 0] * x0 + m[2, 1] * x1 + m[2, 2] * x2
@@ -171,7 +214,9 @@ def multiply_contacts(corners, coefficients, normals, stiffness, active, x, out)
 
 @jit
 def contact_energy(nodes, corners, coefficients, normals, stiffness, gap, active, gradient):
-    """Energy of unilateral springs that keep `gap` along the normals; marks the active, adds forces to the gradient."""
+    """Energy of unilateral springs that keep `gap` along the normals; marks the active, adds forces
+    to the gradient.
+    """
     total = 0.0
     for k in range(len(corners)):
         distance = -gap
@@ -184,7 +229,9 @@ def contact_energy(nodes, corners, coefficients, normals, stiffness, gap, active
             total += 0.5 * stiffness * distance * distance
             for a in range(8):
                 for i in range(3):
-                    gradient[corners[k, a], i] += stiffness * distance * coefficients[k, a] * normals[k, i]
+                    gradient[corners[k, a], i] += (
+                        stiffness * distance * coefficients[k, a] * normals[k, i]
+                    )
     return total
 
 
@@ -207,8 +254,15 @@ def invert_blocks(diagonal):
     """Invert symmetric positive blocks (N, 3, 3) in place."""
     for n in range(len(diagonal)):
         m = diagonal[n]
-        a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
-        p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+        a = m[0, 0]
+        b = m[0, 1]
+        c = m[0, 2]
+        d = m[1, 1]
+        e = m[1, 2]
+        f = m[2, 2]
+        p = d * f - e * e
+        q = c * e - b * f
+        r = b * e - c * d
         det = a * p + b * q + c * r
         m[0, 0], m[1, 1], m[2, 2] = p / det, (a * f - c * c) / det, (a * d - b * b) / det
         m[0, 1] = m[1, 0] = q / det
@@ -217,21 +271,32 @@ def invert_blocks(diagonal):
 
 
 @jit
-def conjugate_gradients(starts, columns, blocks, inverse, contacts, stiffness, right, x, tolerance, most):
-    """Solve A x = right (N, 3) from x = 0 with the inverted diagonal; gives the number of steps taken.
+def conjugate_gradients(
+    starts, columns, blocks, inverse, contacts, stiffness, right, x, tolerance, most
+):
+    """Solve A x = right (N, 3) from x = 0 with the inverted diagonal; gives the number of steps
+    taken.
 
     Stops where the residual in the preconditioner's norm has fallen by `tolerance`.
     """
     corners, coefficients, normals, active = contacts
     count = len(right)
-    r, z, p, q = right.copy(), np.empty_like(right), np.zeros_like(right), np.empty_like(right)
+    r = right.copy()
+    z = np.empty_like(right)
+    p = np.zeros_like(right)
+    q = np.empty_like(right)
     x[:] = 0.0
-    last, begin = 1.0, 0.0
+    last = 1.0
+    begin = 0.0
     for step in range(most + 1):
         rho = 0.0
         for n in range(count):
             for i in range(3):
-                z[n, i] = inverse[n, i, 0] * r[n, 0] + inverse[n, i, 1] * r[n, 1] + inverse[n, i, 2] * r[n, 2]
+                z[n, i] = (
+                    inverse[n, i, 0] * r[n, 0]
+                    + inverse[n, i, 1] * r[n, 1]
+                    + inverse[n, i, 2] * r[n, 2]
+                )
                 rho += z[n, i] * r[n, i]
         if step == 0:
             begin = rho

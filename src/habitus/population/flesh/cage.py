@@ -30,7 +30,9 @@ class Embedding:
     def matrix(self, nodes: int) -> sparse.csr_matrix:
         """(P, N) the same, sparse."""
         rows = np.repeat(np.arange(len(self.corners)), 4)
-        return sparse.csr_matrix((self.weights.ravel(), (rows, self.corners.ravel())), shape=(len(self.corners), nodes))
+        return sparse.csr_matrix(
+            (self.weights.ravel(), (rows, self.corners.ravel())), shape=(len(self.corners), nodes)
+        )
 
     def of(self, some: np.ndarray) -> "Embedding":
         """Those of some points."""
@@ -46,8 +48,11 @@ class Cage:
 
     def __post_init__(self):
         if (self.volumes <= 0).any():
-            count, tets = int((self.volumes <= 0).sum()), len(self.tets)
-            raise HabitusError(f"{count} of the cage's {tets} tetrahedra are flat or inverted; mesh it anew")
+            count = int((self.volumes <= 0).sum())
+            tets = len(self.tets)
+            raise HabitusError(
+                f"{count} of the cage's {tets} tetrahedra are flat or inverted; mesh it anew"
+            )
 
     @cached_property
     def edges(self) -> Float[np.ndarray, "T 3 3"]:
@@ -75,16 +80,21 @@ class Cage:
     def laplacian(self) -> sparse.csc_matrix:
         """(N, N) positive semi-definite, m."""
         local = np.einsum("t,tac,tbc->tab", self.volumes, self.gradients, self.gradients)
-        rows, columns = np.repeat(self.tets, 4, 1), np.tile(self.tets, (1, 4))
+        rows = np.repeat(self.tets, 4, 1)
+        columns = np.tile(self.tets, (1, 4))
         n = len(self.nodes)
         return sparse.csc_matrix((local.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
 
     def embed(self, points: Float[np.ndarray, "P 3"]) -> tuple[Embedding, Int[np.ndarray, " P"]]:
-        """Points in the tetrahedra that hold them, or stick out of them the least, and which these are."""
+        """Points in the tetrahedra that hold them, or stick out of them the least, and which these
+        are.
+        """
         tree = KDTree(self.centres)
         _, near = tree.query(points, k=min(NEIGHBOURS, len(self.tets)))
         inverse = np.linalg.inv(self.edges)
-        local = np.einsum("pkij,pkj->pki", inverse[near], points[:, None] - self.nodes[self.tets[near, 0]])
+        local = np.einsum(
+            "pkij,pkj->pki", inverse[near], points[:, None] - self.nodes[self.tets[near, 0]]
+        )
         weights = np.concatenate([1 - local.sum(-1, keepdims=True), local], -1)
         best = weights.min(-1).argmax(1)
         rows = np.arange(len(points))
@@ -92,14 +102,21 @@ class Cage:
         return Embedding(self.tets[tets], np.ascontiguousarray(weights[rows, best])), tets
 
     def smooth(self, points: Embedding, places: Float[np.ndarray, "P 3"]) -> sparse.csr_matrix:
-        """(P, N) that carries points at rest `places` with the nodes, exactly where these move by quadratic functions.
+        """(P, N) that carries points at rest `places` with the nodes, exactly where these move by
+        quadratic functions.
 
-        Barycentric weights alone show every face of the cage as a facet. Here each node adds half of what its mean
-        gradient of deformation says of the way from it to the point (errors of second order cancel).
+        Barycentric weights alone show every face of the cage as a facet. Here each node adds half
+        of what its mean gradient of deformation says of the way from it to the point (errors of
+        second order cancel).
         """
-        n, v = len(self.nodes), len(points.corners)
-        shares = self.volumes[:, None] / np.bincount(self.tets.ravel(), np.repeat(self.volumes, 4), n)[self.tets]
-        rows, columns = np.repeat(self.tets, 4, 1).ravel(), np.tile(self.tets, (1, 4)).ravel()
+        n = len(self.nodes)
+        v = len(points.corners)
+        shares = (
+            self.volumes[:, None]
+            / np.bincount(self.tets.ravel(), np.repeat(self.volumes, 4), n)[self.tets]
+        )
+        rows = np.repeat(self.tets, 4, 1).ravel()
+        columns = np.tile(self.tets, (1, 4)).ravel()
         off = points.weights[:, :, None] * (places[:, None] - self.nodes[points.corners])
         total = points.matrix(n)
         for c in range(3):
@@ -111,8 +128,12 @@ class Cage:
             total = total + 0.5 * way @ gradient
         return total.tocsr()
 
-    def spread(self, points: Embedding, values: Float[np.ndarray, "P K"], firm: float) -> Float[np.ndarray, "N K"]:
-        """Smooth values at the nodes (harmonic) that are about those given at points; `firm` weighs a point."""
+    def spread(
+        self, points: Embedding, values: Float[np.ndarray, "P K"], firm: float
+    ) -> Float[np.ndarray, "N K"]:
+        """Smooth values at the nodes (harmonic) that are about those given at points; `firm` weighs
+        a point.
+        """
         onto = points.matrix(len(self.nodes))
         left = (self.laplacian + firm * onto.T @ onto).tocsc()
         return splu(left).solve(np.ascontiguousarray(firm * (onto.T @ values)))
@@ -133,7 +154,8 @@ class Cage:
 def positive_cage(nodes: Float[np.ndarray, "N 3"], tets: Int[np.ndarray, "T 4"]) -> Cage:
     """A cage from tetrahedra of either orientation; nodes that none uses go."""
     used, index = np.unique(tets, return_inverse=True)
-    tets, nodes = index.reshape(-1, 4), np.asarray(nodes, float)[used]
+    tets = index.reshape(-1, 4)
+    nodes = np.asarray(nodes, float)[used]
     corners = nodes[tets]
     turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     tets[turned] = tets[turned][:, [0, 2, 1, 3]]

@@ -1,7 +1,9 @@
-"""Flesh in motion: a Newton step of the second backward difference formula a frame, driven by a moving skeleton.
+"""Flesh in motion: a Newton step of the second backward difference formula a frame, driven by a
+moving skeleton.
 
-The formula takes much less of the motion's energy than implicit Euler's steps: what dies down does so by the flesh's
-own damping. At rest in the same poses (`stills`) flesh is what motion is told from.
+The formula takes much less of the motion's energy than implicit Euler's steps: what dies down does
+so by the flesh's own damping. At rest in the same poses (`stills`) flesh is what motion is told
+from.
 """
 
 from collections.abc import Iterator
@@ -16,7 +18,9 @@ from habitus.population.flesh.paths import Skeleton, Walk, carried, walk
 from habitus.population.flesh.skin import ContactRule
 
 DEEP = 0.025
-"""A probe that lies deeper (m) in another part met it by mistake: in one frame flesh does not come so far."""
+"""A probe that lies deeper (m) in another part met it by mistake: in one frame flesh does not come
+so far.
+"""
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,8 @@ def _solver(tolerance: float, gradients: int) -> Solver:
 class Swing:
     """How motion is simulated: matter, each frame's step, and the walk to where the motion begins.
 
-    Flesh at rest is found in every ``stride``-th frame, in ``steps`` steps from where bones carry it, and carried to
-    those between.
+    Flesh at rest is found in every ``stride``-th frame, in ``steps`` steps from where bones carry
+    it, and carried to those between.
     """
 
     matter: Matter = field(default_factory=Matter)
@@ -59,7 +63,9 @@ def swing(
     way: Swing,
     start: Float[np.ndarray, "N 3"] | None = None,
 ) -> Iterator[Float[np.ndarray, "N 3"]]:
-    """Nodes (m, without trans) in each frame of a motion at `rate` Hz; flesh begins undeformed by it."""
+    """Nodes (m, without trans) in each frame of a motion at `rate` Hz; flesh begins undeformed by
+    it.
+    """
     nodes = at_rest(flesh, skeleton, poses[0], way) if start is None else start
     yield nodes
     if len(poses) == 1:
@@ -77,7 +83,8 @@ def swing(
         inertia = Inertia(places, weight, moved, way.matter.damping * rate)
         new, _ = newton_step(flesh, moved, skeleton.goal(poses[t]), way.solver, inertia)
         speed, last_speed = (3 * (new + shift) - 4 * nodes + before) / 2, speed
-        before, nodes = nodes - shift, new
+        before = nodes - shift
+        nodes = new
         yield nodes
 
 
@@ -89,7 +96,8 @@ def stills(
     start: Float[np.ndarray, "N 3"] | None = None,
 ) -> Iterator[Float[np.ndarray, "N 3"]]:
     """Nodes (m, without trans) at rest in the same poses, one after the other."""
-    nodes, here = at_rest(flesh, skeleton, poses[0], way) if start is None else start, 0
+    nodes = at_rest(flesh, skeleton, poses[0], way) if start is None else start
+    here = 0
     yield nodes
     while here < len(poses) - 1:
         there = min(here + way.stride, len(poses) - 1)
@@ -100,13 +108,20 @@ def stills(
         for t in range(here + 1, there):
             share = (t - here) / (there - here)
             back = carried(skeleton, flesh, new, poses[there], poses[t])
-            yield (1 - share) * carried(skeleton, flesh, nodes, poses[here], poses[t]) + share * back
+            yield (1 - share) * carried(
+                skeleton, flesh, nodes, poses[here], poses[t]
+            ) + share * back
         yield new
-        nodes, here = new, there
+        nodes = new
+        here = there
 
 
-def at_rest(flesh: Flesh, skeleton: Skeleton, pose: Float[np.ndarray, "J 3"], way: Swing) -> Float[np.ndarray, "N 3"]:
-    """Nodes at rest in a pose. The path to it is walked without the root's turn, which changes nothing."""
+def at_rest(
+    flesh: Flesh, skeleton: Skeleton, pose: Float[np.ndarray, "J 3"], way: Swing
+) -> Float[np.ndarray, "N 3"]:
+    """Nodes at rest in a pose. The path to it is walked without the root's turn, which changes
+    nothing.
+    """
     upright = pose.copy()
     upright[0] = 0
     [stop] = walk(flesh, skeleton, [upright], way.start)

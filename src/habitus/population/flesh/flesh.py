@@ -1,4 +1,6 @@
-"""Elastic flesh of one person: a cage with held nodes, soft bones as springs, and the skin that it carries."""
+"""Elastic flesh of one person: a cage with held nodes, soft bones as springs, and the skin that it
+carries.
+"""
 
 from dataclasses import dataclass
 
@@ -16,10 +18,12 @@ INCOMPRESSIBLE = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Flesh:
-    """What a simulation of one person needs. Nodes that move come first; energies are in units of mu times m^3.
+    """What a simulation of one person needs. Nodes that move come first; energies are in units of
+    mu times m^3.
 
-    `tets` are those with a node that moves, with their rest volumes and stiffnesses (mu, lam), `inverse` those of their
-    rest edges. Bones are points `bones` in tetrahedra that springs of `stiffness` (mu m) draw to their places.
+    `tets` are those with a node that moves, with their rest volumes and stiffnesses (mu, lam),
+    `inverse` those of their rest edges. Bones are points `bones` in tetrahedra that springs of
+    `stiffness` (mu m) draw to their places.
     """
 
     cage: Cage
@@ -60,7 +64,9 @@ def make_flesh(
     mu: Float[np.ndarray, " A"] | float = 1.0,
     stiff: float = INCOMPRESSIBLE,
 ) -> Flesh:
-    """Flesh over a cage whose first `free` nodes move; mu of every tetrahedron, and lambda over mu."""
+    """Flesh over a cage whose first `free` nodes move; mu of every tetrahedron, and lambda over
+    mu.
+    """
     moving = (cage.tets < free).any(1)
     tets = cage.tets[moving]
     pattern = pattern_of(tets, free)

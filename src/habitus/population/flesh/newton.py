@@ -24,7 +24,9 @@ HALVINGS = 8
 
 @dataclass(frozen=True)
 class Solver:
-    """How far each step is solved: conjugate gradients' tolerance and number; no node moves by more than `step` (m)."""
+    """How far each step is solved: conjugate gradients' tolerance and number; no node moves by more
+    than `step` (m).
+    """
 
     tolerance: float = 0.1
     gradients: int = 80
@@ -34,7 +36,9 @@ class Solver:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """What flesh is drawn to: bones' places (S, 3), and rest edges stretched by active muscles (T, 3, 3), inverted."""
+    """What flesh is drawn to: bones' places (S, 3), and rest edges stretched by active muscles (T,
+    3, 3), inverted.
+    """
 
     bones: Float[np.ndarray, "S 3"]
     inverse: Float[np.ndarray, "T 3 3"]
@@ -42,9 +46,11 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Pull towards the places (N, 3) that nodes would move on to, mass / h^2 each, in units of mu m.
+    """Pull towards the places (N, 3) that nodes would move on to, mass / h^2 each, in units of mu
+    m.
 
-    `damping` (beta / h of Rayleigh's stiffness damping) resists motion from where the bones alone would carry nodes.
+    `damping` (beta / h of Rayleigh's stiffness damping) resists motion from where the bones alone
+    would carry nodes.
     """
 
     places: Float[np.ndarray, "N 3"]
@@ -54,7 +60,11 @@ class Inertia:
 
 
 def newton_step(
-    flesh: Flesh, nodes: Float[np.ndarray, "N 3"], goal: Goal, solver: Solver, inertia: Inertia | None = None
+    flesh: Flesh,
+    nodes: Float[np.ndarray, "N 3"],
+    goal: Goal,
+    solver: Solver,
+    inertia: Inertia | None = None,
 ) -> tuple[Float[np.ndarray, "N 3"], float]:
     """Nodes after one step, and how far (m) the furthest moved. Held nodes stay where they are."""
     contacts = find_contacts(flesh.skin, flesh.cage, flesh.free, nodes, solver.contact)
@@ -70,7 +80,9 @@ def newton_step(
     if longest > solver.step:
         move *= solver.step / longest
     slope = (move * gradient[: flesh.free]).sum()
-    trial, scrap, share = nodes.copy(), np.empty_like(nodes), 1.0
+    trial = nodes.copy()
+    scrap = np.empty_like(nodes)
+    share = 1.0
     for _ in range(HALVINGS):
         trial[: flesh.free] = nodes[: flesh.free] + share * move
         if _energy(flesh, trial, goal, contacts, inertia, scrap) <= energy + ARMIJO * share * slope:
@@ -82,23 +94,38 @@ def newton_step(
 
 
 def _energy(
-    flesh: Flesh, nodes: np.ndarray, goal: Goal, contacts: Contacts, inertia: Inertia | None, gradient: np.ndarray
+    flesh: Flesh,
+    nodes: np.ndarray,
+    goal: Goal,
+    contacts: Contacts,
+    inertia: Inertia | None,
+    gradient: np.ndarray,
 ) -> float:
-    """Everything but the damping; adds forces of springs and contacts to the gradient and marks active contacts."""
+    """Everything but the damping; adds forces of springs and contacts to the gradient and marks
+    active contacts.
+    """
     total = total_energy(nodes, flesh.tets, goal.inverse, flesh.volume, flesh.mu, flesh.lam)
-    total += spring_energy(nodes, flesh.bones.corners, flesh.bones.weights, flesh.stiffness, goal.bones, gradient)
+    total += spring_energy(
+        nodes, flesh.bones.corners, flesh.bones.weights, flesh.stiffness, goal.bones, gradient
+    )
     rule = contacts.stiffness, contacts.gap, contacts.active
-    total += contact_energy(nodes, contacts.corners, contacts.coefficients, contacts.normals, *rule, gradient)
+    total += contact_energy(
+        nodes, contacts.corners, contacts.coefficients, contacts.normals, *rule, gradient
+    )
     if inertia is not None:
         off = nodes[: flesh.free] - inertia.places[: flesh.free]
         total += 0.5 * float((inertia.weight[: flesh.free, None] * off**2).sum())
     return total
 
 
-def _add_inertia(flesh: Flesh, nodes: np.ndarray, inertia: Inertia, blocks: np.ndarray, gradient: np.ndarray) -> None:
-    free, pattern = flesh.free, flesh.pattern
+def _add_inertia(
+    flesh: Flesh, nodes: np.ndarray, inertia: Inertia, blocks: np.ndarray, gradient: np.ndarray
+) -> None:
+    free = flesh.free
+    pattern = flesh.pattern
     if inertia.damping:
-        off, force = nodes[:free] - inertia.carried[:free], np.empty((free, 3))
+        off = nodes[:free] - inertia.carried[:free]
+        force = np.empty((free, 3))
         multiply(pattern.starts, pattern.columns, blocks, off, force)
         gradient[:free] += inertia.damping * force
         blocks *= 1 + inertia.damping
@@ -108,7 +135,9 @@ def _add_inertia(flesh: Flesh, nodes: np.ndarray, inertia: Inertia, blocks: np.n
         blocks[pattern.diagonal, c, c] += weight[:, 0]
 
 
-def _solve(flesh: Flesh, blocks: np.ndarray, gradient: np.ndarray, contacts: Contacts, solver: Solver) -> np.ndarray:
+def _solve(
+    flesh: Flesh, blocks: np.ndarray, gradient: np.ndarray, contacts: Contacts, solver: Solver
+) -> np.ndarray:
     pattern = flesh.pattern
     diagonal = blocks[pattern.diagonal]
     springs = contacts.corners, contacts.coefficients, contacts.normals
@@ -123,9 +152,16 @@ def _solve(flesh: Flesh, blocks: np.ndarray, gradient: np.ndarray, contacts: Con
 
 
 def relax(
-    flesh: Flesh, nodes: Float[np.ndarray, "N 3"], goal: Goal, solver: Solver, most: int, tolerance: float
+    flesh: Flesh,
+    nodes: Float[np.ndarray, "N 3"],
+    goal: Goal,
+    solver: Solver,
+    most: int,
+    tolerance: float,
 ) -> tuple[Float[np.ndarray, "N 3"], int]:
-    """Newton steps until no node moves by more than `tolerance` (m), `most` at most; and how many were taken."""
+    """Newton steps until no node moves by more than `tolerance` (m), `most` at most; and how many
+    were taken.
+    """
     for done in range(1, most + 1):
         nodes, moved = newton_step(flesh, nodes, goal, solver)
         if moved <= tolerance:

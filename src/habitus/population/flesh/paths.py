@@ -1,4 +1,6 @@
-"""Flesh along a path of poses: bones carry it a little way, then it comes to rest, and so on (the path matters)."""
+"""Flesh along a path of poses: bones carry it a little way, then it comes to rest, and so on (the
+path matters).
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +33,8 @@ class Skeleton(Protocol):
 
 @dataclass(frozen=True)
 class Walk:
-    """How a path is walked: steps of at most `angle` (rad) a joint, `steps` Newton steps after each.
+    """How a path is walked: steps of at most `angle` (rad) a joint, `steps` Newton steps after
+    each.
 
     A stop is relaxed with up to `most` steps, until no node moves by more than `tolerance` (m).
     """
@@ -45,7 +48,9 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """Flesh at rest in a pose: its nodes (m), and how many Newton steps the last relaxation took."""
+    """Flesh at rest in a pose: its nodes (m), and how many Newton steps the last relaxation
+    took.
+    """
 
     pose: Float[np.ndarray, "J 3"]
     nodes: Float[np.ndarray, "N 3"]
@@ -53,12 +58,17 @@ class Stop:
 
 
 def walk(
-    flesh: Flesh, skeleton: Skeleton, poses: Sequence[Float[np.ndarray, "J 3"]], way: Walk, start: Stop | None = None
+    flesh: Flesh,
+    skeleton: Skeleton,
+    poses: Sequence[Float[np.ndarray, "J 3"]],
+    way: Walk,
+    start: Stop | None = None,
 ) -> Iterator[Stop]:
     """The flesh at rest in each of the poses, reached one after the other from the first shape."""
     if start is None:
         start = Stop(np.zeros_like(poses[0]), flesh.cage.nodes, 0)
-    here, nodes = start.pose, start.nodes
+    here = start.pose
+    nodes = start.nodes
     for pose in poses:
         for between in _between(here, pose, way.angle):
             nodes = carried(skeleton, flesh, nodes, here, between)
@@ -70,10 +80,17 @@ def walk(
 
 
 def carried(
-    skeleton: Skeleton, flesh: Flesh, nodes: Float[np.ndarray, "N 3"], old: np.ndarray, new: np.ndarray
+    skeleton: Skeleton,
+    flesh: Flesh,
+    nodes: Float[np.ndarray, "N 3"],
+    old: np.ndarray,
+    new: np.ndarray,
 ) -> Float[np.ndarray, "N 3"]:
-    """Nodes moved as joints move from one pose (J, 3) to another; held ones are where skinning takes them from rest."""
-    before, after = skeleton.motions(old), skeleton.motions(new)
+    """Nodes moved as joints move from one pose (J, 3) to another; held ones are where skinning
+    takes them from rest.
+    """
+    before = skeleton.motions(old)
+    after = skeleton.motions(new)
     turn = after[:, :, :3] @ before[:, :, :3].swapaxes(1, 2)
     shift = after[:, :, 3:] - turn @ before[:, :, 3:]
     moved = _blend(skeleton.weights, np.concatenate([turn, shift], 2), nodes)
@@ -89,8 +106,11 @@ def _blend(weights: np.ndarray, motions: np.ndarray, nodes: np.ndarray) -> np.nd
 
 def _between(old: np.ndarray, new: np.ndarray, angle: float) -> Iterator[np.ndarray]:
     """Poses on the way, the last one the new one; every joint turns about one axis."""
-    first, last = matrix_from_rotvec(old), matrix_from_rotvec(new)
+    first = matrix_from_rotvec(old)
+    last = matrix_from_rotvec(new)
     turn = rotvec_from_matrix(first.swapaxes(-1, -2) @ last)
     count = int(np.ceil(np.linalg.norm(turn, axis=1).max() / angle - 1e-9))
     for k in range(1, count + 1):
-        yield new if k == count else rotvec_from_matrix(first @ matrix_from_rotvec(k / count * turn))
+        yield (
+            new if k == count else rotvec_from_matrix(first @ matrix_from_rotvec(k / count * turn))
+        )

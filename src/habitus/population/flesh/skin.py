@@ -8,7 +8,13 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from habitus.population.flesh.cage import Cage, Embedding
-from habitus.population.flesh.contact_kernels import closest_around, embed, fill_grid, foreign, vertex_normals
+from habitus.population.flesh.contact_kernels import (
+    closest_around,
+    embed,
+    fill_grid,
+    foreign,
+    vertex_normals,
+)
 
 NEIGHBOURS = 64
 """Skin vertices nearest to a place among which one that faces the other way is looked for."""
@@ -20,10 +26,11 @@ CELL = 0.03
 
 @dataclass(frozen=True)
 class ContactRule:
-    """Distances (m) of contact: a vertex is probed `reach` before it, parts nearer than `far` at rest are no partners.
+    """Distances (m) of contact: a vertex is probed `reach` before it, parts nearer than `far` at
+    rest are no partners.
 
-    Springs of `stiffness` (mu m) keep `gap` between vertex and partner; pairs further apart than `wide`, deeper in each
-    other than `deep`, or displaced by more than `aside`, are none.
+    Springs of `stiffness` (mu m) keep `gap` between vertex and partner; pairs further apart than
+    `wide`, deeper in each other than `deep`, or displaced by more than `aside`, are none.
     """
 
     reach: float = 0.006
@@ -38,7 +45,9 @@ class ContactRule:
 
 @dataclass(frozen=True)
 class Contacts:
-    """Unilateral springs: distances along `normals` (K, 3) of points given by coefficients of 8 nodes each."""
+    """Unilateral springs: distances along `normals` (K, 3) of points given by coefficients of 8
+    nodes each.
+    """
 
     corners: Int[np.ndarray, "K 8"]
     coefficients: Float[np.ndarray, "K 8"]
@@ -50,7 +59,8 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """V vertices in the cage, their triangles, and the `probes` (vertex numbers) that look for contact.
+    """V vertices in the cage, their triangles, and the `probes` (vertex numbers) that look for
+    contact.
 
     `hats` are gradients of the weights in each vertex' tetrahedron.
     """
@@ -86,17 +96,24 @@ class Skin:
         return out
 
 
-def make_skin(cage: Cage, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], probes: np.ndarray) -> Skin:
+def make_skin(
+    cage: Cage, rest: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], probes: np.ndarray
+) -> Skin:
     """A skin at rest in a cage; vertices may stick out of it."""
     embedding, tets = cage.embed(rest)
-    return Skin(rest, np.ascontiguousarray(faces), embedding, cage.gradients[tets], np.asarray(probes))
+    return Skin(
+        rest, np.ascontiguousarray(faces), embedding, cage.gradients[tets], np.asarray(probes)
+    )
 
 
-def find_contacts(skin: Skin, cage: Cage, free: int, nodes: Float[np.ndarray, "N 3"], rule: ContactRule) -> Contacts:
+def find_contacts(
+    skin: Skin, cage: Cage, free: int, nodes: Float[np.ndarray, "N 3"], rule: ContactRule
+) -> Contacts:
     """Where the skin is about to enter, or has entered, another part of the body.
 
-    A probe before a vertex that lies in a tetrahedron of another part is mapped to that part's rest place; the closest
-    rest skin there, carried back, is the partner, and its normal the direction in which both part.
+    A probe before a vertex that lies in a tetrahedron of another part is mapped to that part's rest
+    place; the closest rest skin there, carried back, is the partner, and its normal the direction
+    in which both part.
     """
     vertices = skin.posed(nodes)
     normals = skin.normals(vertices)
@@ -108,7 +125,19 @@ def find_contacts(skin: Skin, cage: Cage, free: int, nodes: Float[np.ndarray, "N
     where = np.empty_like(probes)
     homes = skin.rest[skin.probes]
     held_tets = (cage.tets >= free).all(1)
-    hit = foreign(nodes, cage.nodes, cage.tets, cage.centres, grid, probes, homes, held, held_tets, rule.far, where)
+    hit = foreign(
+        nodes,
+        cage.nodes,
+        cage.tets,
+        cage.centres,
+        grid,
+        probes,
+        homes,
+        held,
+        held_tets,
+        rule.far,
+        where,
+    )
     return _partners(skin, nodes, skin.probes[hit], where[hit], vertices, normals, rule)
 
 
@@ -122,7 +151,8 @@ def _partners(
     rule: ContactRule,
 ) -> Contacts:
     nearest, faced = _facing(skin, mine, where, normals)
-    mine, where = mine[faced], where[faced]
+    mine = mine[faced]
+    where = where[faced]
     place = np.empty_like(where)
     closest_around(where, nearest, skin.rest, skin.faces, *skin.around, place)
     foot = _in_tets_of(skin, nearest, place)
@@ -144,14 +174,18 @@ def _partners(
     )
 
 
-def _facing(skin: Skin, mine: np.ndarray, where: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _facing(
+    skin: Skin, mine: np.ndarray, where: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """For those (True) that have one, the nearest skin vertex at rest that now faces a vertex.
 
     The nearest of all may lie on the far side of a thin limb: a deep vertex would leave through it.
     """
     if len(mine) == 0:
         return np.zeros(0, np.int64), np.zeros(0, bool)
-    around = skin.probes[skin.tree.query(where, k=min(NEIGHBOURS, len(skin.probes)))[1].reshape(len(mine), -1)]
+    around = skin.probes[
+        skin.tree.query(where, k=min(NEIGHBOURS, len(skin.probes)))[1].reshape(len(mine), -1)
+    ]
     facing = np.einsum("pc,pkc->pk", normals[mine], normals[around]) < OPPOSED
     faced = facing.any(1)
     return around[np.arange(len(mine)), facing.argmax(1)][faced], faced
@@ -159,5 +193,9 @@ def _facing(skin: Skin, mine: np.ndarray, where: np.ndarray, normals: np.ndarray
 
 def _in_tets_of(skin: Skin, vertices: np.ndarray, points: np.ndarray) -> Embedding:
     """Rest points in the tetrahedra that hold these vertices."""
-    corners, weights = skin.embedding.corners[vertices], skin.embedding.weights[vertices]
-    return Embedding(corners, weights + np.einsum("pac,pc->pa", skin.hats[vertices], points - skin.rest[vertices]))
+    corners = skin.embedding.corners[vertices]
+    weights = skin.embedding.weights[vertices]
+    return Embedding(
+        corners,
+        weights + np.einsum("pac,pc->pa", skin.hats[vertices], points - skin.rest[vertices]),
+    )

@@ -1,4 +1,6 @@
-"""A cage brought from one person to another, so that it fits the other's skin and no tetrahedron is inverted."""
+"""A cage brought from one person to another, so that it fits the other's skin and no tetrahedron is
+inverted.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,14 +14,18 @@ from habitus.population.flesh.skin import make_skin
 FIRM = 20.0
 """m: how much a skin vertex counts against smoothness."""
 FLATTEST = 0.2
-"""Least J, from the first person's cage to the other's; each tetrahedron against the mean of all."""
+"""Least J, from the first person's cage to the other's; each tetrahedron against the mean of all.
+"""
 PULL = 0.5
 """mu m: springs of skin vertices where the elastic energy warps."""
 STEPS = 30
 
 
-def warped(cage: Cage, points: Embedding, skin: Float[np.ndarray, "P 3"], flattest: float = FLATTEST) -> Cage:
-    """The cage with its embedded skin at `skin` (m): harmonic; elastic where that flattens tetrahedra.
+def warped(
+    cage: Cage, points: Embedding, skin: Float[np.ndarray, "P 3"], flattest: float = FLATTEST
+) -> Cage:
+    """The cage with its embedded skin at `skin` (m): harmonic; elastic where that flattens
+    tetrahedra.
 
     Raises HabitusError where some stay flatter than `flattest`.
     """
@@ -29,7 +35,8 @@ def warped(cage: Cage, points: Embedding, skin: Float[np.ndarray, "P 3"], flatte
         nodes = _elastic(cage, points, skin, nodes)
     if (worst := _flattest(cage, nodes)) < flattest:
         raise HabitusError(
-            f"a tetrahedron of the warped cage keeps {worst:.2f} of its volume; expected {flattest} or more: mesh the "
+            f"a tetrahedron of the warped cage keeps {worst:.2f} of its volume; expected "
+            f"{flattest} or more: mesh the "
             f"person's own skin"
         )
     return cage.at(nodes)
@@ -46,4 +53,6 @@ def _elastic(cage: Cage, points: Embedding, skin: np.ndarray, nodes: np.ndarray)
     none = make_skin(cage, points(cage.nodes), np.zeros((0, 3), np.int64), np.zeros(0, np.int64))
     flesh = make_flesh(cage, len(cage.nodes), points, np.full(len(skin), PULL), none, stiff=1.0)
     goal = Goal(skin, flesh.inverse)
-    return relax(flesh, nodes, goal, Solver(tolerance=1e-2, gradients=200, step=0.1), STEPS, 1e-5)[0]
+    return relax(flesh, nodes, goal, Solver(tolerance=1e-2, gradients=200, step=0.1), STEPS, 1e-5)[
+        0
+    ]

@@ -1,8 +1,10 @@
-"""From samples to pixels as sparse matrices: what explicit derivatives of images (`images.py`) are assembled of.
+"""From samples to pixels as sparse matrices: what explicit derivatives of images (`images.py`) are
+assembled of.
 
-A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value inside): the sum of
-`render/README.md`. Matrices have a block for each pair of a pixel and a row of some table (vertices, texels, ...): as
-many numbers down as the image has channels, and as many across as the row has numbers.
+A pixel is the value at its centre, and for each edge fragment in it weight * (value outside - value
+inside): the sum of `render/README.md`. Matrices have a block for each pair of a pixel and a row of
+some table (vertices, texels, ...): as many numbers down as the image has channels, and as many
+across as the row has numbers.
 """
 
 from collections.abc import Sequence
@@ -39,7 +41,8 @@ def as_array64(tensor: Tensor) -> Array:
 class Table:
     """R rows of numbers at the corners of faces, and how they come from `given` rows.
 
-    Each lies between two given ones, `ends`, at `fraction`: that of cut number `cut` of `cuts`, or 0 where it is -1.
+    Each lies between two given ones, `ends`, at `fraction`: that of cut number `cut` of `cuts`, or
+    0 where it is -1.
     """
 
     faces: Int[Array, "F 3"]
@@ -51,19 +54,26 @@ class Table:
 
     @staticmethod
     def of(frame: Frame, given: int | None = None, faces: Array | None = None) -> "Table":
-        """That of values of vertices, or of `given` values that belong to the corners of triangles by `faces`."""
-        clipped, given = frame.clipped, frame.num_vertices if given is None else given
-        own, none = np.repeat(np.arange(given)[:, None], 2, 1), np.full(given, -1)
+        """That of values of vertices, or of `given` values that belong to the corners of triangles
+        by `faces`.
+        """
+        clipped = frame.clipped
+        given = frame.num_vertices if given is None else given
+        own = np.repeat(np.arange(given)[:, None], 2, 1)
+        none = np.full(given, -1)
         if clipped is None:
             faces = as_array64(frame.triangles.faces) if faces is None else faces
             return Table(faces, own, none, np.zeros(given), given, 0)
         fractions = as_array64(clipped.cut_fraction)
         if faces is None:
-            ends, cut = np.concatenate([own, as_array64(clipped.cut_ends)]), np.append(none, np.arange(len(fractions)))
+            ends = np.concatenate([own, as_array64(clipped.cut_ends)])
+            cut = np.append(none, np.arange(len(fractions)))
             rows = as_array64(clipped.triangles.faces)
         else:
             corners = faces[as_array64(clipped.source_face)]
-            ends = np.take_along_axis(corners[:, None], as_array64(clipped.corner_ends), 2).reshape(-1, 2)
+            ends = np.take_along_axis(corners[:, None], as_array64(clipped.corner_ends), 2).reshape(
+                -1, 2
+            )
             cut = as_array64(clipped.corner_cut).ravel()
             cut = np.where(cut < len(fractions), cut, -1)
             rows = np.arange(len(cut)).reshape(-1, 3)
@@ -75,23 +85,30 @@ class Table:
         return (1.0 - fraction) * values[self.ends[:, 0]] + fraction * values[self.ends[:, 1]]
 
     def to_given(self, width: int) -> Csr:
-        """The derivative of the table's numbers, `width` a row, to those given: (R width, U width)."""
-        rows, shares = np.repeat(np.arange(len(self.ends)), 2), np.stack([1.0 - self.fraction, self.fraction], 1)
+        """The derivative of the table's numbers, `width` a row, to those given: (R width, U
+        width).
+        """
+        rows = np.repeat(np.arange(len(self.ends)), 2)
+        shares = np.stack([1.0 - self.fraction, self.fraction], 1)
         shape = len(self.ends), self.given
         found = sparse.coo_array((shares.ravel(), (rows, self.ends.ravel())), shape=shape)
         return sparse.kron(found, sparse.eye_array(width), format="csr")
 
     def to_fractions(self, values: Float[Array, "U c"]) -> Csr:
         """The derivative of the table's numbers to the fractions of cuts: (R c, K)."""
-        width, rows = values.shape[1], np.flatnonzero(self.cut >= 0)
+        width = values.shape[1]
+        rows = np.flatnonzero(self.cut >= 0)
         derivatives = values[self.ends[rows, 1]] - values[self.ends[rows, 0]]
         where = (rows[:, None] * width + np.arange(width)).ravel(), np.repeat(self.cut[rows], width)
-        return sparse.csr_array((derivatives.ravel(), where), shape=(len(self.ends) * width, self.cuts))
+        return sparse.csr_array(
+            (derivatives.ravel(), where), shape=(len(self.ends) * width, self.cuts)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The samples of a frame as NumPy arrays. Corners are in the order of their vertices' numbers, not as drawn.
+    """The samples of a frame as NumPy arrays. Corners are in the order of their vertices' numbers,
+    not as drawn.
 
     order: where each face's corners come from. coordinates: perspective-correct barycentric ones.
     """
@@ -105,13 +122,20 @@ class Samples:
 
     @staticmethod
     def of(frame: Frame) -> "Samples":
-        """Those that a frame's images take values at; with the thesis' filter only the pixels' centres."""
-        count = len(frame.visibility.faces) if frame.mode in AVERAGED else len(frame.visibility.pixels)
-        faces, table = as_array64(frame.visibility.faces[:count]), as_array64(frame.triangles.faces)
+        """Those that a frame's images take values at; with the thesis' filter only the pixels'
+        centres.
+        """
+        count = (
+            len(frame.visibility.faces) if frame.mode in AVERAGED else len(frame.visibility.pixels)
+        )
+        faces = as_array64(frame.visibility.faces[:count])
+        table = as_array64(frame.triangles.faces)
         order = np.argsort(table, axis=1)
         coordinates = np.take_along_axis(as_array64(frame.samples[:count]), order[faces], 1)
         corners = np.take_along_axis(table, order, 1)[faces]
-        return Samples(faces, order, coordinates, corners, as_array64(frame.screen), frame.visibility.exact)
+        return Samples(
+            faces, order, coordinates, corners, as_array64(frame.screen), frame.visibility.exact
+        )
 
     def rows(self, table: Table) -> Int[Array, "N 3"]:
         """The rows of a table at the samples' corners."""
@@ -123,10 +147,11 @@ class Samples:
         return weighted / weighted.sum(1, keepdims=True)
 
     def to_screen(self, derivatives: Float[Array, "C 3 N"]) -> Float[Array, "N 3 C 3"]:
-        """The derivative to u, v, z of the corners, of what has these to barycentric coordinates; points are fixed.
+        """The derivative to u, v, z of the corners, of what has these to barycentric coordinates;
+        points are fixed.
 
-        With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i = (l_i / z_i) / sum.
-        On slivers that counts by `share_of_pixel` only, unless `exact`.
+        With l the coordinates on the screen, moving corner j by d moves l by -(grad l) l_j d; b_i =
+        (l_i / z_i) / sum. On slivers that counts by `share_of_pixel` only, unless `exact`.
         """
         out = np.empty((len(self.corners), 3, len(derivatives), 3))
         for begin in range(0, len(out), AT_ONCE):
@@ -142,16 +167,27 @@ AT_ONCE = 4096
 
 
 def _to_screen(
-    corners: Float[Array, "3 3 n"], b: Float[Array, "3 n"], derivatives: Array, exact: bool, out: Array
+    corners: Float[Array, "3 3 n"],
+    b: Float[Array, "3 n"],
+    derivatives: Array,
+    exact: bool,
+    out: Array,
 ) -> None:
-    """`Samples.to_screen` of some samples, whose corners have these u, v and z, written to `out`."""
+    """`Samples.to_screen` of some samples, whose corners have these u, v and z, written to
+    `out`.
+    """
     x, y, z = corners
     inverse = 1.0 / z
     depth = (b * z).sum(0)
     flat = b * z / depth
     depth = 1.0 / (flat * inverse).sum(0)
-    across, down = np.roll(y, -1, 0) - np.roll(y, -2, 0), np.roll(x, -2, 0) - np.roll(x, -1, 0)
-    counts = 1.0 if exact else as_array64(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    across = np.roll(y, -1, 0) - np.roll(y, -2, 0)
+    down = np.roll(x, -2, 0) - np.roll(x, -1, 0)
+    counts = (
+        1.0
+        if exact
+        else as_array64(share_of_pixel(torch.from_numpy(np.stack([x, y], -1).transpose(1, 0, 2))))
+    )
     scale = -counts / ((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0]))
     for c, derivative in enumerate(derivatives):
         scaled = (derivative - (derivative * b).sum(0)) * (depth * inverse)
@@ -162,10 +198,11 @@ def _to_screen(
 
 @dataclass(frozen=True, eq=False)
 class Mix:
-    """The sum of `render/README.md`, pixels from samples: the first of them alone, others beside edge fragments with a
-    fragment's weight.
+    """The sum of `render/README.md`, pixels from samples: the first of them alone, others beside
+    edge fragments with a fragment's weight.
 
-    jump: what the image jumps by at each of S fragments, from inside to outside; 0 where it is not finite.
+    jump: what the image jumps by at each of S fragments, from inside to outside; 0 where it is not
+    finite.
     """
 
     size: int
@@ -178,22 +215,30 @@ class Mix:
     @staticmethod
     def of(frame: Frame, found: Float[Array, "N C"], background: Any) -> "Mix":
         """That of values found at the samples before a background."""
-        size, visibility = frame.height * frame.width, frame.visibility
-        pixels, fragments = as_array64(visibility.pixels), visibility.fragments
-        nothing, channels = np.zeros(0, np.int64), found.shape[1]
+        size = frame.height * frame.width
+        visibility = frame.visibility
+        pixels = as_array64(visibility.pixels)
+        fragments = visibility.fragments
+        nothing = np.zeros(0, np.int64)
+        channels = found.shape[1]
         behind = _background(frame, background, channels)
         if frame.mode not in AVERAGED or fragments is None or not len(fragments.pixel):
             return Mix(size, pixels, nothing, nothing, np.zeros(0), np.zeros((0, channels)))
-        pixel, weight = as_array64(fragments.pixel), as_array64(fragments.weight)
+        pixel = as_array64(fragments.pixel)
+        weight = as_array64(fragments.weight)
         sides = [as_array64(rows) for rows in (frame.visibility.inner, frame.visibility.outer)]
         there = behind[pixel // frame.width, pixel % frame.width]
-        inside, outside = (np.where(rows[:, None] >= 0, found[rows], there) if len(found) else there for rows in sides)
+        inside, outside = (
+            np.where(rows[:, None] >= 0, found[rows], there) if len(found) else there
+            for rows in sides
+        )
         with np.errstate(invalid="ignore"):
             jump = outside - inside
         finite = np.abs(jump) < HUGE
         if not (finite == finite[:, :1]).all():
             raise HabitusError(
-                "some channels jump by an infinite amount where others do not; take derivatives of them apart"
+                "some channels jump by an infinite amount where others do not; take derivatives "
+                "of them apart"
             )
         kept = [(rows >= 0) & finite[:, 0] for rows in sides]
         return Mix(
@@ -205,15 +250,23 @@ class Mix:
             np.where(finite, jump, 0.0),
         )
 
-    def spread(self, rows: Int[Array, "N k"], blocks: Float[Array, "N k a b"], width: int, *more: Entries) -> Bsr:
-        """The matrix of pixels by a table of `width` rows, from what k rows of it do to each sample; and `more`."""
+    def spread(
+        self, rows: Int[Array, "N k"], blocks: Float[Array, "N k a b"], width: int, *more: Entries
+    ) -> Bsr:
+        """The matrix of pixels by a table of `width` rows, from what k rows of it do to each
+        sample; and `more`.
+        """
         count, k, *block = len(self.pixels), *blocks.shape[1:]
         shape = self.size * block[0], width * block[1]
         one = blocks[:count].reshape(count * k, *block), rows[:count].astype(np.int32).ravel()
         starts = _starts(k * np.bincount(self.pixels, minlength=self.size))
         centres = sparse.bsr_array((*one, starts), shape=shape, blocksize=block)
         beside = blocks[self.sample] * self.weight[:, None, None, None]
-        entries = (self.pixel.repeat(k), rows[self.sample].ravel(), beside.reshape(len(beside) * k, *block))
+        entries = (
+            self.pixel.repeat(k),
+            rows[self.sample].ravel(),
+            beside.reshape(len(beside) * k, *block),
+        )
         rest = _gathered([entries, *more], width, self.size, tuple(block))
         return centres + rest if rest.nnz else centres
 
@@ -222,11 +275,15 @@ def _gathered(entries: Sequence[Entries], width: int, size: int, block: tuple[in
     """Blocks at the same place added up."""
     pixel, row, blocks = (np.concatenate(parts) for parts in zip(*entries, strict=True))
     keys, where = np.unique(pixel * width + row, return_inverse=True)
-    flat = sparse.csr_array((np.ones(len(where)), (where, np.arange(len(where)))), shape=(len(keys), len(where)))
+    flat = sparse.csr_array(
+        (np.ones(len(where)), (where, np.arange(len(where)))), shape=(len(keys), len(where))
+    )
     total = (flat @ blocks.reshape(len(blocks), block[0] * block[1])).reshape(len(keys), *block)
     pixel, row = np.divmod(keys, max(width, 1))
     structure = row.astype(np.int32), _starts(np.bincount(pixel, minlength=size))
-    return sparse.bsr_array((total, *structure), shape=(size * block[0], width * block[1]), blocksize=block)
+    return sparse.bsr_array(
+        (total, *structure), shape=(size * block[0], width * block[1]), blocksize=block
+    )
 
 
 def _starts(counts: Int[Array, " R"]) -> Int[Array, " R+1"]:
@@ -234,22 +291,35 @@ def _starts(counts: Int[Array, " R"]) -> Int[Array, " R+1"]:
 
 
 def per_channel(blocks: Bsr, width: int) -> Csr:
-    """A matrix of pixels by rows with a number for each channel (blocks C high), as one of channels by channels.
+    """A matrix of pixels by rows with a number for each channel (blocks C high), as one of channels
+    by channels.
 
-    Channel c of a pixel then depends on number c of a row, or on the only one where a row has `width` 1.
+    Channel c of a pixel then depends on number c of a row, or on the only one where a row has
+    `width` 1.
     """
-    found, channels = blocks.tocsr(), blocks.blocksize[0]
+    found = blocks.tocsr()
+    channels = blocks.blocksize[0]
     channel = np.arange(found.shape[0], dtype=np.int32) % channels if width > 1 else 0
-    columns = found.indices * width + np.repeat(np.broadcast_to(channel, found.shape[0]), np.diff(found.indptr))
-    found = sparse.csr_array((found.data, columns, found.indptr), shape=(found.shape[0], found.shape[1] * width))
+    columns = found.indices * width + np.repeat(
+        np.broadcast_to(channel, found.shape[0]), np.diff(found.indptr)
+    )
+    found = sparse.csr_array(
+        (found.data, columns, found.indptr), shape=(found.shape[0], found.shape[1] * width)
+    )
     found.sum_duplicates()
     return found
 
 
 def _background(frame: Frame, background: Any, channels: int) -> Float[Array, "H W C"]:
-    given = as_array64(background) if isinstance(background, Tensor) else np.asarray(background, np.float64)
+    given = (
+        as_array64(background)
+        if isinstance(background, Tensor)
+        else np.asarray(background, np.float64)
+    )
     shape = frame.height, frame.width, channels
     try:
         return np.broadcast_to(given, shape)
     except ValueError:
-        raise HabitusError(f"background is {given.shape}; expected one number, ({channels},) or {shape}") from None
+        raise HabitusError(
+            f"background is {given.shape}; expected one number, ({channels},) or {shape}"
+        ) from None

@@ -1,4 +1,6 @@
-"""Derivatives of images to the screen (df/dU), and of the screen to vertices and cameras (dU/dV, dU/dC; T eq. 4.2)."""
+"""Derivatives of images to the screen (df/dU), and of the screen to vertices and cameras (dU/dV,
+dU/dC; T eq. 4.2).
+"""
 
 import dataclasses
 from collections.abc import Sequence
@@ -26,11 +28,12 @@ CAMERA_FIELDS = ("rotation", "translation", "focal_length", "principal_point", "
 
 @dataclass(frozen=True, eq=False)
 class ScreenJacobian:
-    """The derivative of an image (H, W, C) to what is drawn, and through it to vertices and cameras.
+    """The derivative of an image (H, W, C) to what is drawn, and through it to vertices and
+    cameras.
 
-    blocks: (H W C, 3 V') to u, v (pixels) and z (metres) of the V' vertices of `frame.screen`; those that the near
-    plane cut off edges come last. cuts: (H W C, K) to the fractions at which these divide their edges, by which their
-    values change; None where nothing is cut.
+    blocks: (H W C, 3 V') to u, v (pixels) and z (metres) of the V' vertices of `frame.screen`;
+    those that the near plane cut off edges come last. cuts: (H W C, K) to the fractions at which
+    these divide their edges, by which their values change; None where nothing is cut.
     """
 
     frame: Frame
@@ -43,7 +46,9 @@ class ScreenJacobian:
         return self.blocks.tocsr()
 
     def to_vertices(self, camera: Camera, vertices: Float[Tensor, "V 3"]) -> Csr:
-        """df/dV = df/dU dU/dV, (H W C, 3 V). Camera and vertices: those of the frame, else HabitusError."""
+        """df/dV = df/dU dU/dV, (H W C, 3 V). Camera and vertices: those of the frame, else
+        HabitusError.
+        """
         to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
         found = (self.blocks @ to_screen).tocsr()
         return found if self.cuts is None else found + self.cuts @ to_cuts
@@ -51,10 +56,16 @@ class ScreenJacobian:
     def to_camera(
         self, camera: Camera, vertices: Float[Tensor, "V 3"], names: Sequence[str] = CAMERA_FIELDS
     ) -> dict[str, Float[np.ndarray, "N P"]]:
-        """df/dC, dense (H W C, P), by the camera's fields; without distortion where the lens has None."""
+        """df/dC, dense (H W C, P), by the camera's fields; without distortion where the lens has
+        None.
+        """
         if unknown := set(names) - set(CAMERA_FIELDS):
-            raise HabitusError(f"camera has no {', '.join(sorted(unknown))} to differentiate by; see CAMERA_FIELDS")
-        jacobian, columns = camera_jacobian(*self._checked(camera, vertices), self.frame.clipped, names)
+            raise HabitusError(
+                f"camera has no {', '.join(sorted(unknown))} to differentiate by; see CAMERA_FIELDS"
+            )
+        jacobian, columns = camera_jacobian(
+            *self._checked(camera, vertices), self.frame.clipped, names
+        )
         width = self.blocks.shape[1]
         found = self.screen @ jacobian[:width]
         if self.cuts is not None:
@@ -62,10 +73,11 @@ class ScreenJacobian:
         return {name: found[:, where] for name, where in columns.items()}
 
     def chain(self, camera: Camera, vertices: Float[Tensor, "V 3"], jacobian: Any) -> Any:
-        """df/dp = df/dV dV/dp for parameters p of one's own that move the vertices, such as a pose: (H W C, P).
+        """df/dp = df/dV dV/dp for parameters p of one's own that move the vertices, such as a pose:
+        (H W C, P).
 
-        jacobian: dV/dp, (3 V, P) or (V, 3, *P), an array or a tensor, which gives a dense array, or sparse, which gives
-        a sparse one. It costs one product of a sparse matrix with P columns.
+        jacobian: dV/dp, (3 V, P) or (V, 3, *P), an array or a tensor, which gives a dense array, or
+        sparse, which gives a sparse one. It costs one product of a sparse matrix with P columns.
         """
         to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
         given = matrix(jacobian, to_screen.shape[1], "derivatives of the vertices")
@@ -77,16 +89,22 @@ class ScreenJacobian:
         wanted = (self.frame.num_vertices, 3)
         if tuple(vertices.shape) != wanted or camera.batch_shape:
             raise HabitusError(
-                f"got vertices {tuple(vertices.shape)} and cameras {tuple(camera.batch_shape)}; expected {wanted} and "
+                f"got vertices {tuple(vertices.shape)} and cameras {tuple(camera.batch_shape)}; "
+                f"expected {wanted} and "
                 "the single camera of the frame"
             )
         names = [field for field in CAMERA_FIELDS if getattr(camera, field) is not None]
         values = {name: getattr(camera, name).detach().cpu().double() for name in names}
-        camera, vertices = dataclasses.replace(camera, **values), vertices.detach().cpu().double()
-        found, shown = as_array64(camera.screen(vertices)), as_array64(self.frame.screen)[: len(vertices)]
+        camera = dataclasses.replace(camera, **values)
+        vertices = vertices.detach().cpu().double()
+        found = as_array64(camera.screen(vertices))
+        shown = as_array64(self.frame.screen)[: len(vertices)]
         front = found[:, 2] >= camera.near
         if not np.allclose(found[front], shown[front], rtol=1e-4, atol=1e-2):
-            raise HabitusError("the frame shows other vertices, or by another camera; expected those it was drawn with")
+            raise HabitusError(
+                "the frame shows other vertices, or by another camera; expected those it was "
+                "drawn with"
+            )
         return camera, vertices
 
 
@@ -100,10 +118,12 @@ def screen_blocks(
 ) -> Bsr:
     """The derivative of an image to u, v and z of each vertex of the screen.
 
-    derivatives: of the samples' values to barycentric coordinates, None where they have none. image: itself, where the
-    thesis' filter asks for it. is_depth: whether values are z.
+    derivatives: of the samples' values to barycentric coordinates, None where they have none.
+    image: itself, where the thesis' filter asks for it. is_depth: whether values are z.
     """
-    channels, count, more = mix.jump.shape[1], len(samples.corners), []
+    channels = mix.jump.shape[1]
+    count = len(samples.corners)
+    more = []
     if derivatives is None or frame.mode == "filter":
         blocks = np.zeros((count, 3, channels, 3))
     else:
@@ -118,33 +138,52 @@ def screen_blocks(
 
 
 def _swept(frame: Frame, samples: Samples, mix: Mix) -> list[Entries]:
-    """The area swept by moving edges (`fragment_weights`) times the jump, for both ends of each edge."""
+    """The area swept by moving edges (`fragment_weights`) times the jump, for both ends of each
+    edge.
+    """
     fragments = frame.visibility.fragments
     assert fragments is not None
     start, end, outward, tail, head = map(
-        as_array64, (fragments.start, fragments.end, fragments.outward, fragments.tail, fragments.head)
+        as_array64,
+        (fragments.start, fragments.end, fragments.outward, fragments.tail, fragments.head),
     )
     step = samples.screen[head, :2] - samples.screen[tail, :2]
     swept = -(outward * (end - start))[:, None] * np.stack([step[:, 1], -step[:, 0]], 1)
-    return _at_ends(as_array64(fragments.pixel), tail, head, (start + end) / 2, mix.jump[:, :, None] * swept[:, None])
+    return _at_ends(
+        as_array64(fragments.pixel),
+        tail,
+        head,
+        (start + end) / 2,
+        mix.jump[:, :, None] * swept[:, None],
+    )
 
 
 def _filtered(frame: Frame, samples: Samples, image: Tensor) -> tuple[Array, *tuple[Entries, ...]]:
-    """What the thesis' filter (`filters.py`) makes of motion: blocks of the corners of pixels' faces, and of edges."""
-    derivatives = -np.stack([as_array64(differences(image.detach(), frame.boundary, axis)) for axis in (1, 0)], -1)
+    """What the thesis' filter (`filters.py`) makes of motion: blocks of the corners of pixels'
+    faces, and of edges.
+    """
+    derivatives = -np.stack(
+        [as_array64(differences(image.detach(), frame.boundary, axis)) for axis in (1, 0)], -1
+    )
     derivatives = derivatives.reshape(-1, image.shape[-1], 2)
-    pixels, fragments = as_array64(frame.visibility.pixels), frame.visibility.fragments
+    pixels = as_array64(frame.visibility.pixels)
+    fragments = frame.visibility.fragments
     inside = samples.flat() * ~as_array64(frame.boundary).ravel()[pixels, None]
     blocks = inside[:, :, None, None] * derivatives[pixels][:, None]
     if fragments is None:
         return (blocks,)
     kept = ~as_array64(fragments.seam)
     pixel, tail, head, start, end = (
-        as_array64(x)[kept] for x in (fragments.pixel, fragments.tail, fragments.head, fragments.start, fragments.end)
+        as_array64(x)[kept]
+        for x in (fragments.pixel, fragments.tail, fragments.head, fragments.start, fragments.end)
     )
-    lengths = (end - start) * np.linalg.norm(samples.screen[head, :2] - samples.screen[tail, :2], axis=1)
+    lengths = (end - start) * np.linalg.norm(
+        samples.screen[head, :2] - samples.screen[tail, :2], axis=1
+    )
     share = lengths / np.bincount(pixel, lengths, minlength=len(derivatives)).clip(min=1e-30)[pixel]
-    return blocks, *_at_ends(pixel, tail, head, (start + end) / 2, share[:, None, None] * derivatives[pixel])
+    return blocks, *_at_ends(
+        pixel, tail, head, (start + end) / 2, share[:, None, None] * derivatives[pixel]
+    )
 
 
 def _at_ends(
@@ -156,20 +195,30 @@ def _at_ends(
     return [(pixel, tail, blocks - at_head), (pixel, head, at_head)]
 
 
-def drawn(camera: Camera, vertices: Float[Tensor, "*#batch V 3"], clipped: Clipped | None) -> Float[Tensor, "*batch D"]:
-    """The numbers that an image depends on by its geometry: the screen, flat, and behind it the fractions of cuts.
+def drawn(
+    camera: Camera, vertices: Float[Tensor, "*#batch V 3"], clipped: Clipped | None
+) -> Float[Tensor, "*batch D"]:
+    """The numbers that an image depends on by its geometry: the screen, flat, and behind it the
+    fractions of cuts.
 
     Differentiable; which edges are cut is held.
     """
-    points, fractions = camera.to_camera(vertices), None
+    points = camera.to_camera(vertices)
+    fractions = None
     if clipped is not None:
         points, fractions = _with_cuts(points, clipped, camera.near)
     pixels = camera.project_camera_points(points)
     screen = torch.cat([pixels, points[..., 2:].expand(*pixels.shape[:-1], 1)], -1).flatten(-2)
-    return screen if fractions is None else torch.cat([screen, fractions.expand(*screen.shape[:-1], -1)], -1)
+    return (
+        screen
+        if fractions is None
+        else torch.cat([screen, fractions.expand(*screen.shape[:-1], -1)], -1)
+    )
 
 
-def _with_cuts(points: Float[Tensor, "*batch V 3"], clipped: Clipped, near: float) -> tuple[Tensor, Tensor]:
+def _with_cuts(
+    points: Float[Tensor, "*batch V 3"], clipped: Clipped, near: float
+) -> tuple[Tensor, Tensor]:
     """Points in the camera's frame with those at cuts behind them, and the fractions of these."""
     behind, front = points[..., clipped.cut_ends.cpu(), :].unbind(-2)
     fraction = (near - behind[..., 2]) / (front[..., 2] - behind[..., 2])
@@ -194,7 +243,9 @@ def camera_jacobian(
         return drawn(camera.replace(**dict(zip(fields, values, strict=True))), vertices, clipped)
 
     batch = tuple(value.repeat(len(steps), 1) for value in fields.values())
-    derivatives = torch.func.jvp(moved, batch, tuple(steps[:, where].contiguous() for where in columns))[1]
+    derivatives = torch.func.jvp(
+        moved, batch, tuple(steps[:, where].contiguous() for where in columns)
+    )[1]
     return np.ascontiguousarray(derivatives.numpy().T), dict(zip(fields, columns, strict=True))
 
 
@@ -203,28 +254,36 @@ def vertex_jacobian(
 ) -> tuple[Bsr, sparse.csr_array | None]:
     """dU/dV, (3 V', 3 V), and the derivative of the cuts' fractions (K, 3 V), None without cuts.
 
-    With d = b - a an edge of the camera's frame, t the fraction at which it is cut, n its normal: dt = -n.((1 - t) da +
-    t db)/d.n, and the cut moves by (1 - d n^T / d.n) ((1 - t) da + t db).
+    With d = b - a an edge of the camera's frame, t the fraction at which it is cut, n its normal:
+    dt = -n.((1 - t) da + t db)/d.n, and the cut moves by (1 - d n^T / d.n) ((1 - t) da + t db).
     """
-    points, turn = camera.to_camera(vertices), as_array64(matrix_from_rotvec(camera.rotation))
-    count, own = len(points), np.arange(len(points), dtype=np.int32)
+    points = camera.to_camera(vertices)
+    turn = as_array64(matrix_from_rotvec(camera.rotation))
+    count = len(points)
+    own = np.arange(len(points), dtype=np.int32)
     if clipped is None:
         starts = np.arange(count + 1, dtype=np.int32)
         return _blocks(_projection_jacobian(camera, points) @ turn, own, starts, count, count), None
     points, fraction = _with_cuts(points, clipped, camera.near)
-    projected, ends = _projection_jacobian(camera, points), as_array64(clipped.cut_ends)
+    projected = _projection_jacobian(camera, points)
+    ends = as_array64(clipped.cut_ends)
     shares = np.stack([1.0 - as_array64(fraction), as_array64(fraction)], 1)[:, :, None, None]
     edge = as_array64(points)[ends[:, 1]] - as_array64(points)[ends[:, 0]]
     to_fraction = -turn[2] / edge[:, 2, None]
     at_cut = projected[count:] @ (turn + edge[:, :, None] * to_fraction[:, None])
-    blocks = np.concatenate([projected[:count] @ turn, (shares * at_cut[:, None]).reshape(-1, 3, 3)])
-    columns, two = np.append(own, ends.ravel()), 2 * np.arange(len(ends) + 1)
+    blocks = np.concatenate(
+        [projected[:count] @ turn, (shares * at_cut[:, None]).reshape(-1, 3, 3)]
+    )
+    columns = np.append(own, ends.ravel())
+    two = 2 * np.arange(len(ends) + 1)
     to_screen = _blocks(blocks, columns, np.append(own, count + two), len(points), count)
     to_fractions = (shares * to_fraction[:, None, None]).reshape(-1, 1, 3)
     return to_screen, _blocks(to_fractions, ends.ravel(), two, len(ends), count).tocsr()
 
 
-def _projection_jacobian(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[np.ndarray, "V 3 3"]:
+def _projection_jacobian(
+    camera: Camera, points: Float[Tensor, "V 3"]
+) -> Float[np.ndarray, "V 3 3"]:
     """How u, v, z (rows) change with points in the camera's frame."""
 
     def project(points: Tensor) -> Tensor:
@@ -237,7 +296,9 @@ def _projection_jacobian(camera: Camera, points: Float[Tensor, "V 3"]) -> Float[
 def _blocks(blocks: Array, columns: Array, starts: Array, rows: int, width: int) -> Bsr:
     down, across = blocks.shape[1:]
     structure = columns.astype(np.int32), starts.astype(np.int32)
-    return sparse.bsr_array((blocks, *structure), shape=(down * rows, across * width), blocksize=(down, across))
+    return sparse.bsr_array(
+        (blocks, *structure), shape=(down * rows, across * width), blocksize=(down, across)
+    )
 
 
 def matrix(given: Any, rows: int, what: str) -> Any:
@@ -247,5 +308,7 @@ def matrix(given: Any, rows: int, what: str) -> Any:
         if given.size % max(rows, 1) == 0 and given.ndim > 1:
             given = given.reshape(rows, -1) if rows else given.reshape(0, given.shape[-1])
     if given.ndim != 2 or given.shape[0] != rows:
-        raise HabitusError(f"{what} are {tuple(given.shape)}; expected {rows} rows, a column for each parameter")
+        raise HabitusError(
+            f"{what} are {tuple(given.shape)}; expected {rows} rows, a column for each parameter"
+        )
     return given

@@ -1,9 +1,10 @@
 """Compiled search for the edges at which an image jumps, cut into fragments of one pixel each.
 
-An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
-side of it) and at seams, whose two sides may differ in value. Each visible fragment gets the area that it cuts off in
-its pixel: box filtering is then the value at the centre plus jump times area, summed over fragments, however many edges
-meet in the pixel. `reference/segments.py` is the reference.
+An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an
+edge lie on one side of it) and at seams, whose two sides may differ in value. Each visible fragment
+gets the area that it cuts off in its pixel: box filtering is then the value at the centre plus jump
+times area, summed over fragments, however many edges meet in the pixel. `reference/segments.py` is
+the reference.
 """
 
 import numpy as np
@@ -34,18 +35,25 @@ def choose_edges(on_screen, edges, width, height, begin, end, chosen):
     screen, _, _, facing = on_screen
     count = 0
     for e in range(begin, end):
-        one, other = edges.pair[e, 0], edges.pair[e, 1]
+        one = edges.pair[e, 0]
+        other = edges.pair[e, 1]
         if one >= 0 and (facing[one] * facing[other] > 0 or facing[one] == facing[other]):
             continue  # the surface goes on, or is not drawn: so it is at most edges
-        entry, two_sided = _border(on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e])
+        entry, two_sided = _border(
+            on_screen, edges, edges.start[e], edges.start[e + 1], edges.seam[e]
+        )
         if entry < 0:
             continue
-        p, q = edges.corners[entry, 0], edges.corners[entry, 1]
-        start, stop = _clip(screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height))
+        p = edges.corners[entry, 0]
+        q = edges.corners[entry, 1]
+        start, stop = _clip(
+            screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1], float(width), float(height)
+        )
         if start < stop:
             chosen.face[count], chosen.two_sided[count] = edges.face[entry], two_sided
             chosen.tail[count], chosen.head[count] = p, q
-            dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+            dx = screen[q, 0] - screen[p, 0]
+            dy = screen[q, 1] - screen[p, 1]
             chosen.start[count], chosen.stop[count] = start, stop
             chosen.most[count] = 3 + int(abs(dx) * (stop - start)) + int(abs(dy) * (stop - start))
             count += 1
@@ -54,20 +62,23 @@ def choose_edges(on_screen, edges, width, height, begin, end, chosen):
 
 @jit_inline
 def _border(on_screen, edges, begin, end, seam):
-    """Of the faces around an edge (entries begin..end of the lists) the one whose border may show, or -1; and whether
-    faces lie on both sides. Of faces on one side that is the nearest, the first in the lists if they are alone.
+    """Of the faces around an edge (entries begin..end of the lists) the one whose border may show,
+    or -1; and whether faces lie on both sides. Of faces on one side that is the nearest, the first
+    in the lists if they are alone.
     """
     sides = 0
     for k in range(begin, end):
         sides |= _side_of_edge(on_screen, edges, k)
     if sides == 0 or (sides == 3 and not seam):
         return np.int64(-1), False
-    chosen, steepest = np.int64(-1), 0.0
+    chosen = np.int64(-1)
+    steepest = 0.0
     for k in range(begin, end):
         if _side_of_edge(on_screen, edges, k) == sides & -sides:
             slope = _slope_inward(on_screen, edges.corners[k])
             if chosen < 0 or slope > steepest:
-                chosen, steepest = np.int64(k), slope
+                chosen = np.int64(k)
+                steepest = slope
     return chosen, sides == 3
 
 
@@ -78,60 +89,86 @@ def _side_of_edge(on_screen, edges, k):
     f = edges.face[k]
     if facing[f] == 0:
         return 0
-    p, q = edges.corners[k, 0], edges.corners[k, 1]
-    px, py, qx, qy = screen[p, 0], screen[p, 1], screen[q, 0], screen[q, 1]
+    p = edges.corners[k, 0]
+    q = edges.corners[k, 1]
+    px = screen[p, 0]
+    py = screen[p, 1]
+    qx = screen[q, 0]
+    qy = screen[q, 1]
     runs_along = py < qy or (py == qy and px <= qx)  # as `ordered_line` has it
     return 1 if runs_along == (facing[f] > 0) else 2
 
 
 @jit_inline
 def _slope_inward(on_screen, corners):
-    """How fast the w of a face of these corners grows inward from the edge between the first two."""
+    """How fast the w of a face of these corners grows inward from the edge between the first
+    two.
+    """
     screen, inverse, _, _ = on_screen
-    p, q, third = np.uintp(corners[0]), np.uintp(corners[1]), np.uintp(corners[2])
-    dx, dy = screen[q, 0] - screen[p, 0], screen[q, 1] - screen[p, 1]
+    p = np.uintp(corners[0])
+    q = np.uintp(corners[1])
+    third = np.uintp(corners[2])
+    dx = screen[q, 0] - screen[p, 0]
+    dy = screen[q, 1] - screen[p, 1]
     length = dx * dx + dy * dy
     if length == 0.0:
         return 0.0
-    x, y = screen[third, 0] - screen[p, 0], screen[third, 1] - screen[p, 1]
+    x = screen[third, 0] - screen[p, 0]
+    y = screen[third, 1] - screen[p, 1]
     foot = (x * dx + y * dy) / length
     height = abs(dx * y - dy * x) / np.sqrt(length)
-    return (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height if height > 0.0 else 0.0
+    return (
+        (inverse[third] - inverse[p] - foot * (inverse[q] - inverse[p])) / height
+        if height > 0.0
+        else 0.0
+    )
 
 
 @jit_inline
 def _clip(x0, y0, x1, y1, width, height):
     """The parameters between which a line lies in the image (Liang and Barsky 1984)."""
-    start, stop = 0.0, 1.0
+    start = 0.0
+    stop = 1.0
     for axis in range(2):
         at, step, size = (x0, x1 - x0, width) if axis == 0 else (y0, y1 - y0, height)
         if step == 0.0:
             if at < 0.0 or at > size:
                 return 1.0, 0.0
             continue
-        near, far = -at / step, (size - at) / step
-        start, stop = greater(start, lesser(near, far)), lesser(stop, greater(near, far))
+        near = -at / step
+        far = (size - at) / step
+        start = greater(start, lesser(near, far))
+        stop = lesser(stop, greater(near, far))
     return start, stop
 
 
 @jit_noalloc
 def cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found):
-    """Cut chosen edges begin..end at the pixels' borders; write the visible fragments of edge e from `offset[e]` on.
+    """Cut chosen edges begin..end at the pixels' borders; write the visible fragments of edge e
+    from `offset[e]` on.
 
-    Fragments that an edge does not need keep the pixels that stood there. near: workspace of `covered`.
+    Fragments that an edge does not need keep the pixels that stood there. near: workspace of
+    `covered`.
     """
     screen, inverse, _, facing = on_screen
-    width, height = tiles.width, tiles.height
+    width = tiles.width
+    height = tiles.height
     for e in range(begin, end):
-        f, p, q, n = chosen.face[e], chosen.tail[e], chosen.head[e], offset[e]
-        x0, y0 = screen[p, 0], screen[p, 1]
-        dx, dy = screen[q, 0] - x0, screen[q, 1] - y0
+        f = chosen.face[e]
+        p = chosen.tail[e]
+        q = chosen.head[e]
+        n = offset[e]
+        x0 = screen[p, 0]
+        y0 = screen[p, 1]
+        dx = screen[q, 0] - x0
+        dy = screen[q, 1] - y0
         length = np.sqrt(dx * dx + dy * dy)
         outward = 1.0 if facing[f] > 0 else -1.0
         line = x0, y0, dx, dy, outward * BESIDE / length, inverse[p], inverse[q]
         stack = on_screen, tiles, near, _line_beside(line)
         near.place[0] = -1
-        start, stop = chosen.start[e], chosen.stop[e]
+        start = chosen.start[e]
+        stop = chosen.stop[e]
         border = lesser(lesser(_next_border(x0, dx, start), _next_border(y0, dy, start)), stop)
         first = _shows(line, stack, start + ENDS * (border - start))
         while start < stop and n < offset[e + 1]:
@@ -142,13 +179,23 @@ def cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found):
                 first = last
                 if low < high:
                     middle = 0.5 * (low + high)
-                    x, y = x0 + middle * dx, y0 + middle * dy
-                    column, row = lesser(int(x), width - 1), lesser(int(y), height - 1)
+                    x = x0 + middle * dx
+                    y = y0 + middle * dy
+                    column = lesser(int(x), width - 1)
+                    row = lesser(int(y), height - 1)
                     found.pixel[n], found.tail[n], found.head[n] = row * width + column, p, q
                     found.face[n], found.seam[n], found.outward[n] = f, chosen.two_sided[e], outward
-                    found.span[n, 0], found.span[n, 1], found.middle[n, 0], found.middle[n, 1] = low, high, x, y
-                    u, v = column + 0.5, row + 0.5
-                    area = shadow(x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v)
+                    found.span[n, 0], found.span[n, 1], found.middle[n, 0], found.middle[n, 1] = (
+                        low,
+                        high,
+                        x,
+                        y,
+                    )
+                    u = column + 0.5
+                    v = row + 0.5
+                    area = shadow(
+                        x0 + low * dx - u, y0 + low * dy - v, x0 + high * dx - u, y0 + high * dy - v
+                    )
                     within = is_inside(x0, y0, screen[q, 0], screen[q, 1], outward, u, v)
                     found.weight[n] = area if within else -area
                     n += 1
@@ -159,9 +206,17 @@ def cut_edges(on_screen, tiles, chosen, offset, begin, end, near, found):
 def _line_beside(line):
     """The line just outside an edge, along which visibility is tested, as `covered` wants it."""
     x0, y0, dx, dy, beside, w0, w1 = line
-    low_x, high_x = lesser(x0, x0 + dx) - BESIDE, greater(x0, x0 + dx) + BESIDE
-    low_y, high_y = lesser(y0, y0 + dy) - BESIDE, greater(y0, y0 + dy) + BESIDE
-    box = np.float32(low_x), np.float32(high_x), np.float32(low_y), np.float32(high_y), np.float32(lesser(w0, w1))
+    low_x = lesser(x0, x0 + dx) - BESIDE
+    high_x = greater(x0, x0 + dx) + BESIDE
+    low_y = lesser(y0, y0 + dy) - BESIDE
+    high_y = greater(y0, y0 + dy) + BESIDE
+    box = (
+        np.float32(low_x),
+        np.float32(high_x),
+        np.float32(low_y),
+        np.float32(high_y),
+        np.float32(lesser(w0, w1)),
+    )
     return *box, x0, y0, dx, dy, -beside * (dx * dx + dy * dy)
 
 
@@ -179,7 +234,8 @@ def _visible_interval(line, stack, low, high, first, last):
 
     A change from hidden to visible is looked for by bisection, one on each side of the middle.
     """
-    middle, end = 0.5 * (low + high), high
+    middle = 0.5 * (low + high)
+    end = high
     centre = _shows(line, stack, middle)
     if not (first or centre or last):
         return 1.0, 0.0
@@ -199,36 +255,48 @@ def _visible_interval(line, stack, low, high, first, last):
 
 @jit_noalloc
 def find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides):
-    """Where to look up an image's values on the two sides of fragments, and the faces visible there (-1: none).
+    """Where to look up an image's values on the two sides of fragments, and the faces visible there
+    (-1: none).
 
-    Seen from the centre, the near side is looked up at the centre, the far one halfway to the pixel's border; where the
-    line through the fragment's middle crosses other fragments, halfway to those. At a silhouette the surface is so
-    slanted that its value at the very border says little about the pixel. Both points keep clear of the edge, and lie
-    right beside it where its line runs through the centre. group: for pixels begin..end, the range of its fragments,
-    which are sorted by pixel.
+    Seen from the centre, the near side is looked up at the centre, the far one halfway to the
+    pixel's border; where the line through the fragment's middle crosses other fragments, halfway to
+    those. At a silhouette the surface is so slanted that its value at the very border says little
+    about the pixel. Both points keep clear of the edge, and lie right beside it where its line runs
+    through the centre. group: for pixels begin..end, the range of its fragments, which are sorted
+    by pixel.
     """
     screen, (inner_face, outer_face, inner, outer) = on_screen.screen, sides
     for g in range(begin, end):
         for n in range(group[g], group[g + 1]):
-            column, row = found.pixel[n] % tiles.width, found.pixel[n] // tiles.width
-            u, v = column + 0.5, row + 0.5
-            middle_x, middle_y = found.middle[n, 0], found.middle[n, 1]
-            x, y = middle_x - u, middle_y - v
+            column = found.pixel[n] % tiles.width
+            row = found.pixel[n] // tiles.width
+            u = column + 0.5
+            v = row + 0.5
+            middle_x = found.middle[n, 0]
+            middle_y = found.middle[n, 1]
+            x = middle_x - u
+            y = middle_y - v
             before, after = _others_on_ray(screen, found, group[g], group[g + 1], n, u, v, x, y)
             away = found.outward[n] if found.weight[n] >= 0.0 else -found.outward[n]
             nx, ny = _normal(screen, found.tail[n], found.head[n], away)
             height_above = x * nx + y * ny
             far = 0.5 * (1.0 + after)
             push = BESIDE if (far - 1.0) * height_above < BESIDE else 0.0
-            far_x, far_y = u + far * x + push * nx, v + far * y + push * ny
-            near_x, near_y, near_face = u, v, np.int64(ids[row, column])
+            far_x = u + far * x + push * nx
+            far_y = v + far * y + push * ny
+            near_x = u
+            near_y = v
+            near_face = np.int64(ids[row, column])
             if abs(height_above) < BESIDE:
-                near_x, near_y = middle_x - BESIDE * nx, middle_y - BESIDE * ny
-                far_x, far_y = middle_x + BESIDE * nx, middle_y + BESIDE * ny
+                near_x = middle_x - BESIDE * nx
+                near_y = middle_y - BESIDE * ny
+                far_x = middle_x + BESIDE * nx
+                far_y = middle_y + BESIDE * ny
             elif before > 0.0:
                 near = 0.5 * (1.0 + before)
                 push = BESIDE if (1.0 - near) * height_above < BESIDE else 0.0
-                near_x, near_y = u + near * x - push * nx, v + near * y - push * ny
+                near_x = u + near * x - push * nx
+                near_y = v + near * y - push * ny
             if near_x != u or near_y != v:
                 near_face = np.int64(nearest_face(on_screen, tiles, near_x, near_y)[0])
             far_face = np.int64(nearest_face(on_screen, tiles, far_x, far_y)[0])
@@ -242,11 +310,12 @@ def find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides):
 
 @jit_inline
 def _others_on_ray(screen, found, first, last, n, u, v, x, y):
-    """Where the ray from (u, v) through fragment n's middle, (x, y) away, last meets another fragment before it, and
-    first one, or the pixel's border, after it; 0 if there is none before.
+    """Where the ray from (u, v) through fragment n's middle, (x, y) away, last meets another
+    fragment before it, and first one, or the pixel's border, after it; 0 if there is none before.
     """
     reach = greater(abs(x), abs(y))
-    before, after = 0.0, 0.5 / reach if reach > 0.0 else 1.0
+    before = 0.0
+    after = 0.5 / reach if reach > 0.0 else 1.0
     for other in range(first, last):
         if other != n:
             at = _crossing(screen, found, other, u, v, x, y)
@@ -260,17 +329,23 @@ def _others_on_ray(screen, found, first, last, n, u, v, x, y):
 @jit_inline
 def _normal(screen, tail, head, sign):
     """The unit normal (dy, -dx) of an edge, times a sign."""
-    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    dx = screen[head, 0] - screen[tail, 0]
+    dy = screen[head, 1] - screen[tail, 1]
     scale = sign / np.sqrt(dx * dx + dy * dy)
     return dy * scale, -dx * scale
 
 
 @jit_inline
 def _crossing(screen, found, n, u, v, x, y):
-    """Where a ray from (u, v) along (x, y) meets edge fragment n, in lengths of (x, y); -1 if it does not."""
-    tail, head = found.tail[n], found.head[n]
-    px, py = screen[tail, 0] - u, screen[tail, 1] - v
-    dx, dy = screen[head, 0] - screen[tail, 0], screen[head, 1] - screen[tail, 1]
+    """Where a ray from (u, v) along (x, y) meets edge fragment n, in lengths of (x, y); -1 if it
+    does not.
+    """
+    tail = found.tail[n]
+    head = found.head[n]
+    px = screen[tail, 0] - u
+    py = screen[tail, 1] - v
+    dx = screen[head, 0] - screen[tail, 0]
+    dy = screen[head, 1] - screen[tail, 1]
     across = x * dy - y * dx
     if across == 0.0:
         return -1.0

@@ -1,7 +1,9 @@
-"""Compiled ends of an image: the list of pixels that show something, and pixels from values at samples.
+"""Compiled ends of an image: the list of pixels that show something, and pixels from values at
+samples.
 
-An image is a background, the values at the centres of the pixels that show a face, and for each visible edge fragment
-its weight times (value outside - value inside): the sum of `render/README.md`. `reference/images.py` is the reference.
+An image is a background, the values at the centres of the pixels that show a face, and for each
+visible edge fragment its weight times (value outside - value inside): the sum of
+`render/README.md`. `reference/images.py` is the reference.
 """
 
 from habitus.kernels.jit import jit_noalloc
@@ -48,7 +50,8 @@ def fill_pixels(pixels, values, begin, end, image):
 
 @jit_noalloc
 def add_jumps(pixel, weight, inner, outer, values, background, image):
-    """Add each fragment's jump times its weight; `inner` and `outer` are rows of values, -1 for the background's.
+    """Add each fragment's jump times its weight; `inner` and `outer` are rows of values, -1 for the
+    background's.
 
     A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
     """
@@ -72,8 +75,12 @@ def fill_pixels_vjp(pixels, cotangent, begin, end, to_values):
 
 
 @jit_noalloc
-def add_jumps_vjp(pixel, weight, inner, outer, values, background, cotangent, to_values, to_background, to_weight):
-    """VJP of `add_jumps`: added to the cotangents of values and background, written to that of weights."""
+def add_jumps_vjp(
+    pixel, weight, inner, outer, values, background, cotangent, to_values, to_background, to_weight
+):
+    """VJP of `add_jumps`: added to the cotangents of values and background, written to that of
+    weights.
+    """
     for s in range(len(pixel)):
         p = pixel[s]
         behind = p if len(background) > 1 else 0
@@ -108,9 +115,12 @@ def fragment_weights_vjp(screen, fragments, cotangent, out):
     """
     tail, head, start, end, outward = fragments
     for s in range(len(cotangent)):
-        p, q, middle = tail[s], head[s], 0.5 * (start[s] + end[s])
+        p = tail[s]
+        q = head[s]
+        middle = 0.5 * (start[s] + end[s])
         scale = cotangent[s] * outward[s] * (end[s] - start[s])
-        x, y = scale * (screen[q, 1] - screen[p, 1]), scale * (screen[q, 0] - screen[p, 0])
+        x = scale * (screen[q, 1] - screen[p, 1])
+        y = scale * (screen[q, 0] - screen[p, 0])
         out[p, 0] -= (1.0 - middle) * x
         out[p, 1] += (1.0 - middle) * y
         out[q, 0] -= middle * x

@@ -5,14 +5,18 @@ from habitus.kernels.jit import jit_inline
 
 @jit_inline
 def clip(polygon, size, a, b, c, out):
-    """The part of a convex polygon where a x + b y + c >= 0 (Sutherland and Hodgman 1974); its number of corners."""
+    """The part of a convex polygon where a x + b y + c >= 0 (Sutherland and Hodgman 1974); its
+    number of corners.
+    """
     if size == 0:
         return 0
     count = 0
-    px, py = polygon[size - 1, 0], polygon[size - 1, 1]
+    px = polygon[size - 1, 0]
+    py = polygon[size - 1, 1]
     before = a * px + b * py + c
     for k in range(size):
-        qx, qy = polygon[k, 0], polygon[k, 1]
+        qx = polygon[k, 0]
+        qy = polygon[k, 1]
         here = a * qx + b * qy + c
         if (before < 0.0 and here > 0.0) or (before > 0.0 and here < 0.0):
             t = before / (before - here)
@@ -21,7 +25,9 @@ def clip(polygon, size, a, b, c, out):
         if here >= 0.0:
             out[count, 0], out[count, 1] = qx, qy
             count += 1
-        px, py, before = qx, qy, here
+        px = qx
+        py = qy
+        before = here
     return count
 
 
@@ -50,6 +56,8 @@ def area_of(polygon, size):
 @jit_inline
 def double_area(polygon, k):
     """Twice the area of the k-th triangle of a polygon's fan."""
-    ax, ay = polygon[k, 0] - polygon[0, 0], polygon[k, 1] - polygon[0, 1]
-    bx, by = polygon[k + 1, 0] - polygon[0, 0], polygon[k + 1, 1] - polygon[0, 1]
+    ax = polygon[k, 0] - polygon[0, 0]
+    ay = polygon[k, 1] - polygon[0, 1]
+    bx = polygon[k + 1, 0] - polygon[0, 0]
+    by = polygon[k + 1, 1] - polygon[0, 1]
     return ax * by - ay * bx

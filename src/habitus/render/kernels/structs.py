@@ -1,4 +1,6 @@
-"""Arrays that kernels take together, as named tuples, which numba compiles to no more than their fields."""
+"""Arrays that kernels take together, as named tuples, which numba compiles to no more than their
+fields.
+"""
 
 from typing import NamedTuple
 
@@ -19,7 +21,8 @@ class ScreenFaces(NamedTuple):
 
 
 class Tiles(NamedTuple):
-    """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`, ascending.
+    """Faces sorted into square tiles of the image: tile t has `listed[starts[t] : starts[t + 1]]`,
+    ascending.
 
     Tiles that were not asked for have none.
     """
@@ -27,7 +30,8 @@ class Tiles(NamedTuple):
     starts: Int[np.ndarray, " T+1"]
     listed: Int[np.ndarray, " L"]
     bounds: Float[np.ndarray, "5 L+8"]
-    """Those of `raster.place_faces`, of each listed face, and room behind (`vectors.overlapping`)."""
+    """Those of `raster.place_faces`, of each listed face, and room behind (`vectors.overlapping`).
+    """
     width: int
     height: int
     side: int
@@ -46,9 +50,11 @@ class NearFaces(NamedTuple):
 
 
 class EdgeLists(NamedTuple):
-    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these names; int32.
+    """The faces around each of E edges: `Triangles.faces`, and its arrays with `edge_` before these
+    names; int32.
 
-    corners: of each face around an edge the vertices from which and to which the face runs along it, and the third.
+    corners: of each face around an edge the vertices from which and to which the face runs along
+    it, and the third.
     """
 
     faces: Int[np.ndarray, "F 3"]
@@ -79,7 +85,9 @@ class ChosenEdges(NamedTuple):
 
 
 class FoundFragments(NamedTuple):
-    """S edge fragments, some of them empty (pixel -1); see `EdgeFragments`, whose fields these are."""
+    """S edge fragments, some of them empty (pixel -1); see `EdgeFragments`, whose fields these
+    are.
+    """
 
     pixel: Int[np.ndarray, " S"]
     tail: Int[np.ndarray, " S"]
@@ -95,7 +103,9 @@ class FoundFragments(NamedTuple):
 
 
 class FragmentSides(NamedTuple):
-    """What is on the two sides of S edge fragments: the fields of `EdgeFragments` of the same names."""
+    """What is on the two sides of S edge fragments: the fields of `EdgeFragments` of the same
+    names.
+    """
 
     inner_face: Int[np.ndarray, " S"]
     outer_face: Int[np.ndarray, " S"]
@@ -104,7 +114,9 @@ class FragmentSides(NamedTuple):
 
 
 class FoundAreas(NamedTuple):
-    """What shows in pixels: a face (-1: the background), its area there and the area's centroid (u, v)."""
+    """What shows in pixels: a face (-1: the background), its area there and the area's centroid (u,
+    v).
+    """
 
     pixel: Int[np.ndarray, " A"]
     face: Int[np.ndarray, " A"]
@@ -113,7 +125,9 @@ class FoundAreas(NamedTuple):
 
 
 class AreaRoom(NamedTuple):
-    """Workspace for one pixel's N faces, whose polygons have M corners at most and fall into P pieces."""
+    """Workspace for one pixel's N faces, whose polygons have M corners at most and fall into P
+    pieces.
+    """
 
     order: Int[np.ndarray, " N"]
     face: Int[np.ndarray, " N"]

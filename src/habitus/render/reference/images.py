@@ -1,7 +1,9 @@
-"""The renderer's reference in plain torch, which also serves tensors on another device than the CPU.
+"""The renderer's reference in plain torch, which also serves tensors on another device than the
+CPU.
 
-What is where: `visible`, `edge_fragments`. What an image is then made of, differentiable: `barycentrics`,
-`interpolate`, `compose`. The kernels compute the same on the CPU; tests compare the two.
+What is where: `visible`, `edge_fragments`. What an image is then made of, differentiable:
+`barycentrics`, `interpolate`, `compose`. The kernels compute the same on the CPU; tests compare the
+two.
 """
 
 import torch
@@ -15,18 +17,28 @@ from habitus.render.reference.segments import edge_fragments
 from habitus.render.triangles import Triangles
 from habitus.render.visibility import Visibility, pixel_centres
 
-__all__ = ["barycentrics", "compose", "edge_fragments", "fragment_weights", "interpolate", "share_of_pixel", "visible"]
+__all__ = [
+    "barycentrics",
+    "compose",
+    "edge_fragments",
+    "fragment_weights",
+    "interpolate",
+    "share_of_pixel",
+    "visible",
+]
 
 
 def visible(
     screen: Float[Tensor, "V 3"], triangles: Triangles, width: int, height: int, cull: bool = False
 ) -> Int[Tensor, "H W"]:
-    """The nearest face at each pixel's centre, int32; -1 where there is none. `screen` holds u, v and depth.
+    """The nearest face at each pixel's centre, int32; -1 where there is none. `screen` holds u, v
+    and depth.
 
-    Pixel (row, column) has its centre at u = column + 0.5, v = row + 0.5. A centre exactly on an edge belongs to the
-    face that has it as a left edge (the inside lies to the right) or a horizontal top edge (the inside lies below): the
-    face that covers the centre once it is moved a little to the right and far less downwards. Of equally near faces the
-    first wins. `drawn_faces` says which faces take part.
+    Pixel (row, column) has its centre at u = column + 0.5, v = row + 0.5. A centre exactly on an
+    edge belongs to the face that has it as a left edge (the inside lies to the right) or a
+    horizontal top edge (the inside lies below): the face that covers the centre once it is moved a
+    little to the right and far less downwards. Of equally near faces the first wins. `drawn_faces`
+    says which faces take part.
     """
     drawn = drawn_faces(screen, triangles, cull)
     nearest = Nearest(drawn, width * height)
@@ -37,11 +49,17 @@ def visible(
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
     """The fragments' weights, with the derivative of the area that moving edges sweep."""
-    return fragments.weight.to(screen.dtype) + swept(screen.detach(), screen - screen.detach(), fragments)
+    return fragments.weight.to(screen.dtype) + swept(
+        screen.detach(), screen - screen.detach(), fragments
+    )
 
 
-def swept(screen: Float[Tensor, "V 3"], step: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
-    """How weights change as the screen moves by a small step: minus the area that the fragments sweep outward."""
+def swept(
+    screen: Float[Tensor, "V 3"], step: Float[Tensor, "V 3"], fragments: EdgeFragments
+) -> Float[Tensor, " S"]:
+    """How weights change as the screen moves by a small step: minus the area that the fragments
+    sweep outward.
+    """
     along = screen[fragments.head, :2] - screen[fragments.tail, :2]
     middle = ((fragments.start + fragments.end) / 2).to(screen.dtype)[:, None]
     scale = (fragments.outward * (fragments.end - fragments.start)).to(screen.dtype)
@@ -50,28 +68,35 @@ def swept(screen: Float[Tensor, "V 3"], step: Float[Tensor, "V 3"], fragments: E
 
 
 def barycentrics(
-    screen: Float[Tensor, "V 3"], corners: Int[Tensor, "N 3"], points: Float[Tensor, "N 2"], exact: bool = False
+    screen: Float[Tensor, "V 3"],
+    corners: Int[Tensor, "N 3"],
+    points: Float[Tensor, "N 2"],
+    exact: bool = False,
 ) -> Float[Tensor, "N 3"]:
-    """Perspective-correct weights of the corners of the face under each point; they add up to 1. Differentiable.
+    """Perspective-correct weights of the corners of the face under each point; they add up to 1.
+    Differentiable.
 
-    Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the face. There they hardly
-    move with the corners on the screen, unless `exact`: `share_of_pixel`.
+    Computed in float64 and returned in the screen's type: on a sliver, float32 would leave the
+    face. There they hardly move with the corners on the screen, unless `exact`: `share_of_pixel`.
     """
     at = screen.index_select(0, corners.reshape(-1)).reshape(len(corners), 3, 3).double()
     held = at[..., :2].detach()
     counts = torch.ones(()) if exact else share_of_pixel(held)[:, None, None]
     away = held - points[:, None].double() + counts.to(held) * (at[..., :2] - held)
-    after, before = away.roll(-1, 1), away.roll(-2, 1)
+    after = away.roll(-1, 1)
+    before = away.roll(-2, 1)
     share = (after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]) / at[..., 2]
     return (share / share.sum(-1, keepdim=True)).to(screen.dtype)
 
 
 def share_of_pixel(corners: Float[Tensor, "N 3 2"]) -> Float[Tensor, " N"]:
-    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by length, up to 1.
+    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by
+    length, up to 1.
 
-    A sliver seen at a pixel's centre covers little of the pixel, but its values change without bounds as it moves: the
-    fewer the pixels that meet it, the more. Only as much of that counts as it covers. Lengths beyond `LONG` are taken
-    as that, so that small triangles are slivers by their form, not by their size.
+    A sliver seen at a pixel's centre covers little of the pixel, but its values change without
+    bounds as it moves: the fewer the pixels that meet it, the more. Only as much of that counts as
+    it covers. Lengths beyond `LONG` are taken as that, so that small triangles are slivers by their
+    form, not by their size.
     """
     sides = corners.roll(-1, 1) - corners
     double_area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
@@ -88,21 +113,27 @@ def interpolate(
 
 
 def compose(
-    values: Float[Tensor, "N C"], background: Float[Tensor, "K C"], weights: Float[Tensor, " S"], visibility: Visibility
+    values: Float[Tensor, "N C"],
+    background: Float[Tensor, "K C"],
+    weights: Float[Tensor, " S"],
+    visibility: Visibility,
 ) -> Float[Tensor, "P C"]:
-    """An image's pixels, row by row, from values at samples, the background (one row, or one a pixel) and jumps.
+    """An image's pixels, row by row, from values at samples, the background (one row, or one a
+    pixel) and jumps.
 
-    The sum of `render/README.md`: each fragment adds to its pixel its weight times the jump from its inner to its outer
-    sample. A jump that is not finite is left out: nothing is mixed with an infinitely distant background.
-    Differentiable in all but `visibility`.
+    The sum of `render/README.md`: each fragment adds to its pixel its weight times the jump from
+    its inner to its outer sample. A jump that is not finite is left out: nothing is mixed with an
+    infinitely distant background. Differentiable in all but `visibility`.
     """
     behind = background.expand(visibility.ids.numel(), -1)
     image = behind.index_copy(0, visibility.pixels, values[: len(visibility.pixels)])
     if visibility.fragments is None:
         return image
-    pixel, rows = visibility.fragments.pixel, torch.cat([values, values.new_zeros(1, values.shape[1])])
+    pixel = visibility.fragments.pixel
+    rows = torch.cat([values, values.new_zeros(1, values.shape[1])])
     inner, outer = (
-        torch.where((row >= 0)[:, None], rows[row], behind[pixel]) for row in (visibility.inner, visibility.outer)
+        torch.where((row >= 0)[:, None], rows[row], behind[pixel])
+        for row in (visibility.inner, visibility.outer)
     )
     jump = outer - inner
     return image.index_add(0, pixel, weights[:, None] * torch.where(jump.isfinite(), jump, 0.0))

@@ -1,8 +1,9 @@
 """Reference of the search for edges at which an image jumps, in plain torch, on any device.
 
-An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an edge lie on one
-side of it) and at seams, whose two sides may differ in value. What each visible edge fragment cuts off a pixel, as
-seen from the pixel's centre, tells how the average over the pixel differs from the value at the centre; see `shadow`.
+An image jumps where a surface ends in front of another: at borders, at silhouettes (all faces of an
+edge lie on one side of it) and at seams, whose two sides may differ in value. What each visible
+edge fragment cuts off a pixel, as seen from the pixel's centre, tells how the average over the
+pixel differs from the value at the centre; see `shadow`.
 """
 
 from dataclasses import dataclass
@@ -34,7 +35,9 @@ TURN_STEPS = 14
 
 @dataclass(frozen=True, eq=False)
 class _Above:
-    """Pairs of a drawn face `n` and a number of `count` points that it may cover: no other face covers that point."""
+    """Pairs of a drawn face `n` and a number of `count` points that it may cover: no other face
+    covers that point.
+    """
 
     drawn: DrawnFaces
     n: Int[Tensor, " K"]
@@ -51,7 +54,9 @@ class _Above:
         """What is seen at the points."""
         found = Nearest(self.drawn, self.count)
         for n, slot in zip(
-            self.n.split(reference_faces.AT_ONCE), self.slot.split(reference_faces.AT_ONCE), strict=True
+            self.n.split(reference_faces.AT_ONCE),
+            self.slot.split(reference_faces.AT_ONCE),
+            strict=True,
         ):
             found.add(n, slot, points[slot])
         return found
@@ -62,10 +67,11 @@ def edge_fragments(
 ) -> EdgeFragments:
     """The visible fragments, a pixel each, of edges at which an image may jump.
 
-    screen: u, v and depth of vertices. ids: the faces at the pixels' centres, as `reference.visible` gives them.
+    screen: u, v and depth of vertices. ids: the faces at the pixels' centres, as
+    `reference.visible` gives them.
 
-    Parts are cut at the image's and the pixels' borders, and where they disappear behind a surface, which is looked for
-    in each half. `reference/edges.py` says which edges count.
+    Parts are cut at the image's and the pixels' borders, and where they disappear behind a surface,
+    which is looked for in each half. `reference/edges.py` says which edges count.
     """
     height, width = ids.shape
     drawn = drawn_faces(screen, triangles, cull)
@@ -79,7 +85,11 @@ def edge_fragments(
     shown, start, end = _shown(above, edges, start, end)
     shown = shown.nonzero()[:, 0]
     shown = shown[pixel[shown].argsort(stable=True)]
-    above, edges, start, end, pixel = above[shown], edges[shown], start[shown], end[shown], pixel[shown]
+    above = above[shown]
+    edges = edges[shown]
+    start = start[shown]
+    end = end[shown]
+    pixel = pixel[shown]
 
     centre = pixel_centres(pixel, width)
     within = _centre_within(drawn, edges, centre)
@@ -106,13 +116,15 @@ def edge_fragments(
 
 
 def shadow(a: Float[Tensor, "S 2"], b: Float[Tensor, "S 2"]) -> Float[Tensor, " S"]:
-    """The area of the unit square around 0 that lies behind the fragment from a to b, as seen from 0.
+    """The area of the unit square around 0 that lies behind the fragment from a to b, as seen from
+    0.
 
-    Colours are constant between edges, so the colour at a point of the square is that at its centre plus the jumps met
-    on the straight way there; each jump counts for the area of all points whose way meets it. A wedge at the centre has
-    a quarter of the way that it spans along the square's border, 4 long, as its area, for the border is 1/2 away
-    everywhere; the triangle between the centre and the fragment does not belong. A fragment through the centre spans
-    half the border, whichever way round.
+    Colours are constant between edges, so the colour at a point of the square is that at its centre
+    plus the jumps met on the straight way there; each jump counts for the area of all points whose
+    way meets it. A wedge at the centre has a quarter of the way that it spans along the square's
+    border, 4 long, as its area, for the border is 1/2 away everywhere; the triangle between the
+    centre and the fragment does not belong. A fragment through the centre spans half the border,
+    whichever way round.
     """
     way = (_along_border(a) - _along_border(b)).abs()
     return torch.minimum(way, 4 - way) / 4 - (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).abs() / 2
@@ -121,8 +133,8 @@ def shadow(a: Float[Tensor, "S 2"], b: Float[Tensor, "S 2"]) -> Float[Tensor, " 
 def _along_border(direction: Tensor) -> Tensor:
     """Where rays from the centre meet the unit square's border: the way along it, from 0 up to 4.
 
-    A fragment that ends at the centre itself is seen from where the top-left rule takes the centre to be, a little to
-    the right of it: its end lies to the left.
+    A fragment that ends at the centre itself is seen from where the top-left rule takes the centre
+    to be, a little to the right of it: its end lies to the left.
     """
     x, y = direction.unbind(-1)
     x = x.masked_fill((x == 0) & (y == 0), -1.0)
@@ -140,37 +152,50 @@ def _centre_within(drawn: DrawnFaces, edges: Edges, centre: Tensor) -> Tensor:
 
 
 def _clipped(edges: Edges, width: int, height: int) -> tuple[Tensor, Tensor]:
-    """The parameters from and to which each edge lies in the image (Liang and Barsky 1984); start >= end: nowhere."""
+    """The parameters from and to which each edge lies in the image (Liang and Barsky 1984); start
+    >= end: nowhere.
+    """
     step = edges.head - edges.tail
-    one, other = -edges.tail / step, (step.new_tensor([width, height]) - edges.tail) / step
-    one, other = one.where(~one.isnan(), -torch.inf), other.where(~other.isnan(), torch.inf)  # along the image's border
-    near, far = torch.minimum(one, other), torch.maximum(one, other)
+    one = -edges.tail / step
+    other = (step.new_tensor([width, height]) - edges.tail) / step
+    one = one.where(~one.isnan(), -torch.inf)
+    other = other.where(~other.isnan(), torch.inf)  # along the image's border
+    near = torch.minimum(one, other)
+    far = torch.maximum(one, other)
     return near.amax(-1).clamp(min=0), far.amin(-1).clamp(max=1)
 
 
 def _pixel_fragments(edges: Edges, start: Tensor, end: Tensor) -> tuple[Edges, Tensor, Tensor]:
-    """Edges from `start` to `end`, cut at the pixels' borders: for each fragment its edge, start and end."""
+    """Edges from `start` to `end`, cut at the pixels' borders: for each fragment its edge, start
+    and end.
+    """
     met = start < end
-    edges, start, end = edges[met], start[met], end[met]
+    edges = edges[met]
+    start = start[met]
+    end = end[met]
     owner = torch.arange(len(start), device=start.device)
     cuts = [(owner, start), (owner, end)]
     for axis in (0, 1):
         ends = torch.stack([edges.at(start)[:, axis], edges.at(end)[:, axis]])
-        first, last = ends.amin(0).floor() + 1, ends.amax(0).ceil() - 1
+        first = ends.amin(0).floor() + 1
+        last = ends.amax(0).ceil() - 1
         for e, k in expanded((last - first + 1).clamp(min=0).long()):
             t = (first[e] + k - edges.tail[e, axis]) / (edges.head - edges.tail)[e, axis]
             cuts.append((e, t.clamp(start[e], end[e])))
     owner, t = (torch.cat(values) for values in zip(*cuts, strict=True))
     order = t.argsort()
     order = order[owner[order].argsort(stable=True)]
-    owner, t = owner[order], t[order]
+    owner = owner[order]
+    t = t[order]
     length = (t[1:] - t[:-1]) * (edges.head - edges.tail).norm(dim=-1)[owner[:-1]]
     real = (owner[1:] == owner[:-1]) & (length > SHORTEST)
     return edges[owner[:-1][real]], t[:-1][real], t[1:][real]
 
 
 def _faces_above(drawn: DrawnFaces, pixel: Tensor, width: int, height: int) -> _Above:
-    """For points in the given pixels, or up to 1e-5 beside, the faces whose boxes meet the pixel."""
+    """For points in the given pixels, or up to 1e-5 beside, the faces whose boxes meet the
+    pixel.
+    """
     listed = pixel.argsort()
     count = pixel.bincount(minlength=width * height)
     first = count.cumsum(0) - count
@@ -182,66 +207,91 @@ def _faces_above(drawn: DrawnFaces, pixel: Tensor, width: int, height: int) -> _
     return _Above(drawn, n, slot, len(pixel))
 
 
-def _shown(above: _Above, edges: Edges, start: Tensor, end: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _shown(
+    above: _Above, edges: Edges, start: Tensor, end: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """Whether anything of each fragment shows, and from where to where: all, an end, the middle."""
-    middle, ends = (start + end) / 2, ENDS * (end - start)
+    middle = (start + end) / 2
+    ends = ENDS * (end - start)
     first, centre, last = (_shows(above, edges, t) for t in (start + ends, middle, end - ends))
-    low, high = start.clone(), end.clone()
-    first_half, second_half = first != centre, (centre != last) & ~(first & ~centre)
-    for begin, stop, before, turns in ((start, middle, first, first_half), (middle, end, centre, second_half)):
+    low = start.clone()
+    high = end.clone()
+    first_half = first != centre
+    second_half = (centre != last) & ~(first & ~centre)
+    for begin, stop, before, turns in (
+        (start, middle, first, first_half),
+        (middle, end, centre, second_half),
+    ):
         k = turns.nonzero()[:, 0]
         turn = _turn(above[k], edges[k], begin[k], stop[k], before[k])
-        low[k], high[k] = torch.where(before[k], low[k], turn), torch.where(before[k], turn, high[k])
+        low[k], high[k] = (
+            torch.where(before[k], low[k], turn),
+            torch.where(before[k], turn, high[k]),
+        )
     return first | centre | last, low, high
 
 
 def _shows(above: _Above, edges: Edges, t: Tensor) -> Tensor:
     """Whether nothing is in front of edges at their parameters t, looked up just outside them."""
     inverse = (1 - t) * edges.inverse[:, 0] + t * edges.inverse[:, 1]
-    return above.nearest(edges.at(t) + BESIDE * edges.outward).inverse_depth <= (1 + HIDDEN) * inverse
+    return (
+        above.nearest(edges.at(t) + BESIDE * edges.outward).inverse_depth <= (1 + HIDDEN) * inverse
+    )
 
 
 def _turn(above: _Above, edges: Edges, low: Tensor, high: Tensor, before: Tensor) -> Tensor:
-    """The parameter between two where an edge changes from `before` (visible or not) to the opposite."""
+    """The parameter between two where an edge changes from `before` (visible or not) to the
+    opposite.
+    """
     for _ in range(TURN_STEPS):
         middle = (low + high) / 2
         same = _shows(above, edges, middle) == before
-        low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+        low = torch.where(same, middle, low)
+        high = torch.where(same, high, middle)
     return (low + high) / 2
 
 
 def _sample_points(
     edges: Edges, start: Tensor, end: Tensor, pixel: Tensor, centre: Tensor, within: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Where the image is looked up on the centre's side of fragments and beyond, and whether the former is the centre.
+    """Where the image is looked up on the centre's side of fragments and beyond, and whether the
+    former is the centre.
 
-    The line from the centre through the fragment's middle ends at the pixel's border, and other fragments may cross it.
-    The far point lies halfway to what comes first beyond the fragment; the near one at the centre, or where a fragment
-    lies between, halfway to that. So slanted is a surface at its silhouette that its value at the border itself says
-    little about the pixel. Both keep 1e-5 pixels away from the fragment; where its line runs through the centre, they
-    lie there beside its middle.
+    The line from the centre through the fragment's middle ends at the pixel's border, and other
+    fragments may cross it. The far point lies halfway to what comes first beyond the fragment; the
+    near one at the centre, or where a fragment lies between, halfway to that. So slanted is a
+    surface at its silhouette that its value at the border itself says little about the pixel. Both
+    keep 1e-5 pixels away from the fragment; where its line runs through the centre, they lie there
+    beside its middle.
     """
     middle = edges.at((start + end) / 2)
     ray = middle - centre
     reach = ray.abs().amax(-1)
-    before, after = torch.zeros_like(reach), torch.where(reach > 0, 0.5 / reach, 1.0)
+    before = torch.zeros_like(reach)
+    after = torch.where(reach > 0, 0.5 / reach, 1.0)
     _, group, size = pixel.unique_consecutive(return_inverse=True, return_counts=True)
     first = size.cumsum(0) - size
     for fragment, k in expanded(size[group]):
         other = first[group[fragment]] + k
         fragment, other = fragment[fragment != other], other[fragment != other]
-        tail, step = edges.tail[other] - centre[fragment], (edges.head - edges.tail)[other]
+        tail = edges.tail[other] - centre[fragment]
+        step = (edges.head - edges.tail)[other]
         across = _cross(ray[fragment], step)
-        on_other, at = _cross(tail, ray[fragment]) / across, _cross(tail, step) / across
+        on_other = _cross(tail, ray[fragment]) / across
+        at = _cross(tail, step) / across
         met = (across != 0) & (on_other >= start[other]) & (on_other <= end[other])
-        between, beyond = met & (at >= -TOUCHING) & (at < 1), met & (at > 1)
+        between = met & (at >= -TOUCHING) & (at < 1)
+        beyond = met & (at > 1)
         before.scatter_reduce_(0, fragment[between], at[between].clamp(min=TOUCHING), "amax")
         after.scatter_reduce_(0, fragment[beyond], at[beyond], "amin")
     beside = BESIDE * torch.where(within, 1, -1)[:, None] * edges.outward
     height = (ray * beside).sum(-1) / BESIDE
-    at_centre, through = before == 0, height < BESIDE
-    near, far = torch.where(at_centre, 0.0, (1 + before) / 2), (1 + after) / 2
-    back, on = ~at_centre & ((1 - near) * height < BESIDE), (far - 1) * height < BESIDE
+    at_centre = before == 0
+    through = height < BESIDE
+    near = torch.where(at_centre, 0.0, (1 + before) / 2)
+    far = (1 + after) / 2
+    back = ~at_centre & ((1 - near) * height < BESIDE)
+    on = (far - 1) * height < BESIDE
     near_point = centre + near[:, None] * ray - torch.where(back[:, None], beside, 0.0)
     far_point = centre + far[:, None] * ray + torch.where(on[:, None], beside, 0.0)
     near_point = torch.where(through[:, None], middle - beside, near_point)

@@ -15,7 +15,9 @@ Sizes = tuple[tuple[int, int], ...]
 
 
 class Tap(NamedTuple):
-    """One of the texels under each of N samples: its number, its weight, and that weight's derivatives to u and v."""
+    """One of the texels under each of N samples: its number, its weight, and that weight's
+    derivatives to u and v.
+    """
 
     texel: Int[Tensor, " N"]
     weight: Float[Tensor, " N"]
@@ -30,8 +32,12 @@ def sample(
     sizes: Sizes,
     repeat: tuple[bool, bool],
 ) -> Float[Tensor, "N C"]:
-    """Trilinear samples at `uv` and levels from 0 to L - 1; automatic differentiation goes through."""
-    return sum_taps(tap.weight[:, None] * texels[tap.texel] for tap in taps(uv, level, sizes, repeat))
+    """Trilinear samples at `uv` and levels from 0 to L - 1; automatic differentiation goes
+    through.
+    """
+    return sum_taps(
+        tap.weight[:, None] * texels[tap.texel] for tap in taps(uv, level, sizes, repeat)
+    )
 
 
 def sample_jvp(
@@ -43,8 +49,11 @@ def sample_jvp(
     texel_tangent: Float[Tensor, "T C"] | None,
     uv_tangent: Float[Tensor, "N 2"] | None,
 ) -> Float[Tensor, "N C"]:
-    """The derivative of samples along tangents of texels and uv (JVP); None for what is constant."""
-    found, total = list(taps(uv, level, sizes, repeat)), torch.zeros_like(texels[:1])
+    """The derivative of samples along tangents of texels and uv (JVP); None for what is
+    constant.
+    """
+    found = list(taps(uv, level, sizes, repeat))
+    total = torch.zeros_like(texels[:1])
     if texel_tangent is not None:
         total = total + sum_taps(tap.weight[:, None] * texel_tangent[tap.texel] for tap in found)
     if uv_tangent is not None:
@@ -67,20 +76,26 @@ def taps(
         top, bottom, y = neighbours(1 - uv[:, 1], height, repeat[1])
         for row, by_row, row_derivative in ((top, 1 - y, height), (bottom, y, -height)):
             for column, by_column, column_derivative in ((left, 1 - x, -width), (right, x, width)):
-                along_u, along_v = weight * by_row * column_derivative, weight * row_derivative * by_column
-                yield Tap(start + row * width + column, weight * by_row * by_column, along_u, along_v)
+                along_u = weight * by_row * column_derivative
+                along_v = weight * row_derivative * by_column
+                yield Tap(
+                    start + row * width + column, weight * by_row * by_column, along_u, along_v
+                )
 
 
 def neighbours(
     coordinate: Float[Tensor, " N"], size: Int[Tensor, " N"], repeat: bool
 ) -> tuple[Int[Tensor, " N"], Int[Tensor, " N"], Float[Tensor, " N"]]:
-    """The texels beside a coordinate (1 is the whole length), and how far it lies from one centre to the next."""
+    """The texels beside a coordinate (1 is the whole length), and how far it lies from one centre
+    to the next.
+    """
     if repeat:
         coordinate = coordinate - coordinate.detach().floor()
     x = coordinate * size - 0.5
     lower = x.detach().floor()
     first = lower.nan_to_num().clamp(min=-1).minimum(size).long()
-    second, zero = first + 1, torch.zeros_like(size)
+    second = first + 1
+    zero = torch.zeros_like(size)
     if repeat:
         return first % size, second % size, x - lower
     return first.clamp(min=zero, max=size - 1), second.clamp(min=zero, max=size - 1), x - lower
@@ -88,7 +103,8 @@ def neighbours(
 
 def table(sizes: Sizes) -> list[tuple[int, int, int]]:
     """Of each level: where its texels begin, its height, its width."""
-    rows, start = [], 0
+    rows = []
+    start = 0
     for height, width in sizes:
         rows.append((start, height, width))
         start += height * width

@@ -1,4 +1,6 @@
-"""The page of an archive: one file that opens offline, with every capture and every subject to sort and to filter."""
+"""The page of an archive: one file that opens offline, with every capture and every subject to sort
+and to filter.
+"""
 
 import base64
 import json
@@ -23,17 +25,26 @@ _MARK = "@@rows@@"
 
 
 def write_archive_page(
-    path: Path, title: str, rows: Iterable[Mapping[str, Any]], subjects: Sequence[Mapping[str, Any]], count: int
+    path: Path,
+    title: str,
+    rows: Iterable[Mapping[str, Any]],
+    subjects: Sequence[Mapping[str, Any]],
+    count: int,
 ) -> None:
-    """Write the page of ``count`` captures, whole or not at all; the rows come one by one and are not kept.
+    """Write the page of ``count`` captures, whole or not at all; the rows come one by one and are
+    not kept.
 
-    rows: path, person, folder, subject, state, reason, numbers (of metrics.json) and picture (PNG) of each. subjects:
-    name, measured, picture. Raises HabitusError where the page cannot be written.
+    rows: path, person, folder, subject, state, reason, numbers (of metrics.json) and picture (PNG)
+    of each. subjects: name, measured, picture. Raises HabitusError where the page cannot be
+    written.
     """
     folders = path.parent
     sums: dict[str, _Sum] = defaultdict(_Sum)
     before, middle, after = _page(shown(title or "archive", LONGEST_NAME)).split(_MARK)
-    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("w", encoding="utf-8", newline="\n") as file,
+    ):
         file.write(before)
         pictures = count <= MOST_PICTURES
         _write_rows(file, (_capture(row, sums, folders, pictures) for row in rows))
@@ -51,7 +62,8 @@ def _page(title: str) -> str:
         scripts=(THEME, "archive.js"),
         styles=("index.css", "archive.css"),
         foot="The run that goes on with this archive writes this page anew.",
-        without_script="This page needs a script to show its rows; archive.parquet holds the same numbers.",
+        without_script="This page needs a script to show its rows; archive.parquet holds the same "
+        "numbers.",
     )
 
 
@@ -59,20 +71,25 @@ class _Sum:
     """What a subject's captures come to."""
 
     def __init__(self) -> None:
-        self.captures, self.fitted, self.frames, self.error = 0, 0, 0.0, 0.0
+        self.captures = 0
+        self.fitted = 0
+        self.frames = 0.0
+        self.error = 0.0
         self.levels: dict[str, int] = defaultdict(int)
 
     def add(self, level: str, facts: Facts) -> None:
         self.captures += 1
         self.levels[level] += 1
         if facts.mean_mm is not None:
-            self.fitted, self.frames = self.fitted + 1, self.frames + (facts.frames or 0)
+            self.fitted = self.fitted + 1
+            self.frames = self.frames + (facts.frames or 0)
             self.error += facts.mean_mm * (facts.frames or 0)
 
 
 def _capture(row: Mapping[str, Any], sums: dict[str, _Sum], out: Path, pictures: bool) -> list[Any]:
     """What the page's script is told of a capture, in the order in which it names it."""
-    facts, done = facts_of(row["numbers"]), row["state"] == "done"
+    facts = facts_of(row["numbers"])
+    done = row["state"] == "done"
     level = facts.level or "" if done else NOT_FITTED
     if row["subject"]:
         sums[row["subject"]].add(level, facts)
@@ -99,10 +116,13 @@ def _capture(row: Mapping[str, Any], sums: dict[str, _Sum], out: Path, pictures:
     ]
 
 
-def _subjects(subjects: Sequence[Mapping[str, Any]], sums: Mapping[str, _Sum]) -> Iterator[list[Any]]:
+def _subjects(
+    subjects: Sequence[Mapping[str, Any]], sums: Mapping[str, _Sum]
+) -> Iterator[list[Any]]:
     told = {one["name"]: one for one in subjects}
     for name in sorted(sums):
-        one, total = told.get(name, {}), sums[name]
+        one = told.get(name, {})
+        total = sums[name]
         measured = one.get("measured") or {}
         yield [
             shown(name, LONGEST_NAME),
@@ -110,7 +130,10 @@ def _subjects(subjects: Sequence[Mapping[str, Any]], sums: Mapping[str, _Sum]) -
             total.frames,
             _rounded(total.error / total.frames, 2) if total.frames else None,
             [total.levels[level] for level in ("good", "doubtful", "failed", NOT_FITTED)],
-            *(_rounded(measured.get(key), 3) for key in ("height_m", "mass_kg", "waist_circumference_m")),
+            *(
+                _rounded(measured.get(key), 3)
+                for key in ("height_m", "mass_kg", "waist_circumference_m")
+            ),
             _base64(one.get("picture")),
         ]
 

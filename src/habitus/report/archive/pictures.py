@@ -1,4 +1,6 @@
-"""Small pictures for a table of many captures: a person at rest, and a few moments of a motion side by side."""
+"""Small pictures for a table of many captures: a person at rest, and a few moments of a motion side
+by side.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -17,7 +19,8 @@ TALL = 2.05
 _FINE = 2  # points drawn a pixel, each way
 _VIEW = np.radians(35.0)  # from the front
 _LIGHT = np.array([-0.45, 0.6, 0.66])
-_DARK, _PALE = np.array([58, 50, 46]), np.array([226, 212, 194])
+_DARK = np.array([58, 50, 46])
+_PALE = np.array([226, 212, 194])
 
 
 def palette() -> UInt8[np.ndarray, "16 3"]:
@@ -27,12 +30,19 @@ def palette() -> UInt8[np.ndarray, "16 3"]:
 
 
 def motion_picture(moving: Moving) -> bytes:
-    """A PNG of `MOMENTS` moments of a motion on one floor, seen from the front's left of one in the middle."""
+    """A PNG of `MOMENTS` moments of a motion on one floor, seen from the front's left of one in the
+    middle.
+    """
     frames = np.linspace(0, moving.num_frames - 1, 2 * MOMENTS + 1)[1::2].round().astype(int)
     upright = moving.vertices(list(frames)) @ up_rotation(moving.up_axis).T
-    facing = up_rotation(moving.up_axis) @ _root(moving, int(frames[MOMENTS // 2])) @ np.array([0.0, 0.0, 1.0])
+    facing = (
+        up_rotation(moving.up_axis)
+        @ _root(moving, int(frames[MOMENTS // 2]))
+        @ np.array([0.0, 0.0, 1.0])
+    )
     turned = upright @ _camera(np.arctan2(facing[0], facing[2]) - _VIEW).T
-    floor, top = turned[..., 1].min(), turned[..., 1].max()
+    floor = turned[..., 1].min()
+    top = turned[..., 1].max()
     scale = HEIGHT / max(TALL, 1.02 * (top - floor))
     levels = np.zeros((HEIGHT, STEP * (MOMENTS - 1) + 2 * (MARGIN + STEP // 2)), np.uint8)
     for k, body in enumerate(turned):
@@ -47,14 +57,19 @@ def shape_picture(body: BodyModel, betas: Float[np.ndarray, " B"]) -> bytes:
     rest = np.asarray(body.rest_vertices(betas)) @ _camera(-_VIEW / 2).T
     levels = np.zeros((HEIGHT, HEIGHT), np.uint8)
     middle = (rest[:, 0].min() + rest[:, 0].max()) / 2
-    points = (rest - [middle, rest[:, 1].min(), 0.0]) * (HEIGHT / max(TALL, 1.02 * np.ptp(rest[:, 1])))
+    points = (rest - [middle, rest[:, 1].min(), 0.0]) * (
+        HEIGHT / max(TALL, 1.02 * np.ptp(rest[:, 1]))
+    )
     _draw(levels, points, np.asarray(body.faces), HEIGHT // 2)
     return small_png(levels, palette())
 
 
 def _camera(angle: float) -> Float[np.ndarray, "3 3"]:
-    """Axes to the right, up and to the viewer, who stands where this angle from +z about +y points."""
-    c, s = np.cos(angle), np.sin(angle)
+    """Axes to the right, up and to the viewer, who stands where this angle from +z about +y
+    points.
+    """
+    c = np.cos(angle)
+    s = np.sin(angle)
     return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
@@ -62,13 +77,24 @@ def _root(moving: Moving, frame: int) -> Float[np.ndarray, "3 3"]:
     return np.asarray(matrix_from_rotvec(moving.pose[frame, 0]))
 
 
-def _draw(levels: UInt8[np.ndarray, "H W"], points: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], x: int):
-    """Draw a surface, in pixels from its floor's middle, over what is there: near points last, each a dot."""
+def _draw(
+    levels: UInt8[np.ndarray, "H W"],
+    points: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    x: int,
+):
+    """Draw a surface, in pixels from its floor's middle, over what is there: near points last, each
+    a dot.
+    """
     a, b, c = points[faces].swapaxes(0, 1)
     normal = np.cross(b - a, c - a)
     front = normal[:, 2] > 0
     a, b, c, normal = (some[front] for some in (a, b, c, normal))
-    light = normal @ (_LIGHT / np.linalg.norm(_LIGHT)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    light = (
+        normal
+        @ (_LIGHT / np.linalg.norm(_LIGHT))
+        / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    )
     shade = np.clip(1 + np.round(14 * (0.12 + 0.88 * np.clip(light, 0, 1))), 1, 15).astype(np.uint8)
     dots = np.concatenate([(u * a + v * b + (1 - u - v) * c) for u, v in _SPOTS])
     order = np.argsort(dots[:, 2], kind="stable")

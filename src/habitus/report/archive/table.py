@@ -1,4 +1,6 @@
-"""All numbers of an archive as one Parquet table: a row a capture, a column a number of metrics.json."""
+"""All numbers of an archive as one Parquet table: a row a capture, a column a number of
+metrics.json.
+"""
 
 import json
 import tempfile
@@ -23,10 +25,11 @@ _TYPES = {bool: "BOOLEAN", int: "DOUBLE", float: "DOUBLE", str: "VARCHAR"}
 
 
 def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows of a manifest as Parquet, whole or not at all; what metrics.json nests becomes ``a.b.c``.
+    """Write rows of a manifest as Parquet, whole or not at all; what metrics.json nests becomes
+    ``a.b.c``.
 
-    Numbers are doubles, errors by marker maps of labels, suspects lists of structures. Raises HabitusError where duckdb
-    is not installed.
+    Numbers are doubles, errors by marker maps of labels, suspects lists of structures. Raises
+    HabitusError where duckdb is not installed.
     """
     duckdb = require_extra("duckdb", "tables of an archive", "archive")
     types = dict(_FIRST)
@@ -38,11 +41,23 @@ def write_table(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
                 for name, value in flat.items():
                     types.setdefault(name, _type(name, value))
                 file.write(json.dumps(flat) + "\n")
-        columns = "{" + ", ".join(f"{_quoted(name)}: {_quoted(kind)}" for name, kind in types.items()) + "}"
-        read = f"read_json({_quoted(str(lines))}, format = 'newline_delimited', columns = {columns})"
-        settings = {"autoinstall_known_extensions": False, "autoload_known_extensions": False, "threads": 1}
+        columns = (
+            "{"
+            + ", ".join(f"{_quoted(name)}: {_quoted(kind)}" for name, kind in types.items())
+            + "}"
+        )
+        read = (
+            f"read_json({_quoted(str(lines))}, format = 'newline_delimited', columns = {columns})"
+        )
+        settings = {
+            "autoinstall_known_extensions": False,
+            "autoload_known_extensions": False,
+            "threads": 1,
+        }
         with duckdb.connect(config=settings) as connection:
-            connection.execute(f"COPY (FROM {read}) TO {_quoted(str(target))} (FORMAT parquet, COMPRESSION zstd)")
+            connection.execute(
+                f"COPY (FROM {read}) TO {_quoted(str(target))} (FORMAT parquet, COMPRESSION zstd)"
+            )
 
 
 def _flat_row(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""A picture of a person with every tape laid on: front and side as one SVG, for which nothing else is needed."""
+"""A picture of a person with every tape laid on: front and side as one SVG, for which nothing else
+is needed.
+"""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -12,12 +14,16 @@ from habitus.errors import HabitusError
 from habitus.report.body.drawing import SCALE, VIEWS, View, skin
 from habitus.report.evaluation.figures import INK, MUTED, SERIES
 
-_MARGIN, _LINE, _LEADER = 24.0, 15.0, 150.0
+_MARGIN = 24.0
+_LINE = 15.0
+_LEADER = 150.0
 _ALONG = 0.7  # cosine with the line of sight
 _STYLE = f"text{{font:11px sans-serif;fill:{INK}}}.v{{fill:{MUTED}}}path{{stroke-linejoin:round}}"
 
 
-def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found: Mapping[str, float]) -> str:
+def tape_picture(
+    body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found: Mapping[str, float]
+) -> str:
     """The SVG of a person at rest (V, 3) whose measurements were ``found``.
 
     Raises HabitusError for a body without tapes.
@@ -25,10 +31,13 @@ def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found
     kit = body.measuring_kit
     if kit is None or not kit.tapes:
         raise HabitusError(f"{body.name} has no tapes to draw; expected a person's body")
-    parts, left, height = [], _MARGIN, 0.0
+    parts = []
+    left = _MARGIN
+    height = 0.0
     for name, axes in VIEWS.items():
         flat = rest_vertices @ axes.T
-        low, high = flat[:, :2].min(0), flat[:, :2].max(0)
+        low = flat[:, :2].min(0)
+        high = flat[:, :2].max(0)
         view = View(axes, np.array([low[0] - left / SCALE, -high[1] - _MARGIN / SCALE]))
         height = max(height, float((high[1] - low[1]) * SCALE + 2 * _MARGIN))
         parts += [skin(view, rest_vertices, body.faces), *_tapes(view, kit, rest_vertices)]
@@ -37,10 +46,13 @@ def tape_picture(body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], found
             parts += _labels(view, kit, rest_vertices, found, left)
             left += _LEADER
     rows = _others(kit, found, left)
-    width, height = left + 190.0, max(height, 2 * _MARGIN + _LINE * len(rows))
+    width = left + 190.0
+    height = max(height, 2 * _MARGIN + _LINE * len(rows))
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
-        f'height="{height:.0f}"><style>{_STYLE}</style><rect width="100%" height="100%" fill="#fff"/>'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
+        f'width="{width:.0f}" '
+        f'height="{height:.0f}"><style>{_STYLE}</style><rect width="100%" height="100%" '
+        'fill="#fff"/>'
         f"{''.join([*parts, *rows])}</svg>\n"
     )
 
@@ -57,28 +69,34 @@ def _tapes(view: View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
             if np.abs(np.cross(*ring.axes) @ view.axes[2]) > _ALONG:
                 continue
             around = ring.tape(vertices)
-            points, inward = view.seen(around), view.seen(around.mean(0)[None])[0, 2]
+            points = view.seen(around)
+            inward = view.seen(around.mean(0)[None])[0, 2]
             ends = np.roll(points, -1, axis=0)
             seen = 0.5 * (points[:, 2] + ends[:, 2]) >= inward
             path = "".join(
-                f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in zip(points[seen], ends[seen], strict=True)
+                f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}"
+                for a, b in zip(points[seen], ends[seen], strict=True)
             )
             lines.append(f'<path fill="none" stroke="{_colour(k)}" stroke-width="2" d="{path}"/>')
     return lines
 
 
-def _labels(view: View, kit: MeasuringKit, vertices: np.ndarray, found: Mapping[str, float], left: float) -> list[str]:
+def _labels(
+    view: View, kit: MeasuringKit, vertices: np.ndarray, found: Mapping[str, float], left: float
+) -> list[str]:
     """Names and lengths beside the front view, each led to its tape on the viewer's right."""
     ends = []
     for k, tape in enumerate(kit.tapes):
         points = view.seen(tape.rings[0].tape(vertices))
         ends.append((float(points[:, 1].mean()), k, points[points[:, 0].argmax()]))
-    lines, free = [], -np.inf
+    lines = []
+    free = -np.inf
     for height, k, point in sorted(ends, key=lambda end: end[0]):
         free = max(free + _LINE, height)
         name = f"{kit.tapes[k].name}_circumference_m"
         lines.append(
-            f'<path fill="none" stroke="{_colour(k)}" stroke-width=".7" d="M{point[0]:.1f} {point[1]:.1f}'
+            f'<path fill="none" stroke="{_colour(k)}" stroke-width=".7" d="M{point[0]:.1f} '
+            f"{point[1]:.1f}"
             f'L{left - 8:.1f} {free:.1f}H{left - 2:.1f}"/><text x="{left:.1f}" y="{free + 4:.1f}">'
             f'{escape(_words(name))} <tspan class="v">{_said(name, found[name])}</tspan></text>'
         )

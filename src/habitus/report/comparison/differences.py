@@ -1,4 +1,6 @@
-"""How far two motions of one capture are apart, moment by moment: skin, joints, their rotations, markers."""
+"""How far two motions of one capture are apart, moment by moment: skin, joints, their rotations,
+markers.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,17 +13,27 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError
 from habitus.fit.mosh.result import MarkerFit
-from habitus.report.comparison.pairing import Pairing, pair, points_at, shared_joints, shared_levels, surfaces_at
+from habitus.report.comparison.pairing import (
+    Pairing,
+    pair,
+    points_at,
+    shared_joints,
+    shared_levels,
+    surfaces_at,
+)
 from habitus.report.comparison.placed import Placing, moved, placing
 
 ALIGN = ("auto", "none", "rigid")
 OTHER_CAPTURE = 2.0
-"""Millimetres: observed markers of one name that lie further apart (median) are not of the same moments."""
+"""Millimetres: observed markers of one name that lie further apart (median) are not of the same
+moments.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkersApart:
-    """M markers that both fits have: how far B predicts each from where A does, and each fit's own errors, (T, M) mm.
+    """M markers that both fits have: how far B predicts each from where A does, and each fit's own
+    errors, (T, M) mm.
 
     NaN where a marker is not seen.
     """
@@ -36,10 +48,11 @@ class MarkersApart:
 class Differences:
     """Distances (mm) and angles (degrees) between A and B at the T moments of ``pairing``.
 
-    ``b`` is B in A's world (``place``). ``joints`` (T, J): between joints of one name; ``centred``: the same after the
-    first of them lies on its counterpart. ``turned`` (T, J): between the joints' own rotations; None where the two
-    skeletons differ. ``skin`` (T, 3): mean, 95th percentile and largest distance between vertices; None where the
-    bodies have different meshes; ``vertex`` (T,) is the vertex that is furthest. ``at_rest`` (V,): between the shapes.
+    ``b`` is B in A's world (``place``). ``joints`` (T, J): between joints of one name; ``centred``:
+    the same after the first of them lies on its counterpart. ``turned`` (T, J): between the joints'
+    own rotations; None where the two skeletons differ. ``skin`` (T, 3): mean, 95th percentile and
+    largest distance between vertices; None where the bodies have different meshes; ``vertex`` (T,)
+    is the vertex that is furthest. ``at_rest`` (V,): between the shapes.
     """
 
     a: Moving
@@ -58,36 +71,51 @@ class Differences:
 
     @property
     def apart(self) -> Float[np.ndarray, " T"]:
-        """How far the bodies are apart: mean over the skin, over the joints where the meshes differ, mm."""
+        """How far the bodies are apart: mean over the skin, over the joints where the meshes
+        differ, mm.
+        """
         return self.joints.mean(axis=1) if self.skin is None else self.skin[:, 0]
 
     @property
     def same_moments(self) -> bool:
-        """Whether observed markers of one name, where both have such, lie at the same places (OTHER_CAPTURE)."""
+        """Whether observed markers of one name, where both have such, lie at the same places
+        (OTHER_CAPTURE).
+        """
         return self.observed_apart is None or self.observed_apart <= OTHER_CAPTURE
 
     @property
     def observed_apart(self) -> float | None:
-        """How far observed markers of one name are apart, mm (median); None where none is seen by both."""
-        seen = None if self.markers is None else self.markers.observed[np.isfinite(self.markers.observed)]
+        """How far observed markers of one name are apart, mm (median); None where none is seen by
+        both.
+        """
+        seen = (
+            None
+            if self.markers is None
+            else self.markers.observed[np.isfinite(self.markers.observed)]
+        )
         return None if seen is None or not seen.size else float(np.median(seen))
 
 
 def differences(a: Moving, b: Moving, *, offset: float = 0.0, align: str = "auto") -> Differences:
     """Compare two bodies in motion; B begins ``offset`` seconds after A.
 
-    align: what is done where the two stand in different worlds (`habitus.report.comparison.placed.placing`). Raises
-    HabitusError where they share no moment, or neither a joint's name nor a mesh.
+    align: what is done where the two stand in different worlds
+    (`habitus.report.comparison.placed.placing`). Raises HabitusError where they share no moment, or
+    neither a joint's name nor a mesh.
     """
     if align not in ALIGN:
         raise HabitusError(f"align is {align!r}; expected one of {', '.join(ALIGN)}")
     names, *numbers = shared_joints(a, b)
     if len(names) < 3:
         raise HabitusError(
-            f"{a.body.name} and {b.body.name} have {len(names)} joints of one name; expected two bodies of people"
+            f"{a.body.name} and {b.body.name} have {len(names)} joints of one name; expected two "
+            "bodies of people"
         )
-    pairing, levels = pair(a, b, offset), shared_levels(a, b)
-    joints = tuple(_joints(m, f)[:, k] for m, f, k in zip((a, b), pairing.frames, numbers, strict=True))
+    pairing = pair(a, b, offset)
+    levels = shared_levels(a, b)
+    joints = tuple(
+        _joints(m, f)[:, k] for m, f, k in zip((a, b), pairing.frames, numbers, strict=True)
+    )
     place = placing(a, b, joints, align)
     b = moved(b, place, a.up_axis)
     off = place.apply(joints[1]) - joints[0]
@@ -117,9 +145,15 @@ def _mm(off: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
     return 1e3 * np.linalg.norm(off, axis=-1)
 
 
-def _skin(a: Moving, b: Moving, pairing: Pairing, levels: tuple[BodyModel, BodyModel]) -> tuple[np.ndarray, np.ndarray]:
-    numbers, furthest = [], []
-    parts = (surfaces_at(m, f, level, True) for m, f, level in zip((a, b), pairing.frames, levels, strict=True))
+def _skin(
+    a: Moving, b: Moving, pairing: Pairing, levels: tuple[BodyModel, BodyModel]
+) -> tuple[np.ndarray, np.ndarray]:
+    numbers = []
+    furthest = []
+    parts = (
+        surfaces_at(m, f, level, True)
+        for m, f, level in zip((a, b), pairing.frames, levels, strict=True)
+    )
     for (ours, _), (theirs, _) in zip(*parts, strict=True):
         apart = _mm(theirs - ours)
         numbers.append(np.stack([apart.mean(1), np.percentile(apart, 95, axis=1), apart.max(1)], 1))
@@ -130,19 +164,30 @@ def _skin(a: Moving, b: Moving, pairing: Pairing, levels: tuple[BodyModel, BodyM
 def _at_rest(a: Moving, b: Moving, levels: tuple[BodyModel, BodyModel]) -> Float[np.ndarray, " V"]:
     """Distances of the shapes at rest, pelvis on pelvis."""
     first, second = (
-        level.rest_vertices(m.betas) - level.rest_joints(m.betas)[0] for m, level in zip((a, b), levels, strict=True)
+        level.rest_vertices(m.betas) - level.rest_joints(m.betas)[0]
+        for m, level in zip((a, b), levels, strict=True)
     )
     return _mm(second - first)
 
 
-def _turned(a: Moving, b: Moving, pairing: Pairing, numbers: list[np.ndarray]) -> Float[np.ndarray, "T J"] | None:
-    """Angles between the joints' rotations relative to their parents, where every shared joint has the same parent."""
-    above = ([_parent(m.body, joint) for joint in own] for m, own in zip((a, b), numbers, strict=True))
+def _turned(
+    a: Moving, b: Moving, pairing: Pairing, numbers: list[np.ndarray]
+) -> Float[np.ndarray, "T J"] | None:
+    """Angles between the joints' rotations relative to their parents, where every shared joint has
+    the same parent.
+    """
+    above = (
+        [_parent(m.body, joint) for joint in own] for m, own in zip((a, b), numbers, strict=True)
+    )
     if not all(one == other for one, other in zip(*above, strict=True)):
         return None
-    ours, theirs = (m.pose[f][:, k] for m, f, k in zip((a, b), pairing.nearest, numbers, strict=True))
+    ours, theirs = (
+        m.pose[f][:, k] for m, f, k in zip((a, b), pairing.nearest, numbers, strict=True)
+    )
     shape = ours.shape[:2]
-    turns = [Rotation.from_rotvec(np.asarray(pose, np.float64).reshape(-1, 3)) for pose in (ours, theirs)]
+    turns = [
+        Rotation.from_rotvec(np.asarray(pose, np.float64).reshape(-1, 3)) for pose in (ours, theirs)
+    ]
     return np.degrees((turns[0].inv() * turns[1]).magnitude()).reshape(shape)
 
 
@@ -161,12 +206,17 @@ def _markers(a: Moving, b: Moving, pairing: Pairing) -> MarkersApart | None:
     predicted = [points_at(_predicted(fit)[:, k], f) for fit, k, f in both]
     observed = [points_at(np.asarray(fit.observed_markers)[:, k], f) for fit, k, f in both]
     seen, offs = (_mm(two[1] - two[0]) for two in (observed, predicted))
-    errors = [np.asarray(fit.errors_mm)[near][:, k] for (fit, k, _), near in zip(both, pairing.nearest, strict=True)]
+    errors = [
+        np.asarray(fit.errors_mm)[near][:, k]
+        for (fit, k, _), near in zip(both, pairing.nearest, strict=True)
+    ]
     return MarkersApart(labels, offs, (errors[0], errors[1]), seen)
 
 
 def _predicted(fit: MarkerFit) -> Any:
-    return np.asarray(fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue)
+    return np.asarray(
+        fit.predicted_pose_stage if fit.predicted_soft_tissue is None else fit.predicted_soft_tissue
+    )
 
 
 def notes(found: Differences) -> tuple[str, ...]:
@@ -176,13 +226,17 @@ def notes(found: Differences) -> tuple[str, ...]:
         told.append(f"B's up was another: it was turned so that {found.a.up_axis} is up, as in A.")
     if found.levels is None:
         told.append(
-            f"The bodies have different meshes ({found.a.body_name}, {found.b.body_name}): they are compared by joints "
-            "and markers of one name. Joints of one name lie at other places in another body, by a centimetre or more."
+            f"The bodies have different meshes ({found.a.body_name}, {found.b.body_name}): they "
+            "are compared by joints "
+            "and markers of one name. Joints of one name lie at other places in another body, by "
+            "a centimetre or more."
         )
     if not found.same_moments:
         told.insert(
             0,
-            f"Observed markers of one name are {found.observed_apart:.0f} mm apart (median): these are not the same "
-            "moments of one capture; the distances say nothing of the fits. Is there an offset in time?",
+            f"Observed markers of one name are {found.observed_apart:.0f} mm apart (median): "
+            "these are not the same "
+            "moments of one capture; the distances say nothing of the fits. Is there an offset in "
+            "time?",
         )
     return tuple(told)

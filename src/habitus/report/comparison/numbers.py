@@ -32,7 +32,9 @@ def numbers(found: Differences, names: tuple[str, str]) -> dict[str, Any]:
         "skin_mm": _skin(found),
         "joints_mm": _each(found.joints, found.joint_names),
         "joints_root_aligned_mm": _each(found.centred, found.joint_names),
-        "joint_rotations_degrees": None if found.turned is None else _each(found.turned, found.joint_names),
+        "joint_rotations_degrees": None
+        if found.turned is None
+        else _each(found.turned, found.joint_names),
         "markers": _markers(found),
         "shape_at_rest_mm": None if found.at_rest is None else _summary(found.at_rest),
         "measurements": measurements(found),
@@ -51,7 +53,13 @@ def _side(moving: Moving, name: str) -> dict[str, Any]:
         "up_axis": moving.up_axis,
     }
     if not isinstance(moving, MarkerFit):
-        return about | {"layout": None, "markers": None, "verdict": None, "marker_error_mm": None, "suspects": None}
+        return about | {
+            "layout": None,
+            "markers": None,
+            "verdict": None,
+            "marker_error_mm": None,
+            "suspects": None,
+        }
     verdict = moving.verdict
     error = error_summary(moving.errors_mm / 1e3, moving.labels)
     return about | {
@@ -68,11 +76,18 @@ def _summary(values: np.ndarray) -> dict[str, float | None]:
     if not known.size:
         return dict.fromkeys(("mean", "median", "p95", "max"))
     middle, high = np.percentile(known, [50, 95])
-    return {"mean": float(known.mean()), "median": float(middle), "p95": float(high), "max": float(known.max())}
+    return {
+        "mean": float(known.mean()),
+        "median": float(middle),
+        "p95": float(high),
+        "max": float(known.max()),
+    }
 
 
 def _skin(found: Differences) -> dict[str, float | None] | None:
-    """Over all vertices of all moments; ``p95`` is the mean over the moments of what 95 % of the vertices are below."""
+    """Over all vertices of all moments; ``p95`` is the mean over the moments of what 95 % of the
+    vertices are below.
+    """
     if found.skin is None:
         return None
     mean, high, most = found.skin.T
@@ -88,9 +103,15 @@ def _markers(found: Differences) -> dict[str, Any] | None:
     markers = found.markers
     if markers is None:
         return None
-    columns = zip(markers.labels, markers.apart.T, *(error.T for error in markers.errors), strict=True)
+    columns = zip(
+        markers.labels, markers.apart.T, *(error.T for error in markers.errors), strict=True
+    )
     per = {
-        label: {"apart": _summary(apart)["mean"], "a": _summary(ours)["mean"], "b": _summary(theirs)["mean"]}
+        label: {
+            "apart": _summary(apart)["mean"],
+            "a": _summary(ours)["mean"],
+            "b": _summary(theirs)["mean"],
+        }
         for label, apart, ours, theirs in columns
     }
     return {"apart_mm": _summary(markers.apart), "errors_mm": per}
@@ -100,15 +121,22 @@ def measurements(found: Differences) -> dict[str, dict[str, float]]:
     """What both bodies measure at rest (m, kg), by name."""
     ours, theirs = (m.body.measure(m.betas) for m in (found.a, found.b))
     return {
-        name: {"a": float(ours[name]), "b": float(theirs[name]), "difference": float(theirs[name] - ours[name])}
+        name: {
+            "a": float(ours[name]),
+            "b": float(theirs[name]),
+            "difference": float(theirs[name] - ours[name]),
+        }
         for name in ours
         if name in theirs
     }
 
 
 def worst_moments(found: Differences) -> list[dict[str, Any]]:
-    """The moments at which the bodies are furthest apart, half a second or more between two, the worst first."""
-    apart, pairing = found.apart, found.pairing
+    """The moments at which the bodies are furthest apart, half a second or more between two, the
+    worst first.
+    """
+    apart = found.apart
+    pairing = found.pairing
     left = np.array(apart)
     moments: list[dict[str, Any]] = []
     while len(moments) < WORST and np.isfinite(left).any():

@@ -1,4 +1,6 @@
-"""The page of a comparison: one HTML file with two bodies on one clock, curves of what is between them, and tables."""
+"""The page of a comparison: one HTML file with two bodies on one clock, curves of what is between
+them, and tables.
+"""
 
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -30,9 +32,12 @@ def comparison_page(
     names: tuple[str, str],
     links: Sequence[str | None] = (None, None),
 ) -> str:
-    """The page as text; ``numbers`` is what compare.json holds, ``links`` lead to the reports that there are."""
+    """The page as text; ``numbers`` is what compare.json holds, ``links`` lead to the reports that
+    there are.
+    """
     told = (shown(names[0], LONGEST_NAME), shown(names[1], LONGEST_NAME))
-    ours, theirs = Blob(), Blob()
+    ours = Blob()
+    theirs = Blob()
     data = _side(found.a, ours) | {"other": _side(found.b, theirs)}
     _add_curves(found, ours)
     data |= {
@@ -67,9 +72,18 @@ def comparison_page(
 
 def _side(moving: Moving, blob: Blob) -> dict[str, Any]:
     """What the player must know of one result."""
-    labels = [shown(label, LONGEST_NAME) for label in moving.labels] if isinstance(moving, MarkerFit) else []
+    labels = (
+        [shown(label, LONGEST_NAME) for label in moving.labels]
+        if isinstance(moving, MarkerFit)
+        else []
+    )
     scene = add_scene(moving, blob, last_stage=True)
-    return {"labels": labels, "frames": moving.num_frames, "rate": float(moving.rate_hz), "scene": scene.facts}
+    return {
+        "labels": labels,
+        "frames": moving.num_frames,
+        "rate": float(moving.rate_hz),
+        "scene": scene.facts,
+    }
 
 
 def _offset(found: Differences) -> float:
@@ -99,7 +113,9 @@ def _mean_error(errors: np.ndarray) -> np.ndarray:
 
 
 def _add_angles(found: Differences, blob: Blob) -> list[dict[str, str]]:
-    """Joint angles that both bodies have, in tenths of degrees; gives the names, sides and owners of their rows."""
+    """Joint angles that both bodies have, in tenths of degrees; gives the names, sides and owners
+    of their rows.
+    """
     some = bin_edges(len(found.pairing.times), ANGLE_FRAMES)
     both = [
         joint_angles(m.body, m.betas, np.asarray(m.pose)[rows[some]])
@@ -122,7 +138,8 @@ def _add_angles(found: Differences, blob: Blob) -> list[dict[str, str]]:
 
 def _player(names: tuple[str, str]) -> str:
     tags = "".join(
-        f"<span class='side-{letter.lower()}'><i class='letter'>{letter}</i> <b>{escape(name)}</b></span>"
+        f"<span class='side-{letter.lower()}'><i class='letter'>{letter}</i> "
+        f"<b>{escape(name)}</b></span>"
         for letter, name in zip("AB", names, strict=True)
     )
     return player(
@@ -139,5 +156,8 @@ def _note(data: Mapping[str, Any]) -> str:
     rates = [side["scene"]["rate"] for side in (data, data["other"])]
     if not any(side["scene"]["stride"] > 1 for side in (data, data["other"])):
         return ""
-    text = f"The player draws {rates[0]:.3g} frames a second of A and {rates[1]:.3g} of B; curves and tables use all."
+    text = (
+        f"The player draws {rates[0]:.3g} frames a second of A and {rates[1]:.3g} of B; curves "
+        "and tables use all."
+    )
     return f"<p class='note'>{escape(text)}</p>"

@@ -17,9 +17,11 @@ _WHOLE = 1e-3  # of a frame: a moment that is nearer to a frame is that frame
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """T moments: ``times`` (s, A's clock) and the places, in frames, of these moments in A and in B.
+    """T moments: ``times`` (s, A's clock) and the places, in frames, of these moments in A and in
+    B.
 
-    ``rate_hz`` is how many moments a second are compared; ``notes`` say what was left out or lies between frames.
+    ``rate_hz`` is how many moments a second are compared; ``notes`` say what was left out or lies
+    between frames.
     """
 
     times: Float[np.ndarray, " T"]
@@ -34,7 +36,8 @@ class Pairing:
 
 
 def pair(a: Moving, b: Moving, offset: float = 0.0) -> Pairing:
-    """The moments that both have, at the frames of the slower one; B begins ``offset`` seconds after A.
+    """The moments that both have, at the frames of the slower one; B begins ``offset`` seconds
+    after A.
 
     Raises HabitusError where they have none in common.
     """
@@ -48,9 +51,11 @@ def pair(a: Moving, b: Moving, offset: float = 0.0) -> Pairing:
     if not both.any():
         ends = " and ".join(f"{m.num_frames / m.rate_hz:.2f} s" for m in (a, b))
         raise HabitusError(
-            f"A and B have no moment in common ({ends} long, B {offset:g} s after A); give another offset"
+            f"A and B have no moment in common ({ends} long, B {offset:g} s after A); give "
+            "another offset"
         )
-    own, other = own[both].astype(float), other[both]
+    own = own[both].astype(float)
+    other = other[both]
     frames = (other, own) if swapped else (own, other)
     notes = [*_rates(a, b, other), *_ranges(a, b, len(own), slow.rate_hz, offset)]
     return Pairing(frames[0] / a.rate_hz, frames, slow.rate_hz, tuple(notes))
@@ -67,7 +72,10 @@ def _rates(a: Moving, b: Moving, other: np.ndarray) -> Iterator[str]:
         rates = f"A has {a.rate_hz:g} frames a second, B {b.rate_hz:g}"
         yield f"{rates}: they are compared at the slower one's frames.{between}"
     elif (other % 1).any():
-        yield "The offset is no whole number of frames: the later one is interpolated between its frames."
+        yield (
+            "The offset is no whole number of frames: the later one is interpolated between its "
+            "frames."
+        )
 
 
 def _ranges(a: Moving, b: Moving, count: int, rate_hz: float, offset: float) -> Iterator[str]:
@@ -79,7 +87,9 @@ def _ranges(a: Moving, b: Moving, count: int, rate_hz: float, offset: float) -> 
 
 
 def shared_levels(a: Moving, b: Moving) -> tuple[BodyModel, BodyModel] | None:
-    """The levels of detail of both bodies whose meshes are one, the coarsest such; None where no two are."""
+    """The levels of detail of both bodies whose meshes are one, the coarsest such; None where no
+    two are.
+    """
     levels = ([level for level in (m.body, m.body.full) if level is not None] for m in (a, b))
     for one, other in product(*levels):
         if one.num_vertices == other.num_vertices and np.array_equal(one.faces, other.faces):
@@ -97,7 +107,8 @@ def shared_joints(a: Moving, b: Moving) -> tuple[tuple[str, ...], np.ndarray, np
 def surfaces_at(
     moving: Moving, frames: Float[np.ndarray, " T"], body: BodyModel | None, skin: bool
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Vertices (t, V, 3) and joints (t, J, 3) at some moments, a few at a time, linear between two frames.
+    """Vertices (t, V, 3) and joints (t, J, 3) at some moments, a few at a time, linear between two
+    frames.
 
     Without ``skin`` there is one vertex only.
     """
@@ -107,7 +118,8 @@ def surfaces_at(
         low = np.floor(part).astype(np.int64)
         share = (part - low)[:, None, None]
         found = next(moving.surfaces(low, some, body))
-        vertices, joints = np.asarray(found.vertices), np.asarray(found.joints)
+        vertices = np.asarray(found.vertices)
+        joints = np.asarray(found.joints)
         if share.any():
             then = next(moving.surfaces(np.minimum(low + 1, moving.num_frames - 1), some, body))
             vertices = (1 - share) * vertices + share * np.asarray(then.vertices)
@@ -115,7 +127,9 @@ def surfaces_at(
         yield vertices, joints
 
 
-def points_at(points: Float[np.ndarray, "T M 3"], frames: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T M 3"]:
+def points_at(
+    points: Float[np.ndarray, "T M 3"], frames: Float[np.ndarray, " T"]
+) -> Float[np.ndarray, "T M 3"]:
     """Points of every frame at some moments, linear between two frames."""
     low = np.floor(frames).astype(np.int64)
     share = (frames - low)[:, None, None]

@@ -18,7 +18,9 @@ _WON = 0.5  # of the distance that turning and moving must leave, or less
 
 @dataclass(frozen=True)
 class Placing:
-    """x' = rotation x + translation (m); ``told`` says in a sentence why, and is empty where nothing was moved."""
+    """x' = rotation x + translation (m); ``told`` says in a sentence why, and is empty where
+    nothing was moved.
+    """
 
     rotation: Float[np.ndarray, "3 3"]
     translation: Float[np.ndarray, " 3"]
@@ -48,22 +50,29 @@ def rigid(wanted: Float[np.ndarray, "N 3"], points: Float[np.ndarray, "N 3"]) ->
 
 
 def placing(a: Moving, b: Moving, joints: tuple[np.ndarray, np.ndarray], align: str) -> Placing:
-    """What puts b into a's world: ``joints`` are the shared ones of both, (T, J, 3) each, in their own worlds.
+    """What puts b into a's world: ``joints`` are the shared ones of both, (T, J, 3) each, in their
+    own worlds.
 
-    align: "none" turns b so that both have one up; "rigid" brings all joints of all frames nearest; "auto" does so
-    where the two plainly have different worlds: SAME_WORLD apart, and less than half of that when brought together.
+    align: "none" turns b so that both have one up; "rigid" brings all joints of all frames nearest;
+    "auto" does so where the two plainly have different worlds: SAME_WORLD apart, and less than half
+    of that when brought together.
     """
     upright = same_up(a, b)
     if align == "none":
         return upright
     wanted, points = (part.reshape(-1, 3) for part in joints)
     near = rigid(wanted, points)
-    before, after = (float(np.linalg.norm(p.apply(points) - wanted, axis=1).mean()) for p in (upright, near))
+    before, after = (
+        float(np.linalg.norm(p.apply(points) - wanted, axis=1).mean()) for p in (upright, near)
+    )
     if align == "auto" and not (before > SAME_WORLD and after < _WON * before):
         return upright
     moved = replace(near, rotation=near.rotation @ upright.rotation.T)
     lead = "B's world is another: " if align == "auto" else ""
-    told = f"{lead}joints were {100 * before:.0f} cm apart; B as a whole was turned by {moved.degrees:.1f} degrees"
+    told = (
+        f"{lead}joints were {100 * before:.0f} cm apart; B as a whole was turned by "
+        f"{moved.degrees:.1f} degrees"
+    )
     return replace(near, told=f"{told} and moved to where they are {1e3 * after:.0f} mm apart.")
 
 
@@ -79,9 +88,13 @@ def moved(moving: M, place: Placing, up_axis: str) -> M:
     return replace(moving, **changes)  # type: ignore[type-var]
 
 
-def _moved(moving: Moving, pose: np.ndarray, trans: np.ndarray, place: Placing, last: bool) -> tuple[Any, Any]:
+def _moved(
+    moving: Moving, pose: np.ndarray, trans: np.ndarray, place: Placing, last: bool
+) -> tuple[Any, Any]:
     turned = np.array(pose, np.float64)
-    turned[:, 0] = (Rotation.from_matrix(place.rotation) * Rotation.from_rotvec(turned[:, 0])).as_rotvec()
+    turned[:, 0] = (
+        Rotation.from_matrix(place.rotation) * Rotation.from_rotvec(turned[:, 0])
+    ).as_rotvec()
     body = moving.body
     root = body.joint_template[0] + body.joint_shapedirs[0] @ moving.betas
     if last and moving.soft_tissue is not None:

@@ -1,4 +1,6 @@
-"""The report of an evaluation: one HTML file that opens offline, with a table of all models, figures and pictures."""
+"""The report of an evaluation: one HTML file that opens offline, with a table of all models,
+figures and pictures.
+"""
 
 import base64
 import re
@@ -19,7 +21,8 @@ Number = float | None
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A PNG of a model: its ``kind`` ("model error map", "pose error map", "neck" or "worst fits") says where it goes.
+    """A PNG of a model: its ``kind`` ("model error map", "pose error map", "neck" or "worst fits")
+    says where it goes.
 
     ``scale`` are the values at the ends of its colours: mm, or % of change of girth.
     """
@@ -32,28 +35,40 @@ class Picture:
     scale: tuple[float, float]
 
 
-def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]) -> str:
-    """The report as text. ``numbers`` are those of evaluation.json, ``plots`` whole SVG files by their names."""
-    models, looks = numbers["models"], model_looks(numbers["models"])
-    measured = "the registrations' noise-free meshes" if numbers["dataset"]["noise_free"] else "the registrations"
+def training_page(
+    numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]
+) -> str:
+    """The report as text. ``numbers`` are those of evaluation.json, ``plots`` whole SVG files by
+    their names.
+    """
+    models = numbers["models"]
+    looks = model_looks(numbers["models"])
+    measured = (
+        "the registrations' noise-free meshes"
+        if numbers["dataset"]["noise_free"]
+        else "the registrations"
+    )
     sections = [
         card(
             "All models",
             f"<div class='scroll'>{measures_table(numbers, looks)}</div>",
-            "How far fits end from the meshes, on average over vertices and meshes, with the first so many shape "
+            "How far fits end from the meshes, on average over vertices and meshes, with the "
+            "first so many shape "
             "coefficients. The best of a column is set off.",
         ),
         _figure(
             plots,
             "model_generalisation",
             "Model generalisation",
-            "Shape and pose are fitted to each registration: can the model take the form of people it has not seen?",
+            "Shape and pose are fitted to each registration: can the model take the form of "
+            "people it has not seen?",
         ),
         _figure(
             plots,
             "pose_generalisation",
             "Pose generalisation",
-            "The shape comes from a person's first registration, only the pose is fitted to the others: are shape and "
+            "The shape comes from a person's first registration, only the pose is fitted to the "
+            "others: are shape and "
             "pose told apart, and do pose blend shapes say how bodies deform?",
         ),
         "<div class='columns'>",
@@ -61,13 +76,15 @@ def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures
             plots,
             "cumulative_variance",
             "Cumulative variance",
-            f"How much of the variance of shape the first so many coefficients explain ({_variance_of(models)}).",
+            "How much of the variance of shape the first so many coefficients explain "
+            f"({_variance_of(models)}).",
         ),
         _figure(
             plots,
             "run_time",
             "Run time",
-            "For one surface from new shape and pose; with 0 coefficients the shape was made before. Medians, one "
+            "For one surface from new shape and pose; with 0 coefficients the shape was made "
+            "before. Medians, one "
             "surface at a time, on the machine that wrote this.",
         ),
         "</div>",
@@ -79,15 +96,17 @@ def training_page(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures
         f"{len(models)} body model{'s' * (len(models) > 1)} evaluated · habitus",
         "\n".join([_head(numbers), *sections]),
         styles=["evaluation.css"],
-        foot=f"{ALONE} evaluation.json beside it has every number, the folder figures every figure.",
+        foot=f"{ALONE} evaluation.json beside it has every number, the folder figures every "
+        "figure.",
     )
 
 
-# -- words ------------------------------------------------------------------------------------------------------------
+# -- words -----------------------------------------------------------------------------------------
 
 
 def _head(numbers: Mapping[str, Any]) -> str:
-    data, models = numbers["dataset"], numbers["models"]
+    data = numbers["dataset"]
+    models = numbers["models"]
     people = len(set(data["subjects"]))
     facts = [
         _counted(len(models), "model", "models"),
@@ -98,7 +117,8 @@ def _head(numbers: Mapping[str, Any]) -> str:
         re.split(r"[/\\]", data["path"].rstrip("/\\"))[-1],
     ]
     return (
-        f"<h1>Body models, evaluated</h1>\n<p class='facts'>{escape(' · '.join(filter(None, facts)))}</p>\n"
+        "<h1>Body models, evaluated</h1>\n<p "
+        f"class='facts'>{escape(' · '.join(filter(None, facts)))}</p>\n"
         f"<p class='verdict'>{escape(verdict(numbers))}</p>"
     )
 
@@ -109,7 +129,8 @@ def _counted(count: int, one: str, many: str) -> str:
 
 def verdict(numbers: Mapping[str, Any]) -> str:
     """The result in a sentence or three."""
-    models, shown = numbers["models"], numbers["shown"]
+    models = numbers["models"]
+    shown = numbers["shown"]
     best = {}
     for key in ("model_generalisation", "pose_generalisation"):
         known = [(at_count(model[key], shown), model["name"]) for model in models if model[key]]
@@ -120,22 +141,32 @@ def verdict(numbers: Mapping[str, Any]) -> str:
         same = "and" if posed[1] == name else f"{posed[1]}"
         text += f", {same} to new poses of known people, {_distance(*posed[0])}"
     text += "." if shown is None else f", with {shown} shape coefficient{'s' * (shown != 1)}."
-    gains = [(_gain(model, shown), model["name"]) for model in models if model["removed_by_pose_shapes"]]
+    gains = [
+        (_gain(model, shown), model["name"]) for model in models if model["removed_by_pose_shapes"]
+    ]
     if gains:
         gain, name = max(gains)
         verb = "remove" if gain >= 0 else "add"
-        text += f" The pose blend shapes of {name} {verb} {abs(gain):.0f} % of the error in new poses."
+        text += (
+            f" The pose blend shapes of {name} {verb} {abs(gain):.0f} % of the error in new poses."
+        )
     return text
 
 
 def at_count(curve: Mapping[str, Any], count: int | None) -> tuple[float, Number]:
-    """A curve's mean errors (mm), to the registrations and to the same without noise, at a number of coefficients."""
+    """A curve's mean errors (mm), to the registrations and to the same without noise, at a number
+    of coefficients.
+    """
     k = -1 if count is None else curve["counts"].index(count)
     return curve["mean_mm"][k], curve["clean_mean_mm"][k] if curve["clean_mean_mm"] else None
 
 
 def _distance(mean: float, clean: Number) -> str:
-    return f"{mean:.2f} mm" if clean is None else f"{mean:.2f} mm ({clean:.2f} mm from the noise-free meshes)"
+    return (
+        f"{mean:.2f} mm"
+        if clean is None
+        else f"{mean:.2f} mm ({clean:.2f} mm from the noise-free meshes)"
+    )
 
 
 def _gain(model: Mapping[str, Any], count: int | None) -> float:
@@ -148,7 +179,7 @@ def _variance_of(models: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(f"of {kind}" for kind in kinds)
 
 
-# -- figures and pictures ---------------------------------------------------------------------------------------------
+# -- figures and pictures --------------------------------------------------------------------------
 
 
 def _figure(plots: Mapping[str, str], name: str, title: str, lead: str) -> str:
@@ -163,35 +194,60 @@ def _plot(plots: Mapping[str, str], name: str) -> str:
 
 def _error_maps(numbers: Mapping[str, Any], pictures: Sequence[Picture], measured: str) -> str:
     inside = []
-    for kind, title in (("model error map", "Model generalisation"), ("pose error map", "Pose generalisation")):
+    for kind, title in (
+        ("model error map", "Model generalisation"),
+        ("pose error map", "Pose generalisation"),
+    ):
         chosen = [each for each in pictures if each.kind == kind]
         if chosen:
-            inside.append(f"<h3>{title}</h3><div class='pictures maps'>{''.join(map(_img, chosen))}</div>")
+            inside.append(
+                f"<h3>{title}</h3><div class='pictures maps'>{''.join(map(_img, chosen))}</div>"
+            )
     maps = [each for each in pictures if each.kind.endswith("error map")]
-    lead = f"Mean distance of each vertex from {measured}{_with(numbers)}, on the mean person, front and back."
-    return card("Where the error is", _scale(maps, ERROR_RAMP, "mm") + "".join(inside), lead) if maps else ""
+    lead = (
+        f"Mean distance of each vertex from {measured}{_with(numbers)}, on the mean person, "
+        "front and back."
+    )
+    return (
+        card("Where the error is", _scale(maps, ERROR_RAMP, "mm") + "".join(inside), lead)
+        if maps
+        else ""
+    )
 
 
-def _necks(numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]) -> str:
+def _necks(
+    numbers: Mapping[str, Any], plots: Mapping[str, str], pictures: Sequence[Picture]
+) -> str:
     necks = [each for each in pictures if each.kind == "neck"]
     if not necks:
         return ""
-    twists = {model["name"]: model["neck_twist"] for model in numbers["models"] if model["neck_twist"]}
+    twists = {
+        model["name"]: model["neck_twist"] for model in numbers["models"] if model["neck_twist"]
+    }
     heads = ("Model", "Features", "Girth lost at the widest turns", "Left and right differ by")
     features = {model["name"]: model["pose_features"] or "–" for model in numbers["models"]}
     rows = [
-        (name, features[name], f"{100 * twist['shrink']:.1f} %", f"{100 * twist['asymmetry']:.2f} %")
+        (
+            name,
+            features[name],
+            f"{100 * twist['shrink']:.1f} %",
+            f"{100 * twist['asymmetry']:.2f} %",
+        )
         for name, twist in twists.items()
     ]
     lead = (
-        "The head turned to the right, not, and to the left. Blend skinning thins a neck that is turned to either "
-        "side. Pose blend shapes driven by raw angles can mend one side only by spoiling the other; those driven by "
-        "entries of rotation matrices can mend both. Girth is the mean distance of the neck's vertices from the axis."
+        "The head turned to the right, not, and to the left. Blend skinning thins a neck that is "
+        "turned to either "
+        "side. Pose blend shapes driven by raw angles can mend one side only by spoiling the "
+        "other; those driven by "
+        "entries of rotation matrices can mend both. Girth is the mean distance of the neck's "
+        "vertices from the axis."
     )
     inside = (
         f"{_scale(necks, CHANGE_RAMP, '% further from the axis than at rest')}"
         f"<div class='pictures wide'>{''.join(map(_img, necks))}</div>"
-        f"<div class='columns beside'>{_plot(plots, 'neck_twist')}<div>{_plain_table(heads, rows)}</div></div>"
+        "<div class='columns "
+        f"beside'>{_plot(plots, 'neck_twist')}<div>{_plain_table(heads, rows)}</div></div>"
     )
     return card("The twist of the neck", inside, lead)
 
@@ -202,7 +258,8 @@ def _worst(numbers: Mapping[str, Any], pictures: Sequence[Picture]) -> str:
         return ""
     posed = any(model["pose_generalisation"] for model in numbers["models"])
     lead = (
-        f"The registrations that each model fits worst in {'pose' if posed else 'model'} generalisation"
+        f"The registrations that each model fits worst in {'pose' if posed else 'model'} "
+        "generalisation"
         f"{_with(numbers)}: the registration in grey, and the fit with its distance from it."
     )
     parts = [
@@ -234,7 +291,8 @@ def _scale(pictures: Sequence[Picture], ramp: Sequence[str], unit: str) -> str:
 
 def _plain_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     top = "".join(
-        f"<th{'' if k < 2 else ' class=number'} scope='col'>{escape(head)}</th>" for k, head in enumerate(heads)
+        f"<th{'' if k < 2 else ' class=number'} scope='col'>{escape(head)}</th>"
+        for k, head in enumerate(heads)
     )
     lines = [
         f"<tr><th scope='row'>{escape(row[0])}</th><td>{escape(row[1])}</td>"

@@ -1,4 +1,6 @@
-"""Pictures of the evaluation report: surfaces coloured by error, drawn with the project's renderer."""
+"""Pictures of the evaluation report: surfaces coloured by error, drawn with the project's
+renderer.
+"""
 
 from collections.abc import Sequence
 
@@ -22,7 +24,10 @@ DARKEST = 0.45  # light where the surface is seen from the side
 
 
 def error_colours(
-    errors: Float[np.ndarray, " V"], limit: float, ramp: Sequence[str] = ERROR_RAMP, low: float = 0.0
+    errors: Float[np.ndarray, " V"],
+    limit: float,
+    ramp: Sequence[str] = ERROR_RAMP,
+    low: float = 0.0,
 ) -> Float[np.ndarray, "V 3"]:
     """Colours (0 to 1) of values from ``low`` to ``limit``, cut off there."""
     place = np.clip((errors - low) / max(limit - low, 1e-12), 0.0, 1.0) * (len(ramp) - 1)
@@ -47,7 +52,9 @@ def front_and_back(
     height: int = 520,
 ) -> Rgba:
     """A standing person (m, y up, facing +z) from before and from behind, side by side."""
-    views = [picture(vertices, faces, colours, (0.0, 0.0, side), height=height) for side in (1.0, -1.0)]
+    views = [
+        picture(vertices, faces, colours, (0.0, 0.0, side), height=height) for side in (1.0, -1.0)
+    ]
     return side_by_side(views)
 
 
@@ -60,7 +67,8 @@ def picture(
     height: int = 420,
     frame: Float[np.ndarray, "n 3"] | None = None,
 ) -> Rgba:
-    """A surface (m, y up) seen from the direction ``towards``, on nothing; the points of ``frame`` (m) fill the height.
+    """A surface (m, y up) seen from the direction ``towards``, on nothing; the points of ``frame``
+    (m) fill the height.
 
     Without ``frame`` all of the surface is in the picture, whose width is what it needs.
     """
@@ -69,7 +77,8 @@ def picture(
     right = np.cross([0.0, 1.0, 0.0], back)
     right /= np.linalg.norm(right)
     across = np.stack([points @ right, points @ np.cross(back, right), points @ back])
-    low, high = across.min(1), across.max(1)
+    low = across.min(1)
+    high = across.max(1)
     size = high - low
     middle = np.stack([right, np.cross(back, right), back], 1) @ ((low + high) / 2)
     tall = float(max(size[1], size[0] / 1.6)) * 1.04
@@ -77,8 +86,11 @@ def picture(
     away = DISTANCE * max(tall, float(size[2]))
     eye = torch.from_numpy(middle + away * back)
     rotation, translation = look_at(eye, torch.from_numpy(middle))
-    camera = Camera.of(width, height, height * away / tall, rotation=rotation, translation=translation)
-    surface, corners = torch.from_numpy(np.ascontiguousarray(vertices, float)), torch.from_numpy(np.array(faces))
+    camera = Camera.of(
+        width, height, height * away / tall, rotation=rotation, translation=translation
+    )
+    surface = torch.from_numpy(np.ascontiguousarray(vertices, float))
+    corners = torch.from_numpy(np.array(faces))
     light = vertex_normals(surface, corners) @ torch.from_numpy(_light(back, right))
     shade = DARKEST + (1 - DARKEST) * light.clamp(min=0.0)
     seen = draw(camera, surface, Triangles.of(corners, num_vertices=len(surface)))

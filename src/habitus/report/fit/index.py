@@ -16,15 +16,27 @@ from habitus.report.shell import asset, shell
 
 LARGEST_BYTES = 20_000_000
 DEEPEST = 3  # folders below: one a capture, one a person or folder of captures above it
-_HEADS = ("Capture", "Verdict", "Error", "95 % below", "Frames", "Markers", "Suspects", "Height", "Mass", "Layout")
+_HEADS = (
+    "Capture",
+    "Verdict",
+    "Error",
+    "95 % below",
+    "Frames",
+    "Markers",
+    "Suspects",
+    "Height",
+    "Mass",
+    "Layout",
+)
 
 
 def write_index(folder: str | os.PathLike[str]) -> Path | None:
-    """Write ``index.html`` in a folder of results, whole or not at all, and return its path; None where it has none.
+    """Write ``index.html`` in a folder of results, whole or not at all, and return its path; None
+    where it has none.
 
-    Every folder at most three levels below that holds a metrics.json beside a report.html is a row, sorted by path, so
-    that the page grows with each run. A metrics.json that cannot be read is a row that says so. Raises HabitusError
-    where the page cannot be written.
+    Every folder at most three levels below that holds a metrics.json beside a report.html is a row,
+    sorted by path, so that the page grows with each run. A metrics.json that cannot be read is a
+    row that says so. Raises HabitusError where the page cannot be written.
     """
     root = Path(folder)
     found = sorted(_reports(root, DEEPEST))
@@ -39,7 +51,10 @@ def write_index(folder: str | os.PathLike[str]) -> Path | None:
         rows="\n".join(rows),
     )
     text = shell(
-        f"{title} · habitus", content, styles=["index.css"], foot="Every run that writes here writes this page anew."
+        f"{title} · habitus",
+        content,
+        styles=["index.css"],
+        foot="Every run that writes here writes this page anew.",
     )
     target = root / "index.html"
     with atomic_write(target) as temporary:
@@ -48,7 +63,9 @@ def write_index(folder: str | os.PathLike[str]) -> Path | None:
 
 
 def _reports(folder: Path, depth: int) -> Iterator[Path]:
-    """Folders below that hold a report; hidden ones (half-written results) and links to elsewhere are left out."""
+    """Folders below that hold a report; hidden ones (half-written results) and links to elsewhere
+    are left out.
+    """
     try:
         below = [entry for entry in os.scandir(folder) if entry.is_dir(follow_symlinks=False)]
     except OSError:
@@ -75,9 +92,15 @@ def _numbers(path: Path) -> dict[str, Any] | None:
 
 def _row(place: Path, numbers: dict[str, Any] | None) -> str:
     name = escape(shown(place, LONGEST_NAME))
-    link = f"<th scope='row'><a href='{escape(quote(os.fsencode(place / 'report.html')))}'><bdi>{name}</bdi></a></th>"
+    link = (
+        "<th scope='row'><a "
+        f"href='{escape(quote(os.fsencode(place / 'report.html')))}'><bdi>{name}</bdi></a></th>"
+    )
     if numbers is None:
-        return f"<tr>{link}<td colspan='{len(_HEADS) - 1}' class='unread'>metrics.json cannot be read</td></tr>"
+        return (
+            f"<tr>{link}<td colspan='{len(_HEADS) - 1}' class='unread'>metrics.json cannot be "
+            "read</td></tr>"
+        )
     cells = "".join(f"<td{_kind(k + 1)}>{cell}</td>" for k, cell in enumerate(_cells(numbers)))
     return f"<tr>{link}{cells}</tr>"
 

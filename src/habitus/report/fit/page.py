@@ -1,4 +1,6 @@
-"""The report: one HTML file that opens offline and holds the moving body, the plots and the numbers."""
+"""The report: one HTML file that opens offline and holds the moving body, the plots and the
+numbers.
+"""
 
 import os
 from collections.abc import Sequence
@@ -32,15 +34,20 @@ def write_report(
 ) -> None:
     """Write the report of a ``MarkerFit`` as one HTML file, atomically.
 
-    ``numbers`` is ``metrics(fit)`` where the caller has it already; ``files`` are names of files beside the page that
-    it offers for download. Long captures are thinned for the player and the joint angles only; errors, gaps and numbers
-    hold every frame. Raises HabitusError where the file cannot be written.
+    ``numbers`` is ``metrics(fit)`` where the caller has it already; ``files`` are names of files
+    beside the page that it offers for download. Long captures are thinned for the player and the
+    joint angles only; errors, gaps and numbers hold every frame. Raises HabitusError where the file
+    cannot be written.
     """
     write_text(path, report_page(fit, numbers, files))
 
 
-def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Sequence[str] = ()) -> str:
-    """The report as text; ``given`` is ``metrics(fit)`` where there is one, ``files`` lie beside the page."""
+def report_page(
+    fit: "MarkerFit", given: dict[str, Any] | None = None, files: Sequence[str] = ()
+) -> str:
+    """The report as text; ``given`` is ``metrics(fit)`` where there is one, ``files`` lie beside
+    the page.
+    """
     numbers = _readable(finite(metrics(fit) if given is None else given))
     blob = Blob()
     scene = add_scene(fit, blob)
@@ -80,17 +87,21 @@ def report_page(fit: "MarkerFit", given: dict[str, Any] | None = None, files: Se
 def _player(scene: Scene) -> str:
     return player(
         "The fitted body with observed and predicted markers.",
-        Template(asset("player_fit.html")).substitute(stages=_stage_buttons(scene), some=_some_layers(scene)),
+        Template(asset("player_fit.html")).substitute(
+            stages=_stage_buttons(scene), some=_some_layers(scene)
+        ),
         LAYERS,
         "<dt>V</dt><dd>motion, placement</dd><dt>S</dt><dd>soft tissue</dd>",
-        "<p class='hint placement-only'>Latent markers on the resting body; hover for the distance from the skin.</p>",
+        "<p class='hint placement-only'>Latent markers on the resting body; hover for the "
+        "distance from the skin.</p>",
     )
 
 
 def _some_layers(scene: Scene) -> str:
     """Buttons of what not every fit has: guessed parts, tapes."""
     guessed = (
-        '<button type="button" data-layer="guessed" class="motion-only" title="Striped: no marker tells how it is">'
+        '<button type="button" data-layer="guessed" class="motion-only" title="Striped: no marker '
+        'tells how it is">'
         '<i class="swatch guessed"></i>Guessed</button>'
     )
     tapes = (
@@ -101,7 +112,9 @@ def _some_layers(scene: Scene) -> str:
 
 
 def _readable(numbers: dict[str, Any]) -> dict[str, Any]:
-    """The same numbers with names and warnings as a page can show them, whatever the capture's file held."""
+    """The same numbers with names and warnings as a page can show them, whatever the capture's file
+    held.
+    """
     names = {key: shown(numbers[key], LONGEST_NAME) for key in ("capture", "body", "layout")}
     return numbers | names | {"warnings": [shown(text, 1000) for text in numbers["warnings"]]}
 
@@ -120,20 +133,31 @@ def _stage_buttons(scene: Scene) -> str:
         return ""
     return (
         '<div class="segments motion-only" role="group" aria-label="Stage">'
-        '<button type="button" data-stage="pose" title="The rigid shape of the pose stage (S)">Pose</button>'
-        '<button type="button" data-stage="soft_tissue" title="With soft tissue (S)">Soft tissue</button></div>'
+        '<button type="button" data-stage="pose" title="The rigid shape of the pose stage '
+        '(S)">Pose</button>'
+        '<button type="button" data-stage="soft_tissue" title="With soft tissue (S)">Soft '
+        "tissue</button></div>"
     )
 
 
 def _note(fit: "MarkerFit", scene: Scene) -> str:
-    texts, missed = [], 1e3 * scene.facts["morphResidual"]
+    texts = []
+    missed = 1e3 * scene.facts["morphResidual"]
     if scene.stride > 1:
         rates = f"{scene.facts['rate']:.3g} of {fit.rate_hz:g} Hz"
-        texts.append(f"The player shows {_every(scene.stride)} frame ({rates}); plots and numbers use all of them.")
+        texts.append(
+            f"The player shows {_every(scene.stride)} frame ({rates}); plots and numbers use all "
+            "of them."
+        )
     if missed > 0.5:
-        texts.append(f"It draws pose and soft-tissue shape to {missed:.1f} mm RMS; the exports are closer.")
+        texts.append(
+            f"It draws pose and soft-tissue shape to {missed:.1f} mm RMS; the exports are closer."
+        )
     if fit.body.skinning != "lbs":
-        texts.append("It blends linearly where the body blends dual quaternions: strongly twisted joints look thinner.")
+        texts.append(
+            "It blends linearly where the body blends dual quaternions: strongly twisted joints "
+            "look thinner."
+        )
     return f"<p class='note'>{escape(' '.join(texts))}</p>" if texts else ""
 
 
@@ -144,5 +168,7 @@ def _angle_note(fit: "MarkerFit") -> str:
 
 
 def _every(stride: int) -> str:
-    ending = "th" if stride % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(stride % 10, "th")
+    ending = (
+        "th" if stride % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(stride % 10, "th")
+    )
     return f"every {stride:,}{ending}"

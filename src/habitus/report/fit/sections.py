@@ -51,7 +51,8 @@ def head(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
     ]
     return (
         f"<h1>{escape(numbers['capture'])}</h1>\n<p class='facts'>{escape(' · '.join(facts))}</p>\n"
-        f"{banner(numbers['verdict'])}<p class='verdict'>{escape(summary(fit, numbers))}</p>\n{tiles(_tiles(numbers))}"
+        f"{banner(numbers['verdict'])}<p "
+        f"class='verdict'>{escape(summary(fit, numbers))}</p>\n{tiles(_tiles(numbers))}"
     )
 
 
@@ -68,10 +69,15 @@ def summary(fit: "MarkerFit", numbers: dict[str, Any]) -> str:
         text += f" with soft tissue, {errors['pose']['mean']:.1f} mm without"
     long, brief = (len({suspect.label for suspect in suspects}) for suspects in split_suspects(fit))
     flagged = int(fit.flagged_frames.sum())
-    text += f". {_count(long, 'marker') if long else 'No marker'} {'look' if long > 1 else 'looks'} wrong for long."
+    text += (
+        f". {_count(long, 'marker') if long else 'No marker'} "
+        f"{'look' if long > 1 else 'looks'} wrong for long."
+    )
     if brief:
         text += f" {_count(brief, 'marker')} {'were' if brief > 1 else 'was'} distrusted briefly."
-    return text + (f" {_count(flagged, 'frame')} {'are' if flagged > 1 else 'is'} flagged." if flagged else "")
+    return text + (
+        f" {_count(flagged, 'frame')} {'are' if flagged > 1 else 'is'} flagged." if flagged else ""
+    )
 
 
 def _count(number: int, thing: str) -> str:
@@ -79,8 +85,10 @@ def _count(number: int, thing: str) -> str:
 
 
 def _tiles(numbers: dict[str, Any]) -> list[Tile]:
-    errors, rates = numbers["marker_error_mm"], numbers["frames_per_second"]
-    final, body = errors["soft_tissue"] or errors["pose"], numbers["body_measurements"]
+    errors = numbers["marker_error_mm"]
+    rates = numbers["frames_per_second"]
+    final = errors["soft_tissue"] or errors["pose"]
+    body = numbers["body_measurements"]
     found = [
         ("Mean error", number(final["mean"]), "mm", f"median {number(final['median'])} mm"),
         ("95 % are below", number(final["p95"]), "mm", f"largest {number(final['max'], 0)} mm"),
@@ -89,7 +97,9 @@ def _tiles(numbers: dict[str, Any]) -> list[Tile]:
         found.append(("Height", number(100 * body["height_m"], 0), "cm", "of the fitted body"))
     if "mass_kg" in body:
         found.append(("Mass", number(body["mass_kg"], 0), "kg", "volume times density"))
-    found.append(("Not seen", number(100 * numbers["missing_fraction"]), "%", "of all marker samples"))
+    found.append(
+        ("Not seen", number(100 * numbers["missing_fraction"]), "%", "of all marker samples")
+    )
     if rates["pose"]:
         soft = f", soft tissue {rates['soft_tissue']:,.0f}" if rates["soft_tissue"] else ""
         found.append(("Speed", f"{rates['pose']:,.0f}", "frames/s", f"pose stage{soft}"))
@@ -100,22 +110,32 @@ def findings(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     """Two cards: what looked wrong, and what was assumed."""
     long, brief = split_suspects(fit)
     wrong = [_item(_suspicion(suspect), "bad") for suspect in long]
-    wrong += [_item(warning, "minor") for warning in numbers["warnings"] if not _is_match(warning, numbers)]
+    wrong += [
+        _item(warning, "minor")
+        for warning in numbers["warnings"]
+        if not _is_match(warning, numbers)
+    ]
     wrong += [_item(_suspicion(suspect), "good") for suspect in corrected_suspects(fit)]
     flagged = int(fit.flagged_frames.sum())
     if flagged:
         share = f"{flagged:,} of {numbers['frames']:,}"
-        wrong.append(_item(f"{share} frames are flagged: too little was seen to trust them.", "bad"))
+        wrong.append(
+            _item(f"{share} frames are flagged: too little was seen to trust them.", "bad")
+        )
     wrong += [_item(text, "minor") for text in _guessed(fit)]
     if len(brief) > FEW:
         inside = _list(_item(_suspicion(suspect), "") for suspect in brief)
-        title = f"{len(brief)} brief doubts: samples far from the body, down-weighted where they were"
-        wrong.append(f"<li class='minor'><details><summary>{escape(title)}</summary>{inside}</details></li>")
+        title = (
+            f"{len(brief)} brief doubts: samples far from the body, down-weighted where they were"
+        )
+        wrong.append(
+            f"<li class='minor'><details><summary>{escape(title)}</summary>{inside}</details></li>"
+        )
     else:
         wrong += [_item(_suspicion(suspect), "minor") for suspect in brief]
     wrong = wrong or [_item("Nothing: no suspect marker, no warning, no flagged frame.", "good")]
     assumed = _list(_item(text, "") for text in _assumptions(fit, numbers, scene))
-    return f"<div class='columns'>{card('What looked wrong', _list(wrong))}{card('What was assumed', assumed)}</div>"
+    return f"<div class='columns'>{card('What looked wrong', _list(wrong))}{card('What was assumed', assumed)}</div>"  # noqa: E501
 
 
 def _guessed(fit: "MarkerFit") -> list[str]:
@@ -125,7 +145,10 @@ def _guessed(fit: "MarkerFit") -> list[str]:
     known = sorted(round(100 * spread) for _, spread in parts if np.isfinite(spread))
     off = f", to within {known[0]} to {known[-1]} cm" if known else ""
     names = listed((name for name, _ in parts), 12)
-    return [f"Guessed, as no marker tells: {names}. Where they are is what people usually do{off}; they are striped."]
+    return [
+        f"Guessed, as no marker tells: {names}. Where they are is what people usually do{off}; "
+        "they are striped."
+    ]
 
 
 def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
@@ -135,7 +158,10 @@ def _is_match(warning: str, numbers: dict[str, Any]) -> bool:
 
 def _suspicion(suspect: Suspect) -> str:
     put_right = "; put right" if suspect.corrected else ""
-    return f"{isolated(suspect.label)}: {shown(suspect.reason, 400)} ({_count(suspect.frames, 'frame')}{put_right})"
+    return (
+        f"{isolated(suspect.label)}: {shown(suspect.reason, 400)} "
+        f"({_count(suspect.frames, 'frame')}{put_right})"
+    )
 
 
 def _item(text: str, kind: str) -> str:
@@ -148,17 +174,23 @@ def _list(items: Iterable[str]) -> str:
 
 def _assumptions(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> list[str]:
     floor = scene.facts["floor"]
-    texts = [text[:1].upper() + text[1:] for text in numbers["warnings"] if _is_match(text, numbers)]
+    texts = [
+        text[:1].upper() + text[1:] for text in numbers["warnings"] if _is_match(text, numbers)
+    ]
     texts += [
-        f"Markers sit where the layout “{numbers['layout']}” puts them, give or take its tolerances.",
+        f"Markers sit where the layout “{numbers['layout']}” puts them, give or take its "
+        "tolerances.",
         f"{fit.up_axis} is up in the capture; lengths are metres.",
         f"Frames are {numbers['rate_hz']:g} a second and evenly spaced.",
         "The floor in the player is the capture's zero height."
         if floor == 0
-        else f"The capture's zero height is no floor: the player's floor is where the body stands, {floor:.2f} m.",
+        else "The capture's zero height is no floor: the player's floor is where the body "
+        f"stands, {floor:.2f} m.",
     ]
     if fit.recorded:
-        said = ", ".join(f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items())
+        said = ", ".join(
+            f"{_measure_name(k).lower()} {_measure(k, v)}" for k, v in fit.recorded.items()
+        )
         said = shown(said, 500)
         texts.append(f"The file itself says of the subject: {said}.")
     texts += _of_gender(numbers["gender"])
@@ -169,11 +201,19 @@ def _of_gender(gender: dict[str, Any] | None) -> list[str]:
     """What the shape says of the sex, and which model was fitted."""
     if not gender:
         return []
-    female, model = gender["female_probability"], gender["model"]
-    lead = "The shape space is one for everybody" if model == "neutral" else f"The body is the {model} model"
+    female = gender["female_probability"]
+    model = gender["model"]
+    lead = (
+        "The shape space is one for everybody"
+        if model == "neutral"
+        else f"The body is the {model} model"
+    )
     if female is None:
         return [f"{lead}."]
-    reads = {"female": f"reads as female ({female:.0%})", "male": f"reads as male ({1 - female:.0%})"}
+    reads = {
+        "female": f"reads as female ({female:.0%})",
+        "male": f"reads as male ({1 - female:.0%})",
+    }
     whose = "this shape" if model == "neutral" else "the neutral shape"
     said = reads.get(gender["says"], f"does not tell the sex (female {female:.0%})")
     return [f"{lead}; {whose} {said}."]
@@ -181,18 +221,25 @@ def _of_gender(gender: dict[str, Any] | None) -> list[str]:
 
 def body_and_timing(fit: "MarkerFit", numbers: dict[str, Any], scene: Scene) -> str:
     """Measurements of the body beside the seconds each stage took."""
-    cards, body, seconds = [], numbers["body_measurements"], numbers["stage_seconds"]
+    cards = []
+    body = numbers["body_measurements"]
+    seconds = numbers["stage_seconds"]
     if body:
         said = {key: _measure(key, value) for key, value in fit.recorded.items() if key in body}
         heads = ["", "Fitted", "The file says"] if said else ()
-        rows = ((_measure_name(key), _measure(key, value), said.get(key, "")) for key, value in body.items())
+        rows = (
+            (_measure_name(key), _measure(key, value), said.get(key, ""))
+            for key, value in body.items()
+        )
         table = numbers_table((row if said else row[:2] for row in rows), heads)
         tapes = {tape["name"] for tape in scene.facts["tapes"]}
         for key in tapes & body.keys():
             name = escape(_measure_name(key))
             button = f"<button type='button' class='tape' data-tape='{escape(key)}'>{name}</button>"
             table = table.replace(f"<th scope='row'>{name}</th>", f"<th scope='row'>{button}</th>")
-        lead = "Measured on the fitted body at rest." + " Click a girth to see its tape." * bool(tapes)
+        lead = "Measured on the fitted body at rest." + " Click a girth to see its tape." * bool(
+            tapes
+        )
         cards.append(card("Body", f"<p class='lead'>{lead}</p>{table}"))
     known = {key: seconds[key] for key in STAGE_TITLES if seconds.get(key)}
     timing = numbers_table((STAGE_TITLES[key], f"{value:,.2f} s") for key, value in known.items())
@@ -214,39 +261,60 @@ def held_out(numbers: dict[str, Any]) -> str:
     told = numbers.get("held_out_at_told_places_mm")
     names = {"pose": "Pose stage", "soft_tissue": "Soft-tissue stage"}
     columns = [(names[stage], held[stage]) for stage in names if held[stage]]
-    columns += [(f"{names[stage]}, places told", told[stage]) for stage in names if told and told[stage]]
+    columns += [
+        (f"{names[stage]}, places told", told[stage]) for stage in names if told and told[stage]
+    ]
     heads = [head for head, _ in columns]
     rows = [("Mean", "mean"), ("Median", "median"), ("95 % are below", "p95"), ("Largest", "max")]
     whole = numbers_table(
-        [(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows], ["", *heads]
+        [(title, *(f"{number(one[key])} mm" for _, one in columns)) for title, key in rows],
+        ["", *heads],
     )
-    each = [(m, *(f"{number(one['per_marker'][m])} mm" for _, one in columns)) for m in held["pose"]["per_marker"]]
-    lead = "These markers were left out of everything and then predicted where people put such markers: "
-    lead += "what the body says where nothing pulls on it, and how far markers were put from these places."
+    each = [
+        (m, *(f"{number(one['per_marker'][m])} mm" for _, one in columns))
+        for m in held["pose"]["per_marker"]
+    ]
+    lead = (
+        "These markers were left out of everything and then predicted where people put such "
+        "markers: "
+    )
+    lead += (
+        "what the body says where nothing pulls on it, and how far markers were put from "
+        "these places."
+    )
     if told:
         lead += " Places told: the same, where another capture of this person told the places."
     return card(
         "Held-out markers",
         f"<p class='lead'>{lead}</p>{whole}"
-        f"<details><summary>Marker by marker</summary>{numbers_table(each, ['Marker', *heads])}</details>",
+        "<details><summary>Marker by "
+        f"marker</summary>{numbers_table(each, ['Marker', *heads])}</details>",
     )
 
 
 def details(fit: "MarkerFit") -> str:
     """Settings and versions, folded."""
-    settings = escape(json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str))
+    settings = escape(
+        json.dumps(finite(dict(fit.settings)), indent=2, ensure_ascii=False, default=str)
+    )
     versions = [("habitus", __version__), ("Python", platform.python_version())]
     table = numbers_table([("Status", str(fit.status)), ("Seed", str(fit.seed)), *versions])
     left = ""
     if fit.costs:
         text = (
-            "The solver balances these terms against each other; this is half of each one's weighted sum of squares "
-            "where it stopped. They have no unit and say nothing alone: compare them between fits of one capture."
+            "The solver balances these terms against each other; this is half of each one's "
+            "weighted sum of squares "
+            "where it stopped. They have no unit and say nothing alone: compare them between fits "
+            "of one capture."
         )
         left = (
-            f"<h3>What the energy's terms came to</h3><p class='lead'>{text}</p>{numbers_table(term_rows(fit.costs))}"
+            "<h3>What the energy's terms came to</h3><p "
+            f"class='lead'>{text}</p>{numbers_table(term_rows(fit.costs))}"
         )
-    inside = f"<details><summary>Settings and versions</summary>{table}{left}<pre>{settings}</pre></details>"
+    inside = (
+        "<details><summary>Settings and "
+        f"versions</summary>{table}{left}<pre>{settings}</pre></details>"
+    )
     return f"<section class='card'>{inside}</section>"
 
 

@@ -1,4 +1,6 @@
-"""Words of the report for what programs name briefly: files, terms of the energy, names out of files."""
+"""Words of the report for what programs name briefly: files, terms of the energy, names out of
+files.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -25,7 +27,9 @@ _TERMS = {
 
 
 def isolated(name: object) -> str:
-    """A name out of a file, as a part of a sentence: shown safely, and its direction of writing kept to itself."""
+    """A name out of a file, as a part of a sentence: shown safely, and its direction of writing
+    kept to itself.
+    """
     return f"\u2068{shown(name, LONGEST_NAME)}\u2069"
 
 

@@ -1,4 +1,6 @@
-"""What a live fit shows, in memory that it shares with the viewer's process: the latest frame alone, nobody waits."""
+"""What a live fit shows, in memory that it shares with the viewer's process: the latest frame
+alone, nobody waits.
+"""
 
 from multiprocessing.context import SpawnContext
 from typing import Any, NamedTuple
@@ -11,7 +13,8 @@ _TRIES = 20
 
 
 class Shown(NamedTuple):
-    """A frame: pose (J, 3) rad, trans (3,) m, markers (N, 3) m, their distances from the body (N,) m, and a text.
+    """A frame: pose (J, 3) rad, trans (3,) m, markers (N, 3) m, their distances from the body (N,)
+    m, and a text.
 
     ``text`` is Markdown. NaN where nobody, or a marker, is not seen.
     """
@@ -24,14 +27,16 @@ class Shown(NamedTuple):
 
 
 class Board:
-    """The latest frame, for one who writes and one who reads in another process, and words between them.
+    """The latest frame, for one who writes and one who reads in another process, and words between
+    them.
 
-    A number counts what is written, odd while something is: who reads takes what has the same even number before and
-    after. ``port`` is the viewer's, 0 until it serves; ``stop`` asks it to end.
+    A number counts what is written, odd while something is: who reads takes what has the same even
+    number before and after. ``port`` is the viewer's, 0 until it serves; ``stop`` asks it to end.
     """
 
     def __init__(self, context: SpawnContext, joints: int, markers: int):
-        self.joints, self.markers = joints, markers
+        self.joints = joints
+        self.markers = markers
         self._count = context.RawArray("q", 3)
         self._numbers = context.RawArray("d", 3 * joints + 3 + 4 * markers)
         self._text: Any = context.RawArray("c", _TEXT)
@@ -70,11 +75,16 @@ class Board:
         """The latest frame, None before there is one, or where every look at it was disturbed."""
         for _ in range(_TRIES):
             before = self._count[0]
-            numbers, text = np.frombuffer(self._numbers).copy(), self._text.value
+            numbers = np.frombuffer(self._numbers).copy()
+            text = self._text.value
             if before and before % 2 == 0 and self._count[0] == before:
                 ends = np.cumsum([3 * self.joints, 3, 3 * self.markers])
                 pose, trans, markers, distances = np.split(numbers, ends)
                 return Shown(
-                    pose.reshape(-1, 3), trans, markers.reshape(-1, 3), distances, text.decode("utf-8", "ignore")
+                    pose.reshape(-1, 3),
+                    trans,
+                    markers.reshape(-1, 3),
+                    distances,
+                    text.decode("utf-8", "ignore"),
                 )
         return None

@@ -1,4 +1,6 @@
-"""Pictures of scans and of what was registered to them: points splatted on a grid, lit from the viewer's left."""
+"""Pictures of scans and of what was registered to them: points splatted on a grid, lit from the
+viewer's left.
+"""
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -24,10 +26,13 @@ def plain(count: int) -> Float[np.ndarray, "N 3"]:
 
 
 def spread(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], colours: Float[np.ndarray, "V 3"]
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    colours: Float[np.ndarray, "V 3"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals and colours that lie densely on a surface."""
-    normals, rng = face_normals(vertices, faces), np.random.default_rng(0)
+    normals = face_normals(vertices, faces)
+    rng = np.random.default_rng(0)
     area = np.linalg.norm(normals, axis=1)
     face = rng.choice(len(faces), _DENSE, p=area / area.sum())
     share = rng.dirichlet((1.0, 1.0, 1.0), _DENSE)
@@ -46,29 +51,38 @@ def splatted(
     height: int = 480,
     size: int = 1,
 ) -> UInt8[np.ndarray, "H W 4"]:
-    """Points (m) seen along the third row of ``turn``, each ``2 size + 1`` pixels wide; ``frame`` fills the height."""
+    """Points (m) seen along the third row of ``turn``, each ``2 size + 1`` pixels wide; ``frame``
+    fills the height.
+    """
     across = frame @ turn.T
-    low, high = across.min(0), across.max(0)
+    low = across.min(0)
+    high = across.max(0)
     scale = (height - 8) / max(high[1] - low[1], (high[0] - low[0]) / 1.5)
     width = int((high[0] - low[0]) * scale) + 8
-    seen, facing = points @ turn.T, normals @ turn.T
+    seen = points @ turn.T
+    facing = normals @ turn.T
     light = 0.45 + 0.55 * np.clip(facing @ _LIGHT, 0.0, 1.0)
     front = facing[:, 2] > 0.0
     x = ((seen[:, 0] - low[0]) * scale + 4).astype(int)[front]
     y = ((high[1] - seen[:, 1]) * scale + 4).astype(int)[front]
     order = np.argsort(seen[front, 2], kind="stable")
-    shade = np.round(255 * np.clip(colours * light[:, None], 0.0, 1.0)).astype(np.uint8)[front][order]
+    shade = np.round(255 * np.clip(colours * light[:, None], 0.0, 1.0)).astype(np.uint8)[front][
+        order
+    ]
     image = np.zeros((height, width, 4), np.uint8)
     steps = range(-size, size + 1)
     for down in steps:
         for right in steps:
-            rows, columns = np.clip(y[order] + down, 0, height - 1), np.clip(x[order] + right, 0, width - 1)
+            rows = np.clip(y[order] + down, 0, height - 1)
+            columns = np.clip(x[order] + right, 0, width - 1)
             image[rows, columns, :3], image[rows, columns, 3] = shade, 255
     return image
 
 
 def views(root: Float[np.ndarray, "3 3"]) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Axes to the right, up and to the viewer, from before and behind a person whose pelvis is turned by ``root``."""
+    """Axes to the right, up and to the viewer, from before and behind a person whose pelvis is
+    turned by ``root``.
+    """
     ahead = root @ np.array([0.0, 0.0, 1.0])
     ahead = np.array([ahead[0], 0.0, ahead[2]])
     length = np.linalg.norm(ahead)

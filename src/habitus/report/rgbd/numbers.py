@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 
 
 def rgbd_metrics(fit: "RgbdFit") -> dict[str, Any]:
-    """Errors of depth (mm), shares explained, light, timings (s), measurements, verdict and warnings."""
+    """Errors of depth (mm), shares explained, light, timings (s), measurements, verdict and
+    warnings.
+    """
     seconds = {name: float(value) for name, value in fit.stage_seconds.items()}
     return {
         "capture": fit.capture_name,
@@ -49,6 +51,10 @@ def _appearance(fit: "RgbdFit") -> dict[str, Any] | None:
 def _gender(fit: "RgbdFit") -> dict[str, Any] | None:
     """P(female) of the neutral shape, as if it were known exactly, and the model fitted."""
     if fit.body.female_direction is None:
-        return None if fit.gender == "neutral" else {"female_probability": None, "says": None, "model": fit.gender}
+        return (
+            None
+            if fit.gender == "neutral"
+            else {"female_probability": None, "says": None, "model": fit.gender}
+        )
     probability = female_probability(fit.body, fit.betas)
     return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}

@@ -1,4 +1,6 @@
-"""The report of a fit to depth views: one HTML file that opens offline, with pictures, numbers and the body in 3D."""
+"""The report of a fit to depth views: one HTML file that opens offline, with pictures, numbers and
+the body in 3D.
+"""
 
 import base64
 from html import escape
@@ -12,7 +14,15 @@ from habitus.observe.srgb import srgb_bytes
 from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
 from habitus.report.metrics import finite
-from habitus.report.parts import banner, card, file_links, measurements_table, notes_list, numbers_table, tiles
+from habitus.report.parts import (
+    banner,
+    card,
+    file_links,
+    measurements_table,
+    notes_list,
+    numbers_table,
+    tiles,
+)
 from habitus.report.png import png
 from habitus.report.rgbd.pictures import ERROR_MM, PAPER, Picture, light_ball, view_pictures
 from habitus.report.shell import shell
@@ -40,7 +50,9 @@ FILES = {
 
 def rgbd_page(fit: "RgbdFit", numbers: dict[str, Any], skin: "Skin | None" = None) -> str:
     """The report as text. numbers: `habitus.report.rgbd.numbers.rgbd_metrics` of the fit."""
-    numbers, blob, looks = finite(numbers), Blob(), _looks(fit, skin)
+    numbers = finite(numbers)
+    blob = Blob()
+    looks = _looks(fit, skin)
     data = still_data(looks, blob)
     title = f"{shown(fit.capture_name, LONGEST_NAME)} · habitus"
     content = [
@@ -66,36 +78,61 @@ def rgbd_page(fit: "RgbdFit", numbers: dict[str, Any], skin: "Skin | None" = Non
 def _head(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
     views = numbers["views"]
     count = f"{len(views)} view{'s' * (len(views) != 1)}"
-    facts = [count, f"body {fit.body_name}", f"person parted from the room by {numbers['parted_by']}"]
-    found = [
-        ("Depth error", f"{numbers['depth_error_mm']['median']:.1f}", "mm", "median, across the surface"),
-        ("95 % are below", f"{numbers['depth_error_mm']['p95']:.0f}", "mm", "in the worst view"),
-        ("Explained", f"{100 * min(view['explained'] for view in views):.1f}", "%", "of the person's pixels"),
+    facts = [
+        count,
+        f"body {fit.body_name}",
+        f"person parted from the room by {numbers['parted_by']}",
     ]
-    for name, label in (("height_m", "Height"), ("waist_circumference_m", "Waist"), ("hip_circumference_m", "Hip")):
+    found = [
+        (
+            "Depth error",
+            f"{numbers['depth_error_mm']['median']:.1f}",
+            "mm",
+            "median, across the surface",
+        ),
+        ("95 % are below", f"{numbers['depth_error_mm']['p95']:.0f}", "mm", "in the worst view"),
+        (
+            "Explained",
+            f"{100 * min(view['explained'] for view in views):.1f}",
+            "%",
+            "of the person's pixels",
+        ),
+    ]
+    for name, label in (
+        ("height_m", "Height"),
+        ("waist_circumference_m", "Waist"),
+        ("hip_circumference_m", "Hip"),
+    ):
         if name in fit.measurements:
-            found.append((label, f"{100 * fit.measurements[name]:.1f}", "cm", DEFINITIONS[name].says))
+            found.append(
+                (label, f"{100 * fit.measurements[name]:.1f}", "cm", DEFINITIONS[name].says)
+            )
     return (
-        f"<h1>{escape(shown(fit.capture_name, LONGEST_NAME))}</h1><p class='facts'>{escape(' · '.join(facts))}</p>"
+        f"<h1>{escape(shown(fit.capture_name, LONGEST_NAME))}</h1><p "
+        f"class='facts'>{escape(' · '.join(facts))}</p>"
         f"{banner(numbers['verdict'])}{tiles(found)}"
     )
 
 
 def _views(fit: "RgbdFit") -> list[str]:
     said = (
-        f"Depth errors go from red (the person is {ERROR_MM:.0f} mm nearer than the body) over white to blue "
+        f"Depth errors go from red (the person is {ERROR_MM:.0f} mm nearer than the body) over "
+        "white to blue "
         f"({ERROR_MM:.0f} mm further away); grey is where only one of both is."
     )
     sections = []
     for made, view in zip(view_pictures(fit), fit.evidence.views, strict=True):
         figures = "".join(
-            f"<figure><img alt='{escape(name)}' src='{_uri(picture)}'><figcaption>{escape(name)}</figcaption></figure>"
+            f"<figure><img alt='{escape(name)}' "
+            f"src='{_uri(picture)}'><figcaption>{escape(name)}</figcaption></figure>"
             for name, picture in made.pictures.items()
         )
         floor = "on the floor that was found" if view.on_floor else "no floor found"
         facts = (
-            f"turned {view.turn_deg:+.0f}° · depth {view.median_mm:.1f} mm median (noise {view.noise_mm:.1f}), bias "
-            f"{view.bias_mm:+.1f} mm · {100 * view.explained:.1f} % explained, {100 * view.outside:.1f} % of the body "
+            f"turned {view.turn_deg:+.0f}° · depth {view.median_mm:.1f} mm median (noise "
+            f"{view.noise_mm:.1f}), bias "
+            f"{view.bias_mm:+.1f} mm · {100 * view.explained:.1f} % explained, "
+            f"{100 * view.outside:.1f} % of the body "
             f"where the room was seen · outlines overlap by {100 * view.overlap:.0f} % · {floor}"
         )
         sections.append(
@@ -112,28 +149,39 @@ def _light(fit: "RgbdFit") -> str:
         return ""
     shift = ", ".join(f"{1e3 * value:+.1f}" for value in found.shift.shift)
     told = (
-        f"A white ball in the light that was found: spherical harmonics of nine numbers a channel. Colours are "
-        f"explained to {100 * found.residual:.1f} % of full scale; {100 * (found.seen > 0).mean():.0f} % of the "
-        f"surface was seen, the rest is filled in smoothly. The colour camera was moved by ({shift}) mm. Albedo "
+        "A white ball in the light that was found: spherical harmonics of nine numbers a "
+        "channel. Colours are "
+        f"explained to {100 * found.residual:.1f} % of full scale; "
+        f"{100 * (found.seen > 0).mean():.0f} % of the "
+        "surface was seen, the rest is filled in smoothly. The colour camera was moved by "
+        f"({shift}) mm. Albedo "
         "is known up to one factor and tint, which light could have as well."
     )
     return (
         "<section class='card'><h2>Light</h2><div class='ball'>"
-        f"<img alt='A ball in the light that was found' src='{_uri(light_ball(found))}'><p>{escape(told)}</p>"
+        "<img alt='A ball in the light that was found' "
+        f"src='{_uri(light_ball(found))}'><p>{escape(told)}</p>"
         "</div></section>"
     )
 
 
 def _how(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
-    costs = numbers_table((TERMS.get(name, name), f"{value:,.4g}") for name, value in fit.costs.items())
-    times = numbers_table((name, f"{value:.2f} s") for name, value in numbers["stage_seconds"].items())
+    costs = numbers_table(
+        (TERMS.get(name, name), f"{value:,.4g}") for name, value in fit.costs.items()
+    )
+    times = numbers_table(
+        (name, f"{value:.2f} s") for name, value in numbers["stage_seconds"].items()
+    )
     known = card("What to know", notes_list(fit.warnings))
     return f"<div class='columns'>{known}{card('Energy and time', costs + times)}</div>"
 
 
 def _looks(fit: "RgbdFit", skin: "Skin | None") -> list[Look]:
-    """The person as the first view shows them: in their own colours, without, and as betas alone have them."""
-    vertices, faces = np.asarray(fit.vertices(0)), fit.body.faces
+    """The person as the first view shows them: in their own colours, without, and as betas alone
+    have them.
+    """
+    vertices = np.asarray(fit.vertices(0))
+    faces = fit.body.faces
     looks = [Look("Form", "The fitted person in the first view's pose.", vertices, faces)]
     if fit.skin is not None:
         model = np.asarray(fit.body(fit.betas, fit.pose[0], fit.trans[0]).vertices)
@@ -144,7 +192,10 @@ def _looks(fit: "RgbdFit", skin: "Skin | None") -> list[Look]:
         return looks
     fits = fit.body.full_vertices is not None and len(skin.vertex_albedo) != len(vertices)
     albedo = skin.vertex_albedo[fit.body.full_vertices] if fits else skin.vertex_albedo
-    told = "The fitted person in the first view's pose, in the colours of their skin, the light taken out."
+    told = (
+        "The fitted person in the first view's pose, in the colours of their skin, the light "
+        "taken out."
+    )
     return [Look("Colours", told, vertices, faces, colours=srgb_bytes(albedo)), *looks]
 
 

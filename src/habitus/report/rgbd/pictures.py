@@ -1,4 +1,6 @@
-"""Pictures of a fit to depth views: observed, rendered, their difference, light and albedo apart (T Fig 4-9)."""
+"""Pictures of a fit to depth views: observed, rendered, their difference, light and albedo apart (T
+Fig 4-9).
+"""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,7 +27,9 @@ ERROR_MM = 30.0
 """Where the scale of depth errors ends."""
 PAPER = np.array([248, 249, 250], np.uint8)
 MARGIN = 0.06
-_BLUE, _WHITE, _RED = np.array([33, 102, 172.0]), np.array([247, 247, 247.0]), np.array([178, 24, 43.0])
+_BLUE = np.array([33, 102, 172.0])
+_WHITE = np.array([247, 247, 247.0])
+_RED = np.array([178, 24, 43.0])
 Picture = UInt8[np.ndarray, "h w 3"]
 
 
@@ -48,7 +52,10 @@ def view_pictures(fit: "RgbdFit") -> list[ViewPictures]:
 
 
 def _of_view(
-    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, appearance: Appearance | None
+    sight: Sight,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    appearance: Appearance | None,
 ) -> dict[str, Picture]:
     box = _box(sight)
     frame = draw(sight.camera, torch.from_numpy(vertices), triangles, boundary="none")
@@ -90,7 +97,9 @@ def _coloured(
         "Rendered": srgb_bytes(rendered)[box],
         "Difference of colours": _heat(apart / 100.0)[box],
         "Albedo": srgb_bytes(image(appearance.albedo * scale, torch.tensor(paper)))[box],
-        "Light": srgb_bytes(image(0.7 * shade / max(float(np.percentile(shade, 99)), 1e-3), torch.tensor(paper)))[box],
+        "Light": srgb_bytes(
+            image(0.7 * shade / max(float(np.percentile(shade, 99)), 1e-3), torch.tensor(paper))
+        )[box],
     }
 
 
@@ -99,7 +108,10 @@ def light_ball(appearance: Appearance, size: int = 160) -> Picture:
     y, x = 1.0 - 2.0 * (np.mgrid[:size, :size] + 0.5) / size
     inside = x**2 + y**2 < 1.0
     normals = np.stack([-x, y, np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))], -1)
-    shade = harmonics(torch.from_numpy(normals.reshape(-1, 3))).numpy().reshape(size, size, 9) @ appearance.light
+    shade = (
+        harmonics(torch.from_numpy(normals.reshape(-1, 3))).numpy().reshape(size, size, 9)
+        @ appearance.light
+    )
     picture = srgb_bytes((0.75 * shade / max(float(shade[inside].max()), 1e-3)).clip(0.0))
     picture[~inside] = PAPER
     return picture
@@ -128,7 +140,8 @@ def _relief(camera: Camera, depth: Float[np.ndarray, "H W"]) -> Picture:
     seen = np.isfinite(depth)
     smooth = _smoothed(np.where(seen, depth, 0.0), seen)
     points = rays * smooth[..., None]
-    across, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
+    across = np.gradient(points, axis=1)
+    down = np.gradient(points, axis=0)
     normal = np.cross(across, down)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-9)
     facing = np.abs((normal * rays).sum(-1) / np.linalg.norm(rays, axis=-1))
@@ -144,11 +157,15 @@ def _smoothed(depth: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _signed(sight: Sight, model: Float[np.ndarray, "H W"], own: np.ndarray) -> Picture:
-    """Red: the person is nearer than the body; blue: further away. Grey: one of both is not there."""
+    """Red: the person is nearer than the body; blue: further away. Grey: one of both is not
+    there.
+    """
     both = own & np.isfinite(model)
     off = np.where(both, 1e3 * (sight.view.depth - np.where(both, model, 0.0)), 0.0)
     share = (off / ERROR_MM).clip(-1, 1)[..., None]
-    picture = np.where(share > 0, _WHITE + share * (_BLUE - _WHITE), _WHITE - share * (_RED - _WHITE))
+    picture = np.where(
+        share > 0, _WHITE + share * (_BLUE - _WHITE), _WHITE - share * (_RED - _WHITE)
+    )
     picture[own & ~both], picture[~own & np.isfinite(model)] = (120, 120, 120), (190, 190, 190)
     picture[~own & ~np.isfinite(model)] = PAPER
     return picture.astype(np.uint8)

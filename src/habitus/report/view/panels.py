@@ -1,7 +1,8 @@
-"""What `habitus view` shows in the browser, by viser: a body under sliders, a motion, a mesh or a cloud of points.
+"""What `habitus view` shows in the browser, by viser: a body under sliders, a motion, a mesh or a
+cloud of points.
 
-A panel owns its part of the page: it adds shapes below a node of the scene and sliders to a folder of the panel at the
-side, and draws anew what a slider changes.
+A panel owns its part of the page: it adds shapes below a node of the scene and sliders to a folder
+of the panel at the side, and draws anew what a slider changes.
 """
 
 import threading
@@ -17,8 +18,14 @@ from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
 
 BETAS, LARGEST, DEGREES = 10, 4.0, 180.0
-"""How many shape coefficients have a slider, how far these go, and how far the sliders of joints do."""
-SKIN, SCAN, JOINT, LANDMARK, NAMED = (199, 148, 120), (150, 160, 172), (40, 110, 200), (220, 90, 30), (20, 20, 20)
+"""How many shape coefficients have a slider, how far these go, and how far the sliders of joints
+do.
+"""
+SKIN = (199, 148, 120)
+SCAN = (150, 160, 172)
+JOINT = (40, 110, 200)
+LANDMARK = (220, 90, 30)
+NAMED = (20, 20, 20)
 TOLD = {
     "height": "height_m",
     "mass": "mass_kg",
@@ -32,10 +39,15 @@ _FPS = 30.0
 
 
 class BodyPanel:
-    """A body model under sliders: shape, the rotation of any joint, names of joints and landmarks, measurements."""
+    """A body model under sliders: shape, the rotation of any joint, names of joints and landmarks,
+    measurements.
+    """
 
     def __init__(self, server: Any, body: BodyModel, node: str):
-        self._server, self._body, self._node, self._drawing = server, body, node, threading.Lock()
+        self._server = server
+        self._body = body
+        self._node = node
+        self._drawing = threading.Lock()
         self._pose = np.zeros((body.num_joints, 3))
         with server.gui.add_folder(body.name):
             self._told = server.gui.add_markdown("")
@@ -46,8 +58,12 @@ class BodyPanel:
             self.joint = server.gui.add_dropdown("joint", tuple(body.joint_names))
             self.turn = [server.gui.add_slider(axis, -DEGREES, DEGREES, 1.0, 0.0) for axis in "xyz"]
             self.joints = server.gui.add_checkbox("joints", False)
-            self.landmarks = server.gui.add_checkbox("landmarks", False, disabled=not body.landmarks)
-            self.named = server.gui.add_dropdown("name", (NOBODY, *body.joint_names, *(body.landmarks or {})))
+            self.landmarks = server.gui.add_checkbox(
+                "landmarks", False, disabled=not body.landmarks
+            )
+            self.named = server.gui.add_dropdown(
+                "name", (NOBODY, *body.joint_names, *(body.landmarks or {}))
+            )
             self.rest = server.gui.add_button("at rest")
         for slider in (*self.betas, self.joints, self.landmarks, self.named):
             slider.on_update(lambda _: self.draw())
@@ -55,7 +71,9 @@ class BodyPanel:
             slider.on_update(lambda _: self._turned())
         self.joint.on_update(lambda _: self._chosen())
         self.rest.on_click(lambda _: self._rested())
-        self._skin = server.scene.add_mesh_simple(f"{node}/skin", self._surface().vertices, body.faces, color=SKIN)
+        self._skin = server.scene.add_mesh_simple(
+            f"{node}/skin", self._surface().vertices, body.faces, color=SKIN
+        )
         self.draw()
 
     @property
@@ -69,10 +87,14 @@ class BodyPanel:
             surface = self._surface()
             self._skin.vertices = surface.vertices.astype(np.float32)
             found = self._body.measure(self._betas())
-            said = [f"{word} {_said(name, found[name])}" for word, name in TOLD.items() if name in found]
+            said = [
+                f"{word} {_said(name, found[name])}" for word, name in TOLD.items() if name in found
+            ]
             self._told.content = "  \n".join(said)
             marks = self._body.landmarks or {}
-            landmarks = surface.vertices[np.array([*marks.values()], int)] if marks else np.zeros((0, 3))
+            landmarks = (
+                surface.vertices[np.array([*marks.values()], int)] if marks else np.zeros((0, 3))
+            )
             self._dots("joints", surface.joints, JOINT, self.joints.value)
             self._dots("landmarks", landmarks, LANDMARK, self.landmarks.value)
             self._name(
@@ -107,8 +129,12 @@ class BodyPanel:
             slider.value = 0.0
         self.draw()
 
-    def _dots(self, kind: str, places: Float[np.ndarray, "N 3"], colour: tuple, wanted: bool) -> None:
-        _cloud(self._server, f"{self._node}/{kind}", places if wanted else places[:0], colour, 0.012)
+    def _dots(
+        self, kind: str, places: Float[np.ndarray, "N 3"], colour: tuple, wanted: bool
+    ) -> None:
+        _cloud(
+            self._server, f"{self._node}/{kind}", places if wanted else places[:0], colour, 0.012
+        )
 
     def _name(self, places: Mapping[str, Float[np.ndarray, " 3"]]) -> None:
         """The chosen place alone has its name beside it: all of them would hide the body."""
@@ -128,16 +154,30 @@ class BodyPanel:
 class MotionPanel:
     """A body in motion: a moment on a slider, or played at the pace it was recorded."""
 
-    def __init__(self, server: Any, motion: BodyMotion, node: str, markers: Float[np.ndarray, "T M 3"] | None = None):
-        self._server, self._motion, self._node = server, motion, node
-        self._turn, self._markers = up_rotation(motion.up_axis), markers
-        self._begin, self._share = self._turn @ motion.joints(0)[0] * [1.0, 0.0, 1.0], 0.0
+    def __init__(
+        self,
+        server: Any,
+        motion: BodyMotion,
+        node: str,
+        markers: Float[np.ndarray, "T M 3"] | None = None,
+    ):
+        self._server = server
+        self._motion = motion
+        self._node = node
+        self._turn = up_rotation(motion.up_axis)
+        self._markers = markers
+        self._begin = self._turn @ motion.joints(0)[0] * [1.0, 0.0, 1.0]
+        self._share = 0.0
         with server.gui.add_folder(motion.capture_name):
             self.frame = server.gui.add_slider("frame", 0, max(1, motion.num_frames - 1), 1, 0)
             self.playing = server.gui.add_checkbox("play", False)
             self.speed = server.gui.add_dropdown("speed", ("1", "0.5", "0.25", "0.1"))
-            self.shown = server.gui.add_checkbox("markers", markers is not None, disabled=markers is None)
-        self._skin = server.scene.add_mesh_simple(f"{node}/skin", self._at(0), motion.body.faces, color=SKIN)
+            self.shown = server.gui.add_checkbox(
+                "markers", markers is not None, disabled=markers is None
+            )
+        self._skin = server.scene.add_mesh_simple(
+            f"{node}/skin", self._at(0), motion.body.faces, color=SKIN
+        )
         self.frame.on_update(lambda _: self.draw())
         self.shown.on_update(lambda _: self.draw())
         self._last = time.perf_counter()
@@ -156,7 +196,8 @@ class MotionPanel:
     def tick(self) -> None:
         """The next moment, where it plays: frames are left out, never slowed."""
         now = time.perf_counter()
-        passed, self._last = now - self._last, now
+        passed = now - self._last
+        self._last = now
         if self.playing.value:
             on = passed * self._motion.rate_hz * float(self.speed.value)
             step, self._share = divmod(self._share + on, 1.0)
@@ -183,21 +224,31 @@ class MeshPanel:
     ):
         with server.gui.add_folder(name):
             server.gui.add_markdown(
-                f"{len(points):,} points" + (f", {len(faces):,} triangles" if faces is not None else "")
+                f"{len(points):,} points"
+                + (f", {len(faces):,} triangles" if faces is not None else "")
             )
             self.shown = server.gui.add_checkbox("show", True)
         vertices = points.astype(np.float32)
         if faces is not None:
-            self._shape = server.scene.add_mesh_simple(f"{node}/mesh", vertices, faces, color=SCAN, side="double")
+            self._shape = server.scene.add_mesh_simple(
+                f"{node}/mesh", vertices, faces, color=SCAN, side="double"
+            )
         else:
             self._shape = _cloud(server, f"{node}/points", vertices, SCAN, 0.004)
         self.shown.on_update(lambda _: setattr(self._shape, "visible", self.shown.value))
 
 
-def _cloud(server: Any, node: str, points: Float[np.ndarray, "N 3"], colour: tuple, size: float) -> Any:
+def _cloud(
+    server: Any, node: str, points: Float[np.ndarray, "N 3"], colour: tuple, size: float
+) -> Any:
     colours = np.tile(np.array(colour, np.uint8), (len(points), 1))
     return server.scene.add_point_cloud(
-        node, points.astype(np.float32), colours, point_size=size, point_shape="circle", precision="float32"
+        node,
+        points.astype(np.float32),
+        colours,
+        point_size=size,
+        point_shape="circle",
+        precision="float32",
     )
 
 
@@ -211,7 +262,9 @@ def studio(server: Any) -> None:
     server.scene.add_grid("/floor", 8.0, 8.0, plane="xz", cell_size=0.5, infinite_grid=True)
     server.gui.configure_theme(control_layout="collapsible", show_logo=False)
     camera = server.initial_camera
-    camera.fov, camera.look_at, camera.position = 0.75, (0.0, 0.9, 0.0), (0.8, 1.4, 3.6)
+    camera.fov = 0.75
+    camera.look_at = (0.0, 0.9, 0.0)
+    camera.position = (0.8, 1.4, 3.6)
 
 
 def play(panels: list[Any], stop: threading.Event) -> None:

@@ -1,4 +1,6 @@
-"""One level of the whole-sequence solve (`habitus.solve.sequence.solver`): its frames, and the sweeps over them."""
+"""One level of the whole-sequence solve (`habitus.solve.sequence.solver`): its frames, and the
+sweeps over them.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +23,9 @@ SHORT = 30.0
 
 
 class SequenceProblem(Protocol):
-    """What the solver asks of a problem; `visit` and `cost` are called from several threads at once."""
+    """What the solver asks of a problem; `visit` and `cost` are called from several threads at
+    once.
+    """
 
     threads: int
     """How many threads to use."""
@@ -29,7 +33,8 @@ class SequenceProblem(Protocol):
     """Frames that are best handed over together."""
 
     def visit(self, level: "Level", block: Int[np.ndarray, " F"]) -> None:
-        """One damped Gauss-Newton step of the frames `block` (indices into the level), their neighbours held.
+        """One damped Gauss-Newton step of the frames `block` (indices into the level), their
+        neighbours held.
 
         Sets states where the step lowers the total cost; costs, damping, moved and cost_decrease of
         the frames in any case.
@@ -37,18 +42,25 @@ class SequenceProblem(Protocol):
         """
         ...
 
-    def cost(self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]) -> Float[np.ndarray, " F"]:
+    def cost(
+        self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
+    ) -> Float[np.ndarray, " F"]:
         """f_t of each frame."""
         ...
 
     def chart(
         self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
     ) -> tuple[Float[np.ndarray, "F N"], Float[np.ndarray, "F N"]]:
-        """The same states in charts that suit each other, and weights of the second differences that end at each."""
+        """The same states in charts that suit each other, and weights of the second differences
+        that end at each.
+        """
         ...
 
     def between(
-        self, left: Float[np.ndarray, "F N"], right: Float[np.ndarray, "F N"], share: Float[np.ndarray, " F"]
+        self,
+        left: Float[np.ndarray, "F N"],
+        right: Float[np.ndarray, "F N"],
+        share: Float[np.ndarray, " F"],
     ) -> Float[np.ndarray, "F N"]:
         """States on the way from left to right, where to start a new frame."""
         ...
@@ -58,12 +70,12 @@ class SequenceProblem(Protocol):
 class SequenceOptions:
     """How a sequence is solved.
 
-    strides: coarse to fine, the last being 1; (1,) solves all frames at once from the start given. coarse_sweeps and
-    sweeps: most visits of a frame at the coarsest and at the finest level; levels between take two. tolerance: root
-    mean square of a step (over the unknowns that are `measured`) under which a frame rests. cost_tolerance:
-    relative fall of the total cost in one sweep that ends a level as well. damping: the first Levenberg damping, in
-    the unit of the Gauss-Newton matrix. relaxation: how much longer than Gauss-Newton's short steps are made; 1
-    without links.
+    strides: coarse to fine, the last being 1; (1,) solves all frames at once from the start given.
+    coarse_sweeps and sweeps: most visits of a frame at the coarsest and at the finest level; levels
+    between take two. tolerance: root mean square of a step (over the unknowns that are `measured`)
+    under which a frame rests. cost_tolerance: relative fall of the total cost in one sweep that
+    ends a level as well. damping: the first Levenberg damping, in the unit of the Gauss-Newton
+    matrix. relaxation: how much longer than Gauss-Newton's short steps are made; 1 without links.
     """
 
     strides: tuple[int, ...] = (16, 4, 1)
@@ -78,26 +90,33 @@ class SequenceOptions:
 class Level:
     """The frames of one stride while they are being solved (F of them, N unknowns).
 
-    frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second differences that
-    end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the length that the last step tried would
-    have without damping, cost_decrease (F,) how much it lowered the total cost; relaxations (F,) make the
-    next one longer.
+    frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second
+    differences that end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the
+    length that the last step tried would have without damping, cost_decrease (F,) how much it
+    lowered the total cost; relaxations (F,) make the next one longer.
     """
 
     def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
-        self.problem, self.frames, self.measured, self.pool, self.damping = problem, frames, measured, pool, damping
+        self.problem = problem
+        self.frames = frames
+        self.measured = measured
+        self.pool = pool
+        self.damping = damping
         self.options = options
         self.states, links = problem.chart(frames, states)
         uneven = np.diff(frames, prepend=frames[0] - stride) != stride
         links = np.where(uneven[:, None], 0.0, links) / stride**4
         links[:2] = 0.0
         self.links = np.pad(links, ((0, 2), (0, 0)))
-        self.costs, self.cost_decrease = evaluate(problem, frames, self.states, pool), np.zeros(len(frames))
-        self.moved, self.relaxations = np.full(len(frames), np.inf), np.ones(len(frames))
+        self.costs = evaluate(problem, frames, self.states, pool)
+        self.cost_decrease = np.zeros(len(frames))
+        self.moved = np.full(len(frames), np.inf)
+        self.relaxations = np.ones(len(frames))
 
     def solve(self, most: int) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
-        history, tolerance = [float(np.sum(self.costs)) + self.coupling_cost()], self.options.tolerance
+        history = [float(np.sum(self.costs)) + self.coupling_cost()]
+        tolerance = self.options.tolerance
         quiet = False
         for _ in range(most):
             active = self._active(REST * tolerance)
@@ -110,7 +129,9 @@ class Level:
         return "converged" if quiet or not self._active(tolerance).any() else "iterations", history
 
     def begin_again(self, chosen: np.ndarray, starts: np.ndarray) -> None:
-        """Put the frames `chosen` into other states; only they will be visited next, and who is moved by them."""
+        """Put the frames `chosen` into other states; only they will be visited next, and who is
+        moved by them.
+        """
         self.states[chosen], self.damping[chosen] = starts, self.options.damping
         self.costs[chosen] = evaluate(self.problem, self.frames[chosen], starts, self.pool)
         self.moved[:] = 0.0
@@ -118,7 +139,9 @@ class Level:
 
     def coupling_cost(self) -> float:
         """1/2 sum of link times squared second difference."""
-        return 0.5 * float(np.sum(self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2))
+        return 0.5 * float(
+            np.sum(self.links[2 : len(self.states)] * np.diff(self.states, 2, axis=0) ** 2)
+        )
 
     def frame_couplings(self) -> Float[np.ndarray, " F"]:
         """The shares of `coupling_cost` that end at each frame."""
@@ -133,7 +156,9 @@ class Level:
         self.relaxations = np.where(short, self.options.relaxation, 1.0)
         for colour in range(3):
             chosen = np.flatnonzero(active & (colours == colour))
-            share_out(self.problem, lambda block: self.problem.visit(self, block), chosen, self.pool)
+            share_out(
+                self.problem, lambda block: self.problem.visit(self, block), chosen, self.pool
+            )
         return float(np.sum(self.cost_decrease))
 
     def _active(self, limit: float) -> np.ndarray:
@@ -142,7 +167,9 @@ class Level:
         return np.asarray(np.any(np.lib.stride_tricks.sliding_window_view(moving, 5), axis=1))
 
 
-def evaluate(problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor) -> np.ndarray:
+def evaluate(
+    problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor
+) -> np.ndarray:
     """Own cost of each frame (F,)."""
     costs = np.empty(len(frames))
 
@@ -155,7 +182,10 @@ def evaluate(problem: SequenceProblem, frames: np.ndarray, states: np.ndarray, p
 
 
 def share_out(
-    problem: SequenceProblem, work: Callable[[np.ndarray], None], chosen: np.ndarray, pool: ThreadPoolExecutor
+    problem: SequenceProblem,
+    work: Callable[[np.ndarray], None],
+    chosen: np.ndarray,
+    pool: ThreadPoolExecutor,
 ) -> None:
     """Let the threads work on blocks of the chosen frames."""
     parts = BLOCKS_PER_THREAD * problem.threads
