@@ -90,8 +90,8 @@ def compile_kernels(body: BodyModel) -> float:
     seconds it took.
     """
     began = time.perf_counter()
-    from habitus.fit.mosh.recipe import fit_markers
-    from habitus.fit.mosh.settings import MoshSettings
+    from habitus.fit.markers.recipe import fit_markers
+    from habitus.fit.markers.settings import MoshSettings
     from habitus.jobs.subjects import person
 
     someone = person([synthetic(body, "cmu-41", 48)], "auto")

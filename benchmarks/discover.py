@@ -29,7 +29,7 @@ from rich.table import Table
 import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import match_layout
 from habitus.observe.markers import predict_markers

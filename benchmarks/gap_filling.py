@@ -17,7 +17,7 @@ from common import machine, write_json
 from scipy.interpolate import CubicSpline
 
 import habitus as hb
-from habitus.fit.mosh.filling import runs
+from habitus.fit.markers.filling import runs
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 

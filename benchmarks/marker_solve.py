@@ -29,9 +29,9 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.causal import CausalSolver
-from habitus.fit.mosh.sequence import SequenceResult, fit_sequence
-from habitus.fit.mosh.settings import SequenceSettings
+from habitus.fit.markers.causal import CausalSolver
+from habitus.fit.markers.sequence import SequenceResult, fit_sequence
+from habitus.fit.markers.settings import SequenceSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior

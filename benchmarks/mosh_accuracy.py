@@ -28,7 +28,7 @@ from rich.table import Table
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.report import metrics
 
 PAIRS = (

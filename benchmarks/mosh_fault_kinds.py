@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.fit.mosh.drift import limb_axes, limb_of
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.drift import limb_axes, limb_of
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.population import marker_faults as faults
 

@@ -32,9 +32,9 @@ from rich.table import Table
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.recipe import fit_markers
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import person

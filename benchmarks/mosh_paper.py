@@ -36,10 +36,10 @@ from habitus.body.gender import said_of
 from habitus.body.model import BodyModel
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.surface_fit import Fit
-from habitus.fit.mosh.hold_out import HeldMarkers, expected_offsets, held_out_errors
-from habitus.fit.mosh.recipe import Recording, fit_markers
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors
+from habitus.fit.markers.recipe import Recording, fit_markers
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
 from habitus.io.models.priors import load_pose_prior, prior_of

@@ -28,9 +28,9 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.hold_out import merged
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.hold_out import merged
+from habitus.fit.markers.recipe import fit_markers
+from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.placements import learned
 from habitus.io.layouts.files import list_layouts, plain_layout
 from habitus.io.models.priors import prior_of

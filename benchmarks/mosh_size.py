@@ -32,8 +32,8 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 import habitus
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.recipe import fit_markers
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.subjects import person

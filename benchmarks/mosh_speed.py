@@ -39,10 +39,10 @@ from threadpoolctl import threadpool_limits
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.causal import CausalSolver
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.settings import MoshSettings, sequence_settings
-from habitus.fit.mosh.start import start_sequence
+from habitus.fit.markers.causal import CausalSolver
+from habitus.fit.markers.recipe import fit_markers
+from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import Capture
 from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.subjects import Person, person

@@ -31,7 +31,7 @@ from rich.table import Table
 import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.mosh.evidence import Evidence, evidence
+from habitus.fit.markers.evidence import Evidence, evidence
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout, shipped_layouts
 from habitus.population.spoilt import SPOILINGS

@@ -55,8 +55,8 @@ def test_the_reference_holds_the_public_face(pages):
 
 
 def test_public_methods_are_told():
-    from habitus.fit.mosh.live import LiveFit
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.live import LiveFit
+    from habitus.fit.markers.result import MarkerFit
 
     for kind in (habitus.Mosh, habitus.MoshWeights, MarkerFit, LiveFit):
         members = {name: member for name, member in vars(kind).items() if not name.startswith("_")}

@@ -16,7 +16,7 @@ from synthetic_fit import synthetic_fit
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.suspects import Suspect
 
 LISTED = set(
     "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements compare "

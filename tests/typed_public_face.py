@@ -10,7 +10,7 @@ import numpy as np
 import habitus as hb
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.jobs.comparing import Comparison
 from habitus.markers.layouts import MarkerLayout

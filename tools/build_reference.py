@@ -17,8 +17,8 @@ import habitus
 MODULES = (
     "habitus",
     "habitus.residuals.terms",
-    "habitus.fit.mosh.result",
-    "habitus.fit.mosh.live",
+    "habitus.fit.markers.result",
+    "habitus.fit.markers.live",
     "habitus.io.captures.read",
     "habitus.body.model",
     "habitus.body.state",

@@ -59,7 +59,7 @@ __all__ = [
 
 _MODULES = {
     "Mosh": "habitus.jobs.mosh",
-    "MoshWeights": "habitus.fit.mosh.weights",
+    "MoshWeights": "habitus.fit.markers.weights",
     "Trainer": "habitus.jobs.train",
     "archive": "habitus.jobs.archive.run",
     "body_from_measurements": "habitus.jobs.estimates",
@@ -94,8 +94,8 @@ _MODULES = {
     # what methods of results call, so that numerics import nothing that writes; not part of the
     # public face
     "export_motion": "habitus.export.motion",
-    "guess": "habitus.fit.mosh.guessing",
-    "judge": "habitus.fit.mosh.judge",
+    "guess": "habitus.fit.markers.guessing",
+    "judge": "habitus.fit.markers.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",
     "save_scan": "habitus.jobs.register",

@@ -5,9 +5,9 @@ from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
 from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
-from habitus.fit.mosh.guessing import guess as guess
-from habitus.fit.mosh.judge import judge as judge
-from habitus.fit.mosh.weights import MoshWeights as MoshWeights
+from habitus.fit.markers.guessing import guess as guess
+from habitus.fit.markers.judge import judge as judge
+from habitus.fit.markers.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.fits import load_fit as load_fit
 from habitus.io.layouts.files import load_layout as load_layout

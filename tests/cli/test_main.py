@@ -17,7 +17,7 @@ from synthetic import synthetic_body
 from habitus.cli.first_run import NOTICE, told_of_compilation
 from habitus.cli.main import COMMANDS, main
 from habitus.errors import HabitusError
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import load_layout
@@ -163,7 +163,7 @@ def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, str
 
 
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
-    from habitus.fit.mosh import recipe as mosh
+    from habitus.fit.markers import recipe as mosh
 
     whole = mosh._fit_recording
     calls = []

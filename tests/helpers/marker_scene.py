@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 from rigged_body import random_body
 
-from habitus.fit.mosh.sequence import fit_sequence
-from habitus.fit.mosh.settings import SequenceSettings
+from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import marker_rig

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.recipe import Recording, fit_markers
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.recipe import Recording, fit_markers
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior

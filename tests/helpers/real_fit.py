@@ -5,8 +5,8 @@ is.
 from functools import cache
 from pathlib import Path
 
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.jobs import mosh

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from planted import motion, person, plant
 
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.jobs.archive.run import Archive, archive

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from habitus.arrays import to_numpy
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.suspects import Suspect
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 

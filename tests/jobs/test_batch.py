@@ -16,7 +16,7 @@ import pytest
 from planted import person, plant
 
 from habitus.errors import HabitusError
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy

@@ -11,7 +11,7 @@ from planted import person, plant
 import habitus as hb
 from habitus.errors import HabitusError
 from habitus.fit.discover.result import Discovery
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.jobs.discovering import known_labels

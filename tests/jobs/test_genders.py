@@ -10,7 +10,7 @@ import pytest
 
 import habitus as hb
 from habitus.body.gender import said_of
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body

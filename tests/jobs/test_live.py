@@ -11,7 +11,7 @@ import pytest
 
 import habitus as hb
 from habitus.errors import HabitusError
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.priors import load_pose_prior
 from habitus.io.streams.source import Frame, heading

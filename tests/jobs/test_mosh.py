@@ -13,7 +13,7 @@ import pytest
 import habitus as hb
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout

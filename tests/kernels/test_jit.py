@@ -11,7 +11,7 @@ from numba import njit, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
-from habitus.fit.mosh import sequence_kernels
+from habitus.fit.markers import sequence_kernels
 from habitus.kernels.jit import FILES, HERE, jit
 
 
@@ -53,7 +53,7 @@ def test_importing_compiles_nothing():
     import sys
 
     asks = (
-        "import habitus.fit.mosh.sequence_kernels as k; print(len(k.visit.signatures), "
+        "import habitus.fit.markers.sequence_kernels as k; print(len(k.visit.signatures), "
         "len(k.costs.signatures))"
     )
     done = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)

@@ -7,9 +7,9 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.gender import female_probability, said_of
-from habitus.fit.mosh.result import HeldOut
-from habitus.fit.mosh.spread import betas_covariance
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.result import HeldOut
+from habitus.fit.markers.spread import betas_covariance
+from habitus.fit.markers.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_metrics
 

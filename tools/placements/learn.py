@@ -25,11 +25,11 @@ from people import PEOPLE
 from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
-from habitus.fit.mosh.frames import spread_frames
-from habitus.fit.mosh.hold_out import HeldMarkers
-from habitus.fit.mosh.recipe import Recording, fit_subject
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.shape import ShapeFit
+from habitus.fit.markers.frames import spread_frames
+from habitus.fit.markers.hold_out import HeldMarkers
+from habitus.fit.markers.recipe import Recording, fit_subject
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.shape import ShapeFit
 from habitus.fit.placements import Seen, learned, offsets_at_rest, seen
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.files import write_text

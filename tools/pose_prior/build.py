@@ -19,11 +19,11 @@ from ranges import range_prior
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.frames import random_frames
-from habitus.fit.mosh.recipe import fit_subject
-from habitus.fit.mosh.sequence import fit_sequence
-from habitus.fit.mosh.settings import MoshSettings, SequenceSettings
-from habitus.fit.mosh.start import start_sequence
+from habitus.fit.markers.frames import random_frames
+from habitus.fit.markers.recipe import fit_subject
+from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.settings import MoshSettings, SequenceSettings
+from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import read_capture
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior, save_pose_prior

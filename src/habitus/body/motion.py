@@ -136,8 +136,8 @@ class BodyMotion(Moving):
 
     @classmethod
     def of(cls, moving: Any) -> "BodyMotion":
-        """The motion of a fit (`habitus.fit.mosh.result.MarkerFit`) without its markers; a motion
-        as it is.
+        """The motion of a fit (`habitus.fit.markers.result.MarkerFit`) without its markers; a
+        motion as it is.
         """
         if isinstance(moving, BodyMotion):
             return moving

@@ -19,7 +19,7 @@ from habitus.io.files import atomic_write
 from habitus.parallel.blocks import mapped
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 STYLES = ("habitus", "amass")
 """What a body.npz can look like: this project's own arrays under AMASS's names, or exactly what

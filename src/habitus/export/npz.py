@@ -15,7 +15,7 @@ from habitus.parallel.blocks import mapped, release
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
     24: {"pose_body": (1, 22), "pose_hand": (22, 24)},

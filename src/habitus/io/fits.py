@@ -10,8 +10,8 @@ import numpy as np
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.suspects import Suspect
 from habitus.io.archives import open_archive, reason
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.observe.markers import MarkerAttachment, predict_markers

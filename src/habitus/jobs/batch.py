@@ -12,7 +12,7 @@ from typing import Any
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.export.amass import check_npz_style
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.files import locked, tidy
 from habitus.io.names import file_name

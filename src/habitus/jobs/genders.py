@@ -9,10 +9,10 @@ from habitus.body.gender import CANNOT_TELL, SURE, said_of
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.mosh.recipe import iterate_fits
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.verdict import FAILED
+from habitus.fit.markers.recipe import iterate_fits
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.verdict import FAILED
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import at_age, told_age

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.mosh.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
-from habitus.fit.mosh.recipe import fit_markers
-from habitus.fit.mosh.result import HeldOut, MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
+from habitus.fit.markers.recipe import fit_markers
+from habitus.fit.markers.result import HeldOut, MarkerFit
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
 from habitus.io.models.priors import prior_of

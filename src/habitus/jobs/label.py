@@ -19,8 +19,8 @@ from habitus.fit.labels.clouds import Clouds, tracklets
 from habitus.fit.labels.people import heaps, only
 from habitus.fit.labels.recipe import Known, Named, label_people, label_points
 from habitus.fit.labels.trajectories import packed
-from habitus.fit.mosh.recipe import fit_subject
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.recipe import fit_subject
+from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_relabel import write_relabelled
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures

@@ -10,11 +10,11 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.recordings import Recording
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.warm_up import warm_up
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.recordings import Recording
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.warm_up import warm_up
 from habitus.io.fits import load_fit
 from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import listed
-from habitus.fit.mosh.live_quality import Quality
-from habitus.fit.mosh.recordings import FEWEST_MARKERS
-from habitus.fit.mosh.tracking import LiveFrame
+from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.recordings import FEWEST_MARKERS
+from habitus.fit.markers.tracking import LiveFrame
 from habitus.io.captures.points import RawPoints
 from habitus.io.streams.source import Frame
 from habitus.io.streams.wiring import rewired

@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from habitus.fit.mosh.assembly import PoseStage, assemble
-from habitus.fit.mosh.gaps import Evidence
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.recordings import Recording
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.sequence import SequenceResult
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.suspects import exchange
-from habitus.fit.mosh.tracking import LiveFrame
+from habitus.fit.markers.assembly import PoseStage, assemble
+from habitus.fit.markers.gaps import Evidence
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.recordings import Recording
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.sequence import SequenceResult
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.suspects import exchange
+from habitus.fit.markers.tracking import LiveFrame
 from habitus.residuals.robust import geman_mcclure_weight
 
 

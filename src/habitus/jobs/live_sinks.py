@@ -8,9 +8,9 @@ import numpy as np
 from habitus.errors import HabitusError, shown
 from habitus.export.osc import Sender
 from habitus.export.posing import OSC_PORT, UNITY_BONES, VMC_PORT, OscPoses, VmcPoses
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.live_quality import Quality
-from habitus.fit.mosh.recordings import Recording
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.recordings import Recording
 from habitus.io.streams.addresses import host_and_port
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now, Sink

@@ -12,11 +12,11 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.recordings import Recording
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.tracking import LiveFrame, Tracker
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.recordings import Recording
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.tracking import LiveFrame, Tracker
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.read import captures_of
 from habitus.io.streams.source import Frame

@@ -9,11 +9,11 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.recordings import FEWEST_MARKERS, Recording
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import MoshSettings
-from habitus.fit.mosh.warm_up import warm_up
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.warm_up import warm_up
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import list_layouts
 from habitus.io.models.priors import prior_of

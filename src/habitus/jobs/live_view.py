@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from habitus.errors import check_extra
-from habitus.fit.mosh.live import KnownSubject
-from habitus.fit.mosh.live_quality import Quality
-from habitus.fit.mosh.recordings import Recording
+from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.recordings import Recording
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now
 from habitus.report.live.board import Board, Shown

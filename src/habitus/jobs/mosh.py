@@ -13,12 +13,12 @@ from typing import TypedDict, Unpack, overload
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
-from habitus.fit.mosh.attempts import iterate_attempts
-from habitus.fit.mosh.live import LiveFit
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.settings import SOFT_SPACE, MoshSettings
-from habitus.fit.mosh.warm_up import warm_up
-from habitus.fit.mosh.weights import MoshWeights
+from habitus.fit.markers.attempts import iterate_attempts
+from habitus.fit.markers.live import LiveFit
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
+from habitus.fit.markers.warm_up import warm_up
+from habitus.fit.markers.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import locked
 from habitus.io.layouts.found import found_layout_text

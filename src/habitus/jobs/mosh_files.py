@@ -13,7 +13,7 @@ from habitus.errors import HabitusError, shown
 from habitus.export import write_amass, write_glb, write_npz, write_obj_sequence
 from habitus.export.amass import check_npz_style
 from habitus.export.glb import thinning_note
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.files import replaceable, whole_folder
 from habitus.io.names import file_name

@@ -14,8 +14,8 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
-from habitus.fit.mosh.shape import place
-from habitus.fit.mosh.start import PLAIN_POSES, plain_pose
+from habitus.fit.markers.shape import place
+from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
 from habitus.fit.selection.poses import PoseChoice, choose_poses

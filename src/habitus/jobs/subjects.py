@@ -9,10 +9,10 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
 from habitus.fit.discover.result import Discovery
-from habitus.fit.mosh.hold_out import HeldMarkers
-from habitus.fit.mosh.recipe import Recording
-from habitus.fit.mosh.recordings import check_recordings
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.hold_out import HeldMarkers
+from habitus.fit.markers.recipe import Recording
+from habitus.fit.markers.recordings import check_recordings
+from habitus.fit.markers.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts, shipped_layouts
 from habitus.jobs.discovering import asks_to_discover, discovered

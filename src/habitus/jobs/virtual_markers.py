@@ -15,8 +15,8 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError, shown
 from habitus.export.trc import write_trc
-from habitus.fit.mosh.filling import Filling, fill_gaps
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.filling import Filling, fill_gaps
+from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.c3d_fill import filled_c3d
 from habitus.io.captures.c3d_write import write_c3d

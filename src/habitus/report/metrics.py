@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
-from habitus.fit.mosh.spread import betas_covariance
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.spread import betas_covariance
+from habitus.fit.markers.suspects import Suspect
 from habitus.io.files import write_text
 from habitus.parallel.blocks import blocks, columns, is_large, release
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import HeldOut, MarkerFit
-    from habitus.fit.mosh.suspects import Suspect
+    from habitus.fit.markers.result import HeldOut, MarkerFit
+    from habitus.fit.markers.suspects import Suspect
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 

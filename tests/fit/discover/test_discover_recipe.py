@@ -10,7 +10,7 @@ from habitus.fit.discover.places import seated
 from habitus.fit.discover.recipe import _cheaper, discover
 from habitus.fit.discover.skin import spread_places
 from habitus.fit.discover.telling import told
-from habitus.fit.mosh.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError, shown
-from habitus.fit.mosh.result import HeldOut
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.result import HeldOut
+from habitus.fit.markers.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import metrics, write_report
 from habitus.report.fit.blob import Blob

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.sequence import fit_sequence
-from habitus.fit.mosh.settings import SequenceSettings
+from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.solve.sequence.solver import SequenceOptions
 

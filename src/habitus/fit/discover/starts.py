@@ -11,7 +11,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.discover.assign import Bodies, Known, Schedule, places_of, posed, settled
 from habitus.fit.discover.skin import Skin
-from habitus.fit.mosh.start import PLAIN_POSES, plain_pose
+from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.mesh.mirror import mirrored_joints
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix

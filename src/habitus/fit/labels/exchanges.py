@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
-from habitus.fit.mosh.marker_sequence import marker_sequence
-from habitus.fit.mosh.settings import SequenceSettings
+from habitus.fit.markers.marker_sequence import marker_sequence
+from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 
 NEAR = 0.16

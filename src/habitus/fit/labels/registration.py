@@ -15,9 +15,9 @@ from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.exchanges import side_by_side
 from habitus.fit.labels.kernels import firm_matches, soft_targets
-from habitus.fit.mosh.marker_sequence import marker_sequence
-from habitus.fit.mosh.settings import SequenceSettings
-from habitus.fit.mosh.start import PLAIN_POSES, plain_pose
+from habitus.fit.markers.marker_sequence import marker_sequence
+from habitus.fit.markers.settings import SequenceSettings
+from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -44,7 +44,7 @@ RANKING_GATE = 0.25
 class Registered:
     """A body in F frames: frames (F,), pose (F, J, 3), trans (F, 3), the point of each marker (F,
     M), -1 for none, and what it costs (F,): squared distances cut at the last gate and the pose
-    prior, as in `habitus.fit.mosh.sequence`.
+    prior, as in `habitus.fit.markers.sequence`.
     """
 
     frames: Int[np.ndarray, " F"]

@@ -13,7 +13,7 @@ from habitus.body.kinematics import descends
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
 from habitus.body.prior import PosePrior
-from habitus.fit.mosh.start import PLAIN_POSES, plain_pose
+from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState
 from habitus.fit.registration.nearest import TURN
 

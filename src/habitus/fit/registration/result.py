@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
-from habitus.fit.mosh.verdict import Verdict
+from habitus.fit.markers.verdict import Verdict
 from habitus.fit.registration.judge import judge_scan
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.skin_grid import SkinGrid

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.fit.mosh.judge import Reason, above, below, measured, percent, words
-from habitus.fit.mosh.limits import LIMITS as PEOPLE
-from habitus.fit.mosh.limits import Bound
-from habitus.fit.mosh.verdict import DOUBTFUL, GOOD, LEVELS, Verdict, worst
+from habitus.fit.markers.judge import Reason, above, below, measured, percent, words
+from habitus.fit.markers.limits import LIMITS as PEOPLE
+from habitus.fit.markers.limits import Bound
+from habitus.fit.markers.verdict import DOUBTFUL, GOOD, LEVELS, Verdict, worst
 from habitus.fit.rgbd.evidence import Evidence
 
 KNOWN_WAYS = ("background", "mask")

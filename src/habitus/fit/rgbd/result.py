@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Frames, Moving
-from habitus.fit.mosh.verdict import Verdict
+from habitus.fit.markers.verdict import Verdict
 from habitus.fit.rgbd.appearance import Appearance
 from habitus.fit.rgbd.evidence import Evidence
 from habitus.fit.rgbd.judge import judge

@@ -13,9 +13,9 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.fit.mosh.assembly import Subject
-from habitus.fit.mosh.shape import ShapeFit
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.assembly import Subject
+from habitus.fit.markers.shape import ShapeFit
+from habitus.fit.markers.suspects import Suspect
 from habitus.io.files import atomic_write
 from habitus.jobs.genders import Chosen
 from habitus.jobs.subjects import Agreed

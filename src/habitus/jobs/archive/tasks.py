@@ -13,10 +13,10 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
-from habitus.fit.mosh.attempts import attempted
-from habitus.fit.mosh.recipe import fit_known, known_subject
-from habitus.fit.mosh.result import MarkerFit
-from habitus.fit.mosh.warm_up import warm_up
+from habitus.fit.markers.attempts import attempted
+from habitus.fit.markers.recipe import fit_known, known_subject
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.warm_up import warm_up
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of

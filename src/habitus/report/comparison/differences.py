@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison.pairing import (
     Pairing,
     pair,

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from habitus.body.motion import Moving
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison.differences import Differences, notes
 from habitus.report.metrics import error_summary
 

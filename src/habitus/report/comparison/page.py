@@ -12,7 +12,7 @@ import numpy as np
 from habitus.body.joint_angles import joint_angles
 from habitus.body.motion import Moving
 from habitus.errors import shown
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison import tables
 from habitus.report.comparison.differences import Differences
 from habitus.report.facts import LONGEST_NAME

@@ -20,7 +20,7 @@ from habitus.report.metrics import finite, metrics
 from habitus.report.shell import VIEWER, WITHOUT_SCRIPT, asset, player, shell
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 SCRIPTS = (*VIEWER, "page_markers.js", "page_main.js")
 LAYERS = 8

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from habitus.fit.mosh.guessed import GUESSED
+from habitus.fit.markers.guessed import GUESSED
 from habitus.report.fit.blob import Blob
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 _SHARE = (0.75, 1.5)  # of GUESSED: where the colour begins, and where it is full
 _WORDS = {

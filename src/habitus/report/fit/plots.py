@@ -10,7 +10,7 @@ from habitus.report.fit.blob import Blob
 from habitus.report.metrics import marker_means
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 PLOT_BINS = 3000
 MAP_BINS = 800

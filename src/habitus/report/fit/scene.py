@@ -11,7 +11,7 @@ import numpy as np
 from habitus.body.up import up_rotation
 from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.export.obj import fitted_vertices
-from habitus.fit.mosh.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.mesh.signed_distance import signed_distance
 from habitus.parallel.blocks import thinned
 from habitus.report.fit.blob import Blob

@@ -10,7 +10,7 @@ import numpy as np
 
 from habitus import __version__
 from habitus.errors import listed, shown
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.suspects import Suspect
 from habitus.report.fit.parts import guessed_parts
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
@@ -19,7 +19,7 @@ from habitus.report.metrics import finite
 from habitus.report.parts import Tile, banner, card, numbers_table, tiles
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 FEW = 3
 STAGE_TITLES = {

@@ -5,10 +5,10 @@ was put right.
 from typing import TYPE_CHECKING
 
 from habitus.errors import shown
-from habitus.fit.mosh.suspects import Suspect
+from habitus.fit.markers.suspects import Suspect
 
 if TYPE_CHECKING:
-    from habitus.fit.mosh.result import MarkerFit
+    from habitus.fit.markers.result import MarkerFit
 
 LONG = 0.1  # of the frames in which the marker is seen
 

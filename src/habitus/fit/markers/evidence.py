@@ -1,0 +1,217 @@
+"""What speaks for a fit and against it, as numbers: errors, trust, shape, limbs without markers,
+tilt, rate.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.body.kinematics import descends
+from habitus.fit.markers.result import MarkerFit
+from habitus.parallel.blocks import mapped
+
+MOST_FRAMES = 4000
+FEW_FRAMES = 200  # enough to judge by; more cost memory and say no more
+HALF = 0.5
+STRAIGHT = 0.97  # of the way from ankle over knee, hip and spine to the neck: who stands
+CLOSE = 0.15
+TORN = 0.4
+LEVEL = 0.3  # metres: markers this close at rest, this much further apart, and this level
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Of one fit. Shares are 0..1; what cannot be told is None.
+
+    mean_mm, p95_mm: of the pose stage's errors; motion: how fast markers move against the body's
+    middle, m/s, at the median. distrusted: share of samples that the robust loss counts for less
+    than half. displaced: how far markers sit from the layout's places, in the layout's spreads, at
+    the median. unseen: joint -> share of frames in which no marker sits on it or on what hangs from
+    it; parents: joint -> the joint that it hangs from. tilt_deg: of the body against up, at the
+    median; standing: only over frames of a straight body. size: of the observed markers as a
+    multiple of the body's. torn: share of the pairs close together on the body that are seen far
+    apart; torn_level: how many of these at one height. age, stature: the body's age, if it was
+    brought to one (years), and how tall its mean person is (m). tried: what was done before.
+    doubts: what was not decided of the markers' places.
+    """
+
+    mean_mm: float | None
+    p95_mm: float | None
+    motion: float
+    distrusted: float
+    beta_sd: float
+    betas_rms: float
+    displaced: float | None
+    measurements: Mapping[str, float]
+    age: float | None
+    stature: float
+    recorded: Mapping[str, float | str]
+    unseen: Mapping[str, float]
+    parents: Mapping[str, str]
+    no_data: float
+    gap_s: float
+    confidence: float | None
+    tilt_deg: float | None
+    standing: bool
+    size: float
+    torn: float
+    torn_level: float
+    rate_hz: float
+    speed: float
+    suspects: float
+    left_out: tuple[str, ...]
+    markers: int
+    up_axis: str
+    tried: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+
+
+def evidence(fit: MarkerFit) -> Evidence:
+    """The evidence on a fit; of a long capture some frames speak for all."""
+    rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // MOST_FRAMES))
+    observed = np.asarray(fit.observed_markers[rows])
+    distance = 1e3 * np.linalg.norm(observed - fit.predicted_pose_stage[rows], axis=2)
+    seen = np.isfinite(distance)
+    weights = fit.marker_weights[rows]
+    empty = mapped(
+        lambda part: np.isnan(part[..., 0]).all(axis=1), np.asarray(fit.observed_markers)
+    )
+    tilt, standing = _tilt(fit)
+    torn, level = _torn(fit, observed)
+    names = fit.body.joint_names
+    return Evidence(
+        mean_mm=float(distance[seen].mean()) if seen.any() else None,
+        p95_mm=float(np.percentile(distance[seen], 95)) if seen.any() else None,
+        motion=_motion(fit),
+        distrusted=float((weights[seen] < HALF).mean()) if seen.any() else 0.0,
+        beta_sd=float(np.abs(fit.betas).max(initial=0.0)),
+        betas_rms=float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0,
+        displaced=None if fit.displaced is None else float(np.median(fit.displaced)),
+        measurements=fit.body.measure(fit.betas),
+        age=fit.body.age,
+        stature=float(np.ptp(fit.body.v_template[:, 1])),
+        recorded=fit.recorded,
+        unseen=_unseen(fit, seen & (weights > 0.1)),
+        parents={names[k]: names[p] for k, p in enumerate(fit.body.parents) if p >= 0},
+        no_data=float(np.mean(fit.flagged_frames)),
+        gap_s=_longest(empty) / fit.rate_hz,
+        confidence=fit.layout_confidence,
+        tilt_deg=tilt,
+        standing=standing,
+        size=_extent(observed)
+        / max(_extent(np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)), 1e-9),
+        torn=torn,
+        torn_level=level,
+        rate_hz=fit.rate_hz,
+        speed=_speed(fit),
+        suspects=len({s.label for s in fit.suspects}) / max(1, len(fit.labels)),
+        left_out=fit.left_out,
+        markers=len(fit.labels),
+        up_axis=fit.up_axis,
+        tried=fit.tried,
+        doubts=fit.doubts,
+    )
+
+
+def limbs_of(fit: MarkerFit) -> Bool[np.ndarray, "M J"]:
+    """Whether a marker sits on a joint's part of the body or on what hangs from it."""
+    corners = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1)
+    return corners @ descends(fit.body.parents).T > HALF
+
+
+def _unseen(fit: MarkerFit, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
+    told = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
+    return {
+        name: float(1.0 - share)
+        for name, share in zip(fit.body.joint_names, told.mean(axis=0), strict=True)
+    }
+
+
+def _motion(fit: MarkerFit) -> float:
+    """At the median (m/s), how fast predicted markers move against their middle."""
+    first = np.arange(0, max(1, fit.num_frames - 1), max(1, fit.num_frames // FEW_FRAMES))
+    if fit.num_frames < 2:
+        return 0.0
+    step = fit.predicted_pose_stage[first + 1] - fit.predicted_pose_stage[first]
+    return (
+        float(np.median(np.linalg.norm(step - step.mean(axis=1, keepdims=True), axis=2)))
+        * fit.rate_hz
+    )
+
+
+def _speed(fit: MarkerFit) -> float:
+    if fit.num_frames < 2:
+        return 0.0
+    return float(np.median(np.linalg.norm(np.diff(fit.trans, axis=0), axis=1))) * fit.rate_hz
+
+
+def _longest(flags: Bool[np.ndarray, " T"]) -> int:
+    """The longest run of flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
+    """Degrees between the capture's up and the way from the ankles to the neck; over straight
+    bodies where there are.
+
+    Nobody who stands straight leans far; bent bodies may.
+    """
+    names = {name: k for k, name in enumerate(fit.body.joint_names)}
+    chain = [[f"{side}_{part}" for side in SIDES] for part in ("ankle", "knee", "hip")] + [
+        ["pelvis"],
+        ["neck"],
+    ]
+    if not all(name in names for part in chain for name in part):
+        return None, False
+    rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // FEW_FRAMES))
+    joints = np.asarray(fit.joints(rows.tolist()))
+    points = np.stack(
+        [joints[:, [names[name] for name in part]].mean(axis=1) for part in chain], axis=1
+    )
+    way = points[:, -1] - points[:, 0]
+    legs = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    sign = -1.0 if fit.up_axis.startswith("-") else 1.0
+    axis = "xyz".index(fit.up_axis[-1])
+    angle = np.degrees(np.arccos(np.clip(sign * way[:, axis] / length, -1, 1)))
+    straight = length > STRAIGHT * legs
+    standing = bool(straight.mean() > 0.1)
+    return float(np.median(angle[straight] if standing else angle)), standing
+
+
+def _torn(fit: MarkerFit, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
+    """Share of the pairs close together on one part of the body that are seen far apart; how many
+    of these level.
+
+    Two people stand beside each other, so what is torn between them is level; exchanged labels are
+    at any height.
+    """
+    part = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1).argmax(axis=1)
+    first, second = np.triu_indices(len(part), 1)
+    rest = np.linalg.norm(fit.latent_markers[first] - fit.latent_markers[second], axis=1)
+    near = (part[first] == part[second]) | (rest < CLOSE)
+    way = observed[:: max(1, len(observed) // 20)]
+    way = way[:, first[near]] - way[:, second[near]]
+    seen = np.isfinite(way[..., 0]).any(axis=0)
+    if not seen.any():
+        return 0.0, 0.0
+    middle = np.nanmedian(np.abs(way[:, seen]), axis=0)
+    torn = np.nanmedian(np.linalg.norm(way[:, seen], axis=2), axis=0) > rest[near][seen] + TORN
+    level = middle[torn, "xyz".index(fit.up_axis[-1])] < LEVEL
+    return float(torn.mean()), float(level.mean()) if torn.any() else 0.0
+
+
+def _extent(points: Float[np.ndarray, "T M 3"]) -> float:
+    """Twice the distance (m) from the middle that holds nine in ten of a frame's markers, at the
+    median over frames.
+    """
+    some = points[:: max(1, len(points) // FEW_FRAMES)]
+    some = some[np.isfinite(some[..., 0]).any(axis=1)]
+    if not len(some):
+        return 0.0
+    distance = np.linalg.norm(some - np.nanmedian(some, axis=1, keepdims=True), axis=2)
+    return 2.0 * float(np.median(np.nanpercentile(distance, 90, axis=1)))

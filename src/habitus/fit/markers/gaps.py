@@ -1,0 +1,298 @@
+"""What is not seen: short gaps of markers are filled, and a body moves on through longer ones as it
+did on both sides.
+
+The prior alone would let a limb sag to its mean pose within a few frames. Where too few of the
+markers that a joint moves are seen, its rotation is bridged by the curve of least acceleration
+under tension, x'''' = x'' / reach², from place and velocity on both sides: velocities last for
+``reach`` seconds, then the way is straight. A limb that swings keeps its velocity for a shorter
+time than a body that walks: reach is the time in which a joint usually gets as far as it goes, and
+the shorter the longer a gap is. Leading and trailing gaps hold.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import Akima1DInterpolator
+
+from habitus.fit.markers.suspects import GROSS
+from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.parallel.blocks import by_column, mapped, with_columns
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+SHORT = 0.1
+"""Seconds: markers move on smoothly for so long."""
+REACH = (0.03, 0.6)
+"""Seconds for which a velocity lasts: at least, at most."""
+LOOK = 0.05
+"""Seconds over which a velocity at the edge of a gap is measured."""
+LONGEST_LOOK = 300
+"""Frames on either side of a gap that have a say in it."""
+FEWEST_SHARE = 0.2
+"""Of a joint's markers: with fewer its rotation is bridged."""
+LEVER = 0.15
+"""Metres: a marker that is further from a joint tells no more of its rotation."""
+TRUST = 0.25
+"""Weight of a marker that stands in for one that is not seen."""
+
+
+class Evidence(NamedTuple):
+    """What predicted markers are held against: places in metres (NaN where nothing is known),
+    weights or None for 1.
+    """
+
+    markers: Float[np.ndarray, "T M 3"]
+    weights: Float[np.ndarray, "T M"] | None
+
+
+def bridged(
+    rig: MarkedBody,
+    pose: Float[np.ndarray, "T J 3"],
+    trans: Float[np.ndarray, "T 3"],
+    observed: Float[np.ndarray, "T M 3"],
+    rate_hz: float,
+) -> tuple[Evidence, Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """Evidence for every frame, and pose and trans to start from, from a fit of what is seen."""
+    if _seen(observed).all():
+        return Evidence(observed, None), pose, trans
+    filled = fill_short_gaps(observed, rate_hz)
+    seen = _seen(filled)
+    pose, trans = bridge_states(pose, trans, known_joints(rig, pose, seen), rate_hz)
+    hidden = np.where(seen.any(axis=0), TRUST, 0.0)
+    weights = mapped(lambda part: np.where(part, 1.0, hidden), seen)
+    return Evidence(stand_ins(rig, pose, trans, filled), weights), pose, trans
+
+
+def without(evidence: Evidence, markers: Sequence[int]) -> Evidence:
+    """The same, but some markers (columns) have no say."""
+    if not len(markers):
+        return evidence
+    kept = np.ones(evidence.markers.shape[1])
+    kept[list(markers)] = 0.0
+    if evidence.weights is None:
+        return evidence._replace(
+            weights=mapped(lambda part: np.tile(kept, (len(part), 1)), evidence.markers)
+        )
+    return evidence._replace(weights=mapped(lambda part: part * kept, evidence.weights))
+
+
+def fill_short_gaps(
+    observed: Float[np.ndarray, "T M 3"], rate_hz: float
+) -> Float[np.ndarray, "T M 3"]:
+    """Markers with their gaps of up to `SHORT` seconds filled, by cubics through the samples on
+    both sides (Akima).
+    """
+    seen = _seen(observed)
+    gappy = np.flatnonzero(~seen.all(axis=0) & (seen.sum(axis=0) > 1))
+    short = {int(marker): _short_gaps(seen[:, marker], SHORT * rate_hz) for marker in gappy}
+    chosen = [marker for marker, inside in short.items() if len(inside)]
+    if not chosen:
+        return observed
+    return with_columns(
+        observed, chosen, lambda column, marker: _filled(column, seen[:, marker], short[marker])
+    )
+
+
+def _short_gaps(seen: Bool[np.ndarray, " T"], longest: float) -> np.ndarray:
+    """Frames inside gaps of at most so many."""
+    frames = np.flatnonzero(seen)
+    width = np.diff(frames) - 1
+    short = np.flatnonzero((width > 0) & (width <= longest))
+    return np.concatenate(
+        [np.arange(frames[k] + 1, frames[k + 1]) for k in short] or [np.zeros(0, int)]
+    )
+
+
+def _filled(
+    column: Float[np.ndarray, "T 3"], seen: Bool[np.ndarray, " T"], inside: np.ndarray
+) -> np.ndarray:
+    frames = np.flatnonzero(seen)
+    out = column.copy()
+    out[inside] = Akima1DInterpolator(frames, column[frames])(inside)
+    return out
+
+
+def _seen(markers: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+    return mapped(lambda part: np.isfinite(part[..., 0]), markers)
+
+
+def known_joints(
+    rig: MarkedBody, pose: Float[np.ndarray, "T J 3"], seen: Bool[np.ndarray, "T M"]
+) -> Bool[np.ndarray, "T J"]:
+    """In which frames enough markers are seen that each joint moves, of those that ever are.
+
+    A joint that moves none counts as known: nothing is to be bridged.
+    """
+    usual = by_column(lambda rotations: np.median(rotations, axis=0), pose)
+    moves = _leverage(rig, usual) * seen.any(axis=0)[:, None]
+    whole = moves.sum(axis=0)
+    return mapped(lambda part: (part @ moves >= FEWEST_SHARE * whole) | (whole < 1e-6), seen)
+
+
+def _leverage(
+    rig: MarkedBody, pose: Float[np.ndarray, "J 3"], step: float = 1e-3
+) -> Float[np.ndarray, "M J"]:
+    """How far each joint moves each marker, squared metres a squared radian, levers cut at
+    `LEVER`.
+    """
+    joints = len(pose)
+    tried = np.repeat(pose[None], 3 * joints + 1, axis=0)
+    tried[
+        np.arange(3 * joints), np.repeat(np.arange(joints), 3), np.tile(np.arange(3), joints)
+    ] += step
+    markers = predict(rig, tried, np.zeros((len(tried), 3)))
+    way = (
+        np.sum((markers[:-1] - markers[-1]) ** 2, axis=2).reshape(joints, 3, -1).sum(axis=1)
+        / step**2
+    )
+    return np.minimum(way.T, LEVER**2)
+
+
+def bridge_states(
+    pose: Float[np.ndarray, "T J 3"],
+    trans: Float[np.ndarray, "T 3"],
+    known: Bool[np.ndarray, "T J"],
+    rate_hz: float,
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """Pose and trans with what is not known in them bridged; trans goes with the root."""
+    unknown = np.flatnonzero(~known.all(axis=0)).tolist()
+    turned = with_columns(
+        pose, unknown, lambda column, joint: bridge_rotations(column, known[:, joint], rate_hz)
+    )
+    return turned, bridge(trans, known[:, 0], rate_hz)
+
+
+def bridge(
+    values: Float[np.ndarray, "T n"], known: Bool[np.ndarray, " T"], rate_hz: float = 0.0
+) -> Float[np.ndarray, "T n"]:
+    """Values bridged where they are not known, in a straight line without a rate; held before the
+    first known one and after the last.
+    """
+    out = values.copy()
+    for first, last in _runs(~known):
+        if first > 0 and last < len(values):
+            near = _near(known, first, last, rate_hz)
+            around = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
+            reach = (
+                _reach(values[around], known[around], (last - first) / rate_hz, rate_hz)
+                if rate_hz
+                else 0.0
+            )
+            out[first:last] = _across(values[near], near, first, last, reach)
+        elif known.any():
+            out[first:last] = values[last if first == 0 else first - 1]
+    return out
+
+
+def bridge_rotations(
+    rotvecs: Float[np.ndarray, "T 3"], known: Bool[np.ndarray, " T"], rate_hz: float = 0.0
+) -> Float[np.ndarray, "T 3"]:
+    """The same of rotation vectors, each gap as seen from the frame before it: the short way
+    round.
+    """
+    out = rotvecs.copy()
+    for first, last in _runs(~known):
+        origin = rotvecs[first - 1 if first else min(last, len(rotvecs) - 1)]
+        start = matrix_from_rotvec(origin)
+        part = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
+        relative = rotvec_from_matrix(start.T @ matrix_from_rotvec(rotvecs[part]))
+        inside = slice(first - part.start, last - part.start)
+        bridged = bridge(relative, known[part], rate_hz)[inside]
+        out[first:last] = rotvec_from_matrix(start @ matrix_from_rotvec(bridged))
+    return out
+
+
+def stand_ins(
+    rig: MarkedBody,
+    pose: Float[np.ndarray, "T J 3"],
+    trans: Float[np.ndarray, "T 3"],
+    observed: Float[np.ndarray, "T M 3"],
+) -> Float[np.ndarray, "T M 3"]:
+    """Observed markers, the missing ones where a (bridged) body carries them.
+
+    What a marker was off the body on both sides of its gap goes over from the one to the other, so
+    that nothing jumps.
+    """
+    carried = predict(rig, pose, trans)
+    seen = _seen(observed)
+    gappy = np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)).tolist()
+    off = mapped(_plain_offsets, observed, carried)
+    off = with_columns(off, gappy, lambda column, marker: bridge(column, seen[:, marker]))
+    return mapped(
+        lambda there, places, body, beside: np.where(
+            there[..., None], np.nan_to_num(places), body + beside
+        ),
+        *(seen, observed, carried, off),
+    )
+
+
+def _plain_offsets(observed: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    """How far observed markers are off the body, 0 where they are missing or far off."""
+    off = np.nan_to_num(observed - carried)
+    off[np.linalg.norm(off, axis=2) > GROSS] = 0.0
+    return off
+
+
+def _runs(chosen: Bool[np.ndarray, " T"]) -> Iterator[tuple[int, int]]:
+    """(first, last + 1) of each run."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def _near(known: Bool[np.ndarray, " T"], first: int, last: int, rate_hz: float) -> np.ndarray:
+    """Frames on both sides of a gap, next to it and known throughout, to measure velocities by."""
+    look = min(max(2, round(LOOK * rate_hz)), LONGEST_LOOK)
+    before = known[max(0, first - look) : first][::-1]
+    after = known[last : last + look]
+    count = [len(side) if side.all() else int(np.argmin(side)) for side in (before, after)]
+    return np.concatenate([np.arange(first - count[0], first), np.arange(last, last + count[1])])
+
+
+def _across(
+    values: np.ndarray, near: np.ndarray, first: int, last: int, reach: float
+) -> np.ndarray:
+    """Values (last - first, n) of the gap from those ``near`` it: a + b u + c exp(-u / reach) + d
+    exp((u - n) / reach).
+
+    u counts frames from the last before the gap; n is the first after it. Without reach it is the
+    straight line.
+    """
+    u = np.arange(1.0, last - first + 1)
+    end = float(last - first + 1)
+    left = values[near < first]
+    right = values[near >= last]
+    line = left[-1] + (u / end)[:, None] * (right[0] - left[-1])
+    if reach <= 0.0:
+        return line
+    k = 1.0 / reach
+    fall = np.exp(-end / reach)
+    rows = [[1, 0, 1, fall], [0, 1, -k, k * fall], [1, end, fall, 1], [0, 1, -k * fall, k]]
+    given = np.stack([left[-1], _velocity(left, -1), right[0], _velocity(right, 0)])
+    return np.stack([u**0, u, np.exp(-k * u), np.exp(k * (u - end))], axis=1) @ np.linalg.solve(
+        rows, given
+    )
+
+
+def _reach(
+    values: Float[np.ndarray, "F n"], known: Bool[np.ndarray, " F"], seconds: float, rate_hz: float
+) -> float:
+    """Frames for which a velocity lasts in a gap of so many seconds: spread over speed where values
+    are known.
+    """
+    seen = values[known]
+    pairs = known[1:] & known[:-1]
+    spread = np.sqrt(np.mean(np.sum((seen - seen.mean(axis=0)) ** 2, axis=1)))
+    steps = np.sum(np.diff(values, axis=0)[pairs] ** 2, axis=1)
+    speed = rate_hz * np.sqrt(np.mean(steps)) if len(steps) else 0.0
+    share = np.clip(1.0 / seconds**2, 0.0, 2.0)
+    return float(np.clip(share * spread / max(speed, 1e-9), *REACH)) * rate_hz
+
+
+def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " n"]:
+    """Slope at the first (0) or last (-1) of values that follow each other: of a parabola through
+    four or more, of a line through fewer, 0 of a single one.
+    """
+    time = np.arange(len(values))
+    degree = 2 if len(values) > 3 else min(1, len(values) - 1)
+    return np.polyfit(time - time[at], values, degree)[-2] if degree else np.zeros(values.shape[1])

@@ -1,0 +1,156 @@
+"""What a marker fit is given: recordings of one subject, and which of their frames hold enough
+markers.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from habitus.errors import HabitusError
+from habitus.fit.markers.flips import find_flips
+from habitus.fit.markers.frames import random_frames, spread_frames
+from habitus.fit.markers.gaps import fill_short_gaps
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.suspects import Suspect, put_back, undo_swaps
+from habitus.parallel.blocks import blocks, joined, mapped
+
+FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
+REACH = 5.0
+REACHES = 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One capture: markers (T, M, 3) in the layout's order, metres, NaN where missing; suspects
+    found so far.
+
+    recorded: what the capture says of the person; layout_confidence: how sure the choice of the
+    layout is, 0..1; doubts: what speaks against the layout's places, a sentence each.
+    """
+
+    name: str
+    observed: Float[np.ndarray, "T M 3"]
+    rate_hz: float
+    up_axis: str = "+z"
+    warnings: tuple[str, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
+    recorded: Mapping[str, float | str] = field(default_factory=dict)
+    layout_confidence: float | None = None
+    doubts: tuple[str, ...] = ()
+
+
+def check_recordings(recordings: Sequence[Recording]) -> None:
+    """HabitusError where no frame holds enough markers to fit a body to."""
+    most = max((int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0)
+    if most < FEWEST_MARKERS:
+        raise HabitusError(
+            f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible "
+            "in any frame; "
+            f"expected at least {FEWEST_MARKERS}; check the labels with `habitus layout check`"
+        )
+
+
+def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
+    """The recording with labels that change places for a time put back, and the suspects that tell
+    of it.
+    """
+    flips = find_flips(recording.observed)
+    if not flips:
+        return recording
+    told = (*recording.suspects, *put_back(labels, flips))
+    return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=told)
+
+
+def shape_frames(
+    recordings: Sequence[Recording], settings: MoshSettings
+) -> tuple[Float[np.ndarray, "F M 3"], tuple[int, ...]]:
+    """The frames of all captures that the shape stage looks at, and the captures, by number, that
+    they are of.
+    """
+    together = joined([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
+    choose = random_frames if settings.frame_choice == "random" else spread_frames
+    chosen = choose(together, settings.frames, settings.seed)
+    ends = np.cumsum([len(r.observed) for r in recordings])
+    return together[chosen], tuple(np.unique(np.searchsorted(ends, chosen, side="right")).tolist())
+
+
+def few_markers(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " T"]:
+    """Frames with fewer than `FEWEST_MARKERS`."""
+    return visible_markers(observed) < FEWEST_MARKERS
+
+
+def visible_markers(observed: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray, " T"]:
+    """How many markers are seen in each frame."""
+    return mapped(lambda part: np.isfinite(part[..., 0]).sum(axis=1), observed)
+
+
+def first_frame(observed: Float[np.ndarray, "T M 3"]) -> int:
+    """The first frame with enough markers, 0 where there is none."""
+    return int(np.argmax(~few_markers(observed)))
+
+
+def ever_seen(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " M"]:
+    """Which markers are seen in any frame."""
+    return np.any(
+        [np.isfinite(observed[part, :, 0]).any(axis=0) for part in blocks(len(observed))], axis=0
+    )
+
+
+def of_markers(
+    observed: Float[np.ndarray, "T M 3"], chosen: Bool[np.ndarray, " M"]
+) -> Float[np.ndarray, "T N 3"]:
+    """The chosen markers alone, C-ordered."""
+    return mapped(lambda part: np.ascontiguousarray(part[:, chosen]), observed)
+
+
+def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
+    """A warning where any frame holds too few markers."""
+    if not few.any():
+        return ()
+    return (
+        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they "
+        "keep the prior's motion",
+    )
+
+
+def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
+    """The recording without samples that lie further from a frame's other markers than anybody
+    reaches.
+
+    One marker at a kilometre would pull the body there. Each is named as a suspect, and a warning
+    says how many.
+    """
+    observed = recording.observed
+    far = mapped(_out_of_reach, observed)
+    frames = far.sum(axis=0)
+    if not frames.any():
+        return recording
+    reason = "further away than anybody reaches; left out there"
+    found = tuple(
+        Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count
+    )
+    warning = (
+        f"{int(frames.sum())} samples lie further from the other markers than anybody "
+        "reaches; they are left out"
+    )
+    return replace(
+        recording,
+        observed=mapped(lambda away, part: np.where(away[..., None], np.nan, part), far, observed),
+        suspects=(*recording.suspects, *found),
+        warnings=(*recording.warnings, warning),
+    )
+
+
+def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+    far = np.zeros(observed.shape[:2], bool)
+    some = np.isfinite(observed[..., 0]).any(axis=1)
+    if not some.any():
+        return far
+    distance = np.linalg.norm(
+        observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2
+    )
+    usual = np.nanmedian(distance, axis=1, keepdims=True)
+    far[some] = distance > np.maximum(REACH, REACHES * usual)  # NaN compares false
+    return far

@@ -1,0 +1,189 @@
+"""Visits of the whole-sequence solve, compiled; `habitus.solve.sequence.dense_visits` is the same
+in NumPy.
+
+Implements all terms of `habitus.fit.markers.sequence_terms`: "data", "pose" and "soft_tissue" by
+`habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple a frame to its
+neighbours.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.kernels.jit import jit, jit_inline
+from habitus.kernels.simd import LANES, load, spread, store, where_less
+from habitus.kernels.simd_cholesky import factor, solve_factored
+from habitus.kernels.simd_linalg import block_row
+from habitus.residuals.marker_kernels import linearize, own_cost
+from habitus.solve.sequence.level import FLOOR, NOISE
+
+
+class MarkerData(NamedTuple):
+    """What the markers are compared with: T frames of M observed markers, and the Gaussian over the
+    N unknowns.
+    """
+
+    observed: Float[np.ndarray, "T M 3"]
+    weights: Float[np.ndarray, "T M"]
+    inverse_squared_scales: Float[np.ndarray, " M"]
+    weight: float
+    mean: Float[np.ndarray, " N"]
+    precision: Float[np.ndarray, "N N"]
+
+
+class LevelArrays(NamedTuple):
+    """The frames of one level (`habitus.solve.sequence.level.Level`): F frames, N unknowns."""
+
+    frames: Int[np.ndarray, " F"]
+    states: Float[np.ndarray, "F N"]
+    links: Float[np.ndarray, "F2 N"]
+    costs: Float[np.ndarray, " F"]
+    damping: Float[np.ndarray, " F"]
+    moved: Float[np.ndarray, " F"]
+    cost_decrease: Float[np.ndarray, " F"]
+    relaxations: Float[np.ndarray, " F"]
+
+
+@jit
+def visit(rig, slots, offsets, workspace, data, level, block, measured_end, times, tolerance):
+    """Damped Gauss-Newton steps of the frames `block` (indices into the level) in groups of LANES.
+
+    Up to so many `times` a group, until its first frame moves by less than `tolerance`. Where a
+    group is not full, copies of the last frame fill the other lanes.
+    """
+    group = np.empty(LANES, dtype=np.int64)
+    for first in range(0, len(block), LANES):
+        count = min(LANES, len(block) - first)
+        for k in range(LANES):
+            group[k] = block[min(first + k, len(block) - 1)]
+        for _ in range(times):
+            gather(rig, offsets, workspace, data, level.frames, level.states, group)
+            gather_coupling(offsets, workspace, level, group)
+            visit_group(rig, slots, offsets, workspace, data, level, group[:count], measured_end)
+            if level.moved[group[0]] < tolerance:
+                break
+
+
+@jit
+def costs(rig, offsets, workspace, data, frames, states, out):
+    """f of frames in their states (F, N), into out (F,)."""
+    group = np.empty(LANES, dtype=np.int64)
+    for first in range(0, len(frames), LANES):
+        for k in range(LANES):
+            group[k] = min(first + k, len(frames) - 1)
+        gather(rig, offsets, workspace, data, frames, states, group)
+        store(workspace, offsets.step, own_cost(rig, offsets, workspace, data, offsets.state))
+        for k in range(LANES):
+            out[group[k]] = workspace[offsets.step, k]
+
+
+@jit_inline
+def gather(rig, offsets, workspace, data, frames, states, group):
+    """Bring states and observations of a group to its lanes."""
+    for k in range(LANES):
+        t = frames[group[k]]
+        for n in range(states.shape[1]):
+            workspace[offsets.state + n, k] = states[group[k], n]
+        for i in range(len(rig.triangles)):
+            workspace[offsets.weight + i, k] = data.weights[t, i]
+            for c in range(3):
+                workspace[offsets.observed + 3 * i + c, k] = data.observed[t, i, c]
+
+
+@jit_inline
+def gather_coupling(offsets, workspace, level, group):
+    """Gradient and curvature of the second differences that each frame is part of."""
+    last = len(level.states) - 1
+    for k in range(LANES):
+        f = group[k]
+        a = level.states[max(f - 2, 0)]
+        b = level.states[max(f - 1, 0)]
+        c = level.states[f]
+        d = level.states[min(f + 1, last)]
+        e = level.states[min(f + 2, last)]
+        x = level.links[f]
+        y = level.links[f + 1]
+        z = level.links[f + 2]
+        for n in range(len(c)):
+            pull = x[n] * (c[n] - 2.0 * b[n] + a[n]) - 2.0 * y[n] * (d[n] - 2.0 * c[n] + b[n])
+            workspace[offsets.pull + n, k] = pull + z[n] * (e[n] - 2.0 * d[n] + c[n])
+            workspace[offsets.stiffness + n, k] = x[n] + 4.0 * y[n] + z[n]
+
+
+@jit_inline
+def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end):
+    """Linearise, step, compare and write back."""
+    unknowns = 3 * offsets.blocks
+    cost = linearize(rig, slots, offsets, workspace, data)
+    for k in range(LANES):
+        workspace[offsets.trial, k] = level.damping[group[min(k, len(group) - 1)]]
+        workspace[offsets.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
+    damping = load(workspace, offsets.trial)
+    relaxation = load(workspace, offsets.trial + 1)
+    for n in range(unknowns):
+        gradient = load(workspace, offsets.gradient + n) + load(workspace, offsets.pull + n)
+        store(workspace, offsets.gradient + n, gradient)
+        store(workspace, offsets.step + n, -gradient)
+        row = offsets.matrix + block_row(n // 3, n // 3) + 4 * (n % 3)
+        store(
+            workspace,
+            row,
+            load(workspace, row) + (load(workspace, offsets.stiffness + n) + damping + FLOOR),
+        )
+    factor(workspace, offsets.matrix, offsets.blocks)
+    solve_factored(workspace, offsets.matrix, offsets.blocks, offsets.step)
+    change = spread(0.0)
+    predicted = spread(0.0)
+    moved = spread(0.0)
+    along = spread(0.0)
+    spent = spread(0.0)
+    for n in range(unknowns):
+        newton = load(workspace, offsets.step + n)
+        gradient = load(workspace, offsets.gradient + n)
+        p = relaxation * newton
+        store(workspace, offsets.trial + n, load(workspace, offsets.state + n) + p)
+        change = (
+            change
+            + (load(workspace, offsets.pull + n) + 0.5 * load(workspace, offsets.stiffness + n) * p)
+            * p
+        )
+        predicted = predicted + (gradient - 0.5 * relaxation * (gradient + damping * newton)) * p
+        along = along - gradient * newton
+        spent = spent + damping * newton * newton
+        if 3 <= n < measured_end:
+            moved = moved + newton * newton
+    trial = own_cost(rig, offsets, workspace, data, offsets.trial)
+    store(workspace, offsets.gradient, change + trial - cost)
+    store(workspace, offsets.gradient + 1, predicted)
+    least = 1e-6 * along
+    longer = along / where_less(along - spent, least, least, along - spent)
+    store(workspace, offsets.gradient + 2, longer * longer * moved / (measured_end - 3.0))
+    store(workspace, offsets.gradient + 3, trial)
+    store(workspace, offsets.gradient + 4, cost)
+    write_back(offsets, workspace, level, group)
+
+
+@jit_inline
+def write_back(offsets, workspace, level, group):
+    """Take the steps that lower the total cost; set costs, damping and how far each frame moved."""
+    for k in range(len(group)):
+        f = group[k]
+        change = workspace[offsets.gradient, k]
+        predicted = workspace[offsets.gradient + 1, k]
+        taken = change < NOISE * workspace[offsets.gradient + 4, k]
+        level.cost_decrease[f] = -change if taken else 0.0
+        level.costs[f] = (
+            workspace[offsets.gradient + 3, k] if taken else workspace[offsets.gradient + 4, k]
+        )
+        size = np.sqrt(workspace[offsets.gradient + 2, k])
+        level.moved[f] = size if np.isfinite(size) else 0.0
+        damping = level.damping[f]
+        if taken:
+            for n in range(level.states.shape[1]):
+                level.states[f, n] = workspace[offsets.trial + n, k]
+            ratio = change / predicted
+            factor_down = 0.1 if ratio > 0.75 else 0.5 if ratio > 0.25 else 2.0
+            level.damping[f] = damping * factor_down if damping > 1e-2 else 0.0
+        else:
+            level.damping[f] = min(max(8.0 * damping, 10.0), 1e12)

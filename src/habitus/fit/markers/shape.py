@@ -1,0 +1,146 @@
+"""The shape stage: betas, latent markers and the poses of a few frames (M 6, "Body Shape and Latent
+Markers").
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.fit.markers.settings import MoshSettings
+from habitus.markers.layouts import MarkerLayout
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.observe.markers import MarkerAttachment, attach, default_markers
+from habitus.residuals import shape_stage as energy
+from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.least_squares import Tolerances
+from habitus.solve.minimize import minimize
+from habitus.solve.terms import Term
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads
+    (M,), metres.
+    """
+
+    vertices: np.ndarray
+    distance: np.ndarray
+    distance_spread: np.ndarray
+    place_spread: np.ndarray
+
+
+def place(layout: MarkerLayout, body: BodyModel) -> Placement:
+    """The layout's markers on this body's template."""
+    return Placement(
+        layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads()
+    )
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """Result of the shape stage: betas (B,), latent_markers (M, 3), pose (F, J, 3), trans (F, 3)
+    and how it ended.
+    """
+
+    betas: np.ndarray
+    latent_markers: np.ndarray
+    attachment: MarkerAttachment
+    pose: np.ndarray
+    trans: np.ndarray
+    costs: dict[str, float]
+    status: str
+    iterations: int
+
+
+def shape_stage(
+    body: BodyModel,
+    placement: Placement,
+    observed: np.ndarray,
+    prior: PosePrior,
+    pose: np.ndarray,
+    trans: np.ndarray,
+    settings: MoshSettings,
+) -> ShapeFit:
+    """Betas, latent markers and poses from F frames, the priors' weights annealed (M 6).
+
+    observed (F, M, 3), NaN where missing; prior for the body's joints; pose (F, J, 3) and trans (F,
+    3) to start from. The closest triangle of each latent marker and its local basis are found again
+    as the solve goes.
+    """
+    betas = np.zeros(body.num_betas)
+    latent = default_markers(body, betas, placement.vertices, placement.distance)
+    unknowns = {"betas": betas, "latent_markers": latent, "pose": pose, "trans": trans}
+    visible = np.isfinite(observed[..., 0]).astype(float)
+    filled = np.nan_to_num(observed)
+    iterations = 0
+    last = len(settings.annealing) - 1
+    for step in [*range(last), last, last, last]:
+        markers = LatentMarkers(body, _attached(body, unknowns).triangles)
+        weights = visible * _robust_weights(markers(**unknowns) - filled, step, settings)
+        terms = shape_terms(
+            body, markers, placement, filled, weights, prior, settings, settings.annealing[step]
+        )
+        result = minimize(
+            terms,
+            unknowns,
+            "dogleg",
+            blocks=("trans", "pose"),
+            max_iterations=20,
+            tolerances=Tolerances(cost=3e-5 if step == last else 1e-3),
+            stretch=False,
+        )
+        unknowns = result.values
+        iterations = iterations + result.iterations
+    return ShapeFit(
+        **unknowns,
+        attachment=_attached(body, unknowns),
+        costs=result.costs,
+        status=result.status,
+        iterations=iterations,
+    )
+
+
+def shape_terms(
+    body: BodyModel,
+    markers: LatentMarkers,
+    placement: Placement,
+    observed: np.ndarray,
+    weights: np.ndarray,
+    prior: PosePrior,
+    settings: MoshSettings,
+    prior_scale: float,
+) -> dict[str, Term]:
+    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
+    where missing.
+    """
+    lam = settings.shape
+    place = placement
+    return {
+        "data": energy.data(markers, observed, weights, lam.data),
+        "surface": energy.surface_distance(
+            body, place.distance, place.distance_spread, lam.surface
+        ),
+        "start": energy.start_place(
+            body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start
+        ),
+        "betas": energy.shape_prior(body.num_betas, prior_scale * lam.betas),
+        "pose": energy.pose_prior(
+            prior.mean, prior.whitening, len(observed), prior_scale * lam.pose
+        ),
+    }
+
+
+def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachment:
+    return attach(unknowns["latent_markers"], body.rest_vertices(unknowns["betas"]), body.faces)
+
+
+def _robust_weights(residual: np.ndarray, step: int, settings: MoshSettings) -> np.ndarray:
+    """Geman-McClure weights (F, M) of the residuals so far, wide at first; the first step trusts
+    every marker.
+    """
+    if step == 0:
+        return np.ones(residual.shape[:2])
+    scale = max(settings.robust_scale[1], 0.3 / step)
+    return geman_mcclure_weight(np.linalg.norm(residual, axis=2), scale)

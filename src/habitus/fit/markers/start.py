@@ -1,0 +1,185 @@
+"""Where a fit begins: the root from the trunk's markers by Procrustes, the joints from the best of
+a few plain poses.
+
+No T-pose is needed: each frame tries every plain pose, standing, sitting, crouching or with arms
+up, from any side.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.fit.markers.gaps import bridge, bridge_rotations
+from habitus.fit.markers.recordings import few_markers
+from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.settings import SequenceSettings
+from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.rotations import procrustes, rotvec_from_matrix
+from habitus.solve.sequence.solver import SequenceOptions
+
+LOOK_STEP = 16
+ROUGH = SequenceOptions(strides=(1,), sweeps=12, tolerance=1e-2)
+TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar")
+# joint: rotation vector (rad) of the left side; the right side mirrors y and z
+PLAIN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
+    {"shoulder": (0.0, 0.0, -1.2), "elbow": (0.0, -0.2, 0.0)},
+    {},
+    {
+        "hip": (-1.5, 0.0, 0.1),
+        "knee": (1.5, 0.0, 0.0),
+        "shoulder": (0.0, -0.5, -1.0),
+        "elbow": (0.0, -0.8, 0.0),
+    },
+    {
+        "hip": (-0.9, 0.0, 0.2),
+        "knee": (1.2, 0.0, 0.0),
+        "shoulder": (0.0, -1.2, 0.0),
+        "elbow": (0.0, -0.5, 0.0),
+    },
+    {"shoulder": (0.0, -0.3, 1.0), "elbow": (0.0, -0.5, 0.0)},
+)
+
+
+def plain_pose(
+    joint_names: tuple[str, ...], angles: dict[str, tuple[float, float, float]]
+) -> Float[np.ndarray, "J 3"]:
+    """A symmetric pose from the left side's joint angles."""
+    pose = np.zeros((len(joint_names), 3))
+    for k, name in enumerate(joint_names):
+        side, _, part = name.rpartition("_")
+        if side in ("left", "right") and part in angles:
+            pose[k] = np.array(angles[part]) * (
+                1.0 if side == "left" else np.array([1.0, -1.0, -1.0])
+            )
+    return pose
+
+
+def start_frames(
+    rig: MarkedBody,
+    joint_names: tuple[str, ...],
+    trunk: Float[np.ndarray, " M"],
+    observed: Float[np.ndarray, "F M 3"],
+    prior: PosePrior,
+) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
+    """Pose and trans of single frames, each solved by itself from every plain pose; the cheapest is
+    kept.
+
+    trunk: (M,) weight of each marker in the alignment of the root (1 on the trunk, small
+    elsewhere).
+    """
+    tries = []
+    for angles in PLAIN_POSES:
+        pose = np.repeat(plain_pose(joint_names, angles)[None], len(observed), axis=0)
+        pose, trans = align_root(rig, pose, observed, trunk)
+        for firmness in (20.0, 1.0):
+            apart = SequenceSettings(pose=firmness, acceleration=0.0, options=ROUGH)
+            result = fit_sequence(rig, observed, None, None, prior, pose, trans, apart)
+            pose = result.pose
+            trans = result.trans
+        tries.append(result)
+    best = np.argmin([result.frame_costs for result in tries], axis=0)
+    frames = np.arange(len(observed))
+    return np.stack([r.pose for r in tries])[best, frames], np.stack([r.trans for r in tries])[
+        best, frames
+    ]
+
+
+def start_sequence(
+    rig: MarkedBody,
+    known_poses: Float[np.ndarray, "N J 3"],
+    joint_names: tuple[str, ...],
+    observed: Float[np.ndarray, "T M 3"],
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """A start for every frame: the known or plain pose that fits best every few frames, the root
+    aligned in all.
+
+    known_poses: those of the shape stage. Frames with too few markers start on the straight way
+    between those with enough. The whole-sequence solve begins with every 16th frame, then goes
+    finer.
+    """
+    enough = ~few_markers(observed)
+    bank = _bank(known_poses, joint_names)
+    everywhere = np.ones(observed.shape[1])
+    looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), LOOK_STEP))
+    misfit = []
+    for known in bank:
+        pose = np.repeat(known[None], len(looked_at), axis=0)
+        misfit.append(
+            _misfit(
+                rig, *align_root(rig, pose, observed[looked_at], everywhere), observed[looked_at]
+            )
+        )
+    nearest = np.argmin(misfit, axis=0)
+    pose = np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)]
+    pose, trans = align_root(rig, pose, observed, everywhere)
+    pose[:, 0] = bridge_rotations(pose[:, 0], enough)
+    return pose, bridge(trans, enough)
+
+
+def start_frame(
+    rig: MarkedBody,
+    known_poses: Float[np.ndarray, "N J 3"],
+    joint_names: tuple[str, ...],
+    observed: Float[np.ndarray, "M 3"],
+) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]]:
+    """`start_sequence` of a single frame: pose and trans; all poses are tried at once, as a stream
+    has no time.
+    """
+    bank = _bank(known_poses, joint_names)
+    each = np.repeat(observed[None], len(bank), axis=0)
+    pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
+    best = int(np.argmin(_misfit(rig, pose, trans, each)))
+    return pose[best], trans[best]
+
+
+def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
+    """The poses that a start may begin with."""
+    return np.concatenate(
+        [known_poses, [plain_pose(joint_names, angles) for angles in PLAIN_POSES]]
+    )
+
+
+def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """For each wanted frame the nearest of ``frames`` (sorted); itself where there are none."""
+    if not len(frames):
+        return wanted
+    after = np.clip(np.searchsorted(frames, wanted), 1, max(1, len(frames) - 1)) % len(frames)
+    before = frames[after - 1]
+    return np.where(wanted - before <= frames[after] - wanted, before, frames[after])
+
+
+def _misfit(
+    rig: MarkedBody, pose: np.ndarray, trans: np.ndarray, observed: np.ndarray
+) -> np.ndarray:
+    """(F,) mean distance of a frame's visible markers from the predicted ones, metres."""
+    distance = np.linalg.norm(predict(rig, pose, trans) - observed, axis=2)
+    return np.nan_to_num(distance).sum(axis=1) / np.maximum(np.isfinite(distance).sum(axis=1), 1)
+
+
+def align_root(
+    rig: MarkedBody,
+    pose: Float[np.ndarray, "F J 3"],
+    observed: Float[np.ndarray, "F M 3"],
+    trunk: Float[np.ndarray, " M"],
+) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
+    """``pose`` with its root turned, and trans, so that the trunk's markers fall on the observed
+    ones (Procrustes).
+    """
+    upright = np.concatenate([np.zeros_like(pose[:, :1]), pose[:, 1:]], axis=1)
+    reference = predict(rig, upright, np.zeros((len(pose), 3)))
+    weights = np.where(np.isfinite(observed[..., 0]), trunk, 0.0)
+    weights[weights.sum(axis=1) == 0] = 1.0
+    matrix, shift = procrustes(reference, np.nan_to_num(observed), weights)
+    pivot = rig.rest_joints[0]
+    trans = shift + matrix @ pivot - pivot
+    return np.concatenate([rotvec_from_matrix(matrix)[:, None], pose[:, 1:]], axis=1), trans
+
+
+def trunk_weights(body: BodyModel, vertices: Int[np.ndarray, " M"]) -> np.ndarray:
+    """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
+    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[
+        :, 0
+    ]
+    on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[vertices]]
+    return np.where(on_trunk, 1.0, 0.02)

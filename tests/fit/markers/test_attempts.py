@@ -1,0 +1,41 @@
+"""A fit that failed is tried again before it is called so, and says what was done."""
+
+import numpy as np
+import planted as p
+import pytest
+
+from habitus.fit.markers.attempts import iterate_attempts
+from habitus.fit.markers.recipe import Recording
+
+WRONG = ("LFHD", "RTOE", "LFIN", "RKNE", "C7", "LHEE", "STRN")
+HASTY = p.settings(annealing=(10.0,), frames=2, soft_tissue=False)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return p.plant(frames=16)
+
+
+def attempted(planted, observed):
+    recordings = [Recording("planted", np.array(observed), p.RATE_HZ, "+y")]
+    return list(iterate_attempts(planted.body, planted.prior, planted.layout, recordings, HASTY))
+
+
+def shuffled(planted, *labels):
+    columns = planted.columns(*labels)
+    order = np.arange(len(planted.layout))
+    order[columns] = np.roll(columns, 1)
+    return planted.observed[:, order]
+
+
+def test_labels_that_nothing_fits_are_left_out_and_the_rest_is_right(clean):
+    (fit,) = attempted(clean, shuffled(clean, *WRONG))
+    assert set(fit.left_out) >= set(WRONG) and len(fit.left_out) <= len(WRONG) + 4
+    assert not set(fit.labels) & set(fit.left_out)
+    assert (
+        fit.verdict.level == "doubtful"
+        and "Left out" in str(fit.verdict)
+        and "tried again" in str(fit.verdict)
+    )
+    assert fit.tried[0].endswith(f": that with {len(fit.left_out)} labels left out is kept.")
+    assert np.nanmean(fit.errors("pose")) < 0.005

@@ -1,0 +1,102 @@
+"""Fingers: a prior for their joints, and markers on them that drive them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from habitus.body.joint_layouts import LAYOUTS
+from habitus.body.prior import UNKNOWN_JOINT_SD
+from habitus.fit.markers.recipe import Recording, fit_markers
+from habitus.fit.markers.settings import MoshSettings
+from habitus.io.layouts.files import load_layout
+from habitus.io.models.bodies import load_body
+from habitus.io.models.priors import load_pose_prior
+from habitus.markers.layouts import Marker
+from habitus.observe.markers import attach, default_markers, predict_markers
+from habitus.population.captures import smooth_motion
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+RATE_HZ = 30.0
+
+
+@pytest.mark.parametrize("joints", ["smpl", "smplh", "smplx"])
+def test_the_prior_knows_every_joint_left_and_right_alike(joints):
+    names = LAYOUTS[joints].joint_names
+    prior = load_pose_prior().for_joints(names)
+    assert set(prior.joint_names) <= set(load_pose_prior().joint_names)
+    assert np.linalg.eigvalsh(prior.covariance).min() > 0
+    sd = np.sqrt(np.diag(prior.covariance)).reshape(-1, 3)
+    mean = prior.mean.reshape(-1, 3)
+    for k, name in enumerate(prior.joint_names):
+        if name.startswith("left_") and "foot" not in name:
+            other = prior.joint_names.index(name.replace("left_", "right_"))
+            assert np.allclose(sd[k], sd[other], atol=1e-6) and np.allclose(
+                mean[k], mean[other] * [1, -1, -1]
+            )
+            if not np.allclose(sd[k], UNKNOWN_JOINT_SD):
+                assert sd[k].min() > 0.03 and sd[k].max() < 1.0
+
+
+def test_fingers_bend_towards_the_palm_one_joint_with_the_next():
+    names = LAYOUTS["smplx"].joint_names
+    prior = load_pose_prior().for_joints(names)
+    place = {name: 3 * k + 2 for k, name in enumerate(names[1:])}  # about z, forward
+    sd = np.sqrt(np.diag(prior.covariance))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        for finger in FINGERS[1:]:
+            knuckle, middle, last = (place[f"{side}_{finger}{k}"] for k in (1, 2, 3))
+            assert all(sign * prior.mean[k] > 0.1 for k in (knuckle, middle, last))
+            assert prior.covariance[middle, last] > 0.8 * sd[middle] * sd[last]
+            assert sd[knuckle] > 2 * sd[knuckle - 1] > 0.1  # flexion is wider than spreading
+    jaw = place["jaw"] - 2
+    eye = place["left_eye_smplhf"] - 2
+    assert np.all(prior.mean[jaw : jaw + 3] == 0) and np.all(prior.mean[eye : eye + 3] == 0)
+
+
+def hands(body):
+    """A layout of the body's markers and twenty on the tips and the middle joints of all
+    fingers.
+    """
+    layout = load_layout("cmu-41")
+    found = []
+    for side in ("left", "right"):
+        for finger in FINGERS:
+            for part in ("tip", "ip" if finger == "thumb" else "pip"):
+                place = f"{side}_{finger}_{part}"
+                found.append(
+                    Marker(
+                        f"{side}{finger}{part}", landmark=place, distance=0.004, place_spread=0.003
+                    )
+                )
+    return replace(layout, markers=(*layout.markers, *found))
+
+
+def test_twenty_finger_markers_recover_both_hands():
+    body = load_body("default", joints="smplh").with_betas(4)
+    layout = hands(body)
+    prior = load_pose_prior()
+    rng = np.random.default_rng(0)
+    own = prior.for_joints(body.joint_names)
+    pose, trans = smooth_motion(own.mean, 0.6 * np.sqrt(np.diag(own.covariance)), 30, RATE_HZ, rng)
+    betas = np.array([1.2, -0.8, 0.6, -1.0])
+    latent = default_markers(body, betas, layout.vertices(body), layout.distances())
+    attachment = attach(latent, body.rest_vertices(betas), body.faces)
+    truth = body(betas, pose, trans)
+    exact = predict_markers(truth.vertices, attachment)
+    observed = exact + 5e-4 * rng.normal(size=exact.shape)
+    settings = MoshSettings(frames=4, soft_tissue=False)
+    fit = fit_markers(body, prior, layout, [Recording("hands", observed, RATE_HZ, "+y")], settings)[
+        0
+    ]
+    off = 1e3 * np.linalg.norm(fit.predicted_pose_stage[:, 41:] - exact[:, 41:], axis=-1)
+    assert off.mean() < 3.0 and np.percentile(off, 95) < 6.0
+    fingers = [
+        k for k, name in enumerate(body.joint_names) if name[-1] in "123" and "spine" not in name
+    ]
+    joints = 1e3 * np.linalg.norm(fit.joints()[:, fingers] - truth.joints[:, fingers], axis=-1)
+    assert joints.mean() < 3.5
+    pose = np.array(fit.pose)
+    pose[:, fingers] = own.mean.reshape(-1, 3)[np.array(fingers) - 1]
+    stiff = 1e3 * np.linalg.norm(body(fit.betas, pose, fit.trans).joints - truth.joints, axis=-1)
+    assert stiff[:, fingers].mean() > 2 * joints.mean()  # it is the bends that were found

@@ -1,0 +1,228 @@
+"""The verdict: what speaks against a fit is said, in the right words and at the right level."""
+
+from dataclasses import replace
+
+import numpy as np
+import planted as p
+import pytest
+
+from habitus.fit.markers.evidence import Evidence
+from habitus.fit.markers.judge import judge, may_improve, weigh
+from habitus.fit.markers.limits import PEOPLE
+from habitus.fit.markers.verdict import LEVELS, Verdict
+from habitus.population.spoilt import SPOILINGS
+
+SOUND = Evidence(
+    mean_mm=5.0,
+    p95_mm=12.0,
+    motion=0.5,
+    distrusted=0.01,
+    beta_sd=2.0,
+    betas_rms=0.9,
+    displaced=0.9,
+    measurements={"height_m": 1.75, "mass_kg": 70.0, "chest_circumference_m": 1.0},
+    age=None,
+    stature=1.7,
+    recorded={},
+    unseen={
+        "pelvis": 0.0,
+        "spine1": 0.0,
+        "left_shoulder": 0.0,
+        "left_elbow": 0.0,
+        "left_wrist": 0.1,
+        "left_hand": 0.9,
+    },
+    parents={
+        "spine1": "pelvis",
+        "left_shoulder": "spine1",
+        "left_elbow": "left_shoulder",
+        "left_wrist": "left_elbow",
+        "left_hand": "left_wrist",
+    },
+    no_data=0.0,
+    gap_s=0.0,
+    confidence=1.0,
+    tilt_deg=4.0,
+    standing=True,
+    size=1.0,
+    torn=0.0,
+    torn_level=0.0,
+    rate_hz=120.0,
+    speed=1.0,
+    suspects=0.05,
+    left_out=(),
+    markers=41,
+    up_axis="+z",
+    tried=(),
+)
+HASTY = p.settings(annealing=(10.0,), frames=2, soft_tissue=False)
+UNSEEN = {**SOUND.unseen, "left_elbow": 1.0, "left_wrist": 1.0, "left_hand": 1.0}
+AGAINST = {  # what is changed: (the level that it makes at least, a word of its reason)
+    "far": ({"mean_mm": 80.9}, "failed", "80.9 mm"),
+    "tails": ({"p95_mm": 50.0}, "doubtful", "50 mm"),
+    "more than usual": ({"mean_mm": 14.0, "motion": 0.0}, "doubtful", "usually leaves about 4 mm"),
+    "never seen": ({"mean_mm": None, "p95_mm": None}, "failed", "No marker was ever seen"),
+    "distrusted": ({"distrusted": 0.3}, "failed", "30 %"),
+    "rare shape": ({"beta_sd": 6.5}, "failed", "6.5 standard deviations"),
+    "a giant": (
+        {"measurements": {"height_m": 18.6}},
+        "failed",
+        "1860.0 cm tall; the unit of length",
+    ),
+    "tall": ({"measurements": {"height_m": 2.25}}, "doubtful", "225.0 cm"),
+    "no chest": (
+        {"measurements": {"chest_circumference_m": 0.016}},
+        "failed",
+        "chest circumference is 1.6 cm",
+    ),
+    "a child": ({"measurements": {"height_m": 1.2}}, "doubtful", "120.0 cm"),
+    "a forearm": ({"unseen": UNSEEN}, "doubtful", "No marker tells of the left forearm:"),
+    "height": ({"recorded": {"height_m": 1.65}}, "doubtful", "The file says height 165.0 cm"),
+    "mass": ({"recorded": {"mass_kg": 100.0}}, "doubtful", "fitted body has 70.0 kg (-30 %)"),
+    "layout": ({"confidence": 0.24}, "doubtful", "confidence 0.24"),
+    "displaced": ({"displaced": 2.5}, "doubtful", "wrong layout"),
+    "gap": ({"gap_s": 2.0, "no_data": 0.04}, "doubtful", "2.0 s"),
+    "empty": ({"no_data": 0.6}, "failed", "60 %"),
+    "leaning": ({"tilt_deg": 35.0}, "doubtful", "leans 35 degrees"),
+    "rate": ({"rate_hz": 1e5, "speed": 830.0}, "failed", "100000 frames a second"),
+    "two": ({"torn": 0.4, "torn_level": 0.9}, "failed", "two people"),
+    "unit": ({"size": 7.0}, "failed", "unit of length"),
+    "too small": ({"size": 0.15}, "failed", "unit of length"),
+    "mixed": ({"torn": 0.1, "torn_level": 0.1}, "doubtful", "labels are mixed up"),
+    "mirrored": ({"suspects": 1.0}, "doubtful", "mirrored"),
+    "few": ({"markers": 7}, "doubtful", "Only 7 markers"),
+    "left out": ({"left_out": ("LELB", "RKNE")}, "doubtful", "LELB and RKNE"),
+}
+
+
+def test_sound_evidence_is_good_and_says_how_close_the_markers_are():
+    assert weigh(SOUND) == Verdict(
+        "good", ("Markers lie 5.0 mm from the body on average, 95 % within 12 mm.",)
+    )
+
+
+@pytest.mark.parametrize(("change", "level", "words"), AGAINST.values(), ids=AGAINST)
+def test_whatever_speaks_against_a_fit_is_said_at_its_level(change, level, words):
+    found = weigh(replace(SOUND, **change))
+    assert found.level == level and words in " ".join(found.reasons)
+    assert all(reason.endswith((".", "?")) and "\n" not in reason for reason in found.reasons)
+
+
+def test_the_gravest_reason_makes_the_level_and_stands_first():
+    both = replace(SOUND, confidence=0.2, mean_mm=80.0)
+    found = weigh(both)
+    assert (
+        found.level == "failed"
+        and "80.0 mm" in found.reasons[0]
+        and "confidence" in " ".join(found.reasons)
+    )
+
+
+def test_more_against_a_fit_never_makes_it_better():
+    changes = [change for change, _, _ in AGAINST.values()]
+    for first in changes:
+        alone = LEVELS.index(weigh(replace(SOUND, **first)).level)
+        for second in changes:
+            assert LEVELS.index(weigh(replace(SOUND, **(second | first))).level) >= alone
+
+
+# evidence just inside and just beyond each limit: (good, doubtful, failed), as real captures taught
+# them
+LEARNED = {
+    "mean": [{"mean_mm": mm, "motion": 9.0} for mm in (14.9, 15.1, 30.1)],
+    "tails": [{"p95_mm": mm} for mm in (34.9, 35.1, 80.1)],
+    "usual at rest": [{"mean_mm": mm, "motion": 0.0} for mm in (9.9, 10.1, 20.1)],
+    "usual in motion": [{"mean_mm": mm, "motion": 0.1} for mm in (10.7, 10.8, 21.6)],
+    "displaced": [{"displaced": spreads} for spreads in (1.9, 2.1, 4.1)],
+    "distrusted": [{"distrusted": share} for share in (0.049, 0.051, 0.201)],
+    "one coefficient": [{"beta_sd": sd} for sd in (3.4, 3.6, 6.1)],
+    "all coefficients": [{"betas_rms": sd} for sd in (1.5, 1.7, 2.6)],
+    "tall": [{"measurements": {"height_m": m}} for m in (2.09, 2.10, 2.30)],
+    "small": [{"measurements": {"height_m": m}} for m in (1.35, 1.34, 0.88)],
+    "suspects": [{"suspects": share} for share in (0.34, 0.36)],
+    "few markers": [{"markers": count} for count in (12, 11, 3)],
+    "an unseen forearm": [{"unseen": {**UNSEEN, "left_elbow": share}} for share in (0.49, 0.51)],
+    "empty frames": [{"no_data": share} for share in (0.04, 0.06, 0.51)],
+    "a gap": [{"gap_s": seconds} for seconds in (0.9, 1.1)],
+    "height": [{"recorded": {"height_m": m}} for m in (1.70, 1.69, 1.56)],
+    "mass": [{"recorded": {"mass_kg": kg}} for kg in (59.0, 58.0, 43.0)],
+    "layout": [{"confidence": share} for share in (0.41, 0.39)],
+    "leaning": [{"tilt_deg": degrees} for degrees in (19.0, 21.0)],
+    "leaning on": [{"tilt_deg": degrees, "standing": False} for degrees in (49.0, 51.0)],
+    "too large": [{"size": factor} for factor in (1.4, 1.6, 2.6)],
+    "too small": [{"size": 1.0 / factor} for factor in (1.4, 1.6, 2.6)],
+    "torn": [{"torn": share} for share in (0.01, 0.03, 0.16)],
+    "slow": [{"rate_hz": rate} for rate in (16.0, 14.0, 0.9)],
+    "fast": [{"rate_hz": rate} for rate in (1400.0, 1600.0, 11000.0)],
+    "speed": [{"speed": speed} for speed in (11.0, 13.0, 41.0)],
+    "left out": [{"left_out": ("A",) * count, "markers": 41 - count} for count in (0, 1, 14)],
+}
+
+
+@pytest.mark.parametrize("near", LEARNED.values(), ids=LEARNED)
+def test_limits_lie_where_real_captures_put_them(near):
+    assert [weigh(replace(SOUND, **change)).level for change in near] == list(LEVELS[: len(near)])
+
+
+def test_people_have_at_least_the_least():
+    assert all(0.0 < least < most for least, most in PEOPLE.values())
+
+
+def test_what_is_remarked_and_what_speaks_of_two_people():
+    remarked = [len(weigh(replace(SOUND, recorded={"mass_kg": kg})).reasons) for kg in (67.0, 66.0)]
+    assert remarked == [1, 2]
+    spoken = [str(weigh(replace(SOUND, torn=0.1, torn_level=share))) for share in (0.59, 0.61)]
+    assert ["two people" in text for text in spoken] == [False, True]
+    heights = [
+        weigh(replace(SOUND, measurements={"height_m": m})) for m in (0.61, 0.59, 2.79, 2.81)
+    ]
+    assert ["unit of length" in str(found) for found in heights] == [False, True, False, True]
+
+
+def test_remarks_leave_a_fit_good():
+    found = weigh(
+        replace(SOUND, recorded={"mass_kg": 77.0}, unseen={**SOUND.unseen, "left_wrist": 1.0})
+    )
+    assert found.level == "good" and "77.0 kg" in str(found) and "left hand" in str(found)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return p.plant(frames=16)
+
+
+def test_a_planted_fit_is_good(clean):
+    assert p.fit(clean, which=HASTY).verdict.level == "good"
+
+
+@pytest.mark.parametrize("kind", ["a third of the labels shuffled", "two people"])
+def test_spoilt_captures_are_never_good(clean, kind):
+    upright = clean.observed[..., [2, 0, 1]]  # y is up in what is planted
+    spoilt = SPOILINGS[kind](upright, np.random.default_rng(0))[..., [1, 2, 0]]
+    found = p.fit(clean, spoilt, HASTY).verdict
+    assert found.level == "failed" and ("two people" in str(found)) == (kind == "two people")
+
+
+def test_a_fit_of_nothing_is_not_tried_again(clean):
+    found = p.fit(clean, which=HASTY)
+    nothing = replace(found, observed_markers=np.full_like(found.observed_markers, np.nan))
+    assert nothing.verdict.level == "failed" and not may_improve(nothing) and not may_improve(found)
+
+
+def test_limbs_without_markers_are_named(clean):
+    bare = clean.observed.copy()
+    bare[:, clean.columns("LELB", "LFRM", "LWRA", "LWRB", "LFIN")] = np.nan
+    found = judge(p.fit(clean, bare, HASTY))
+    assert found.level == "doubtful" and "No marker tells of the left forearm:" in " ".join(
+        found.reasons
+    )
+
+
+def test_children_are_held_against_children():
+    child = {"height_m": 1.1, "mass_kg": 18.0, "chest_circumference_m": 0.56}
+    small = replace(SOUND, measurements=child)
+    assert weigh(small).level != "good"
+    assert weigh(replace(small, age=5.0, stature=1.08)).level == "good"
+    for wrong in ({"height_m": 0.82}, {"mass_kg": 170.0}, {"chest_circumference_m": 0.2}):
+        found = weigh(replace(small, age=5.0, stature=1.08, measurements=child | wrong))
+        assert found.level != "good" and "up to that age" in found.reasons[0]
