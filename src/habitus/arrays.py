@@ -106,6 +106,12 @@ def kind_of(*values: Any) -> Kind:
     return Kind(torch, dtype, tensors[0].device)
 
 
+def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """The runs of True in flags (T,), each as (first, last + 1)."""
+    edges = np.flatnonzero(np.diff(np.asarray(flags, np.int8), prepend=0, append=0))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def broadcast_shapes(*shapes: Iterable[int]) -> tuple[int, ...]:
     """The shape that all broadcast to; ValueError where they do not.
 

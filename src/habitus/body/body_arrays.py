@@ -160,6 +160,11 @@ class BodyArrays:
         return dense
 
     @cached_property
+    def strongest_joint(self) -> Int[np.ndarray, " V"]:
+        """The joint of the largest skinning weight of each vertex."""
+        return self.skinning_index[np.arange(self.num_vertices), self.skinning_value.argmax(1)]
+
+    @cached_property
     def joint_template(self) -> Float[np.ndarray, "J 3"]:
         """The joints (m) of the template."""
         return self.joint_regressor @ self.v_template

@@ -36,7 +36,7 @@ from habitus.learn.steps.alternation import STEPS, Step
 from habitus.learn.steps.pose_shapes import let_go
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.learn.steps.subjects import HOLD
-from habitus.mesh.holes import fill_holes
+from habitus.mesh.laplacian import fill_holes
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.mesh.closest import closest_points
+from habitus.mesh.triangles import barycentric_coordinates, triangle_normals
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,10 @@ def signed_distance(
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     triangle, closest = closest_points(points, vertices, faces)
     corners = vertices[faces[triangle]]
-    barycentric = _barycentric(closest, corners)
+    barycentric = barycentric_coordinates(closest, corners)
     used, inverse = np.unique(faces[triangle], return_inverse=True)
     pseudonormals = _angle_weighted_normals(vertices, faces, used)[inverse.reshape(-1, 3)]
-    face_normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face_normal = triangle_normals(corners)
     face_normal /= np.linalg.norm(face_normal, axis=1, keepdims=True) + 1e-300
     inside_face = barycentric.min(axis=1) > 1e-9
     normal = np.where(
@@ -54,21 +55,6 @@ def signed_distance(
     return SurfacePoints(distance, triangle, barycentric, direction)
 
 
-def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    e = corners[:, 1] - corners[:, 0]
-    f = corners[:, 2] - corners[:, 0]
-    p = points - corners[:, 0]
-    ee = (e * e).sum(1)
-    ef = (e * f).sum(1)
-    ff = (f * f).sum(1)
-    pe = (p * e).sum(1)
-    pf = (p * f).sum(1)
-    determinant = ee * ff - ef * ef + 1e-300
-    b = (ff * pe - ef * pf) / determinant
-    c = (ee * pf - ef * pe) / determinant
-    return np.stack([1 - b - c, b, c], axis=1)
-
-
 def _angle_weighted_normals(
     vertices: np.ndarray, faces: np.ndarray, used: np.ndarray
 ) -> np.ndarray:
@@ -79,7 +65,7 @@ def _angle_weighted_normals(
     marked[used] = True
     touching = faces[marked[faces].any(axis=1)]
     corners = vertices[touching]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = triangle_normals(corners)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-300
     total = np.zeros((len(vertices), 3))
     for k in range(3):

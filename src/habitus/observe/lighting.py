@@ -12,55 +12,13 @@ Anything else that gives (*batch, V, C) may stand in their place. Nothing casts 
 light comes back from other surfaces.
 """
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
-
-# One number for each term below: the harmonic's own factor times pi, 2 pi/3 or pi/4.
-_FACTORS = [
-    math.sqrt(math.pi * scale)
-    for scale in (1 / 4, *3 * [1 / 3], 15 / 64, 15 / 64, 5 / 256, 15 / 64, 15 / 256)
-]
-
-
-def harmonics(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 9"]:
-    """What each of the nine lights of ``spherical_harmonics`` gives to unit normals: brightness is
-    this times them.
-
-    The real spherical harmonics of orders 0, 1 and 2, each times what a Lambertian surface keeps of
-    its order: pi, 2 pi/3, pi/4 (Ramamoorthi and Hanrahan 2001).
-    """
-    _check("normals", normals)
-    x, y, z = normals.unbind(-1)
-    one = torch.ones_like(x)
-    terms = torch.stack([one, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], -1)
-    return terms * terms.new_tensor(_FACTORS)
-
-
-def harmonics_slope(normals: Float[Tensor, "*batch V 3"]) -> Float[Tensor, "*batch V 9 3"]:
-    """The derivative of `harmonics` to normals, as if these were free in all three directions."""
-    _check("normals", normals)
-    x, y, z = normals.unbind(-1)
-    zero = torch.zeros_like(x)
-    one = torch.ones_like(x)
-    rows = [
-        (zero, zero, zero),
-        (zero, one, zero),
-        (zero, zero, one),
-        (one, zero, zero),
-        (y, x, zero),
-        (zero, z, y),
-        (zero, zero, 6 * z),
-        (z, zero, x),
-        (2 * x, -2 * y, zero),
-    ]
-    terms = torch.stack([torch.stack(row, -1) for row in rows], -2)
-    return terms * terms.new_tensor(_FACTORS)[:, None]
+from habitus.observe.harmonics import harmonics
 
 
 def spherical_harmonics(

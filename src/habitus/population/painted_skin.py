@@ -166,8 +166,8 @@ def dressed(
 
 
 def soft_light(rng: np.random.Generator) -> Float[np.ndarray, "9 3"]:
-    """Light in a world with y up, over the nine `low_orders`: much from everywhere, more from above
-    and a side.
+    """Light in a world with y up, over the nine `harmonic_terms`: much from everywhere, more from
+    above and a side.
     """
     light = np.zeros((9, 3))
     light[0], light[1] = rng.uniform(0.7, 0.9), rng.uniform(0.1, 0.25)

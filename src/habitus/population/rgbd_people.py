@@ -16,7 +16,7 @@ from habitus.body.model import BodyModel
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView, RgbdCapture
-from habitus.observe.lighting import harmonics
+from habitus.observe.harmonics import harmonics
 from habitus.observe.srgb import srgb_bytes
 from habitus.population.depth_sensors import SENSORS, DepthSensor, sense, smaller
 from habitus.population.held_out import smooth_field

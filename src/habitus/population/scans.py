@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.fit.registration.scan import Scan
-from habitus.fit.registration.skin_colours import low_orders
 from habitus.mesh.normals import face_normals, vertex_normals
+from habitus.observe.harmonics import harmonic_terms
 from habitus.observe.srgb import linear_from_srgb, srgb_bytes
 from habitus.population.held_out import FLESH, smooth_field
 from habitus.population.painted_skin import PaintedSkin, soft_light
@@ -170,7 +170,7 @@ def scanned(
     looking = np.einsum("pk,pkc->pc", share, vertex_normals(vertices, faces)[corners])
     looking /= np.maximum(np.linalg.norm(looking, axis=1, keepdims=True), 1e-12)
     albedo = skin.albedo(corners, share, PIXEL, int(rng.integers(1 << 30)))
-    bright = albedo * (low_orders(looking) @ soft_light(rng)).clip(0.05)
+    bright = albedo * (harmonic_terms(looking) @ soft_light(rng)).clip(0.05)
     seen = srgb_bytes(bright + COLOUR_NOISE * rng.normal(size=bright.shape))
     return Scan(
         name, points[: scanner.points], colours=linear_from_srgb(seen / 255.0), colour_places=points

@@ -11,7 +11,6 @@ from habitus.errors import HabitusError
 from habitus.fit.registration.cleaning import cleaned, turned
 from habitus.fit.registration.free_surface import (
     FreeStep,
-    cotangent_laplacian,
     free_surface,
     stretched_surface,
 )
@@ -62,13 +61,6 @@ def test_the_nearest_place_is_on_the_nearest_face_that_looks_the_same_way():
     np.testing.assert_allclose(
         np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9
     )
-
-
-def test_the_laplacian_of_a_constant_is_nothing_and_areas_are_the_whole():
-    laplacian, area = cotangent_laplacian(np.asarray(BALL.vertices), np.asarray(BALL.faces))
-    assert np.abs(laplacian @ np.ones(len(area))).max() < 1e-9
-    np.testing.assert_allclose(area.sum(), BALL.area)
-    assert np.linalg.eigvalsh(laplacian.toarray()[:200, :200]).min() > -1e-9
 
 
 def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():

@@ -13,7 +13,7 @@ from habitus.fit.rgbd.evidence import Evidence, ViewEvidence
 from habitus.fit.rgbd.judge import judge
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import sphere
-from habitus.observe.lighting import harmonics
+from habitus.observe.harmonics import harmonics
 from habitus.observe.srgb import srgb_bytes
 
 

@@ -17,14 +17,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.sparse import bsr_array, coo_array, csc_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import SuperLU, splu
 
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
 from habitus.fit.registration.weights import vertex_weights
-from habitus.mesh.normals import face_normals, vertex_normals
+from habitus.mesh.laplacian import cotangent_laplacian
+from habitus.mesh.normals import vertex_normals
 from habitus.residuals.robust import geman_mcclure_weight
 
 PLATE = 1e-3 * 0.03**2
@@ -158,35 +159,3 @@ def _pulls(
     rows = csr_array((along.ravel(), corners.ravel(), ends), shape=(len(corners), len(model)))
     start = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
     return rows, ((cloud.points - start) * found.normal).sum(1)
-
-
-def cotangent_laplacian(
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    share: Float[np.ndarray, " F"] | None = None,
-) -> tuple[csc_array, Float[np.ndarray, " V"]]:
-    """The cotangent Laplacian (V, V; positive semidefinite) and the areas of vertices, m^2: a third
-    of their faces'.
-
-    ``share``: how much each face counts in the Laplacian.
-    """
-    count = len(vertices)
-    corners = vertices[faces]
-    double = np.maximum(np.linalg.norm(face_normals(vertices, faces), axis=1), 1e-12)
-    rows = []
-    columns = []
-    values = []
-    for k in range(3):
-        i = faces[:, (k + 1) % 3]
-        j = faces[:, (k + 2) % 3]
-        a = corners[:, (k + 1) % 3] - corners[:, k]
-        b = corners[:, (k + 2) % 3] - corners[:, k]
-        half = np.clip(0.5 * (a * b).sum(1) / double, -10.0, 10.0) * (
-            1.0 if share is None else share
-        )
-        rows += [i, j, i, j]
-        columns += [j, i, i, j]
-        values += [-half, -half, half, half]
-    area = np.bincount(faces.ravel(), np.repeat(double / 6.0, 3), count)
-    table = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return csc_array(coo_array(table, shape=(count, count))), np.maximum(area, 1e-9)

@@ -22,9 +22,10 @@ from scipy.sparse import coo_array, csc_array, diags_array
 
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
-from habitus.fit.registration.free_surface import cotangent_laplacian, factored
+from habitus.fit.registration.free_surface import factored
 from habitus.fit.registration.model_stage import Cloud, ModelFitter, ModelState, ModelStep
 from habitus.fit.registration.nearest import Topology, nearest
+from habitus.mesh.laplacian import cotangent_laplacian
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_points import PointMatches

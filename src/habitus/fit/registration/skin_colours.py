@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from habitus.fit.registration.nearest import Nearest, Topology, nearest
 from habitus.fit.registration.skin_grid import SkinGrid
 from habitus.mesh.normals import face_normals
+from habitus.observe.harmonics import harmonic_terms
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_points import PointMatches
 
@@ -135,7 +136,7 @@ def find_skin(grid: SkinGrid, clouds: Sequence[ColourCloud], sights: Sequence[Si
     """
     wide = SkinGrid.of(grid.faces, GAIN_PIECES)
     count = range(len(clouds))
-    shapes = [low_orders(sight.found.normal) for sight in sights]
+    shapes = [harmonic_terms(sight.found.normal) for sight in sights]
     tables = [grid.weights(sight.found.face, sight.found.barycentric) for sight in sights]
     rough = [wide.weights(sight.found.face, sight.found.barycentric) for sight in sights]
     weights = [sight.weight for sight in sights]
@@ -216,14 +217,6 @@ def colour_matches(
     place = np.einsum("nk,nkc->nc", places.share, surface[skin.grid.faces[places.face]])
     target = place + np.einsum("nk,nkc->nc", step, axes)
     return PointMatches(places.face, places.share, target, (np.sqrt(size) * good)[..., None] * axes)
-
-
-def low_orders(normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 9"]:
-    """Spherical harmonics of orders 0 to 2, without factors, of unit normals."""
-    x, y, z = normals.T
-    return np.stack(
-        [np.ones_like(x), y, z, x, x * y, y * z, 3.0 * z * z - 1.0, x * z, x * x - y * y], 1
-    )
 
 
 def _light(shape: np.ndarray, apart: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, "9 3"]:

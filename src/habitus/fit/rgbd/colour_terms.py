@@ -37,7 +37,7 @@ from habitus.fit.rgbd.off_model import OffModel
 from habitus.fit.rgbd.settings import RgbdSettings
 from habitus.mesh.normal_jacobian import normal_jacobian
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.lighting import harmonics, harmonics_slope
+from habitus.observe.harmonics import harmonics, harmonics_slope
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import image_jacobian

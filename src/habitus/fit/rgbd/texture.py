@@ -18,7 +18,7 @@ from habitus.fit.rgbd.energy import State
 from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.sights import Sight
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.lighting import harmonics
+from habitus.observe.harmonics import harmonics
 from habitus.render import operators
 from habitus.render.rasterize import rasterize
 from habitus.render.triangles import Triangles

@@ -6,7 +6,7 @@ from scipy.sparse import csr_array
 
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
-from habitus.mesh.holes import fill_holes
+from habitus.mesh.laplacian import fill_holes
 
 _HOLD = 1e-6  # keeps what a pose squeezes flat at the general person's
 

@@ -26,7 +26,7 @@ from habitus.learn.posing.surface import (
     signed_value,
     world_quaternions,
 )
-from habitus.mesh.holes import eliminate_holes, fill_holes
+from habitus.mesh.laplacian import eliminate_holes, fill_holes
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
 from habitus.solve.levenberg import Damped

@@ -15,7 +15,7 @@ from habitus.fit.rgbd.colour_camera import moved
 from habitus.fit.rgbd.sights import Sight
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
-from habitus.observe.lighting import harmonics
+from habitus.observe.harmonics import harmonics
 from habitus.observe.srgb import srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles

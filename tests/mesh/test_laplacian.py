@@ -1,9 +1,10 @@
-"""Values carried on into the holes of a mesh."""
+"""Laplacians of meshes, and values carried on into holes."""
 
 import numpy as np
+import trimesh
 from scipy.sparse import csr_array
 
-from habitus.mesh.holes import eliminate_holes, fill_holes
+from habitus.mesh.laplacian import cotangent_laplacian, eliminate_holes, fill_holes
 
 
 def path(count, cut=None):
@@ -50,3 +51,11 @@ def test_without_holes_the_laplacian_measures_the_least_that_any_filling_has():
         other = np.where(seen, values, filled + 0.1 * rng.normal(size=30))
         assert other @ (laplacian @ other) > filled @ (laplacian @ filled)
     assert eliminate_holes(laplacian, np.ones(30, bool)) is laplacian
+
+
+def test_the_laplacian_of_a_constant_is_zero_and_the_areas_add_up():
+    ball = trimesh.creation.icosphere(3, 0.4)
+    laplacian, area = cotangent_laplacian(np.asarray(ball.vertices), np.asarray(ball.faces))
+    assert np.abs(laplacian @ np.ones(len(area))).max() < 1e-9
+    np.testing.assert_allclose(area.sum(), ball.area)
+    assert np.linalg.eigvalsh(laplacian.toarray()[:200, :200]).min() > -1e-9
