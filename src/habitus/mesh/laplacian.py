@@ -1,4 +1,4 @@
-"""Laplacians of triangle meshes, and harmonic functions, which fill holes as smoothly as they can."""
+"""Laplacians of triangle meshes, and harmonic functions, which fill holes smoothly."""
 
 from collections.abc import Callable
 
