@@ -23,8 +23,10 @@ def site(tmp_path_factory):
     finally:
         sys.path.pop(0)
     folder = tmp_path_factory.mktemp("site")
+    report = tmp_path_factory.mktemp("demo") / "report.html"
+    report.write_text("<title>a report</title>")
     try:
-        build_site.build(folder)
+        build_site.build(folder, report)
     except subprocess.CalledProcessError as error:
         pytest.fail(error.stderr)
     return folder
@@ -47,11 +49,35 @@ def test_every_page_is_in_the_site_and_none_leads_to_the_checkout(site):
     assert len(links) > 1000 and not lost
 
 
+def test_the_first_page_shows_a_report(site):
+    assert '<iframe src="demo-report.html"' in (site / "index.html").read_text("utf-8")
+    assert (site / "demo-report.html").read_text("utf-8") == "<title>a report</title>"
+
+
 def test_the_reference_holds_the_public_face(pages):
-    (text,) = (page.read_text() for page in pages if page.name == "habitus.html")
-    missing = [name for name in habitus.__all__ if name != "terms" and f'id="{name}"' not in text]
-    assert not missing
-    assert any(page.parts[-2:] == ("residuals", "terms.html") for page in pages)
+    (text,) = (page.read_text("utf-8") for page in pages if page.name == "public.html")
+    names = [name for name in habitus.__all__ if name != "terms" and name[0] != "_"]
+    assert not [name for name in names if f'id="habitus.{name}"' not in text]
+
+
+def test_the_reference_holds_terms_renderer_and_settings(pages):
+    text = "".join(page.read_text("utf-8") for page in pages)
+    for name in (
+        "habitus.solve.terms.Term",
+        "habitus.residuals.terms.Markers",
+        "habitus.observe.camera.Camera.project",
+        "habitus.render.draw.draw",
+        "habitus.fit.markers.settings.MoshSettings",
+    ):
+        assert f'id="{name}"' in text, name
+
+
+def test_the_reference_holds_the_help_of_every_command(pages):
+    from habitus.cli.main import COMMANDS
+
+    (text,) = (page.read_text("utf-8") for page in pages if page.name == "commands.html")
+    assert not [name for name in COMMANDS if f"<h2>habitus {name}" not in text]
+    assert text.count("--help") >= len(COMMANDS)
 
 
 def test_public_methods_are_told():

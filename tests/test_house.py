@@ -112,17 +112,11 @@ def _write_walk(path: Path) -> None:
     write_c3d(Capture("walk", layout.labels, truth.observed, 120.0, "+y"), path)
 
 
-def test_readme_names_the_two_commands_and_every_subcommand():
+def test_readme_names_the_two_commands_and_the_main_subcommands():
     text = (ROOT / "README.md").read_text()
-    for words in (
-        "make demo",
-        "make test",
-        "habitus mosh",
-        "habitus layout show",
-        "layout check",
-        "layout new",
-    ):
-        assert words in text
+    assert all(f"make {name}" in text for name in ("demo", "test"))
+    shown = set(re.findall(r"`habitus ([a-z-]+) [A-Z]", text))
+    assert shown == {"mosh", "archive", "label", "rgbd", "register", "measure", "export", "train"}
     rules = (ROOT / "Makefile").read_text()
     assert all(re.search(rf"^{name}:", rules, re.MULTILINE) for name in ("demo", "test"))
     assert "make test" in (ROOT / ".ci" / "run").read_text()
