@@ -12,7 +12,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import iterate_fits
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.verdict import FAILED
+from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import at_age, told_age

@@ -16,7 +16,7 @@ from habitus.fit.markers.recipe import fit_markers, iterate_fits
 from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.verdict import FAILED, LEVELS
+from habitus.fit.verdict import FAILED, LEVELS
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.blocks import distances, mapped
 from habitus.types import Progress

@@ -1,48 +1,157 @@
-"""What a fit is worth: good, doubtful or failed, with its reasons in a sentence each."""
+"""The verdict on a marker fit: limits, checks and sentences (`habitus.fit.verdict` weighs them).
+
+Limits were learned from real captures and from spoilt copies of them;
+`benchmarks/mosh_verdicts.py` measures how well they separate the two.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from types import MappingProxyType
 
 from habitus.fit.markers.evidence import Evidence, evidence
-from habitus.fit.markers.limits import LIMITS, Bound, Limits, Range, people_of
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.verdict import DOUBTFUL, FAILED, GOOD, LEVELS, Verdict, worst
-
-# What hangs from a joint, by its name without the side, and whether a fit is in doubt where no
-# marker tells of it.
-LIMBS: Mapping[str, tuple[str, bool]] = {
-    "hip": ("leg", True),
-    "knee": ("lower leg", True),
-    "ankle": ("foot", False),
-    "collar": ("arm", True),
-    "shoulder": ("arm", True),
-    "elbow": ("forearm", True),
-    "wrist": ("hand", False),
-    "spine1": ("body above the pelvis", True),
-    "spine2": ("body above the loins", True),
-    "spine3": ("chest, arms and head", True),
-    "neck": ("head", True),
-    "head": ("head", True),
-}
-TIPS = (
-    "foot",
-    "hand",
-    "thumb",
-    "index",
-    "middle",
-    "ring",
-    "pinky",
-    "jaw",
-    "eye",
-    "toe",
-)  # never in doubt by themselves
+from habitus.fit.verdict import (
+    DOUBTFUL,
+    FAILED,
+    GOOD,
+    PEOPLE,
+    PEOPLE_SENTENCES,
+    Bound,
+    PeopleLimits,
+    Range,
+    Reason,
+    Verdict,
+    above,
+    below,
+    enumerated,
+    measured,
+    measurement_reasons,
+    percent,
+    shape_reasons,
+    words,
+    worst,
+)
+from habitus.fit.verdict import weigh as weigh_checks
 
 
-class Reason(NamedTuple):
-    """A sentence and the level that it speaks for."""
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the evidence on a fit (`habitus.fit.markers.evidence`), in its units."""
 
-    level: str
-    text: str
+    mean_mm: Bound = Bound(15.0, 30.0)
+    p95_mm: Bound = Bound(35.0, 80.0)
+    usual: Bound = Bound(2.5, 5.0)
+    """Mean error as a multiple of the error that such motion usually leaves."""
+    usual_still_mm: float = 4.0
+    usual_moving_mm: float = 3.0
+    """Mean error (mm) of sound fits at rest, and how much more for each m/s of motion."""
+    displaced: Bound = Bound(2.0, 4.0)
+    """Distance of markers from the layout's places, in the layout's spreads, at the median."""
+    distrusted: Bound = Bound(0.05, 0.20)
+    """Share of samples that the robust loss gives less than half of their weight."""
+    beta_sd: Bound = Bound(3.5, 6.0)
+    betas_rms: Bound = Bound(1.6, 2.5)
+    suspects: Bound = Bound(0.35, float("inf"))
+    """Share of the markers under suspicion."""
+    markers: Bound = Bound(12, 4)
+    """Number of markers: below."""
+    unseen: float = 0.5
+    """Share of the frames in which no marker determines where a limb is."""
+    no_data: Bound = Bound(0.05, 0.5)
+    """Share of the frames with too few markers."""
+    gap_s: Bound = Bound(1.0, float("inf"))
+    height: Bound = Bound(0.03, 0.12)
+    """Recorded height against the estimate, as a share."""
+    mass: Bound = Bound(0.20, 0.60)
+    mass_remark: float = 0.05
+    """Beyond this share the recorded mass is mentioned, without a doubt."""
+    confidence: Bound = Bound(0.4, 0.0)
+    """Of the layout's choice, 0..1: below."""
+    tilt_deg: Bound = Bound(50.0, 181.0)
+    standing_tilt_deg: Bound = Bound(20.0, 181.0)
+    size: Bound = Bound(1.5, 2.5)
+    """Of the markers against the body that was fitted to them, as a factor."""
+    height_m: Range = Range(0.6, 2.8)
+    """Of anybody, children included."""
+    torn: Bound = Bound(0.02, 0.15)
+    torn_level: float = 0.6
+    """Pairs of markers that are close on the body and far apart in the capture; above this share of
+    level ones there are two people.
+    """
+    slow_hz: Bound = Bound(15.0, 1.0)
+    fast_hz: Bound = Bound(1500.0, 10000.0)
+    speed: Bound = Bound(12.0, 40.0)
+    """Of the body as a whole (m/s), at the median."""
+    left_out: Bound = Bound(0.0, 0.34)
+    """Share of the labels that had to be left out."""
+    people: PeopleLimits = PEOPLE
+
+
+LIMITS = Limits()
+
+SENTENCES: Mapping[str, str] = MappingProxyType(
+    {
+        **PEOPLE_SENTENCES,
+        "no markers": "No marker was ever seen, so nothing determines the body.",
+        "errors": "Markers lie {mean:.1f} mm from the body on average, 95 % within {p95:.0f} mm.",
+        "large errors": "Markers lie {mean:.1f} mm from the body on average, 95 % within "
+        "{p95:.0f} mm; typical error for this kind of motion: {usual:.0f} mm.",
+        "distrusted": "{share} of the marker samples are so far off that the robust loss almost "
+        "ignores them.",
+        "displaced": "Half of the markers are more than {displaced:.1f} times as far from the "
+        "layout's places as usual; check the layout.",
+        "recorded": "The file states {name} {recorded}; the fitted body has {estimate} "
+        "({change:+.0f} %).",
+        "unseen limbs": "No markers on the {limbs}; their motion comes from the pose prior.",
+        "gaps": "{share} of the frames have too few markers to place a body{longest}.",
+        "layout": "The labels match the layout only loosely (confidence {confidence:.2f}); markers "
+        "may be misplaced.",
+        "doubt": "{text}",
+        "tilt": "The body leans {tilt:.0f} degrees from {up}, the capture's up axis; check the up "
+        "axis.",
+        "rate": "At {rate:g} frames a second the body moves at {speed:.1f} m/s; check the frame "
+        "rate.",
+        "span": "The markers span {size:.2g} times what the fitted body spans; check the unit of "
+        "length.",
+        "tall": "The body is {height} tall; check the unit of length.",
+        "two people": "{share} of the pairs of markers that belong close together are far apart: "
+        "perhaps two people in one capture.",
+        "mixed labels": "{share} of the pairs of markers that belong close together are far apart: "
+        "perhaps labels are mixed up.",
+        "suspects": "{share} of the markers look wrong or mislabelled: exchanged labels, or a "
+        "mirrored space.",
+        "few markers": "Only {count} markers were used; shape and pose follow mostly the priors.",
+        "left out": "Left out because nothing fits them: {labels}.",
+        "tried": "{text}",
+        # of a live fit, over its last second (`habitus.fit.markers.live_quality`)
+        "nobody": "Nobody is seen.",
+        "live few": "Too few markers are seen to place a body.",
+        "live errors": "Markers lie {mean:.0f} mm from the body.",
+        "live outliers": "Markers lie {mean:.0f} mm from the body; far off: {named}.",
+        "live missing": "Only {share:.0%} of the markers are seen.",
+    }
+)
+
+# The part of the body that a joint moves, by the joint's name without the side, and whether a fit
+# is doubtful where no marker determines its motion.
+LIMBS: Mapping[str, tuple[str, bool]] = MappingProxyType(
+    {
+        "hip": ("leg", True),
+        "knee": ("lower leg", True),
+        "ankle": ("foot", False),
+        "collar": ("arm", True),
+        "shoulder": ("arm", True),
+        "elbow": ("forearm", True),
+        "wrist": ("hand", False),
+        "spine1": ("body above the pelvis", True),
+        "spine2": ("body above the loins", True),
+        "spine3": ("chest, arms and head", True),
+        "neck": ("head", True),
+        "head": ("head", True),
+    }
+)
+# Parts that usually carry no markers: never mentioned by themselves.
+TIPS = ("foot", "hand", "thumb", "index", "middle", "ring", "pinky", "jaw", "eye", "toe")
 
 
 def judge(fit: MarkerFit, limits: Limits = LIMITS) -> Verdict:
@@ -51,15 +160,14 @@ def judge(fit: MarkerFit, limits: Limits = LIMITS) -> Verdict:
 
 
 def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
-    """The verdict on what was found about a fit."""
-    decisive = [reason for check in DECISIVE for reason in check(found, limits)]
-    plain = worst([reason.level for reason in decisive]) == FAILED
-    checks = (_errors, _tried) if plain else [check for check in CHECKS if check not in DECISIVE]
-    reasons = decisive + [reason for check in checks for reason in check(found, limits)]
-    reasons.sort(key=lambda reason: -LEVELS.index(reason.level))
-    return Verdict(
-        worst([reason.level for reason in reasons]), tuple(reason.text for reason in reasons)
-    )
+    """The verdict on the evidence of a fit.
+
+    Where a decisive check fails, the others only follow from it and are not mentioned.
+    """
+    decisive = [reason.level for check in DECISIVE for reason in check(found, limits)]
+    rest = (_errors, _tried) if worst(decisive) == FAILED else CHECKS
+    checks = [*DECISIVE, *(check for check in rest if check not in DECISIVE)]
+    return weigh_checks(checks, found, limits, SENTENCES)
 
 
 def may_improve(fit: MarkerFit, limits: Limits = LIMITS) -> bool:
@@ -72,18 +180,8 @@ def may_improve(fit: MarkerFit, limits: Limits = LIMITS) -> bool:
     return worst([reason.level for check in MENDABLE for reason in check(found, limits)]) == FAILED
 
 
-def above(value: float, bound: Bound) -> str:
-    """The level that a value speaks for: the greater, the worse."""
-    return FAILED if value > bound.failed else DOUBTFUL if value > bound.doubtful else GOOD
-
-
-def below(value: float, bound: Bound) -> str:
-    """The level that a value speaks for: the smaller, the worse."""
-    return FAILED if value < bound.failed else DOUBTFUL if value < bound.doubtful else GOOD
-
-
 def usual_mm(motion: float, limits: Limits = LIMITS) -> float:
-    """The mean error (mm) that a sound fit leaves of markers that move so fast (m/s) against the
+    """The mean error (mm) of a sound fit of markers that move at ``motion`` (m/s) relative to the
     body's middle.
     """
     return limits.usual_still_mm + limits.usual_moving_mm * motion
@@ -91,78 +189,38 @@ def usual_mm(motion: float, limits: Limits = LIMITS) -> float:
 
 def _errors(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.mean_mm is None or e.p95_mm is None:
-        yield Reason(FAILED, "No marker was ever seen: there is nothing to judge the body by.")
+        yield Reason(FAILED, "no markers")
         return
     usual = usual_mm(e.motion, limits)
-    known = (
-        (e.mean_mm, limits.mean_mm),
-        (e.p95_mm, limits.p95_mm),
-        (e.mean_mm / usual, limits.usual),
+    level = worst(
+        [
+            above(e.mean_mm, limits.mean_mm),
+            above(e.p95_mm, limits.p95_mm),
+            above(e.mean_mm / usual, limits.usual),
+        ]
     )
-    level = worst([above(value, bound) for value, bound in known])
-    text = f"Markers lie {e.mean_mm:.1f} mm from the body on average, 95 % within {e.p95_mm:.0f} mm"
-    yield Reason(
-        level,
-        f"{text}{'' if level == GOOD else f'; such motion usually leaves about {usual:.0f} mm'}.",
-    )
+    values = {"mean": e.mean_mm, "p95": e.p95_mm, "usual": usual}
+    yield Reason(level, "errors" if level == GOOD else "large errors", values)
 
 
 def _trust(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.distrusted, limits.distrusted)
     if level != GOOD:
-        yield Reason(
-            level,
-            f"{percent(e.distrusted)} of the marker samples are so far off that they hardly count.",
-        )
+        yield Reason(level, "distrusted", {"share": percent(e.distrusted)})
 
 
 def _placement(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = GOOD if e.displaced is None else above(e.displaced, limits.displaced)
     if level != GOOD:
-        yield Reason(
-            level,
-            f"Half of the markers sit more than {e.displaced:.1f} times as far from the layout's "
-            "places as markers "
-            "usually do; it may be the wrong layout.",
-        )
+        yield Reason(level, "displaced", {"displaced": e.displaced})
 
 
 def _shape(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    level = worst([above(e.beta_sd, limits.beta_sd), above(e.betas_rms, limits.betas_rms)])
-    if level != GOOD:
-        yield Reason(
-            level,
-            f"The shape is rare: its coefficients reach {e.beta_sd:.1f} standard deviations "
-            f"({e.betas_rms:.1f} RMS).",
-        )
+    return shape_reasons(e.beta_sd, e.betas_rms, limits.beta_sd, limits.betas_rms)
 
 
 def _measurements(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    """The measurement furthest outside what people have, and how many others are."""
-    people = people_of(e.age, e.stature, limits.people)
-    far = {}
-    for name, value in e.measurements.items():
-        least, most = people.get(name, Range(0.0, float("inf")))
-        over = value / most - 1.0
-        under = least / max(value, 1e-6) - 1.0
-        level = worst([above(over, limits.above_people), above(under, limits.below_people)])
-        if level != GOOD:
-            far[name] = (LEVELS.index(level), max(over, under))
-    if not far:
-        return
-    name = max(far, key=lambda name: far[name])
-    least, most = people[name]
-    more = (
-        f", and {len(far) - 1} more measurement{'s' * (len(far) > 2)} such as nobody has"
-        if len(far) > 1
-        else ""
-    )
-    whose = "adults" if people is limits.people else "people up to that age"
-    said = (
-        f"{measured(name, e.measurements[name])} where {whose} have {measured(name, least)} to "
-        f"{measured(name, most)}"
-    )
-    yield Reason(LEVELS[far[name][0]], f"The body's {words(name)} is {said}{more}.")
+    return measurement_reasons(e.measurements, e.age, e.stature, limits.people)
 
 
 def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -170,18 +228,20 @@ def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
         ("height_m", limits.height, None),
         ("mass_kg", limits.mass, limits.mass_remark),
     ):
-        known = e.recorded.get(name)
-        value = e.measurements.get(name)
-        if isinstance(known, str) or known is None or value is None or known <= 0:
+        recorded = e.recorded.get(name)
+        estimate = e.measurements.get(name)
+        if isinstance(recorded, str) or recorded is None or estimate is None or recorded <= 0:
             continue
-        off = max(value / known, known / max(value, 1e-6)) - 1.0
-        level = above(off, bound)
-        if level != GOOD or (remark is not None and off > remark):
-            text = (
-                f"The file says {words(name)} {measured(name, known)}; the fitted body has "
-                f"{measured(name, value)}"
-            )
-            yield Reason(level, f"{text} ({100 * value / known - 100:+.0f} %).")
+        difference = max(estimate / recorded, recorded / max(estimate, 1e-6)) - 1.0
+        level = above(difference, bound)
+        if level != GOOD or (remark is not None and difference > remark):
+            values = {
+                "name": words(name),
+                "recorded": measured(name, recorded),
+                "estimate": measured(name, estimate),
+                "change": 100 * estimate / recorded - 100,
+            }
+            yield Reason(level, "recorded", values)
 
 
 def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -189,18 +249,14 @@ def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
     for counts, level in ((True, DOUBTFUL), (False, GOOD)):
         names = [name for name, grave in limbs.items() if grave == counts]
         if names:
-            yield Reason(
-                level,
-                f"No marker tells of the {enumerated(names)}: the motion there is the pose "
-                "prior's guess.",
-            )
+            yield Reason(level, "unseen limbs", {"limbs": enumerated(names)})
 
 
 def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
-    """Limbs that no marker tells of in more than a share of the frames, each as a whole; whether
-    each counts.
+    """Limbs whose motion no marker determines in more than a share of the frames, each as a whole,
+    and whether they make a fit doubtful.
     """
-    found = {}
+    limbs = {}
     for joint, share in e.unseen.items():
         parent = e.parents.get(joint)
         side, _, part = joint.rpartition("_")
@@ -211,76 +267,58 @@ def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
             and not part.startswith(TIPS)
         ):
             name, grave = LIMBS.get(part, (joint.replace("_", " "), True))
-            found[f"{side} {name}".strip() if part in LIMBS else name] = grave
-    return found
+            limbs[f"{side} {name}".strip() if part in LIMBS else name] = grave
+    return limbs
 
 
 def _gaps(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = worst([above(e.no_data, limits.no_data), above(e.gap_s, limits.gap_s)])
     if level != GOOD:
-        longest = f", {e.gap_s:.1f} s at a stretch without any" if e.gap_s > 0 else ""
-        yield Reason(
-            level,
-            f"{percent(e.no_data)} of the frames hold too few markers to place a body{longest}.",
-        )
+        longest = f", the longest gap is {e.gap_s:.1f} s" if e.gap_s > 0 else ""
+        yield Reason(level, "gaps", {"share": percent(e.no_data), "longest": longest})
     elif e.no_data > 0:
-        yield Reason(
-            GOOD, f"{percent(e.no_data, 1)} of the frames hold too few markers to place a body."
-        )
+        yield Reason(GOOD, "gaps", {"share": percent(e.no_data, 1), "longest": ""})
 
 
 def _layout(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    if e.confidence is not None and below(e.confidence, limits.confidence) != GOOD:
-        text = (
-            f"The labels match the layout only loosely (confidence {e.confidence:.2f}); "
-            "markers may be misplaced."
-        )
-        yield Reason(below(e.confidence, limits.confidence), text)
+    level = GOOD if e.confidence is None else below(e.confidence, limits.confidence)
+    if level != GOOD:
+        yield Reason(level, "layout", {"confidence": e.confidence})
 
 
 def _doubts(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    yield from (Reason(DOUBTFUL, text) for text in e.doubts)
+    yield from (Reason(DOUBTFUL, "doubt", {"text": text}) for text in e.doubts)
 
 
 def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
     bound = limits.standing_tilt_deg if e.standing else limits.tilt_deg
     if e.tilt_deg is not None and above(e.tilt_deg, bound) != GOOD:
-        yield Reason(
-            above(e.tilt_deg, bound),
-            f"The body leans {e.tilt_deg:.0f} degrees from {e.up_axis}, which the capture calls "
-            "up; is it?",
-        )
-    rate = worst([below(e.rate_hz, limits.slow_hz), above(e.rate_hz, limits.fast_hz)])
-    speed = above(e.speed, limits.speed)
-    if worst([rate, speed]) != GOOD:
-        text = (
-            f"At {e.rate_hz:g} frames a second the body moves at {e.speed:.1f} m/s; the rate "
-            "may be wrong."
-        )
-        yield Reason(worst([rate, speed]), text)
+        yield Reason(above(e.tilt_deg, bound), "tilt", {"tilt": e.tilt_deg, "up": e.up_axis})
+    level = worst(
+        [
+            below(e.rate_hz, limits.slow_hz),
+            above(e.rate_hz, limits.fast_hz),
+            above(e.speed, limits.speed),
+        ]
+    )
+    if level != GOOD:
+        yield Reason(level, "rate", {"rate": e.rate_hz, "speed": e.speed})
 
 
 def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
-    """A wrong unit: the markers outgrow any body that the shape space has, or the body follows them
-    out of all size.
+    """A wrong unit: the markers outgrow any body of the shape space, or the body follows them to an
+    impossible size.
     """
     level = _span(e, limits)
     height = e.measurements.get("height_m")
     if level != GOOD:
-        text = (
-            f"The markers span {e.size:.2g} times what the fitted body spans; the unit of "
-            "length may be wrong."
-        )
-        yield Reason(level, text)
+        yield Reason(level, "span", {"size": e.size})
     elif (
         above(e.torn, limits.torn) == GOOD
         and height is not None
         and not limits.height_m.least <= height <= limits.height_m.most
     ):
-        yield Reason(
-            FAILED,
-            f"The body is {measured('height_m', height)} tall; the unit of length may be wrong.",
-        )
+        yield Reason(FAILED, "tall", {"height": measured("height_m", height)})
 
 
 def _span(e: Evidence, limits: Limits) -> str:
@@ -289,41 +327,28 @@ def _span(e: Evidence, limits: Limits) -> str:
 
 def _people(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.torn, limits.torn)
-    if (
-        level != GOOD and _span(e, limits) == GOOD
-    ):  # where all is too large, pairs are far apart as well
-        pairs = (
-            f"{percent(e.torn)} of the pairs of markers that belong close together are far apart"
-        )
-        two = e.torn_level > limits.torn_level
-        yield Reason(
-            level,
-            f"{pairs}: perhaps {'two people in one capture' if two else 'labels are mixed up'}.",
-        )
+    # where everything is too large, pairs are far apart as well
+    if level != GOOD and _span(e, limits) == GOOD:
+        key = "two people" if e.torn_level > limits.torn_level else "mixed labels"
+        yield Reason(level, key, {"share": percent(e.torn)})
 
 
 def _suspects(e: Evidence, limits: Limits) -> Iterator[Reason]:
     level = above(e.suspects, limits.suspects)
     if level != GOOD:
-        text = (
-            f"{percent(e.suspects)} of the markers look wrong or mislabelled: exchanged "
-            "labels, or a mirrored space."
-        )
-        yield Reason(level, text)
-    if below(e.markers, limits.markers) != GOOD:
-        text = f"Only {e.markers} markers were used: most of shape and pose is the priors' guess."
-        yield Reason(below(e.markers, limits.markers), text)
+        yield Reason(level, "suspects", {"share": percent(e.suspects)})
+    level = below(e.markers, limits.markers)
+    if level != GOOD:
+        yield Reason(level, "few markers", {"count": e.markers})
 
 
 def _tried(e: Evidence, limits: Limits) -> Iterator[Reason]:
     if e.left_out:
         share = len(e.left_out) / (e.markers + len(e.left_out))
-        yield Reason(
-            above(share, limits.left_out),
-            f"Left out because nothing fits them: {enumerated(e.left_out)}.",
-        )
+        level = above(share, limits.left_out)
+        yield Reason(level, "left out", {"labels": enumerated(e.left_out)})
     if e.tried:
-        yield Reason(GOOD, f"{' '.join(e.tried)}")
+        yield Reason(GOOD, "tried", {"text": " ".join(e.tried)})
 
 
 CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
@@ -343,28 +368,8 @@ CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
     _world,
     _tried,
 )
-"""What is looked at; among reasons of one level the earlier stands first."""
+"""All checks; among reasons of one level the earlier comes first."""
 DECISIVE = (_size, _people)
-"""What explains a failure by itself: other reasons only follow from it."""
+"""Checks that explain a failure by themselves: other reasons only follow from them."""
 MENDABLE = (_errors, _trust, _shape, _measurements)
-"""What a bad start, bad frames or wrong labels make worse."""
-
-
-def words(name: str) -> str:
-    """``chest_circumference_m`` in words."""
-    return name.rsplit("_", 1)[0].replace("_", " ")
-
-
-def measured(name: str, value: float) -> str:
-    """A measurement with its unit."""
-    return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
-
-
-def percent(share: float, digits: int = 0) -> str:
-    """A share as a percentage."""
-    return f"{100 * share:.{digits}f} %"
-
-
-def enumerated(names: tuple[str, ...] | list[str]) -> str:
-    """Names with commas and an "and"."""
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+"""Checks whose failures may come from a bad start, bad frames or wrong labels."""

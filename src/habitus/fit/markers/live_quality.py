@@ -4,11 +4,19 @@ from collections import deque
 
 import numpy as np
 
-from habitus.fit.markers.judge import above
-from habitus.fit.markers.limits import LIMITS
+from habitus.fit.markers.judge import LIMITS, SENTENCES
 from habitus.fit.markers.suspects import GROSS
 from habitus.fit.markers.tracking import LiveFrame
-from habitus.fit.markers.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
+from habitus.fit.verdict import (
+    DOUBTFUL,
+    FAILED,
+    GOOD,
+    Reason,
+    Verdict,
+    above,
+    verdict_of,
+    worst,
+)
 
 FEW = 0.5
 """Share of the markers below which what is seen is too little to be sure of a body."""
@@ -49,38 +57,35 @@ class Quality:
     def verdict(self) -> Verdict:
         """``good``, ``doubtful`` or ``failed``, with its reasons."""
         if not self._last or self._last[-1].state == "nobody":
-            return Verdict(FAILED, ("Nobody is seen.",))
-        found = self._distances()
-        reasons = [*self._errors(found), *self._missing(found)]
-        told = tuple(f"{text}." for level, text in reasons if level != GOOD)
-        return Verdict(worst([level for level, _ in reasons]), told)
+            return verdict_of([Reason(FAILED, "nobody")], SENTENCES)
+        distances = self._distances()
+        reasons = [self._errors(distances), self._missing(distances)]
+        return verdict_of([reason for reason in reasons if reason.level != GOOD], SENTENCES)
 
     def _distances(self) -> np.ndarray:
         """(F, N) of the last second's frames that show somebody."""
         shown = [frame.distances for frame in self._last if frame.state in ("tracked", "started")]
         return np.array(shown).reshape(-1, len(self.labels))
 
-    def _errors(self, found: np.ndarray) -> list[tuple[str, str]]:
-        seen = np.isfinite(found)
+    def _errors(self, distances: np.ndarray) -> Reason:
+        seen = np.isfinite(distances)
         if not seen.any():
-            return [(FAILED, "Too few markers are seen to place a body")]
-        mean = 1e3 * found[seen].mean()
-        p95 = 1e3 * np.percentile(found[seen], 95)
+            return Reason(FAILED, "live few")
+        mean = 1e3 * distances[seen].mean()
+        p95 = 1e3 * np.percentile(distances[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
-        far = np.flatnonzero(1e3 * _medians(found) > 1e3 * GROSS)
-        named = ", ".join(
-            f"{self.labels[k]} {1e3 * _medians(found)[k]:.0f} mm" for k in far[:_NAMED]
-        )
-        level = worst([level, DOUBTFUL if len(far) else GOOD])
-        text = f"Markers lie {mean:.0f} mm from the body" + (
-            f"; far off: {named}" if len(far) else ""
-        )
-        return [(level, text + (f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""))]
+        medians = _medians(distances)
+        far = np.flatnonzero(medians > GROSS)
+        if not len(far):
+            return Reason(level, "live errors", {"mean": mean})
+        named = ", ".join(f"{self.labels[k]} {1e3 * medians[k]:.0f} mm" for k in far[:_NAMED])
+        more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+        values = {"mean": mean, "named": named + more}
+        return Reason(worst([level, DOUBTFUL]), "live outliers", values)
 
-    def _missing(self, found: np.ndarray) -> list[tuple[str, str]]:
-        share = float(np.isfinite(found).mean()) if found.size else 0.0
-        level = DOUBTFUL if share < FEW else GOOD
-        return [(level, f"Only {share:.0%} of the markers are seen")]
+    def _missing(self, distances: np.ndarray) -> Reason:
+        share = float(np.isfinite(distances).mean()) if distances.size else 0.0
+        return Reason(DOUBTFUL if share < FEW else GOOD, "live missing", {"share": share})
 
 
 def _medians(found: np.ndarray) -> np.ndarray:

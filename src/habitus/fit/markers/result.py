@@ -17,7 +17,7 @@ from habitus.fit.markers.guessed import Guessed
 from habitus.fit.markers.sequence_terms import sequence_terms
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.markers.verdict import Verdict
+from habitus.fit.verdict import Verdict
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment

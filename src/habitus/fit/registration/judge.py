@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
-from habitus.fit.markers.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
+from habitus.fit.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
 
 MEDIAN, P95 = (0.0015, 0.004), (0.006, 0.020)
 """Metres: scan to surface, from which on it is doubtful, and failed."""

@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
-from habitus.fit.markers.verdict import Verdict
 from habitus.fit.registration.judge import judge_scan
 from habitus.fit.registration.model_stage import Cloud
 from habitus.fit.registration.skin_grid import SkinGrid
+from habitus.fit.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)

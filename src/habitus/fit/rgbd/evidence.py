@@ -4,6 +4,7 @@ whom it shows.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -47,7 +48,8 @@ class ViewEvidence:
 @dataclass(frozen=True)
 class Evidence:
     """All that the verdict is drawn from. limb_apart: how far (m) a limb's joint, seen from the
-    pelvis, is elsewhere in another view, and which; None of one view.
+    pelvis, is elsewhere in another view, and which; None of one view. age, stature: the body's
+    age, if it was brought to one (years), and how tall its mean person is (m).
     """
 
     views: tuple[ViewEvidence, ...]
@@ -59,6 +61,8 @@ class Evidence:
     way: str
     height_seen: float | None
     limb_apart: tuple[float, str] | None = None
+    age: float | None = None
+    stature: float = 0.0
 
 
 def gather(
@@ -83,8 +87,6 @@ def gather(
         )
         for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
     )
-    mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
-    apart = state.betas - mean
     whole = [sight for sight in sights if sight.on_floor and not sight.cut_off]
     height = (
         float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]))
@@ -92,16 +94,31 @@ def gather(
         else None
     )
     return Evidence(
-        views,
-        float(np.abs(apart).max(initial=0.0)),
-        float(np.sqrt(np.mean(apart**2))),
-        body.measure_rest(along_normals(body.rest_vertices(state.betas), skin, body)),
-        any(sight.view.background is not None for sight in sights),
-        any(sight.colour_camera is not None for sight in sights),
-        sights[0].way,
-        height,
-        _limb_apart(body, state),
+        views=views,
+        has_background=any(sight.view.background is not None for sight in sights),
+        has_colour=any(sight.colour_camera is not None for sight in sights),
+        way=sights[0].way,
+        height_seen=height,
+        limb_apart=_limb_apart(body, state),
+        **body_evidence(body, state.betas, skin),
     )
+
+
+def body_evidence(
+    body: BodyModel, betas: Float[np.ndarray, " B"], skin: Float[np.ndarray, " V"]
+) -> dict[str, Any]:
+    """What `Evidence` holds of the body: how rare its betas are, its measurements, and whose they
+    are compared with.
+    """
+    mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+    difference = betas - mean
+    return {
+        "beta_max": float(np.abs(difference).max(initial=0.0)),
+        "beta_rms": float(np.sqrt(np.mean(difference**2))),
+        "measurements": body.measure_rest(along_normals(body.rest_vertices(betas), skin, body)),
+        "age": body.age,
+        "stature": float(np.ptp(body.v_template[:, 1])),
+    }
 
 
 def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:

@@ -1,76 +1,98 @@
-"""What a fit to depth views is worth: good, doubtful or failed, with its reasons in a sentence
-each.
+"""The verdict on a fit to depth views: limits, checks and sentences (`habitus.fit.verdict` weighs
+them).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
-from habitus.fit.markers.judge import Reason, above, below, measured, percent, words
-from habitus.fit.markers.limits import LIMITS as PEOPLE
-from habitus.fit.markers.limits import Bound
-from habitus.fit.markers.verdict import DOUBTFUL, GOOD, LEVELS, Verdict, worst
 from habitus.fit.rgbd.evidence import Evidence
+from habitus.fit.verdict import (
+    DOUBTFUL,
+    GOOD,
+    PEOPLE,
+    PEOPLE_SENTENCES,
+    Bound,
+    PeopleLimits,
+    Reason,
+    Verdict,
+    above,
+    below,
+    measurement_reasons,
+    percent,
+    shape_reasons,
+    weigh,
+    worst,
+)
 
 KNOWN_WAYS = ("background", "mask")
-"""How the person was found, where the view's maker told it."""
+"""How the person was segmented where the capture says it."""
 
 
 @dataclass(frozen=True)
 class RgbdLimits:
-    """Where a fit begins to be doubtful and to have failed; held against made people
-    (benchmarks/rgbd_people.py).
-    """
+    """Limits of the evidence on a fit, set by simulated people (benchmarks/rgbd_people.py)."""
 
-    over_noise: Bound
-    median_mm: Bound
-    explained: Bound
-    outside: Bound
-    overlap: Bound
-    beta_max: Bound
-    beta_rms: Bound
-    height: Bound
-    limb_apart: Bound
+    over_noise: Bound = Bound(1.8, 3.5)
+    """Median depth residual as a multiple of the sensor's noise."""
+    median_mm: Bound = Bound(14.0, 30.0)
+    explained: Bound = Bound(0.97, 0.90)
+    outside: Bound = Bound(0.02, 0.08)
+    overlap: Bound = Bound(0.86, 0.72)
+    beta_max: Bound = Bound(3.9, 6.5)
+    beta_rms: Bound = Bound(2.1, 3.0)
+    height: Bound = Bound(0.03, 0.08)
+    """Metres between the body's height and the person's highest point."""
+    limb_apart: Bound = Bound(0.25, np.inf)
+    """Metres between a joint in two views."""
+    people: PeopleLimits = PEOPLE
 
 
-LIMITS = RgbdLimits(
-    over_noise=Bound(1.8, 3.5),
-    median_mm=Bound(14.0, 30.0),
-    explained=Bound(0.97, 0.90),
-    outside=Bound(0.02, 0.08),
-    overlap=Bound(0.86, 0.72),
-    beta_max=Bound(3.9, 6.5),
-    beta_rms=Bound(2.1, 3.0),
-    height=Bound(0.03, 0.08),
-    limb_apart=Bound(0.25, np.inf),
+LIMITS = RgbdLimits()
+
+SENTENCES: Mapping[str, str] = MappingProxyType(
+    {
+        **PEOPLE_SENTENCES,
+        "depth": "Half of the depth pixels lie within {median:.1f} mm of the body, 95 % within "
+        "{p95:.0f} mm{where}; the sensor's noise alone leaves {noise:.1f} mm.",
+        "unexplained": "{view}: {share} of the person's pixels are more than 5 cm from the body.",
+        "outside": "{view}: {share} of the body covers pixels where the background was seen.",
+        "overlap": "{view}: body and person overlap by {share} only.",
+        "height": "The person's highest point is {seen:.0f} cm above the floor; the body is "
+        "{height:.0f} cm tall.",
+        "limb": "The {joint} differs by {distance:.0f} cm between the views: the person moved, or "
+        "an arm or leg is lost.",
+        "segmentation": "No background frame or mask was given, so the segmentation is uncertain; "
+        "check the limbs.",
+        "cut off": "The person reaches beyond the image; unseen parts follow the shape prior.",
+        "one view": "One view only; the unseen side follows the shape prior.",
+    }
 )
 
 
 def judge(found: Evidence, limits: RgbdLimits = LIMITS) -> Verdict:
-    """The verdict on what was found about a fit."""
-    reasons = [reason for check in CHECKS for reason in check(found, limits)]
-    reasons.sort(key=lambda reason: -LEVELS.index(reason.level))
-    return Verdict(
-        worst([reason.level for reason in reasons]), tuple(reason.text for reason in reasons)
-    )
+    """The verdict on the evidence of a fit."""
+    return weigh(CHECKS, found, limits, SENTENCES)
 
 
 def _depth(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    least = max(e.views, key=lambda view: view.median_mm)
-    expected = max(least.noise_mm, 2.0)
+    view = max(e.views, key=lambda view: view.median_mm)
     level = worst(
         [
-            above(least.median_mm / expected, limits.over_noise),
-            above(least.median_mm, limits.median_mm),
+            above(view.median_mm / max(view.noise_mm, 2.0), limits.over_noise),
+            above(view.median_mm, limits.median_mm),
         ]
     )
-    text = (
-        f"Half of the depth pixels lie within {least.median_mm:.1f} mm of the body, 95 % "
-        f"within {least.p95_mm:.0f} mm"
-    )
-    where = f" (the worst view, {least.name})" if len(e.views) > 1 and level != GOOD else ""
-    yield Reason(level, f"{text}{where}; the sensor's noise alone leaves {least.noise_mm:.1f} mm.")
+    where = f" (the worst view, {view.name})" if len(e.views) > 1 and level != GOOD else ""
+    values = {
+        "median": view.median_mm,
+        "p95": view.p95_mm,
+        "where": where,
+        "noise": view.noise_mm,
+    }
+    yield Reason(level, "depth", values)
 
 
 def _explained(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
@@ -78,103 +100,62 @@ def _explained(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
         level = below(view.explained, limits.explained)
         if level != GOOD:
             share = percent(1.0 - view.explained, 1)
-            yield Reason(
-                level,
-                f"{view.name}: {share} of the person's pixels are more than 5 cm from the body.",
-            )
+            yield Reason(level, "unexplained", {"view": view.name, "share": share})
         level = above(view.outside, limits.outside)
         if level != GOOD:
             share = percent(view.outside, 1)
-            yield Reason(
-                level, f"{view.name}: {share} of the body stands where the room behind was seen."
-            )
+            yield Reason(level, "outside", {"view": view.name, "share": share})
         level = below(view.overlap, limits.overlap)
         if level != GOOD:
-            yield Reason(
-                level, f"{view.name}: body and person overlap by {percent(view.overlap)} only."
-            )
+            share = percent(view.overlap)
+            yield Reason(level, "overlap", {"view": view.name, "share": share})
 
 
 def _shape(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    level = worst([above(e.beta_max, limits.beta_max), above(e.beta_rms, limits.beta_rms)])
-    if level != GOOD:
-        yield Reason(
-            level,
-            f"The shape is rare: its coefficients reach {e.beta_max:.1f} standard deviations "
-            f"({e.beta_rms:.1f} RMS).",
-        )
+    return shape_reasons(e.beta_max, e.beta_rms, limits.beta_max, limits.beta_rms)
 
 
 def _people(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    for name, (least, most) in PEOPLE.people.items():
-        value = e.measurements.get(name)
-        if value is None:
-            continue
-        level = worst(
-            [
-                above(value / most - 1.0, PEOPLE.above_people),
-                above(least / value - 1.0, PEOPLE.below_people),
-            ]
-        )
-        if level != GOOD:
-            span = f"{measured(name, least)} to {measured(name, most)}"
-            yield Reason(
-                level,
-                f"The body's {words(name)} is {measured(name, value)} where adults have {span}.",
-            )
+    return measurement_reasons(e.measurements, e.age, e.stature, limits.people)
 
 
 def _height(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    """People bend a little where they stand: the body may be somewhat taller than the person is
-    high, never lower.
+    """A standing person bends a little: the body may be somewhat taller than the highest point,
+    never lower.
     """
     value = e.measurements.get("height_m")
     if value is None or e.height_seen is None:
         return
-    off = max(e.height_seen - value, value - 1.03 * e.height_seen)
-    level = above(off, limits.height)
+    level = above(max(e.height_seen - value, value - 1.03 * e.height_seen), limits.height)
     if level != GOOD:
-        seen = f"{100 * e.height_seen:.0f} cm"
-        yield Reason(
-            level,
-            f"The person's highest point is {seen} above the floor, the body {100 * value:.0f} cm "
-            "tall.",
-        )
+        yield Reason(level, "height", {"seen": 100 * e.height_seen, "height": 100 * value})
 
 
 def _limbs(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    """A limb that is lost before the body or behind it is near all depth, and near the outline; not
-    in both views.
+    """A limb lost in front of the body or behind it is near all depth, and near the outline; but
+    not in both views.
     """
     if e.limb_apart is None:
         return
-    apart, joint = e.limb_apart
-    level = above(apart, limits.limb_apart)
+    distance, joint = e.limb_apart
+    level = above(distance, limits.limb_apart)
     if level != GOOD:
-        told = f"The {joint} is {100 * apart:.0f} cm elsewhere in another view"
-        yield Reason(level, f"{told}: the person moved, or an arm or leg is lost.")
+        yield Reason(level, "limb", {"joint": joint, "distance": 100 * distance})
 
 
 def _seen(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
     if any(view.cut_off for view in e.views):
-        yield Reason(
-            GOOD,
-            "The person reaches beyond the image: what is not seen is the shape space's guess.",
-        )
+        yield Reason(GOOD, "cut off")
     if len(e.views) == 1:
-        yield Reason(GOOD, "One view only: the side that was not seen is the shape space's guess.")
+        yield Reason(GOOD, "one view")
 
 
-def _room(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
-    """Where nobody told what is person and what is room, a lost limb hides in what was not cut out:
-    in three of twelve made people, and nothing else that is looked at tells it.
+def _segmentation(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
+    """Without a background frame or mask a lost limb hides in what was not cut out: in three of
+    twelve simulated people, and no other check finds it.
     """
     if e.way not in KNOWN_WAYS:
-        told = (
-            "Neither an empty room nor masks say what is person: a limb may be elsewhere; look "
-            "at the pictures."
-        )
-        yield Reason(DOUBTFUL, told)
+        yield Reason(DOUBTFUL, "segmentation")
 
 
 CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
@@ -184,6 +165,6 @@ CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
     _people,
     _limbs,
     _shape,
-    _room,
+    _segmentation,
     _seen,
 )

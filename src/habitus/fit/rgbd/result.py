@@ -13,12 +13,12 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Frames, Moving
-from habitus.fit.markers.verdict import Verdict
 from habitus.fit.rgbd.appearance import Appearance
 from habitus.fit.rgbd.evidence import Evidence
 from habitus.fit.rgbd.judge import judge
 from habitus.fit.rgbd.off_model import along_normals
 from habitus.fit.rgbd.sights import Sight
+from habitus.fit.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,224 @@
+"""Verdicts: how far a fit can be trusted, weighed by checks of its evidence against limits.
+
+    level = worst of level(evidence_i, limit_i),        good < doubtful < failed
+
+A recipe states its *evidence* (numbers measured of a fit, without knowing the truth), its *limits*
+(a `Bound` each, as data of its sensor), its *checks* (functions of both that yield reasons) and its
+*sentences* (a template for each kind of reason); `weigh` does the rest. Limits of a body's
+measurements are the same for every sensor and depend on age (`PeopleLimits`).
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
+
+from habitus.body.ages import ADULT
+
+E = TypeVar("E")
+L = TypeVar("L")
+
+GOOD, DOUBTFUL, FAILED = LEVELS = ("good", "doubtful", "failed")
+
+
+class Bound(NamedTuple):
+    """Beyond the first a fit is doubtful, beyond the second it has failed."""
+
+    doubtful: float
+    failed: float
+
+
+class Range(NamedTuple):
+    """The smallest and the largest value measured in a survey."""
+
+    least: float
+    most: float
+
+
+class Reason(NamedTuple):
+    """A level, and why: the key of a sentence and the values that go into it."""
+
+    level: str
+    key: str
+    values: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A fit's level, ``good``, ``doubtful`` or ``failed``, and its reasons, the gravest first.
+
+    reasons: a sentence each. keys: which kind of reason each is; not compared.
+    """
+
+    level: str
+    reasons: tuple[str, ...]
+    keys: tuple[str, ...] = field(default=(), compare=False)
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.level}: {' '.join(self.reasons)}" if self.reasons else self.level
+
+
+def weigh(
+    checks: Sequence[Callable[[E, L], Iterable[Reason]]],
+    evidence: E,
+    limits: L,
+    sentences: Mapping[str, str],
+) -> Verdict:
+    """The verdict on some evidence: the worst level that a check finds, and all reasons.
+
+    Among reasons of one level, those of earlier checks come first. sentences: a format string for
+    each key of a reason.
+    """
+    return verdict_of([reason for check in checks for reason in check(evidence, limits)], sentences)
+
+
+def verdict_of(reasons: Sequence[Reason], sentences: Mapping[str, str]) -> Verdict:
+    """The verdict of some reasons, sorted by level."""
+    by_gravity = sorted(reasons, key=lambda reason: -LEVELS.index(reason.level))
+    return Verdict(
+        worst([reason.level for reason in reasons]),
+        tuple(sentences[reason.key].format(**reason.values) for reason in by_gravity),
+        tuple(reason.key for reason in by_gravity),
+    )
+
+
+def worst(levels: Sequence[str]) -> str:
+    """The gravest of some levels, good where there is none."""
+    return max(levels, key=LEVELS.index, default=GOOD)
+
+
+def above(value: float, bound: Bound) -> str:
+    """The level of a value of which more is worse; NaN has failed."""
+    return FAILED if not value <= bound.failed else DOUBTFUL if value > bound.doubtful else GOOD
+
+
+def below(value: float, bound: Bound) -> str:
+    """The level of a value of which less is worse; NaN has failed."""
+    return FAILED if not value >= bound.failed else DOUBTFUL if value < bound.doubtful else GOOD
+
+
+# The smallest and largest of the 6,068 adults of ANSUR II; the neck is the survey's at its
+# narrowest, upper arm and forearm flexed, the inseam its crotch height. Metres and kilograms.
+ADULTS: Mapping[str, Range] = MappingProxyType(
+    {
+        "height_m": Range(1.409, 1.993),
+        "mass_kg": Range(35.8, 144.2),
+        "arm_span_m": Range(1.323, 2.121),
+        "inseam_m": Range(0.610, 1.031),
+        "foot_length_m": Range(0.198, 0.323),
+        "chest_circumference_m": Range(0.695, 1.469),
+        "waist_circumference_m": Range(0.611, 1.379),
+        "hip_circumference_m": Range(0.737, 1.341),
+        "neck_circumference_m": Range(0.275, 0.514),
+        "head_circumference_m": Range(0.500, 0.635),
+        "thigh_circumference_m": Range(0.412, 0.870),
+        "calf_circumference_m": Range(0.266, 0.523),
+        "ankle_circumference_m": Range(0.156, 0.293),
+        "upper_arm_circumference_m": Range(0.216, 0.490),
+        "forearm_circumference_m": Range(0.200, 0.402),
+        "wrist_circumference_m": Range(0.124, 0.216),
+    }
+)
+
+
+@dataclass(frozen=True)
+class PeopleLimits:
+    """How far a measurement may lie outside the range of a survey of adults, as a share of it.
+
+    Lower values are tolerated longer than higher ones: children are smaller than any adult.
+    """
+
+    above: Bound = Bound(0.05, 0.15)
+    below: Bound = Bound(0.05, 0.60)
+    adults: Mapping[str, Range] = field(default_factory=lambda: ADULTS)
+
+    def ranges(self, age: float | None, stature: float) -> Mapping[str, Range]:
+        """What people of an age (years) measure: adults (None), or people of all sizes from adults
+        scaled to a child's stature (m) upwards.
+        """
+        if age is None or age >= ADULT:
+            return self.adults
+        scale = stature / (sum(self.adults["height_m"]) / 2)
+        return {
+            name: Range(least * scale ** (3 if name.endswith("_kg") else 1), most)
+            for name, (least, most) in self.adults.items()
+        }
+
+
+PEOPLE = PeopleLimits()
+
+
+def measurement_reasons(
+    measurements: Mapping[str, float], age: float | None, stature: float, limits: PeopleLimits
+) -> Iterator[Reason]:
+    """The measurement furthest outside what people of that age have, and how many others are.
+
+    age: that the body was brought to (years), None of an adult's body; stature: of that body's mean
+    person (m).
+    """
+    ranges = limits.ranges(age, stature)
+    outside = {}
+    for name, value in measurements.items():
+        if name not in ranges:
+            continue
+        least, most = ranges[name]
+        over = value / most - 1.0
+        under = least / max(value, 1e-6) - 1.0
+        level = worst([above(over, limits.above), above(under, limits.below)])
+        if level != GOOD:
+            outside[name] = (LEVELS.index(level), max(over, under))
+    if not outside:
+        return
+    name = max(outside, key=lambda name: outside[name])
+    others = len(outside) - 1
+    values = {
+        "name": words(name),
+        "value": measured(name, measurements[name]),
+        "people": "adults" if ranges is limits.adults else "people up to that age",
+        "least": measured(name, ranges[name].least),
+        "most": measured(name, ranges[name].most),
+        "more": f"; {others} more measurement{'s' * (others > 1)} out of range" if others else "",
+    }
+    yield Reason(LEVELS[outside[name][0]], "measurement", values)
+
+
+def shape_reasons(
+    largest: float, rms: float, largest_limit: Bound, rms_limit: Bound
+) -> Iterator[Reason]:
+    """Shape coefficients that are rare: the largest of them, and their root mean square, both in
+    standard deviations of people.
+    """
+    level = worst([above(largest, largest_limit), above(rms, rms_limit)])
+    if level != GOOD:
+        yield Reason(level, "shape", {"largest": largest, "rms": rms})
+
+
+PEOPLE_SENTENCES: Mapping[str, str] = MappingProxyType(
+    {
+        "measurement": "The body's {name} is {value}; {people} have {least} to {most}{more}.",
+        "shape": "The shape is rare: its coefficients reach {largest:.1f} standard deviations "
+        "({rms:.1f} RMS).",
+    }
+)
+"""Sentences of `measurement_reasons` and `shape_reasons`, for a recipe's own to be joined to."""
+
+
+def words(name: str) -> str:
+    """``chest_circumference_m`` in words."""
+    return name.rsplit("_", 1)[0].replace("_", " ")
+
+
+def measured(name: str, value: float) -> str:
+    """A measurement with its unit."""
+    return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """A share as a percentage."""
+    return f"{100 * share:.{digits}f} %"
+
+
+def enumerated(names: Sequence[str]) -> str:
+    """Names with commas and an "and"."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

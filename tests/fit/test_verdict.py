@@ -1,0 +1,88 @@
+"""Verdicts: the worst level decides, limits of people depend on age, sentences are filled in."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from habitus.fit.verdict import (
+    ADULTS,
+    DOUBTFUL,
+    FAILED,
+    GOOD,
+    LEVELS,
+    PEOPLE,
+    Bound,
+    Reason,
+    Verdict,
+    above,
+    below,
+    enumerated,
+    measured,
+    measurement_reasons,
+    percent,
+    verdict_of,
+    weigh,
+    words,
+    worst,
+)
+
+SENTENCES = {"a": "{x:.1f} m.", "b": "B.", "c": "C."}
+
+
+@given(st.lists(st.sampled_from(LEVELS)))
+def test_the_worst_level_decides_and_reasons_come_by_gravity(levels):
+    found = verdict_of([Reason(level, "b") for level in levels], SENTENCES)
+    assert found.level == worst(levels)
+    assert len(found.reasons) == len(levels)
+
+
+def test_reasons_of_one_level_keep_the_order_of_the_checks():
+    checks = [
+        lambda evidence, limits: [Reason(GOOD, "a", {"x": evidence})],
+        lambda evidence, limits: [Reason(FAILED, "b"), Reason(above(evidence, limits), "c")],
+    ]
+    found = weigh(checks, 3.0, Bound(1.0, 4.0), SENTENCES)
+    assert found == Verdict("failed", ("B.", "C.", "3.0 m."))
+    assert found.keys == ("b", "c", "a") and str(found) == "failed: B. C. 3.0 m."
+
+
+@given(st.floats(-10, 10), st.floats(-10, 10))
+def test_levels_follow_the_bounds(value, limit):
+    order = [LEVELS.index(above(value, Bound(limit, limit + 1.0)))]
+    order.append(LEVELS.index(below(-value, Bound(-limit, -limit - 1.0))))
+    expected = 2 if value > limit + 1.0 else 1 if value > limit else 0
+    assert order == [expected, expected]
+
+
+@pytest.mark.parametrize("level", [above, below])
+def test_what_is_not_a_number_has_failed(level):
+    assert level(float("nan"), Bound(1.0, 1.0)) == FAILED
+
+
+def test_ranges_of_people_are_ranges():
+    assert all(0.0 < least < most for least, most in ADULTS.values())
+
+
+def test_limits_of_a_child_reach_from_small_children_to_adults():
+    assert PEOPLE.ranges(None, 1.7) is ADULTS and PEOPLE.ranges(18.0, 1.7) is ADULTS
+    adult = np.mean(ADULTS["height_m"])
+    half = PEOPLE.ranges(5.0, adult / 2)
+    for name, (least, most) in half.items():
+        assert most == ADULTS[name].most
+        assert least == pytest.approx(ADULTS[name].least / (8 if name == "mass_kg" else 2))
+
+
+def test_the_measurement_furthest_outside_is_named_and_the_others_counted():
+    body = {"height_m": 1.20, "arm_span_m": 1.0, "waist_circumference_m": 0.8, "other_m": 9.0}
+    (reason,) = measurement_reasons(body, None, 1.7, PEOPLE)
+    assert reason.level == DOUBTFUL and reason.values["name"] == "arm span"
+    assert "1 more measurement " in reason.values["more"]
+    assert not list(measurement_reasons(body | {"arm_span_m": 1.2}, 8.0, 1.277, PEOPLE))
+
+
+def test_words():
+    assert words("chest_circumference_m") == "chest circumference"
+    assert measured("mass_kg", 70.04) == "70.0 kg" and measured("height_m", 1.755) == "175.5 cm"
+    assert percent(0.256) == "26 %" and percent(0.0012, 1) == "0.1 %"
+    assert enumerated(("a",)) == "a" and enumerated(["a", "b", "c"]) == "a, b and c"
