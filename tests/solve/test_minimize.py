@@ -468,7 +468,7 @@ def test_bad_options_are_one_clear_line():
 
 
 @pytest.mark.parametrize(
-    "first", ["import habitus.solve.minimize", "import habitus.solve.dogleg", "pass"]
+    "first", ["import habitus.solve.minimize", "import habitus.solve.steps", "pass"]
 )
 def test_the_function_keeps_its_name_whatever_was_imported_first(first):
     code = f"""

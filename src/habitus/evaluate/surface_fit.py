@@ -14,7 +14,7 @@ from jaxtyping import Float
 from habitus.errors import HabitusError
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import Derivatives, Problem, SolveResult, Tolerances, descend
-from habitus.solve.levenberg import Damped
+from habitus.solve.steps import Levenberg
 
 TOLERANCES = Tolerances(cost=1e-6)
 """Of fits: a step changed the mean squared distance by no more than this share of itself."""
@@ -214,7 +214,7 @@ def _solve(
 
     done = 0
     while True:
-        steps = Damped()
+        steps = Levenberg()
         result = descend(
             problem,
             x,

@@ -9,11 +9,11 @@ Solved by Cholesky of the blocks and of the Schur complement: F (N³ + G N²) + 
 N)³ operations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,20 @@ class ArrowMatrix:
         out[self.order] = vector
         return out
 
+    def held(self, held: Bool[np.ndarray, " n"]) -> "ArrowMatrix":
+        """The matrix with the identity's rows and columns in place of those that are held."""
+        held = self._sorted(held)
+        size = len(self.shared)
+        head = ~held[:size]
+        tail = ~held[size:].reshape(self.blocks.shape[:2])
+        shared = self.shared * head[:, None] * head
+        blocks = self.blocks * tail[:, :, None] * tail[:, None, :]
+        shared[np.diag_indices(size)] += ~head
+        np.einsum("fnn->fn", blocks)[...] += ~tail
+        return replace(
+            self, shared=shared, border=self.border * tail[:, :, None] * head, blocks=blocks
+        )
+
     def dense(self) -> Float[np.ndarray, "n n"]:
         """The same matrix, written out."""
         size = len(self.shared)
@@ -102,7 +116,7 @@ class ArrowMatrix:
         )
         tails = [
             scipy.linalg.solve_triangular(
-                factor, half[:, size] - half[:, :size] @ head, lower=True, trans="T"
+                factor, half[:, size] - half[:, :size] @ head, lower=True, trans=1
             )
             for factor, half in eliminated
         ]

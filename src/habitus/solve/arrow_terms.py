@@ -17,7 +17,13 @@ from habitus.errors import HabitusError
 from habitus.solve.arrow import ArrowMatrix
 from habitus.solve.least_squares import Derivatives
 from habitus.solve.objective import Objective, total_cost
-from habitus.solve.term_derivatives import Differentiation, times, weighted_blocks
+from habitus.solve.term_derivatives import (
+    Differentiation,
+    quadratic_parts,
+    times,
+    weighted_blocks,
+)
+from habitus.solve.terms import BoundTerm
 from habitus.solve.unknowns import as_numpy, is_tensor
 
 
@@ -36,6 +42,11 @@ class _Layout:
     def size(self) -> tuple[int, int]:
         """Shared unknowns G, and unknowns N of a block."""
         return _end(self.shared), _end(self.blocked)
+
+    def width(self, name: str) -> int:
+        """Numbers of an unknown: all of a shared one, one entry's of a blocked one."""
+        where = self.shared[name] if name in self.shared else self.blocked[name]
+        return where.stop - where.start
 
 
 def arrow_problem(
@@ -96,7 +107,15 @@ def _normal_equations(
     border = np.zeros((count, width, head))
     blocks = np.zeros((count, width, width))
     gradient = np.zeros(len(x))
+    arrow = ArrowMatrix(shared, border, blocks, layout.order)
     for term, outcome in found:
+        if outcome.quadratic is not None:
+            slopes, curvatures = quadratic_parts(objective, term, outcome)
+            for name, slope in slopes.items():
+                gradient[objective.unknowns.columns[name]] += term.weight * slope
+            for pair, block in curvatures.items():
+                _add_block(arrow, layout, term, pair, block)
+            continue
         jacobian, residual = weighted_blocks(objective, term, outcome, how, x, crowded=np.inf)
         jacobian = {
             name: as_numpy(block) if is_tensor(block) else block for name, block in jacobian.items()
@@ -115,7 +134,41 @@ def _normal_equations(
             blocks += term.weight * (table.transpose(0, 2, 1) @ table)
             for name, block in common.items():
                 border[:, :, layout.shared[name]] += term.weight * _meeting(table, block, split)
-    return gradient, ArrowMatrix(shared, border, blocks, layout.order)
+    return gradient, arrow
+
+
+def _add_block(
+    arrow: ArrowMatrix, layout: _Layout, term: BoundTerm, pair: tuple[str, str], block: Any
+) -> None:
+    """Add one block of a term's `Quadratic`, as the pair of unknowns it is of."""
+    first, second = pair
+    both = first in layout.blocked and second in layout.blocked
+    mixed = first in layout.blocked and second in layout.shared
+    width = layout.width(second)
+    if (both or mixed) and block.shape != (layout.count, layout.width(first), width):
+        raise HabitusError(
+            f"the matrix block of the term {term.name!r} for {first!r} and {second!r} has shape "
+            f"{block.shape}; with `blocks` expected "
+            f"({layout.count}, {layout.width(first)}, {width})"
+        )
+    if first in layout.shared and (second in layout.blocked or block.ndim != 2):
+        raise HabitusError(
+            f"the matrix block of the term {term.name!r} for {first!r} and {second!r} names the "
+            "shared unknown first; with `blocks` expected the one of several entries first"
+        )
+    block = term.weight * (block.toarray() if scipy.sparse.issparse(block) else block)
+    if both:
+        rows, columns = layout.blocked[first], layout.blocked[second]
+        arrow.blocks[:, rows, columns] += block
+        if first != second:
+            arrow.blocks[:, columns, rows] += block.transpose(0, 2, 1)
+    elif mixed:
+        arrow.border[:, layout.blocked[first], layout.shared[second]] += block
+    else:
+        rows, columns = layout.shared[first], layout.shared[second]
+        arrow.shared[rows, columns] += block
+        if first != second:
+            arrow.shared[columns, rows] += block.T
 
 
 def _by_block(

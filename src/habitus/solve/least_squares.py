@@ -6,23 +6,19 @@ derivative.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse
 import scipy.sparse.linalg
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.solve.arrow import ArrowMatrix
 
 Matrix = Any
 """A numpy array, a scipy sparse matrix or an ArrowMatrix."""
-Residuals = Callable[[np.ndarray], tuple[np.ndarray, Matrix]]
-"""x (N,) -> residual (R,), Jacobian (R, N), dense or sparse."""
-NormalEquations = Callable[[np.ndarray], tuple[float, np.ndarray, Matrix]]
-"""x (N,) -> cost, gradient (N,), Gauss-Newton matrix (N, N), dense or sparse."""
 Derivatives = Callable[[], tuple[np.ndarray, Matrix]]
 """Nothing -> gradient (N,), Gauss-Newton matrix (N, N)."""
 Problem = Callable[[np.ndarray], tuple[float, Derivatives]]
@@ -110,34 +106,46 @@ class Linearized:
         return bool((np.abs(self.gradient) <= bound).all())
 
 
-def normal_equations(residuals: Residuals) -> NormalEquations:
-    """A function of residual and Jacobian seen as one of cost, gradient and Gauss-Newton matrix."""
-
-    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray, Matrix]:
-        residual, jacobian = residuals(x)
-        return 0.5 * float(residual @ residual), jacobian.T @ residual, jacobian.T @ jacobian
-
-    return evaluate
-
-
-def at_once(function: NormalEquations) -> Problem:
-    """A function that always computes its derivatives, seen as one that is asked for them."""
+def restricted(problem: Problem, held: Bool[np.ndarray, " N"]) -> Problem:
+    """The problem with some numbers of x held: their gradient is zero, their rows and columns of
+    the matrix those of the identity.
+    """
 
     def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
-        cost, gradient, matrix = function(x)
-        return cost, lambda: (gradient, matrix)
+        cost, derivatives = problem(x)
+
+        def some() -> tuple[np.ndarray, Matrix]:
+            gradient, matrix = derivatives()
+            return np.where(held, 0.0, gradient), _held(matrix, held)
+
+        return cost, some
 
     return evaluate
+
+
+def _held(matrix: Matrix, held: Bool[np.ndarray, " N"]) -> Matrix:
+    if isinstance(matrix, ArrowMatrix):
+        return matrix.held(held)
+    free = scipy.sparse.diags_array((~held).astype(float))
+    if scipy.sparse.issparse(matrix):
+        return (free @ matrix @ free + scipy.sparse.diags_array(held.astype(float))).tocsc()
+    out = np.where(held[:, None] | held, 0.0, matrix)
+    out[held, held] = 1.0
+    return out
 
 
 class Steps(Protocol):
-    """What tells one solver from another: the next step, and what a step teaches."""
+    """A kind of steps: the next one to try, and what changes after it."""
+
+    def begin(self) -> None:
+        """Another problem begins: what belongs to the last point is forgotten."""
+        ...
 
     def propose(self, here: Linearized, scale: np.ndarray) -> np.ndarray:
         """The step (N,) to try from here; scale (N,) holds the norms of the Jacobian's columns."""
         ...
 
-    def learn(self, taken: bool, ratio: float, length: float) -> None:
+    def update(self, taken: bool, ratio: float, length: float) -> None:
         """ratio: actual over predicted decrease of the cost, 0 for a refused step; length: of the
         step, scaled.
         """
@@ -153,13 +161,17 @@ def descend(
     tolerances: Tolerances = DEFAULT,
     callback: Callback | None = None,
     stretch: bool = False,
+    limit: Callable[[np.ndarray], np.ndarray] | None = None,
+    max_accepted: int | None = None,
 ) -> SolveResult:
     """Minimise with one kind of steps; derivatives are computed at the start and after steps that
-    were taken.
+    were accepted.
 
     stretch: double a step as long as that pays, where the cost falls much faster than predicted.
-    Images ask for it: an edge that is k pixels off has a cost linear in k, and a Jacobian that
-    knows of one pixel only.
+    Images ask for it: an edge that is k pixels off has a cost linear in k, and a Jacobian of one
+    pixel only. limit: cuts a step (N,) that is too long; no step is then doubled. max_accepted:
+    ends with status "iterations" after so many accepted steps; no derivatives are computed at the
+    last.
     """
     x = np.array(start, dtype=float)
     cost, derivatives = _cost_at(problem, x)
@@ -169,33 +181,41 @@ def descend(
     history = [here.cost]
     status = "iterations"
     scale = column_scale(here.diagonal)
+    steps.begin()
+    accepted = 0
     while len(history) <= max_iterations:
         if here.flat(tolerances.gradient):
             status = "converged"
             break
         step = steps.propose(here, scale)
+        step = step if limit is None else limit(step)
         cost, derivatives = _cost_at(problem, here.x + step)
         predicted = here.predicted_decrease(step)
         cost_decrease = here.cost - cost
         taken = bool(
             np.isfinite(cost) and cost_decrease > 0.0 and cost_decrease >= ACCEPT * predicted
         )
-        if stretch and taken and cost_decrease > STRETCH * predicted:
+        if stretch and limit is None and taken and cost_decrease > STRETCH * predicted:
             step, cost, derivatives = _stretched(problem, here.x, step, cost, derivatives)
             cost_decrease = here.cost - cost
         length = float(np.linalg.norm(scale * step))
         size = float(np.linalg.norm(scale * here.x))
-        trial = _linearized(here.x + step, cost, derivatives) if taken else here
+        last = taken and accepted + 1 == max_accepted
+        if last:
+            trial = replace(here, x=here.x + step, cost=cost)
+        else:
+            trial = _linearized(here.x + step, cost, derivatives) if taken else here
         taken = taken and trial.finite
         status = verdict(tolerances, here, predicted, cost_decrease, length, size, taken)
-        steps.learn(taken, cost_decrease / predicted if taken and predicted > 0.0 else 0.0, length)
+        steps.update(taken, cost_decrease / predicted if taken and predicted > 0.0 else 0.0, length)
+        accepted += taken
         if taken:
             here = trial
             scale = np.maximum(scale, column_scale(trial.diagonal))
         history.append(here.cost)
         if callback is not None and callback(len(history) - 1, here.x, here.cost):
             status = "stopped"
-        if status != "iterations":
+        if status != "iterations" or last:
             break
     return SolveResult(here.x, status, here.cost, len(history) - 1, tuple(history))
 

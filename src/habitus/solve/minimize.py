@@ -5,13 +5,22 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, is_dataclass, replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Bool
+
 from habitus.errors import HabitusError
 from habitus.solve.arrow_terms import arrow_problem
-from habitus.solve.dogleg import Dogleg
 from habitus.solve.lbfgs import lbfgs
-from habitus.solve.least_squares import DEFAULT, SolveResult, Tolerances, descend
-from habitus.solve.levenberg import Damped
+from habitus.solve.least_squares import (
+    DEFAULT,
+    SolveResult,
+    Steps,
+    Tolerances,
+    descend,
+    restricted,
+)
 from habitus.solve.objective import Objective
+from habitus.solve.steps import Dogleg, Levenberg
 from habitus.solve.term_derivatives import (
     Differentiation,
     cost_and_gradient,
@@ -45,9 +54,10 @@ class Minimized(SolveResult):
 def minimize(
     objective: Callable[..., Any] | Term | Mapping[str, Callable[..., Any] | Term],
     free: Any,
-    method: str | None = None,
+    method: str | Steps | None = None,
     *,
     fixed: Collection[str] = (),
+    masks: Mapping[str, Any] | None = None,
     weights: Mapping[str, float] | None = None,
     max_iterations: int = 200,
     tolerances: Tolerances = DEFAULT,
@@ -56,6 +66,8 @@ def minimize(
     chunk_size: int | None = None,
     blocks: Collection[str] = (),
     stretch: bool = True,
+    max_step: Mapping[str, float] | None = None,
+    max_accepted: int | None = None,
 ) -> Minimized:
     """Move the free values to where the sum of weight * 1/2 |residual|^2 is least.
 
@@ -70,17 +82,22 @@ def minimize(
     only L-BFGS takes. free: start values by name, NumPy arrays or torch tensors, or a dataclass of
     them (fields that are None are left out). Terms are given float64 arrays, or float64 tensors as
     soon as one value is a tensor or autodiff is needed. fixed: names that stay as they are; terms
-    take them like the others.
+    take them like the others. masks: of an unknown, which of its numbers are free, True or False in
+    its shape (or broadcast to it), as {"betas": np.arange(16) < 10}.
 
     method: "dogleg" or "levenberg" (Gauss-Newton steps) or "lbfgs" (SciPy's, gradients only;
-    `lbfgs.py` tells how it reads tolerances). None is dogleg, but L-BFGS where a term is a cost or
-    a dense Jacobian by autodiff exceeds 2 GiB. weights: of terms by name, in place of the terms'
-    own; a term of weight 0 is not evaluated after the start. callback: (iteration, values, cost)
-    after each iteration, accepted or refused; True stops. mode, chunk_size: of autodiff Jacobians,
-    see `Differentiation`: "forward" by columns, "reverse" by rows. blocks: unknowns (F, ...) whose
-    F entries meet only through the other unknowns, as poses of frames do through a common shape:
-    Gauss-Newton steps are then solved as an arrow matrix (`habitus.solve.arrow`). stretch: double
-    steps as long as that pays (images ask for it).
+    `lbfgs.py` says how it reads tolerances), or an object of `habitus.solve.steps`, which carries
+    its damping or trust region over from one call to the next. None is dogleg, but L-BFGS where a
+    term is a cost or a dense Jacobian by autodiff exceeds 2 GiB. weights: of terms by name, in
+    place of the terms' own; a term of weight 0 is not evaluated after the start. callback:
+    (iteration, values, cost) after each iteration, accepted or refused; True stops. mode,
+    chunk_size: of autodiff Jacobians, see `Differentiation`: "forward" by columns, "reverse" by
+    rows. blocks: unknowns (F, ...) whose F entries meet only through the other unknowns, as poses
+    of frames do through a common shape: Gauss-Newton steps are then solved as an arrow matrix
+    (`habitus.solve.arrow`). stretch: double steps as long as that pays (images ask for it).
+    max_step: by unknown, the most that one of its numbers may change in a step; longer steps are
+    cut, all unknowns alike. max_accepted: accepted steps after which it ends with status
+    "iterations".
 
     Raises HabitusError for free values or residuals that are not floating, names that do not match,
     an unknown method or mode, a cost given to Gauss-Newton, Jacobians of another shape, a number of
@@ -94,21 +111,30 @@ def minimize(
         )
     unknowns = Unknowns.of(free, fixed)
     problem = Objective.of(objective, weights, unknowns)
-    method = _chosen(method, problem)
+    steps = None if isinstance(method, str | None) else method
+    method = _chosen(_name(method), problem)
     settings: dict[str, Any] = {
         "max_iterations": max_iterations,
         "tolerances": tolerances,
         "callback": callback and (lambda k, x, cost: callback(k, unknowns.like_start(x), cost)),
     }
+    held = unknowns.held(masks or {})
     if method == "lbfgs":
-        result = lbfgs(lambda x: cost_and_gradient(problem, x), unknowns.vector, **settings)
+        result = lbfgs(_gradient_problem(problem, held), unknowns.vector, **settings)
     else:
-        steps = Dogleg() if method == "dogleg" else Damped()
         how = Differentiation(mode, chunk_size)
         function = (
             arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
         )
-        result = descend(function, unknowns.vector, steps, stretch=stretch, **settings)
+        result = descend(
+            function if held is None else restricted(function, held),
+            unknowns.vector,
+            steps or (Dogleg() if method == "dogleg" else Levenberg()),
+            stretch=stretch,
+            limit=(lambda step: unknowns.limited(step, max_step)) if max_step else None,
+            max_accepted=max_accepted,
+            **settings,
+        )
     values = unknowns.like_start(result.x)
     costs = problem.costs(result.x)
     state = replace(free, **values) if is_dataclass(free) and not isinstance(free, type) else values
@@ -116,6 +142,24 @@ def minimize(
     return Minimized(
         **vars(result), values=values, state=state, costs=costs, method=method, seconds=seconds
     )
+
+
+def _name(method: str | Steps | None) -> str | None:
+    if isinstance(method, str | None):
+        return method
+    return "dogleg" if isinstance(method, Dogleg) else "levenberg"
+
+
+def _gradient_problem(
+    problem: Objective, held: Bool[np.ndarray, " N"] | None
+) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+    """Cost and gradient, zero for what is held."""
+
+    def evaluate(x: np.ndarray) -> tuple[float, np.ndarray]:
+        cost, gradient = cost_and_gradient(problem, x)
+        return cost, gradient if held is None else np.where(held, 0.0, gradient)
+
+    return evaluate
 
 
 def _chosen(method: str | None, problem: Objective) -> str:

@@ -31,9 +31,8 @@ class Objective:
         outcomes = []
         for term in read_terms(objective, weights or {}, unknowns.names):
             found = term(values)
-            explicit = found.jacobians is not None
-            count = 1 if found.is_cost else len(found.value)
-            terms.append(replace(term, count=count, explicit=explicit, is_cost=found.is_cost))
+            count = 1 if found.residual.ndim == 0 else len(found.value)
+            terms.append(replace(term, count=count, explicit=found.explicit, is_cost=found.is_cost))
             outcomes.append(found)
         made = cls(unknowns, tuple(terms))
         made._remember(

@@ -86,8 +86,10 @@ def cost_and_gradient(
     total = 0.0
     gradient = np.zeros(len(x))
     for term in objective.active:
-        if term.explicit:
-            outcome = term(objective.unknowns.values(x))
+        outcome = term(objective.unknowns.values(x)) if term.explicit else None
+        if outcome is not None and outcome.quadratic is not None:
+            cost, (parts, _) = outcome.quadratic.cost, quadratic_parts(objective, term, outcome)
+        elif outcome is not None:
             cost, (blocks, residual) = (
                 float(as_numpy(outcome.cost)),
                 weighted_blocks(objective, term, outcome),
@@ -137,15 +139,91 @@ def _normal_equations(
     columns = objective.unknowns.columns
     gradient = np.zeros(len(x))
     products: dict[tuple[str, str], Any] = {}
+
+    def add(a: str, b: str, product: Any) -> None:
+        products[a, b] = products[a, b] + product if (a, b) in products else product
+
     for term, outcome in found:
+        if outcome.quadratic is not None:
+            slopes, curvatures = quadratic_parts(objective, term, outcome)
+            for name, slope in slopes.items():
+                gradient[columns[name]] += term.weight * slope
+            for (a, b), block in curvatures.items():
+                whole = term.weight * _written_out(block, columns[a], columns[b])
+                in_order = columns[a].start <= columns[b].start
+                add(*((a, b, whole) if in_order else (b, a, whole.T)))
+            continue
         blocks, residual = weighted_blocks(objective, term, outcome, how, x)
+        blocks = {name: blocks[name] for name in columns if name in blocks}
         for k, (name, block) in enumerate(blocks.items()):
             gradient[columns[name]] += term.weight * times(block, residual)
             for other in list(blocks)[k:]:
-                product = term.weight * _product(block, blocks[other])
-                pair = (name, other)
-                products[pair] = products[pair] + product if pair in products else product
+                add(name, other, term.weight * _product(block, blocks[other]))
     return gradient, _matrix(columns, products)
+
+
+def quadratic_parts(
+    objective: Objective, term: BoundTerm, outcome: Outcome
+) -> tuple[dict[str, Float[np.ndarray, " n"]], dict[tuple[str, str], Any]]:
+    """Gradients (n,) and matrix blocks of a term's normal equations for the free unknowns,
+    checked.
+    """
+    assert outcome.quadratic is not None
+    gradients, blocks = outcome.quadratic.derivatives()
+    free = objective.free(term)
+    columns = objective.unknowns.columns
+    if not set(free) <= set(gradients):
+        raise HabitusError(
+            f"the term {term.name!r} gives gradients of {', '.join(map(repr, gradients))}; "
+            f"expected each unknown it takes: {', '.join(map(repr, term.takes))}"
+        )
+    slopes = {}
+    for name in free:
+        width = columns[name].stop - columns[name].start
+        slopes[name] = as_numpy(gradients[name]).ravel()
+        if len(slopes[name]) != width:
+            raise HabitusError(
+                f"the term {term.name!r} gives {len(slopes[name])} numbers as gradient to "
+                f"{name!r}; expected {width}"
+            )
+    curvatures = {}
+    for (a, b), block in blocks.items():
+        if a in free and b in free:
+            if a != b and (b, a) in blocks:
+                raise HabitusError(
+                    f"the term {term.name!r} gives the matrix block of {a!r} and {b!r} twice"
+                )
+            curvatures[a, b] = block if scipy.sparse.issparse(block) else as_numpy(block)
+            sizes = (columns[name].stop - columns[name].start for name in (a, b))
+            _check_block(term.name, (a, b), curvatures[a, b].shape, *sizes)
+    return slopes, curvatures
+
+
+def _check_block(
+    term: str, pair: tuple[str, str], shape: tuple[int, ...], rows: int, width: int
+) -> None:
+    """HabitusError for a block of normal equations whose shape is none of those of `Quadratic`."""
+    fits = shape == (rows, width)
+    if len(shape) == 3:
+        fits = shape[0] * shape[1] == rows and width in (shape[2], shape[0] * shape[2])
+    if not fits:
+        raise HabitusError(
+            f"the matrix block of the term {term!r} for {pair[0]!r} and {pair[1]!r} has shape "
+            f"{shape}; expected ({rows}, {width}), or (T, n, m) for unknowns of T entries"
+        )
+
+
+def _written_out(block: Any, rows: slice, columns: slice) -> Any:
+    """A block of a `Quadratic` as a matrix (rows, columns), sparse where its entries do not
+    meet.
+    """
+    if block.ndim == 2:
+        return block
+    count, height, width = block.shape
+    if columns.stop - columns.start == width:
+        return block.reshape(count * height, width)
+    places = (np.arange(count), np.arange(count + 1))
+    return scipy.sparse.bsr_array((block, *places), shape=(count * height, count * width)).tocsr()
 
 
 def _matrix(columns: dict[str, slice], products: dict[tuple[str, str], Any]) -> Matrix:

@@ -50,6 +50,25 @@ class GemanMcClure:
 
 
 @dataclass(frozen=True, eq=False)
+class Quadratic:
+    """A cost with its own normal equations, for terms of so many residuals that a Jacobian would
+    not fit.
+
+    cost: 1/2 |r|^2, robust weights included (they are held within a linearisation). derivatives:
+    called only where they are needed; gives the gradient of each unknown that the term takes, in
+    the unknown's shape or flat, and blocks of the Gauss-Newton matrix by pairs of names, missing
+    pairs being zero. A block is (numbers of the first, numbers of the second), dense or
+    scipy.sparse, one of each pair; or, for unknowns (T, ...) whose T entries do not meet,
+
+        (T, n, m) between two such unknowns: entry t of one with entry t of the other,
+        (T, n, B) between such an unknown, named first, and one of B numbers that all share.
+    """
+
+    cost: float
+    derivatives: Callable[[], tuple[Mapping[str, Any], Mapping[tuple[str, str], Any]]]
+
+
+@dataclass(frozen=True, eq=False)
 class Term:
     """A residual of named unknowns, its weight (of the square: cost 1/2 w |r|^2) and, optionally, a
     robust loss.
@@ -60,7 +79,8 @@ class Term:
     returns residuals of any shape, always as many; or (residual, Jacobians), a mapping from each
     unknown it takes to a dense or scipy.sparse matrix (residuals, numbers of the unknown), or a
     function without parameters that returns the mapping and is called only where derivatives are
-    needed. Without Jacobians it is differentiated by torch's autodiff. name: how it is reported
+    needed; or a `Quadratic`, its cost with normal equations. Otherwise it is differentiated by
+    torch's autodiff. name: how it is reported
     where no dictionary names it. takes: the unknowns' names where the residual takes any keyword
     and not all of them.
     """
@@ -88,12 +108,13 @@ class Term:
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What a term gave: residual in float64, of its own shape, or a cost without axes; perhaps
-    Jacobians.
+    Jacobians, or normal equations.
     """
 
     residual: Any
     robust: GemanMcClure | None = None
     jacobians: Jacobians | Callable[[], Jacobians] | None = None
+    quadratic: Quadratic | None = None
 
     @property
     def value(self) -> Any:
@@ -102,13 +123,18 @@ class Outcome:
 
     @property
     def is_cost(self) -> bool:
-        """Whether this is a cost already, which only L-BFGS takes."""
-        return self.residual.ndim == 0
+        """Whether this is a cost without normal equations, which only L-BFGS takes."""
+        return self.residual.ndim == 0 and self.quadratic is None
+
+    @property
+    def explicit(self) -> bool:
+        """Whether derivatives come with it."""
+        return self.jacobians is not None or self.quadratic is not None
 
     @property
     def cost(self) -> Any:
         """1/2 |r|^2 or 1/2 sum rho, unweighted; a number without axes is a cost itself."""
-        if self.is_cost:
+        if self.residual.ndim == 0:
             return self.residual
         if self.robust is not None:
             return 0.5 * self.robust.loss(self.residual).sum()
@@ -145,6 +171,8 @@ class BoundTerm:
         """
         value: Any = self.term.residual(**{name: values[name] for name in self.takes})
         jacobians = None
+        if isinstance(value, Quadratic):
+            return Outcome(np.array(value.cost, dtype=float), quadratic=self._unscaled(value))
         if isinstance(value, tuple) and len(value) == 2:
             value, jacobians = value
         value = self._checked(value)
@@ -157,6 +185,15 @@ class BoundTerm:
         if not _size(value):
             raise HabitusError(f"the term {self.name!r} gives no residuals; expected at least one")
         return Outcome(value, self.term.robust, jacobians)
+
+    def _unscaled(self, value: Quadratic) -> Quadratic:
+        """As it is; HabitusError where the term has a robust loss as well."""
+        if self.term.robust is not None:
+            raise HabitusError(
+                f"the term {self.name!r} gives normal equations and has a robust loss; weigh the "
+                "residuals within the term"
+            )
+        return value
 
     def _checked(self, value: Any) -> Any:
         """As float64."""

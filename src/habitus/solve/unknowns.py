@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.arrays import is_tensor
 from habitus.errors import HabitusError
@@ -84,6 +84,41 @@ class Unknowns:
     def vector(self) -> Float[np.ndarray, " N"]:
         """The start as x."""
         return np.concatenate([np.ravel(as_numpy(value)) for value in self.start.values()])
+
+    def held(self, masks: Mapping[str, Any]) -> Bool[np.ndarray, " N"] | None:
+        """Which numbers of x masks hold: mask (of the value's shape, or broadcast to it) False;
+        None where all are free.
+        """
+        held = np.zeros(len(self.vector), dtype=bool)
+        for name, mask in masks.items():
+            if name in self.fixed:
+                continue
+            if name not in self.start:
+                raise HabitusError(
+                    f"a mask is named {name!r}; the values are {', '.join(map(repr, self.names))}"
+                )
+            shape = np.shape(self.start[name])
+            try:
+                whole = np.broadcast_to(np.asarray(mask, dtype=bool), shape)
+            except ValueError as error:
+                raise HabitusError(
+                    f"the mask of {name!r} has shape {np.shape(mask)}; expected {shape}"
+                ) from error
+            held[self.columns[name]] = ~whole.ravel()
+        return held if held.any() else None
+
+    def limited(
+        self, step: Float[np.ndarray, " N"], max_step: Mapping[str, float]
+    ) -> Float[np.ndarray, " N"]:
+        """A step cut short, in its own direction, so that no number of an unknown changes by more
+        than max_step.
+        """
+        share = 1.0
+        for name, longest in max_step.items():
+            if name in self.start:
+                size = float(np.abs(step[self.columns[name]]).max(initial=0.0))
+                share = min(share, longest / size) if size > longest else share
+        return step if share == 1.0 else share * step
 
     @property
     def in_torch(self) -> bool:

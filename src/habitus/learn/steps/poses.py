@@ -29,7 +29,7 @@ from habitus.learn.posing.surface import (
 from habitus.mesh.laplacian import eliminate_holes, fill_holes
 from habitus.rotations import left_jacobian
 from habitus.solve.least_squares import Tolerances, descend
-from habitus.solve.levenberg import Damped
+from habitus.solve.steps import Levenberg
 from habitus.solve.terms import Term
 
 _TOLERANCES = Tolerances(cost=1e-9, step=1e-8, gradient=1e-9)
@@ -240,7 +240,7 @@ def fit_pose(
     found = descend(
         problem,
         start.ravel(),
-        Damped(1e-4),
+        Levenberg(1e-4),
         max_iterations=max_iterations,
         tolerances=tolerances,
         callback=None,
