@@ -9,11 +9,11 @@ from habitus.fit.markers.guessing import guess as guess
 from habitus.fit.markers.judge import judge as judge
 from habitus.fit.markers.weights import MoshWeights as MoshWeights
 from habitus.io.captures.read import read_capture as read_capture
-from habitus.io.fits import load_fit as load_fit
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
-from habitus.io.motions import load_motion as load_motion
+from habitus.io.people import load_fit as load_fit
+from habitus.io.people import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive

@@ -101,7 +101,7 @@ def test_a_saved_fit_is_in_the_style_that_was_asked_for(tmp_path):
     fit = synthetic_fit(frames=4)
     fit.save(tmp_path / "a", npz_style="amass")
     assert amass_loader(tmp_path / "a" / "body.npz")["pose_hand"].shape == (4, 90)
-    with pytest.raises(HabitusError, match="is in AMASS's style, which keeps neither markers"):
+    with pytest.raises(HabitusError, match="AMASS.s style.*no markers"):
         habitus.load_fit(tmp_path / "a" / "body.npz", fit.body)
 
 
@@ -110,9 +110,7 @@ def test_betas_on_another_body_of_the_same_sizes_are_refused(tmp_path):
     fit.save(tmp_path / "a")
     assert np.array_equal(habitus.load_fit(tmp_path / "a" / "body.npz", fit.body).betas, fit.betas)
     thicker = replace(fit.body, v_template=1.05 * fit.body.v_template)
-    with pytest.raises(
-        HabitusError, match=r"the same betas are another person, whose skin is [0-9]+ mm away"
-    ):
+    with pytest.raises(HabitusError, match=r"another person, whose skin is [0-9]+ mm away"):
         habitus.load_fit(tmp_path / "a" / "body.npz", thicker)
 
 

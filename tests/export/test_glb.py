@@ -20,7 +20,7 @@ from habitus.export import glb as writer
 from habitus.export import write_glb
 from habitus.export.correctives import WORST
 from habitus.export.obj import fitted_vertices
-from habitus.io.fits import load_fit
+from habitus.io.people import load_fit
 
 FRAMES = (0, 17, 44, 89)
 

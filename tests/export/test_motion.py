@@ -10,8 +10,7 @@ from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
-from habitus.io.fits import load_fit
-from habitus.io.motions import load_motion
+from habitus.io.people import load_fit, load_motion
 
 
 @pytest.mark.parametrize(

@@ -476,7 +476,7 @@ def _fits(folder: Path) -> list[Target]:
     from synthetic_fit import synthetic_fit, tube_body
 
     from habitus.export import write_npz
-    from habitus.io.fits import load_fit
+    from habitus.io.people import load_fit
 
     body = tube_body()
 

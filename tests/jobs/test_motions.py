@@ -41,7 +41,7 @@ def test_a_real_fit_is_exaggerated_and_read_back(real, tmp_path, capsys):
     direct = hb.exaggerate(real, 1.5)
     np.testing.assert_allclose(again.vertices([0, 20]), direct.vertices([0, 20]), atol=1e-9)
     assert again.made == direct.made and "fitted to the markers of gappy" in again.made[0]
-    with pytest.raises(HabitusError, match=r"expected the body\.npz of a fit"):
+    with pytest.raises(HabitusError, match=r"expected the body\.npz of a marker fit"):
         hb.load_fit(tmp_path / "more.npz")
     direct.export(tmp_path / "more.glb")
     assert (tmp_path / "more.glb").read_bytes()[:4] == b"glTF"
@@ -124,7 +124,7 @@ def test_files_as_amass_has_them(real, tmp_path):
         betas=np.ones(16),
         mocap_framerate=120.0,
     )
-    with pytest.raises(HabitusError, match="do not say to which body"):
+    with pytest.raises(HabitusError, match="name no body"):
         hb.load_motion(tmp_path / "amass.npz")
     with pytest.raises(HabitusError, match="another person"):
         hb.load_motion(tmp_path / "amass.npz", "default")

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_fit import synthetic_fit
 
 import habitus
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
+from habitus.io.models.bodies import save_body
 from habitus.jobs.viewing import view
 
 
@@ -69,12 +71,28 @@ def test_a_motion_plays_and_stands_on_its_own_place(shown):
     assert panel.frame.value in range(9) and panel.frame.value != 8
 
 
+def test_a_fit_shows_its_markers_and_a_motion_has_none(tmp_path):
+    pytest.importorskip("viser")
+    fit = synthetic_fit(4)
+    save_body(fit.body, tmp_path / "tubes_body.npz")
+    fit.export(tmp_path / "fit.npz")
+    BodyMotion.of(fit).export(tmp_path / "motion.npz")
+    page = view(
+        [tmp_path / "fit.npz", tmp_path / "motion.npz"], body=tmp_path / "tubes_body.npz", port=8472
+    )
+    try:
+        assert [panel._markers is not None for panel in page.panels] == [True, False]
+        np.testing.assert_allclose(page.panels[0]._markers, fit.observed_markers, atol=1e-6)
+    finally:
+        page.close()
+
+
 @pytest.mark.parametrize(
     ("sources", "options", "words"),
     [
         ([], {}, "nothing to view"),
-        (["no-such.npz"], {}, "no-such.npz: No such file"),
-        (["no-such.ply"], {}, "no-such.ply: No such file"),
+        (["no-such.npz"], {}, r"no-such\.npz: no such file"),
+        (["no-such.ply"], {}, r"no-such\.ply: No such file"),
         (["default"], {"up": "north"}, "up is 'north'; expected one of"),
     ],
 )

@@ -58,7 +58,7 @@ class Exported:
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
-    """Write a `BodyMotion` as .npz, atomically; `habitus.io.motions.load_motion` reads it back.
+    """Write a `BodyMotion` as .npz, atomically; `habitus.io.people.load_motion` reads it back.
 
     The names of AMASS and of a fit's body.npz (`habitus.export.npz.write_npz`), without markers;
     ``made`` says in sentences where the motion comes from. A character's file holds its surface,

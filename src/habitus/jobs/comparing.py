@@ -9,8 +9,8 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.errors import HabitusError
 from habitus.io.files import write_text
+from habitus.io.people import person_file
 from habitus.jobs.exporting import read_moving
 from habitus.report.comparison.differences import Differences, differences
 from habitus.report.comparison.numbers import numbers
@@ -112,9 +112,9 @@ def told_apart(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
     """
     if isinstance(a, Moving) or isinstance(b, Moving):
         return tuple(
-            m.capture_name if isinstance(m, Moving) else _file(Path(m)).name for m in (a, b)
+            m.capture_name if isinstance(m, Moving) else person_file(Path(m)).name for m in (a, b)
         )  # type: ignore[return-value]
-    parts = [list(_file(Path(source)).resolve().parts) for source in (a, b)]
+    parts = [list(person_file(Path(source)).resolve().parts) for source in (a, b)]
     if parts[0] == parts[1]:
         return Path(a).name, Path(b).name
     while min(map(len, parts)) > 1 and parts[0][-1] == parts[1][-1]:
@@ -124,25 +124,15 @@ def told_apart(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
     return "/".join(parts[0]), "/".join(parts[1])
 
 
-def _file(source: Path) -> Path:
-    """The npz of a result that is named by its folder."""
-    return source / "body.npz" if source.is_dir() else source
-
-
 def _report(source: Path) -> Path | None:
-    page = _file(source).parent / "report.html"
+    page = person_file(source).parent / "report.html"
     return page if page.is_file() else None
 
 
 def _read(source: Moving | PathLike, body: BodyModel | PathLike | None) -> Moving:
     if isinstance(source, Moving):
         return source
-    path = _file(Path(source))
-    if Path(source).is_dir() and not path.is_file():
-        raise HabitusError(
-            f"{source}: a folder without body.npz; expected one that habitus mosh wrote, or an npz"
-        )
-    return read_moving(path, body)
+    return read_moving(source, body)
 
 
 def _way(folder: Path, page: Path) -> str:

@@ -15,7 +15,7 @@ from habitus.fit.markers.recordings import Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.warm_up import warm_up
-from habitus.io.fits import load_fit
+from habitus.io.people import load_fit
 from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source
 from habitus.jobs.ages import read_age

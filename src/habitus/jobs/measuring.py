@@ -16,12 +16,11 @@ from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
 from habitus.body.recognise import is_of, misfit, turned_by
 from habitus.errors import HabitusError
-from habitus.io.archives import open_archive, reason
 from habitus.io.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
-from habitus.io.models.bodies import SHIPPED, load_body
-from habitus.mesh.normals import vertex_normals
+from habitus.io.models.bodies import load_body
+from habitus.io.people import load_shape
 from habitus.report.body.picture import tape_picture
 from habitus.types import PathLike
 
@@ -106,70 +105,18 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
     source = Path(path)
     if source.suffix.lower() in MESHES:
         return _of_mesh(source, body)
-    if source.suffix.lower() == ".npz" and (found := _person(source)):
-        name, betas, age, skin = found
-        if body is None and name not in SHIPPED:
-            whose = (
-                f"belong to the body {name!r}" if name else "do not say to which body they belong"
-            )
-            raise HabitusError(f"{source}: its betas {whose}; give it, --body FILE")
-        model = _loaded(name if body is None else body)
-        model = model if age is None else model.at_age(age)
-        if len(betas) > model.num_betas:
-            raise HabitusError(
-                f"{source}: {len(betas)} betas; {model.name} has {model.num_betas}; give its own "
-                "body"
-            )
-        if skin is not None:
-            if skin.shape != (model.num_vertices,):
-                raise HabitusError(
-                    f"{source.name}: skin_offset is {skin.shape}; expected "
-                    f"({model.num_vertices},), one a vertex "
-                    f"of {model.name}; name the body that the file was fitted with"
-                )
-            rest = model.rest_vertices(betas)
-            rest = rest + skin[:, None] * vertex_normals(rest, model.faces)
-            return Measurements(str(path), model.measure_rest(rest), (), model, rest)
-        return _of_betas(str(path), model, betas)
-    return _of_betas(str(path), load_body(os.fspath(path)), np.zeros(0))
-
-
-def _of_betas(source: str, body: BodyModel, betas: np.ndarray) -> Measurements:
-    values = body.measure(betas)
+    person = load_shape(source, body)
+    rest = person.rest_vertices()
+    values = person.body.measure_rest(rest)
     if not values:
         raise HabitusError(
-            f"{source}: {body.name} is no person's body; nothing on it has a name to measure"
+            f"{path}: {person.body.name} has no measurement landmarks; use a human body"
         )
-    return Measurements(source, values, (), body, body.rest_vertices(betas))
+    return Measurements(str(path), values, (), person.body, rest)
 
 
 def _loaded(body: PathLike | BodyModel) -> BodyModel:
     return body if isinstance(body, BodyModel) else load_body(os.fspath(body))
-
-
-def _person(source: Path) -> tuple[str, np.ndarray, float | None, np.ndarray | None] | None:
-    """The body's name ("": not told), betas, age and the skin's offset from the model along normals
-    (m; both if any) of an npz that holds a person; None if there is none.
-    """
-    try:
-        with open_archive(source) as file:
-            if "betas" not in file or "shapedirs" in file:
-                return None
-            betas = np.asarray(file["betas"], np.float64)
-            name = str(file["surface_model_type"]) if "surface_model_type" in file else ""
-            age = float(file["age_years"]) if "age_years" in file else None
-            skin = np.asarray(file["skin_offset"], np.float64) if "skin_offset" in file else None
-    except FileNotFoundError:
-        return None
-    except (OSError, TypeError, ValueError, HabitusError) as error:
-        raise HabitusError(
-            f"{source}: cannot be read ({reason(error)}); expected a body or a fit"
-        ) from error
-    if betas.ndim != 1 or not np.isfinite(betas).all():
-        raise HabitusError(
-            f"{source}: betas of shape {betas.shape}; expected numbers (B,) of one person"
-        )
-    return name, betas, age, skin
 
 
 def _of_mesh(source: Path, body: PathLike | BodyModel | None) -> Measurements:

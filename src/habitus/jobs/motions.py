@@ -12,7 +12,7 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion, Moving
 from habitus.export.motion import check_motion_path, export_motion
 from habitus.fit.retarget.recipe import Retargeting, retargeted
-from habitus.io.motions import load_motion
+from habitus.io.people import load_motion
 from habitus.jobs.targets import find_target
 from habitus.types import PathLike
 

@@ -14,10 +14,10 @@ from habitus.body.motion import BodyMotion
 from habitus.body.recentred import FROM, recentred
 from habitus.body.recognise import is_of
 from habitus.errors import HabitusError, shown
-from habitus.io.archives import open_archive, reason
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
-from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.io.models.bodies import SHIPPED
+from habitus.io.people import load_shape
 from habitus.types import PathLike
 
 Target = tuple[BodyModel, Float[np.ndarray, " B"], str]
@@ -66,53 +66,9 @@ def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
 
 def _of_file(motion: BodyMotion, text: str) -> Target:
     """A person's npz, or a body's mean person."""
-    source = Path(text)
-    if text not in SHIPPED and source.suffix.lower() == ".npz":
-        try:
-            with open_archive(source) as file:
-                held = (
-                    {name: file.read(name) for name in _KEYS if name in file}
-                    if "shapedirs" not in file
-                    else {}
-                )
-        except (OSError, HabitusError) as error:
-            raise HabitusError(
-                f"{source}: cannot be read ({reason(error)}); expected a person or a body"
-            ) from error
-        if "betas" in held:
-            return _of_person(motion, source, held)
-    model = load_body(text)
-    return _person(motion, model, np.zeros(model.num_betas), model.name)
-
-
-_KEYS = (
-    "betas",
-    "body_betas",
-    "surface_model_type",
-    "body",
-    "age_years",
-    "character_vertices",
-    "character_base",
-)
-
-
-def _of_person(motion: BodyMotion, source: Path, held: dict[str, np.ndarray]) -> Target:
-    if "character_vertices" in held:
-        return _recentred(motion, held["character_vertices"], str(held["surface_model_type"]))
-    told = str(held.get("body", held.get("surface_model_type", "")))
-    if told not in SHIPPED and told != motion.body_name:
-        raise HabitusError(
-            f"{source}: its betas belong to {shown(told) or 'an unnamed body'}, which is not the "
-            "motion's; give the "
-            "person's mesh at rest instead (.obj, .ply)"
-        )
-    model = load_body(told) if told in SHIPPED else motion.body
-    if "age_years" in held and model.ages is not None:
-        model = model.at_age(float(held["age_years"]))
-    betas = np.asarray(held.get("body_betas", held["betas"]), np.float64)
-    return _person(
-        motion, model, betas, source.stem if source.stem != "body" else source.resolve().parent.name
-    )
+    known = {motion.body_name: motion.body}
+    person = load_shape(text, known=known)
+    return _person(motion, person.body, person.betas, person.name)
 
 
 def _person(motion: BodyMotion, model: BodyModel, betas: np.ndarray, name: str) -> Target:

@@ -3,27 +3,28 @@
 import logging
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from habitus.body.model import BodyModel
+from habitus.body.motion import BodyMotion
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError, require_extra
+from habitus.fit.markers.result import MarkerFit
 from habitus.fit.registration.scan import Scan
-from habitus.io.archives import open_archive
-from habitus.io.fits import load_fit
-from habitus.io.models.bodies import SHIPPED, load_body
+from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
-from habitus.io.motions import load_motion
+from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.io.scans import ENDINGS, read_scan
 from habitus.report.live.viewer import HOST
 from habitus.report.view.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
 from habitus.types import PathLike
 
-APART = 1.2  # metres between what is shown side by side
-LARGEST = 5.0  # metres: a scan of more is in centimetres, or in millimetres
+SPACING = 1.2  # metres between neighbours on the page
+MAX_EXTENT = 5.0  # metres; a larger scan is in centimetres or millimetres
 
 
 class View:
@@ -63,75 +64,57 @@ def view(
     if not sources:
         raise HabitusError("nothing to view; expected a body, a result, a motion or a scan")
     viser = require_extra("viser", "views", "view")
-    kinds = [(source, _kind(str(source))) for source in sources]
-    loaded = [(kind, Path(source).stem, _LOAD[kind](source, body, up)) for source, kind in kinds]
+    loaded = [_Shown(Path(source).stem, _opened(source, body, up)) for source in sources]
     logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that leaves is no error
     server = viser.ViserServer(HOST, port, label="habitus view", verbose=False)
     studio(server)
-    return View(
-        server,
-        [
-            _panel(server, kind, name, what, k, len(loaded))
-            for k, (kind, name, what) in enumerate(loaded)
-        ],
-    )
+    return View(server, [_panel(server, item, k, len(loaded)) for k, item in enumerate(loaded)])
 
 
-def _kind(source: str) -> str:
-    """body, fit, motion or mesh, by name, ending and names inside."""
-    if source in SHIPPED or source == "default" or source.endswith(".pkl"):
-        return "body"
+@dataclass(frozen=True)
+class _Shown:
+    """One thing on the page: a body, a motion, a fit or a scan, and its name."""
+
+    name: str
+    content: BodyModel | BodyMotion | MarkerFit | Scan
+
+    @property
+    def floor(self) -> float:
+        """The height (m) that puts a body at rest or a scan on the floor; 0 for motions."""
+        content = self.content
+        if isinstance(content, BodyModel):
+            return -float(np.asarray(content().vertices)[:, 1].min())
+        return -float(np.min(content.points[:, 1])) if isinstance(content, Scan) else 0.0
+
+
+def _opened(
+    source: PathLike, body: PathLike | None, up: str
+) -> BodyModel | BodyMotion | MarkerFit | Scan:
     if Path(source).suffix.lower() in ENDINGS:
-        return "mesh"
-    try:
-        with open_archive(Path(source)) as archive:
-            names = set(archive.names)
-    except OSError as error:
-        raise HabitusError(
-            f"{source}: {error.strerror or error}; expected a body, a result, a motion or a scan"
-        ) from error
-    except HabitusError as error:
-        raise HabitusError(f"{source}: {error}") from error
-    if {"poses", "latent_markers"} <= names:
-        return "fit"
-    return "motion" if "poses" in names else "body"
-
-
-def _load_body(source: PathLike, body: PathLike | None, up: str) -> Any:
-    return (
-        load_body(str(source), detail="full") if has_levels(str(source)) else load_body(str(source))
-    )
+        return _upright(read_scan(source), up)
+    person = open_person(source, body)
+    assert not isinstance(person, Mesh)  # its endings are among those of scans
+    if isinstance(person, BodyModel) and has_levels(str(source)):
+        return load_body(str(source), detail="full")
+    return person.standing() if isinstance(person, BodyShape) else person
 
 
 def _upright(scan: Scan, up: str) -> Scan:
     """A scan in metres, y up."""
     extent = float(np.ptp(scan.points, axis=0).max())
-    scale = next((unit for unit in (1.0, 0.01, 0.001) if extent * unit < LARGEST), 0.001)
+    scale = next((unit for unit in (1.0, 0.01, 0.001) if extent * unit < MAX_EXTENT), 0.001)
     return replace(scan, points=scale * scan.points @ up_rotation(up).T)
 
 
-_LOAD = {
-    "body": _load_body,
-    "fit": lambda source, body, up: load_fit(source, body),
-    "motion": lambda source, body, up: load_motion(source, body),
-    "mesh": lambda source, body, up: _upright(read_scan(source), up),
-}
-
-
-def _panel(server: Any, kind: str, name: str, what: Any, k: int, count: int) -> Any:
+def _panel(server: Any, item: _Shown, k: int, count: int) -> Any:
     node = f"/{k}"
+    content = item.content
     server.scene.add_frame(
-        node, show_axes=False, position=(APART * (k - (count - 1) / 2.0), _floor(kind, what), 0.0)
+        node, show_axes=False, position=(SPACING * (k - (count - 1) / 2.0), item.floor, 0.0)
     )
-    if kind == "body":
-        return BodyPanel(server, what, node)
-    if kind == "mesh":
-        return MeshPanel(server, name, what.points, what.faces, node)
-    return MotionPanel(server, what, node, what.observed_markers if kind == "fit" else None)
-
-
-def _floor(kind: str, what: Any) -> float:
-    """What lifts a body at rest, or a scan, onto the floor; motions have one of their own."""
-    if kind == "body":
-        return -float(what().vertices[:, 1].min())
-    return -float(np.min(what.points[:, 1])) if kind == "mesh" else 0.0
+    if isinstance(content, BodyModel):
+        return BodyPanel(server, content, node)
+    if isinstance(content, Scan):
+        return MeshPanel(server, item.name, content.points, content.faces, node)
+    markers = content.observed_markers if isinstance(content, MarkerFit) else None
+    return MotionPanel(server, content, node, markers)

@@ -22,9 +22,8 @@ from habitus.io.captures.c3d_fill import filled_c3d
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.files import atomic_write, write_text
-from habitus.io.fits import load_fit
 from habitus.io.layouts.files import load_layout
-from habitus.io.motions import load_motion
+from habitus.io.people import load_fit, load_motion
 from habitus.io.units import METRES
 from habitus.markers.columns import same_columns
 from habitus.population.captures import Faults
@@ -49,7 +48,7 @@ def virtual_markers(
     """What a marker system would record of a body in motion: M markers in every frame, metres, the
     motion's own world.
 
-    source: a fit, a motion, or the npz of one (`habitus.io.motions.load_motion`). layout: a shipped
+    source: a fit, a motion, or the npz of one (`habitus.io.people.load_motion`). layout: a shipped
     one by name, or a file, without its optional markers; by itself a fit's own markers at the
     places that were found for them. faults: placement and noise (m, sd) and missing samples;
     `CLEAN` has none. out: a .c3d or .trc file that receives them. Raises HabitusError for a motion

@@ -18,7 +18,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.hold_out import held_out_errors
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, settings_from
-from habitus.io.fits import load_fit
+from habitus.io.people import load_fit
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach
 
