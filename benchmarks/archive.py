@@ -2,7 +2,7 @@
 been killed?
 
     python benchmarks/archive.py [--captures 722] [--folder DIR] [--json FILE] [--phases two one
-    killed] [--lean]
+    killed] [--minimal]
 
 The archive is made to look like CMU's: 722 captures of 39 subjects, 2 million frames at 120 Hz,
 lengths as uneven as its. A third of the subjects are real captures of ../shared/mocap (without
@@ -131,7 +131,7 @@ def _virtual(motion: BodyMotion, subject: int, rng: np.random.Generator):
 # -- runs ------------------------------------------------------------------------------------------
 
 
-def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None = None) -> dict:
+def run(folder: Path, out: Path, jobs: int, minimal: bool, kill_after: float | None = None) -> dict:
     """One run of the command: seconds, CPU seconds of all its processes, largest memory; killed
     after some seconds.
     """
@@ -143,10 +143,10 @@ def run(folder: Path, out: Path, jobs: int, lean: bool, kill_after: float | None
         str(folder),
         "--out",
         str(out),
-        "--jobs",
+        "--workers",
         str(jobs),
     ]
-    command += ["--lean"] * lean
+    command += ["--minimal"] * minimal
     began = time.perf_counter()
     process = subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -234,13 +234,13 @@ def costs(out: Path) -> dict:
     }
 
 
-def measure(folder: Path, work: Path, phases: list[str], lean: bool, seed: int) -> dict:
+def measure(folder: Path, work: Path, phases: list[str], minimal: bool, seed: int) -> dict:
     """All runs that are asked for."""
     found: dict = {}
     if "two" in phases:
-        found["two"] = run(folder, work / "two", 2, lean) | costs(work / "two")
+        found["two"] = run(folder, work / "two", 2, minimal) | costs(work / "two")
     if "one" in phases:
-        found["one"] = run(folder, work / "one", 1, lean) | {
+        found["one"] = run(folder, work / "one", 1, minimal) | {
             "differences": differences(work / "two", work / "one")
         }
         found["speed_up"] = found["one"]["seconds"] / found["two"]["seconds"]
@@ -250,8 +250,10 @@ def measure(folder: Path, work: Path, phases: list[str], lean: bool, seed: int) 
         rng = np.random.default_rng(seed)
         usual = found["two"]["seconds"]
         moments = [float(usual * share) for share in rng.uniform(0.15, 0.45, 3)]
-        left = [run(folder, work / "killed", 2, lean, moment)["left_behind"] for moment in moments]
-        ended = run(folder, work / "killed", 2, lean)
+        left = [
+            run(folder, work / "killed", 2, minimal, moment)["left_behind"] for moment in moments
+        ]
+        ended = run(folder, work / "killed", 2, minimal)
         different = differences(work / "two", work / "killed")
         found["killed"] = ended | {
             "killed_after_s": moments,
@@ -321,7 +323,7 @@ def main() -> None:
         "--phases", nargs="+", choices=("two", "one", "killed"), default=["two", "one", "killed"]
     )
     parser.add_argument(
-        "--lean", action="store_true", help="of each capture only body.npz and metrics.json"
+        "--minimal", action="store_true", help="of each capture only body.npz and metrics.json"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the kills")
     parser.add_argument("--json", type=Path)
@@ -331,8 +333,8 @@ def main() -> None:
         captures = work / "captures"
         if not captures.exists():
             make_archive(captures, options.captures)
-        known = {"machine": machine(), "captures": options.captures, "lean": options.lean}
-        found = known | measure(captures, work, options.phases, options.lean, options.seed)
+        known = {"machine": machine(), "captures": options.captures, "minimal": options.minimal}
+        found = known | measure(captures, work, options.phases, options.minimal, options.seed)
         found["frames"] = found["two"]["frames"]
         show(found, Console(width=140))
         if options.json:

@@ -120,7 +120,7 @@ def run(subject, points, labels, options, view, folder):
         hb.live(
             "natnet",
             address,
-            subject=subject,
+            known=subject,
             sinks=made,
             stop_after=until,
             say=note,

@@ -133,7 +133,7 @@ def errors_mm(fit: MarkerFit, held: HeldMarkers, prior: PlacementPrior) -> dict[
 def of_synthetic(body: BodyModel, count: int, seed: int) -> Iterator[dict]:
     """Each synthetic person fitted to each number of markers."""
     chosen = select_markers(
-        MARKERS, "mosh-67", people=8, fewest=min(COUNTS), keep=(), body=body, seed=seed
+        MARKERS, "mosh-67", people=8, min_markers=min(COUNTS), keep=(), body=body, seed=seed
     )
     first = set(chosen.layout(max(COUNTS)).labels)
     held = chosen.pool.layout.restricted_to(

@@ -2,7 +2,7 @@
 """How bones drive a body's pose blend shapes: plain Python, for Maya, Unreal and any program that
 runs Python 3.7.
 
-`habitus export walk/body.npz --to walk.fbx --bake-correctives all` writes walk.correctives.json
+`habitus export walk/body.npz --out walk.fbx --bake-correctives all` writes walk.correctives.json
 beside the mesh. The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1: R is how
 its joint is turned against its parent, both counted from rest, in the body's axes (x to its left, y
 up, z forward).

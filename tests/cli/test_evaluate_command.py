@@ -21,7 +21,7 @@ from habitus.jobs.evaluate import evaluate
 from habitus.jobs.evaluation_models import load_models, shape_variances
 from habitus.parallel.workers import Threads
 
-QUICK = ("--counts", "2", "4", "--repeats", "1", "--threads", "1")
+QUICK = ("--counts", "2", "4", "--repeats", "1", "--workers", "1")
 
 
 @pytest.fixture(scope="module")
@@ -122,8 +122,8 @@ def test_sets_and_sexes_are_chosen(files):
         )
         return made.registrations.name, made.models[0].pose is not None
 
-    assert of(which="pose") == (("zoe-5", "zoe-6"), True)
-    assert of(gender="male") == (("bob-1", "bob-3"), True)
+    assert of(split="pose") == (("zoe-5", "zoe-6"), True)
+    assert of(sex="male") == (("bob-1", "bob-3"), True)
 
 
 def test_bodies_and_open_registrations_are_measured_as_files_are(files):
@@ -222,8 +222,8 @@ def test_what_nothing_can_be_done_with_is_told_before_the_fits(files, run, tmp_p
     refused(run(tubes, tubes, data), "two models are called", "rename")
     refused(run(tmp_path / "other.npz", data), "another topology", "160 vertices")
     refused(run("default", data), "another topology", "default")
-    refused(run(tubes, data, "--set", "shape"), "no registrations of the set 'shape'", "--set")
-    refused(run(tubes, data, "--threads", "0"), "threads", "expected 1 or more")
+    refused(run(tubes, data, "--split", "shape"), "no registrations of the set 'shape'", "--split")
+    refused(run(tubes, data, "--workers", "0"), "threads", "expected 1 or more")
     refused(run(tubes, data, "--unit", "furlong"), "unit")
     refused(run(tubes, data, out=tmp_path / "taken"), "taken", "--out")
     refused(run(tubes, data, "--cluster", "nowhere"), "nowhere")
@@ -292,7 +292,5 @@ def test_help_reads_well(capsys):
         main(["evaluate", "--help"])
     said = capsys.readouterr()
     assert end.value.code == 0 and said.err == "" and "tyro" not in said.out
-    for word in (
-        "MODEL DATASET --out --counts --set --clean --plain --cluster --threads report.html".split()
-    ):
+    for word in "MODEL DATASET --out --counts --split --clean --plain --cluster --workers report.html".split():
         assert word in said.out

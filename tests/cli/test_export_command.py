@@ -29,7 +29,7 @@ def test_a_fit_becomes_an_fbx(npz, tmp_path, capsys):
         run(
             "export",
             npz,
-            "--to",
+            "--out",
             out,
             "--fps",
             60,
@@ -46,22 +46,22 @@ def test_a_fit_becomes_an_fbx(npz, tmp_path, capsys):
     )
     assert len(Fbx(out).vertices(2)) == load_body("default").num_vertices
     assert (
-        run("export", npz, "--to", out, "--bake-correctives", "live:5", "--detail", "coarse") == 0
+        run("export", npz, "--out", out, "--bake-correctives", "live:5", "--detail", "coarse") == 0
     )
     assert (
         "walk.correctives.json" in capsys.readouterr().out
         and (tmp_path / "walk.correctives.json").exists()
     )
-    assert run("export", npz, "--to", tmp_path / "walk.trc") == 0
+    assert run("export", npz, "--out", tmp_path / "walk.trc") == 0
     assert "M03" in (tmp_path / "walk.trc").read_text()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--to", "walk.max"), "cannot write a motion to walk.max"),
-        (("--to", "walk.fbx", "--bake-correctives", "pca"), "expected auto, all, none"),
-        (("--to", "walk.fbx", "--fps", "0"), "frames a second"),
+        (("--out", "walk.max"), "cannot write a motion to walk.max"),
+        (("--out", "walk.fbx", "--bake-correctives", "pca"), "expected auto, all, none"),
+        (("--out", "walk.fbx", "--fps", "0"), "frames a second"),
     ],
 )
 def test_bad_input_is_one_line(npz, arguments, words, capsys, tmp_path, monkeypatch):
@@ -72,5 +72,5 @@ def test_bad_input_is_one_line(npz, arguments, words, capsys, tmp_path, monkeypa
 
 
 def test_no_such_file(tmp_path, capsys):
-    assert run("export", tmp_path / "nowhere.npz", "--to", tmp_path / "a.fbx") == 2
+    assert run("export", tmp_path / "nowhere.npz", "--out", tmp_path / "a.fbx") == 2
     assert "nowhere.npz: no such file" in capsys.readouterr().err

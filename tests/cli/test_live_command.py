@@ -54,7 +54,7 @@ def test_packets_become_poses_and_messages_and_a_result(subject, tmp_path, capsy
             "--source",
             "natnet",
             server.address,
-            "--subject",
+            "--known",
             str(subject),
             "--stop-after",
             "4",
@@ -85,7 +85,7 @@ def test_what_cannot_be_is_told_in_one_line(subject, tmp_path, capsys):
     wrong = {
         ("--send", "midi"): "expected osc or vmc",
         ("--out", str(tmp_path / "take.fbx")): "expected a name that ends in .npz or .glb",
-        ("--subject", str(tmp_path / "none.npz")): "no such file",
+        ("--known", str(tmp_path / "none.npz")): "no such file",
     }
     for words, told in wrong.items():
         with pytest.raises(SystemExit) as end:

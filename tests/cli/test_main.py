@@ -155,7 +155,7 @@ def test_quiet_says_nothing(quick, walk, run, capsys):
 
 @pytest.mark.parametrize(("strict", "code"), [((), 0), (("--strict",), 3)])
 def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, strict, code):
-    assert run("mosh", walk, "--no-soft-tissue", "--rate", "15000", *strict)[0] == code
+    assert run("mosh", walk, "--no-soft-tissue", "--fps", "15000", *strict)[0] == code
     verdict = json.loads((tmp_path / "out" / "walk" / "metrics.json").read_text())["verdict"]
     assert verdict["level"] == "failed" and any(
         "15000 frames a second" in reason for reason in verdict["reasons"]
@@ -301,13 +301,13 @@ def test_a_file_where_the_captures_folder_should_be(quick, walk, run, tmp_path):
         (["--body", "nobody"], ["nobody"]),
         (["--body", "BROKEN.npz"], ["BROKEN.npz"]),
         (["--body", "BROKEN.pkl"], ["BROKEN.pkl"]),
-        (["--gender", "female", "--body", "foreign.npz"], ["foreign", "no female model"]),
+        (["--sex", "female", "--body", "foreign.npz"], ["foreign", "no female model"]),
         (["--hold-out", "NOSE"], ["NOSE", "matched labels"]),
         (["--hold-out-every", "1"], ["1", "expected 2 to 67"]),
         (["--hold-out-every", "1000"], ["1000", "expected 2 to 67"]),
         (["--subject", "Nobody"], ["Nobody", "found"]),
-        (["--rate", "0"], ["rate"]),
-        (["--rate", "-5"], ["rate"]),
+        (["--fps", "0"], ["rate"]),
+        (["--fps", "-5"], ["rate"]),
     ],
 )
 def test_options_that_nothing_can_be_done_with(options, words, walk, run, tmp_path, monkeypatch):
@@ -323,7 +323,7 @@ def test_holding_out_every_marker(capture, walk, run):
 
 
 @pytest.mark.parametrize(
-    "options", [["--gender", "other"], ["--seed", "one"], ["--frobnicate"], ["--rate", "fast"]]
+    "options", [["--sex", "other"], ["--seed", "one"], ["--frobnicate"], ["--fps", "fast"]]
 )
 def test_options_that_do_not_exist(options, walk, run):
     code, said = run("mosh", walk, *options)
@@ -339,7 +339,7 @@ def test_options_that_do_not_exist(options, walk, run):
         ([], "mosh layout body.npz body.glb metrics.json report.html"),
         (
             ["mosh"],
-            "CAPTURE --out --layout --body --gender --no-soft-tissue --causal --hold-out "
+            "CAPTURE --out --layout --body --sex --no-soft-tissue --causal --hold-out "
             "--hold-out-every --seed",
         ),
         (["layout"], "show check new"),

@@ -143,7 +143,7 @@ def test_a_joint_that_never_bends_is_a_warning(run, tmp_path):
         (["--unit", "ells"], ["ells", "expected one of"]),
         (["--unit", "mm"], ["a thousand times too small"]),
         (["--rounds", "0"], ["rounds is 0", "expected 1"]),
-        (["--threads", "0"], ["0 threads"]),
+        (["--workers", "0"], ["0 threads"]),
         (["--every", "0"], ["every 0"]),
         (["--influences", "9"], ["influences is 9", "8 or fewer"]),
         (
@@ -204,6 +204,6 @@ def test_help_reads_well(capsys):
     assert end.value.code == 0 and said.err == "" and "tyro" not in said.out
     words = (
         "DATASET --out --template --sex --skinning --pose-shapes --num-betas --rounds "
-        "--cluster --threads --restart"
+        "--cluster --workers --restart"
     )
     assert all(word in said.out for word in words.split())

@@ -43,7 +43,7 @@ def made(folder: Path, out: Path, **more) -> Archive:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("habitus.jobs.mosh.MoshSettings", HASTY)
         patch.setattr("habitus.jobs.archive.tasks.fitted_body", lambda *words: person())
-        return archive(folder, out, **{"mosh": RECIPE, "workers": 1, "lean": True} | more)
+        return archive(folder, out, **{"mosh": RECIPE, "workers": 1, "minimal": True} | more)
 
 
 def arrays(out: Path) -> dict[str, np.ndarray]:

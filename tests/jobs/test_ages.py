@@ -19,7 +19,7 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import told_age
-from habitus.jobs.genders import of_gender
+from habitus.jobs.genders import of_sex
 from habitus.jobs.measuring import measure_file
 from habitus.population.captures import Faults, simulate_capture, smooth_motion
 
@@ -65,7 +65,7 @@ def written(capture, tmp_path_factory):
         )
         out = tmp_path_factory.mktemp("child")
         write_c3d(capture, out / "walk.c3d")
-        recipe = hb.Mosh(soft_tissue=False, gender="auto", age="auto")
+        recipe = hb.Mosh(soft_tissue=False, sex="auto", age="auto")
         return recipe.fit(out / "walk.c3d", out=out), out / "walk"
 
 
@@ -112,7 +112,7 @@ def test_a_fit_without_an_age_says_none(written, tmp_path):
 
 
 def test_the_model_of_a_sex_has_the_age_of_the_body_in_whose_place_it_comes():
-    assert of_gender(hb.load_body("default").at_age(AGE), "male").age == AGE
+    assert of_sex(hb.load_body("default").at_age(AGE), "male").age == AGE
     assert hb.Mosh(age="12.5").body("neutral").age == 12.5
     assert hb.load_body("neutral").at_age(AGE).female_direction is None
     assert hb.load_body("neutral").at_age(40).female_direction is not None

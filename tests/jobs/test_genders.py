@@ -15,7 +15,7 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
-from habitus.jobs.genders import choose, of_gender
+from habitus.jobs.genders import choose, of_sex
 from habitus.population.captures import Faults, simulate_capture, smooth_motion
 
 QUICK = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=False)
@@ -42,16 +42,16 @@ def hasty(monkeypatch):
 
 
 def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so(hasty):
-    fit = hb.Mosh(gender="auto").fit(walk("male", 3, np.zeros(1)), "default")
+    fit = hb.Mosh(sex="auto").fit(walk("male", 3, np.zeros(1)), "default")
     probability = fit.female_probability
     assert probability is not None and probability < 0.5
     assert fit.gender == {"cannot tell": "neutral"}.get(said_of(probability), "male")
     assert fit.body.name == {"neutral": "default"}.get(fit.gender, fit.gender)
-    assert sum("gender auto" in warning for warning in fit.warnings) == 1
+    assert sum("sex auto" in warning for warning in fit.warnings) == 1
 
 
 def test_a_model_that_is_asked_for_is_fitted(hasty, tmp_path):
-    fit = hb.Mosh(gender="female").fit(walk("female", 1), "default", out=tmp_path)
+    fit = hb.Mosh(sex="female").fit(walk("female", 1), "default", out=tmp_path)
     assert (fit.gender, fit.body_name, fit.female_probability) == ("female", "female", None)
     read = hb.load_fit(tmp_path / "walk" / "body.npz")
     assert read.gender == "female" and read.body.name == "female"
@@ -61,15 +61,15 @@ def test_a_model_that_is_asked_for_is_fitted(hasty, tmp_path):
 def test_a_file_that_says_the_sex_is_believed():
     person = SimpleNamespace(captures=(walk("male", 1, sex="male"), walk("male", 2)))
     found = choose(load_body("default"), "auto", person, QUICK, lambda stage, share: None)
-    assert found.gender == found.body.name == "male" and "file says male" in found.notes[0]
+    assert found.sex == found.body.name == "male" and "file says male" in found.notes[0]
 
 
 def test_models_of_a_sex_are_like_the_neutral_one_in_all_else():
     body = load_body("default").with_betas(7)
     for sex in ("female", "male"):
-        found = of_gender(body, sex)
+        found = of_sex(body, sex)
         assert (found.num_betas, found.joint_names) == (7, body.joint_names)
         assert found.num_vertices == body.num_vertices and list(found.landmarks) == list(
             body.landmarks
         )
-    assert of_gender(body, "neutral") is body
+    assert of_sex(body, "neutral") is body

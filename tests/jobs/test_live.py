@@ -105,11 +105,11 @@ def test_a_file_is_played_and_the_result_written(fit, truth, tmp_path, body):
         tmp_path / "walk.npz",
         markers=truth.observed,
         labels=LABELS,
-        rate_hz=RATE,
+        fps=RATE,
         unit="m",
         up_axis="+y",
     )
-    again = hb.live("replay", tmp_path / "walk.npz", tmp_path / "out.npz", subject=fit, rate_hz=0)
+    again = hb.live("replay", tmp_path / "walk.npz", tmp_path / "out.npz", known=fit, fps=0)
     read = hb.load_fit(tmp_path / "out.npz")
     np.testing.assert_allclose(read.pose, again.pose)
     np.testing.assert_allclose(again.vertices(80), fit.vertices(80), atol=0.01)
@@ -122,19 +122,19 @@ def test_a_file_is_played_at_a_rate(fit, truth, tmp_path):
         tmp_path / "walk.npz",
         markers=truth.observed,
         labels=LABELS,
-        rate_hz=RATE,
+        fps=RATE,
         unit="m",
         up_axis="+y",
     )
     began = time.perf_counter()
-    again = hb.live("replay", tmp_path / "walk.npz", subject=fit, rate_hz=300)
+    again = hb.live("replay", tmp_path / "walk.npz", known=fit, fps=300)
     assert time.perf_counter() - began > FRAMES / 300 and again.rate_hz == RATE
 
 
 def test_who_leaves_and_returns_is_followed_again(fit, points, body):
     away = points.copy()
     away[30:55] = np.nan
-    found, said = run(away, body, subject=fit)
+    found, said = run(away, body, known=fit)
     assert "left at 1.5 s" in said and "seen again at 1.8 s" in said
     np.testing.assert_allclose(found.trans[60:], fit.trans[60:], atol=0.02)
     assert (
@@ -148,7 +148,7 @@ def test_who_leaves_and_returns_is_followed_again(fit, points, body):
 def test_frames_that_are_lost_are_counted_and_keep_their_time(fit, points, body):
     kept = np.delete(np.arange(FRAMES), [*range(40, 52), 70])
     found, said = run(
-        points[kept], body, None, 7 + 2 * kept, subject=fit
+        points[kept], body, None, 7 + 2 * kept, known=fit
     )  # every second number is another camera's
     assert "12 frames were lost at" in said and any(
         "13 lost on the way" in w for w in found.warnings
@@ -165,7 +165,7 @@ def test_a_marker_set_that_changes_is_found_by_its_labels(fit, points, body):
         *(np.concatenate([each[order], np.ones((1, 3))]) for each in points[50:80]),
         *points[80:],
     ]
-    found, said = run(changed, body, [HEADING] * 50 + [other] * 30 + [HEADING] * 10, subject=fit)
+    found, said = run(changed, body, [HEADING] * 50 + [other] * 30 + [HEADING] * 10, known=fit)
     gone = sorted(set(range(M)) - set(order.tolist()))
     assert (
         "38 of 42 markers are left" in said and "Ann:NEW" in said and LAYOUT.labels[gone[0]] in said
@@ -187,7 +187,7 @@ def test_what_ctrl_c_stops_is_kept(fit, points, body):
                 raise KeyboardInterrupt
             return super().poll(timeout)
 
-    assert hb.live(Stopped(points), subject=fit).num_frames == FRAMES - 20
+    assert hb.live(Stopped(points), known=fit).num_frames == FRAMES - 20
 
 
 def test_bad_input_is_told_in_one_line(fit, points, body, tmp_path):
@@ -198,7 +198,7 @@ def test_bad_input_is_told_in_one_line(fit, points, body, tmp_path):
     with pytest.raises(HabitusError, match="no capture was given"):
         hb.live("replay")
     with pytest.raises(HabitusError, match="labelled points"):
-        run(np.full_like(points, np.nan), body, subject=fit)
+        run(np.full_like(points, np.nan), body, known=fit)
     strangers = replace(HEADING, labels=tuple(f"X{k}" for k in range(M)))
     with pytest.raises(HabitusError, match="saved subject's markers"):
-        run(points, body, [strangers] * FRAMES, subject=fit)
+        run(points, body, [strangers] * FRAMES, known=fit)

@@ -54,7 +54,7 @@ def quick(monkeypatch):
 
 
 def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
-    recipe = hb.Mosh(soft_tissue=False, gender="auto")
+    recipe = hb.Mosh(soft_tissue=False, sex="auto")
     fit = recipe.fit(capture, body)
     (again,) = recipe.fit([capture], body, out=tmp_path)
     np.testing.assert_array_equal(fit.pose, again.pose)
@@ -67,14 +67,14 @@ def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
     assert "href='walk/report.html'" in (tmp_path / "index.html").read_text("utf-8")
     page = (tmp_path / "walk" / "report.html").read_text("utf-8")
     assert set(re.findall(r"<a href='([^']*)'", page)) == {"body.npz", "body.glb", "metrics.json"}
-    assert any("gender auto" in warning for warning in fit.warnings)
+    assert any("sex auto" in warning for warning in fit.warnings)
     read = hb.load_fit(tmp_path / "walk" / "body.npz")
     np.testing.assert_allclose(read.vertices([0, 9]), fit.vertices([0, 9]), atol=1e-5)
 
 
 def test_a_file_and_its_capture_are_the_same(body, capture, tmp_path):
     write_c3d(capture, tmp_path / "walk.c3d")
-    recipe = hb.Mosh(soft_tissue=False, rate_hz=60.0)
+    recipe = hb.Mosh(soft_tissue=False, fps=60.0)
     fit, again = (
         recipe.fit(one, body)
         for one in (tmp_path / "walk.c3d", hb.read_capture(tmp_path / "walk.c3d"))
@@ -131,11 +131,11 @@ def test_a_slice_of_a_capture(capture):
 
 
 def test_genders_that_are_none_and_models_that_a_body_has_not(body, capture):
-    with pytest.raises(HabitusError, match="gender is 'other'; expected one of neutral, female"):
-        hb.Mosh(gender="other")
+    with pytest.raises(HabitusError, match="sex is 'other'; expected one of neutral, female"):
+        hb.Mosh(sex="other")
     foreign = replace(body, name="smplh")
     with pytest.raises(HabitusError, match="smplh has no male model"):
-        hb.Mosh(gender="male").fit(capture, foreign)
+        hb.Mosh(sex="male").fit(capture, foreign)
 
 
 def test_no_capture_at_all(body):

@@ -56,7 +56,7 @@ def test_a_real_fit_on_a_character_keeps_its_feet(real, tmp_path, capsys):
         type("hero", (), {"vertices": hero, "faces": level.faces}), tmp_path / "hero.ply"
     )
     hb.exaggerate(real, 1.0, out=tmp_path / "walk.npz")
-    words = ["retarget", str(tmp_path / "walk.npz"), "--to", str(tmp_path / "hero.ply")]
+    words = ["retarget", str(tmp_path / "walk.npz"), "--target", str(tmp_path / "hero.ply")]
     main([*words, "--out", str(tmp_path / "hero.npz")])
     said = capsys.readouterr().out
     assert "legs are 0.7" in said and "40 frames of hero" in said

@@ -15,9 +15,7 @@ from habitus.jobs.marker_pools import find_layout, find_pool
 
 
 def test_a_selection_and_what_it_leaves(tmp_path, capsys):
-    words = (
-        "select-markers --from 50 --start 47 --people 1 --fewest 44 --keep 45 48 --pairs".split()
-    )
+    words = "select-markers --from 50 --start 47 --people 1 --min-markers 44 --keep 45 48 --pairs".split()
     main([*words, "--out", str(tmp_path / "selection")])
     said = capsys.readouterr().out
     assert "47 markers" in said and "(start)" in said and "50 candidates" in said
@@ -45,7 +43,7 @@ def test_a_real_capture_matches_a_selected_layout(shared, tmp_path):
     """What was chosen of a set's markers is a layout for captures with that set."""
     capture = hb.read_capture(shared / "mocap" / "85_02.c3d")[:5]
     found = hb.select_markers(
-        "cmu-41", "cmu-41", people=1, fewest=36, keep=(36,), out=tmp_path / "s"
+        "cmu-41", "cmu-41", people=1, min_markers=36, keep=(36,), out=tmp_path / "s"
     )
     layout = load_layout(tmp_path / "s" / "markers-36.toml")
     match = match_layout(capture.labels, capture.markers, [layout])

@@ -272,8 +272,8 @@ def test_a_trainer_with_a_folder_is_the_command(files, quick):
 
 
 def test_a_trainer_fits_one_model_and_knows_its_options(files):
-    with pytest.raises(HabitusError, match="gender 'each' means two models"):
-        Trainer(**vars(QUICK)).fit(files[0], files[1], gender="each")
+    with pytest.raises(HabitusError, match="sex 'each' means two models"):
+        Trainer(**vars(QUICK)).fit(files[0], files[1], sex="each")
     with pytest.raises(HabitusError, match="rounds is 0"):
         Trainer(rounds=0)
 

@@ -41,7 +41,7 @@ def test_the_command_makes_a_body_that_moves(tmp_path, capsys):
     files = [_saved(one, tmp_path / f"{one.name}.npz") for one in shown]
     out = tmp_path / "out"
     test = _saved(kept, tmp_path / "kept.npz")
-    options = ["--components", "2", "--no-personal", "--threads", "1", "--test", test]
+    options = ["--components", "2", "--no-personal", "--workers", "1", "--test", test]
     main(
         [
             "train-dynamics",

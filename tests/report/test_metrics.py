@@ -28,7 +28,7 @@ KEYS = {
     *(
         "marker_error_mm",
         "held_out_error_mm",
-        "held_out_at_told_places_mm",
+        "held_out_known_placement_mm",
         "suspect_markers",
         "guessed_segments",
         "stage_seconds",
@@ -124,8 +124,8 @@ def test_held_out_markers_at_told_places_are_told_beside_them():
     told = HeldOut(("CHIN", "NOSE"), np.array([[0.005, np.nan]]), None)
     found = metrics(synthetic_fit(3, held_out=held, held_out_told=told))
     assert found["held_out_error_mm"]["pose"]["mean"] == pytest.approx(35)
-    assert found["held_out_at_told_places_mm"]["pose"]["mean"] == pytest.approx(5)
-    assert metrics(synthetic_fit(3, held_out=held))["held_out_at_told_places_mm"] is None
+    assert found["held_out_known_placement_mm"]["pose"]["mean"] == pytest.approx(5)
+    assert metrics(synthetic_fit(3, held_out=held))["held_out_known_placement_mm"] is None
 
 
 def test_gender_is_a_probability():

@@ -26,7 +26,7 @@ _EVERY = 30.0
 class Archive:
     """Fit thousands of captures: each subject's shape once, then its captures, in parallel.
 
-    habitus archive captures --out results --subjects subjects.csv --jobs 8
+    habitus archive captures --out results --subjects subjects.csv --workers 8
 
     OUT receives a folder a capture, as deep as it lay, with what habitus mosh writes, and
     index.html, archive.parquet and archive.sqlite. The same command goes on where a run stopped,
@@ -42,7 +42,7 @@ class Archive:
     """Whose captures are whose: columns capture (a file or folder below FOLDER) and subject; by
     itself, the files' subjects and folders.
     """
-    jobs: Annotated[int | None, unset("N")] = None
+    workers: Annotated[int | None, unset("N")] = None
     """Processes on this machine, one thread each; as many as it has cores by itself."""
     cluster: Annotated[str | None, unset("ADDRESS")] = None
     """A Dask scheduler (tcp://host:8786) whose machines share the work, and see both folders under
@@ -52,7 +52,7 @@ class Archive:
     """Which marker sits where; see habitus mosh."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model."""
-    gender: Literal["neutral", "female", "male", "auto"] = "neutral"
+    sex: Literal["neutral", "female", "male", "auto"] = "neutral"
     """Which model of the body; "auto": for each subject the sex that the files say or a neutral fit
     is sure of.
     """
@@ -64,9 +64,9 @@ class Archive:
     """What soft tissue moves along in the last stage."""
     no_soft_tissue: Flag = False
     """Stop after the pose stage."""
-    rate: Annotated[float | None, unset("HZ")] = None
+    fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where files do not say or say it wrong."""
-    lean: Flag = False
+    minimal: Flag = False
     """Of each capture only body.npz and metrics.json: no page, no animated mesh; a third of the
     room.
     """
@@ -92,9 +92,9 @@ def run(options: Archive, console: "Console | None" = None) -> int:
     """
     from habitus.jobs.archive.run import archive
 
-    if options.jobs is not None and options.cluster is not None:
+    if options.workers is not None and options.cluster is not None:
         raise HabitusError(
-            "--jobs is about this machine and --cluster about others; give one of them"
+            "--workers is about this machine and --cluster about others; give one of them"
         )
     console = console or screen(options.quiet)
     with progress_bar(console) as bar:
@@ -111,8 +111,8 @@ def run(options: Archive, console: "Console | None" = None) -> int:
             subjects=options.subjects,
             mosh=_recipe(options),
             body=options.body,
-            workers=options.cluster or options.jobs,
-            lean=options.lean,
+            workers=options.cluster or options.workers,
+            minimal=options.minimal,
             npz_style=options.npz_style,
             progress=progress,
             on_failure=lambda path, reason: print(
@@ -145,9 +145,9 @@ def _recipe(options: Archive) -> "Mosh":
 
     return Mosh(
         options.layout,
-        gender=options.gender,
+        sex=options.sex,
         soft_tissue=False if options.no_soft_tissue else options.soft_tissue,
-        rate_hz=options.rate,
+        fps=options.fps,
         joints=options.joints,
         seed=options.seed,
         age=options.age,

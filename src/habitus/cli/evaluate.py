@@ -44,7 +44,7 @@ class Evaluate:
     """Folder for the results."""
     counts: Annotated[tuple[int, ...], tyro.conf.arg(metavar="K1 K2 …")] = COUNTS
     """Numbers of shape coefficients to fit with, as far as a model has them."""
-    set: Literal["test", "pose", "shape"] = "test"
+    split: Literal["test", "pose", "shape"] = "test"
     """Which registrations of the dataset."""
     sex: Annotated[Literal["female", "male"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Only those of this sex."""
@@ -66,7 +66,7 @@ class Evaluate:
     """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you
     trust.
     """
-    threads: Annotated[int | None, unset("N")] = None
+    workers: Annotated[int | None, unset("N")] = None
     """Threads to fit with; as many as there are cores, if not told."""
     quiet: Flag = False
     """Print nothing but errors."""
@@ -98,13 +98,13 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
             dataset,
             options.out,
             counts=options.counts,
-            which=options.set,
-            gender=options.sex,
+            split=options.split,
+            sex=options.sex,
             clean=options.clean,
             plain=options.plain,
             unit=options.unit,
             repeats=options.repeats,
-            workers=options.threads if options.cluster is None else options.cluster,
+            workers=options.workers if options.cluster is None else options.cluster,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(summary(found))
@@ -120,10 +120,10 @@ def _run_known(options: Evaluate, console: "Console", models: list[str], dataset
             models,
             dataset,
             options.out,
-            which=options.set,
-            gender=options.sex,
+            split=options.split,
+            sex=options.sex,
             unit=options.unit,
-            workers=options.threads if options.cluster is None else options.cluster,
+            workers=options.workers if options.cluster is None else options.cluster,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(known_table(found))

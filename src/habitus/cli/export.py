@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 class Export:
     """Write a fit, or another motion, as a file that other programs read, by its ending.
 
-    habitus export results/walk/body.npz --to walk.fbx
+    habitus export results/walk/body.npz --out walk.fbx
 
-    habitus export results/walk/body.npz --to walk.glb --fps 30 --bake-correctives pca:16
+    habitus export results/walk/body.npz --out walk.glb --fps 30 --bake-correctives pca:16
 
-    habitus export him.npz --to him.fbx --bake-correctives all      (him.npz: of habitus body)
+    habitus export him.npz --out him.fbx --bake-correctives all      (him.npz: of habitus body)
 
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
     joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names.
@@ -31,7 +31,7 @@ class Export:
     """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them; for a rig at rest
     a person's npz, or neutral, female, male.
     """
-    to: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Where it is written; the ending says in which format."""
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where they shall be others than the capture's."""
@@ -59,7 +59,7 @@ def run(options: Export, console: "Console | None" = None) -> None:
     console = console or screen()
     found = export_file(
         options.source,
-        options.to,
+        options.out,
         body=options.body,
         fps=options.fps,
         correctives=options.bake_correctives,

@@ -36,7 +36,7 @@ class Label:
     """A labelled capture of the same person with the same markers: tells shape and places, and is
     the surest way.
     """
-    sure: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
+    min_confidence: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
     """Labels less likely than this are left out."""
     people: Annotated[int, tyro.conf.arg(metavar="N")] = 1
     """How many people are in the capture, all in the same markers; their labels begin with
@@ -44,7 +44,7 @@ class Label:
     """
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model that labels are judged by."""
-    rate: Annotated[float | None, unset("HZ")] = None
+    fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the file does not say or says it wrong."""
     quiet: Flag = False
     """Print nothing but errors."""
@@ -66,10 +66,10 @@ def run(options: Label, console: "Console | None" = None) -> None:
             options.out,
             layout=options.layout,
             like=options.like,
-            sure=options.sure,
+            min_confidence=options.min_confidence,
             people=options.people,
             body=options.body,
-            rate_hz=options.rate,
+            fps=options.fps,
         )
     for warning in found.source.warnings:
         say(console, warning, "warning:")

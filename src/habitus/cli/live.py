@@ -33,17 +33,17 @@ class Live:
     """The file to play, or the computer that streams; this one without."""
     out: Annotated[Path | None, unset("FILE.npz|FILE.glb|DIR")] = None
     """Where the result goes at the end; nothing is kept without."""
-    subject: Annotated[Path | None, unset("body.npz")] = None
+    known: Annotated[Path | None, unset("body.npz")] = None
     """A person who was fitted before with the same markers: the shape is not sought again."""
     layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
     """Which marker sits where; "auto" picks a layout by the stream's labels."""
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model."""
-    person: Annotated[str | None, unset("NAME")] = None
+    subject: Annotated[str | None, unset("NAME")] = None
     """Whose markers, where a stream holds several people's."""
-    gender: Literal["neutral", "female", "male"] = "neutral"
+    sex: Literal["neutral", "female", "male"] = "neutral"
     """Which model of the body."""
-    rate: Annotated[float | None, unset("HZ")] = None
+    fps: Annotated[float | None, unset("HZ")] = None
     """How fast a file is played, 0 for as fast as it can be followed; or the rate of a stream that
     tells it wrong.
     """
@@ -82,12 +82,12 @@ def run(options: Live, console: "Console | None" = None) -> None:
             options.source,
             options.address,
             options.out,
-            subject=options.subject,
+            known=options.known,
             layout=options.layout,
             body=options.body,
-            person=options.person,
-            gender=options.gender,
-            rate_hz=options.rate,
+            subject=options.subject,
+            sex=options.sex,
+            fps=options.fps,
             seconds=options.seconds,
             stop_after=options.stop_after,
             keep=False,

@@ -46,7 +46,7 @@ class Mosh:
     """
     body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
     """The body model: the one that habitus brings along, or an SMPL-family file (npz, pkl)."""
-    gender: Literal["neutral", "female", "male", "auto"] = "neutral"
+    sex: Literal["neutral", "female", "male", "auto"] = "neutral"
     """Which model of the body; "auto" fits the neutral one first and takes the sex that it is sure
     of.
     """
@@ -70,13 +70,13 @@ class Mosh:
     """Leave these markers out of everything and report their error where one expects them."""
     hold_out_every: Annotated[int | None, unset("K")] = None
     """Do so for every marker, one in K at a time (K further fits)."""
-    places_from: Annotated[tuple[Path, ...], unset("CAPTURE …")] = ()
+    placements_from: Annotated[tuple[Path, ...], unset("CAPTURE …")] = ()
     """Other captures of the same person and markers: report the held-out markers' error also at the
     places that these tell.
     """
     subject: Annotated[str | None, unset("NAME")] = None
     """Which person, where a capture holds several; otherwise each is fitted by itself."""
-    rate: Annotated[float | None, unset("HZ")] = None
+    fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the file does not say or says it wrong."""
     obj: Flag = False
     """Write an OBJ mesh a frame as well."""
@@ -130,11 +130,11 @@ def _fit(
 
     recipe = Recipe(
         options.layout,
-        gender=options.gender,
+        sex=options.sex,
         soft_tissue=False if options.no_soft_tissue else options.soft_tissue,
         causal=options.causal,
         subject=options.subject,
-        rate_hz=options.rate,
+        fps=options.fps,
         joints=options.joints,
         seed=options.seed,
         age=options.age,
@@ -145,7 +145,7 @@ def _fit(
         options.hold_out_every,
         options.obj,
         options.npz_style,
-        options.places_from,
+        options.placements_from,
     )
     return fit_all(
         recipe,

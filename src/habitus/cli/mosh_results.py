@@ -107,9 +107,9 @@ def _facts(outcome: "Outcome") -> Iterator[_Fact]:
     yield _Fact("error", _number(errors.get("mean"), 1), "mm")
     yield _Fact("p95", _number(errors.get("p95"), 1), "mm")
     yield _Fact("held out", _number(held["mean"], 1) if held else "", "mm")
-    told = _last(numbers.get("held_out_at_told_places_mm") or {})
+    told = _last(numbers.get("held_out_known_placement_mm") or {})
     if told:
-        yield _Fact("held out, places told", _number(told["mean"], 1), "mm")
+        yield _Fact("held out, known placement", _number(told["mean"], 1), "mm")
     yield _Fact("height", _number(body.get("height_m"), 2), "m")
     yield _Fact("mass", _number(body.get("mass_kg"), 1), "kg")
     yield _Fact("suspects", str(len(numbers["suspect_markers"])))

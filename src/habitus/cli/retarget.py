@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 class Retarget:
     """Put another body into the motion of a fit, with its soft tissue, its feet where they stood.
 
-    habitus retarget results/walk/body.npz --to character.obj --out character_walk.glb
+    habitus retarget results/walk/body.npz --target character.obj --out character_walk.glb
 
-    habitus retarget results/walk/body.npz --to female --out her_walk.npz
+    habitus retarget results/walk/body.npz --target female --out her_walk.npz
 
     `docs/exaggerating-and-retargeting.md` shows it.
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
     """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
-    to: Annotated[str, tyro.conf.arg(metavar="FILE|BETAS|NAME")]
+    target: Annotated[str, tyro.conf.arg(metavar="FILE|BETAS|NAME")]
     """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
     female, male.
     """
@@ -45,7 +45,7 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     from habitus.jobs.motions import retarget
 
     console = console or screen()
-    found = retarget(options.source, options.to, body=options.body, out=options.out)
+    found = retarget(options.source, options.target, body=options.body, out=options.out)
     slip, below = ([1e3 * value for value in each] for each in (found.slip, found.below))
     say(console, f"legs are {found.scale:.2f} times as long, and so is the way", "note")
     if found.standing:

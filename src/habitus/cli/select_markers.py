@@ -35,7 +35,7 @@ class SelectMarkers:
     """Where it shall be right."""
     pairs: Flag = False
     """Left and right markers go and come together."""
-    fewest: Annotated[int, tyro.conf.arg(metavar="N")] = 5
+    min_markers: Annotated[int, tyro.conf.arg(metavar="N")] = 5
     """How far markers are removed."""
     keep: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N …")] = (25, 67)
     """The sizes of sets that are written as layouts."""
@@ -71,7 +71,7 @@ def run(options: SelectMarkers, console: "Console | None" = None) -> None:
             goal=options.goal,
             region=options.region,
             pairs=options.pairs,
-            fewest=options.fewest,
+            min_markers=options.min_markers,
             people=options.people,
             keep=options.keep,
             body=options.body,

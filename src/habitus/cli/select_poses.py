@@ -19,7 +19,7 @@ class SelectPoses:
 
     habitus select-poses --layout mosh-47 --count 12 --out poses.npz
 
-    `docs/selecting-markers.md` tells how; `habitus retarget poses.npz --to default --out poses`
+    `docs/selecting-markers.md` tells how; `habitus retarget poses.npz --target default --out poses`
     gives them as meshes.
     """
 

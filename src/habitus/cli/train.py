@@ -112,7 +112,7 @@ class Train:
     """Work on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you
     trust.
     """
-    threads: Annotated[int | None, unset("N")] = None
+    workers: Annotated[int | None, unset("N")] = None
     """Threads to work with; as many as there are cores, if not told."""
     restart: Flag = False
     """Throw the checkpoint in OUT away and begin anew."""
@@ -161,12 +161,12 @@ def run(options: Train, console: "Console | None" = None) -> None:
             options=options.options,
             detail=options.detail,
             joints=options.joints,
-            gender=options.sex,
+            sex=options.sex,
             baselines=options.baselines,
             unit=options.unit,
             every=options.every,
             restart=options.restart,
-            workers=options.threads if options.cluster is None else options.cluster,
+            workers=options.workers if options.cluster is None else options.cluster,
             progress=progress,
             on_step=on_step,
             on_warning=on_warning,
@@ -219,7 +219,7 @@ def summary(found: "list[Training]") -> "Table":
             estimate = trained.estimate
             error = (last.terms["data"] / (len(estimate.pose) * trained.body.num_vertices)) ** 0.5
             table.add_row(
-                plain(f"{one.gender} {name}".strip()),
+                plain(f"{one.sex} {name}".strip()),
                 str(trained.history[-1].round),
                 f"{first.total:.4g}",
                 f"{last.total:.4g}",

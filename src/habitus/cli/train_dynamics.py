@@ -50,11 +50,11 @@ class TrainDynamics:
     """
     no_personal: Flag = False
     """Take a person's mean residual for dynamics, not for the person's own form."""
-    rate: Annotated[float | None, unset("HZ")] = None
+    fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the data do not say or say it wrong."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
-    threads: Annotated[int | None, unset("N")] = None
+    workers: Annotated[int | None, unset("N")] = None
     """Threads to work with; as many as there are cores, if not told."""
     quiet: Flag = False
     """Print nothing but errors."""
@@ -85,9 +85,9 @@ def run(options: TrainDynamics, console: "Console | None" = None) -> None:
             body=options.body,
             test=options.test,
             options=options.options,
-            rate_hz=options.rate,
+            fps=options.fps,
             unit=options.unit,
-            workers=options.threads,
+            workers=options.workers,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(learned(found))

@@ -42,8 +42,8 @@ def evaluate(
     dataset: PathLike | Registrations,
     out: PathLike | None = None,
     *,
-    which: str = "test",
-    gender: str | None = None,
+    split: str = "test",
+    sex: str | None = None,
     counts: Sequence[int] = COUNTS,
     clean: PathLike | Registrations | None = None,
     plain: bool = False,
@@ -53,11 +53,11 @@ def evaluate(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Measure models on the registrations of the set ``which`` and, where ``out`` is given, write
+    """Measure models on the registrations of the set ``split`` and, where ``out`` is given, write
     the results (S 5).
 
     models: files, "default", or BodyModel objects. dataset and clean (the same registrations
-    without noise): what `open_registrations` takes, or open Registrations (m). gender: "female" or
+    without noise): what `open_registrations` takes, or open Registrations (m). sex: "female" or
     "male", only registrations of these. plain: measure each model with pose blend shapes also
     without them, as S 5.1 does. repeats and seed: of the run times, and of their random shapes and
     poses. workers: number of threads (default: one per core), address of a Dask scheduler, or
@@ -73,15 +73,16 @@ def evaluate(
         thread_count(workers)
     loaded = load_models(models, plain)
     source = _source(dataset, "the dataset")
-    registrations = _opened(dataset, unit).where(set=which, sex=gender)
+    registrations = _opened(dataset, unit).where(set=split, sex=sex)
     if not len(registrations):
-        whose = f" of sex {gender!r}" if gender else ""
+        whose = f" of sex {sex!r}" if sex else ""
         raise HabitusError(
-            f"{source} has no registrations of the set {which!r}{whose}; choose another with --set"
+            f"{source} has no registrations of the set {split!r}{whose}; "
+            "choose another with --split"
         )
     true = None
     if clean is not None:
-        clean_set = _opened(clean, unit).where(set=which, sex=gender)
+        clean_set = _opened(clean, unit).where(set=split, sex=sex)
         true = _clean_vertices(clean_set, registrations, _source(clean, "the clean dataset"))
     for one in loaded:
         check_topology(one.model, registrations, source)

@@ -43,13 +43,13 @@ def evaluate_known(
     dataset: PathLike | Sequence[PathLike] | Registrations,
     out: PathLike | None = None,
     *,
-    which: str = "test",
-    gender: str | None = None,
+    split: str = "test",
+    sex: str | None = None,
     unit: str = "m",
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> KnownEvaluation:
-    """Errors of body models in the poses and shapes that the registrations of the set ``which``
+    """Errors of body models in the poses and shapes that the registrations of the set ``split``
     tell.
 
     The first model is also measured as plain LBS and plain DQBS, without its pose blend shapes. Of
@@ -62,10 +62,10 @@ def evaluate_known(
     everything = (
         dataset if isinstance(dataset, Registrations) else open_registrations(dataset, unit=unit)
     )
-    data = everything.where(set=which, sex=gender)
+    data = everything.where(set=split, sex=sex)
     if not len(data):
         raise HabitusError(
-            f"the dataset has no registrations of the set {which!r}; choose another with --set"
+            f"the dataset has no registrations of the set {split!r}; choose another with --split"
         )
     bodies = _bodies(models, data)
     with open_workers(workers) as ready:

@@ -20,7 +20,7 @@ from habitus.jobs.subjects import Person
 from habitus.report.metrics import fit_female_probability
 from habitus.types import Progress
 
-GENDERS = ("neutral", "female", "male", "auto")
+SEXES = ("neutral", "female", "male", "auto")
 NEUTRAL = ("default", "neutral")
 
 
@@ -31,7 +31,7 @@ class Chosen:
     """
 
     body: BodyModel
-    gender: str
+    sex: str
     female_probability: float | None = None
     notes: tuple[str, ...] = ()
 
@@ -39,26 +39,26 @@ class Chosen:
         """A fit of this body that says which it is."""
         warnings = (*fit.warnings, *self.notes)
         return replace(
-            fit, gender=self.gender, female_probability=self.female_probability, warnings=warnings
+            fit, gender=self.sex, female_probability=self.female_probability, warnings=warnings
         )
 
 
-def check_gender(gender: str) -> None:
-    """Raises HabitusError for a gender that is not known."""
-    if gender not in GENDERS:
-        raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
+def check_sex(sex: str) -> None:
+    """Raises HabitusError for a sex that is not known."""
+    if sex not in SEXES:
+        raise HabitusError(f"sex is {sex!r}; expected one of {', '.join(SEXES)}")
 
 
-def of_gender(body: BodyModel, gender: str) -> BodyModel:
+def of_sex(body: BodyModel, sex: str) -> BodyModel:
     """The model of a sex that belongs to this body. Raises HabitusError where it has none."""
-    if gender in ("neutral", body.name):
+    if sex in ("neutral", body.name):
         return body
     if body.name not in NEUTRAL:
         raise HabitusError(
-            f"{body.name} has no {gender} model, only its own; leave gender at neutral or auto"
+            f"{body.name} has no {sex} model, only its own; leave sex at neutral or auto"
         )
     layout = find_layout(body.parents)
-    found = load_body(gender, joints=layout and layout.name)
+    found = load_body(sex, joints=layout and layout.name)
     found = (
         found
         if found.num_betas == body.num_betas
@@ -70,33 +70,33 @@ def of_gender(body: BodyModel, gender: str) -> BodyModel:
 def model_of(
     body: BodyModel,
     age: float | str | None,
-    gender: str,
+    sex: str,
     person: Person,
     settings: MoshSettings,
     progress: Progress,
 ) -> Chosen:
     """`choose`, at the age that is asked for or told by the person's files."""
     aged, notes = told_age(body, age, person)
-    chosen = choose(aged, gender, person, settings, progress)
+    chosen = choose(aged, sex, person, settings, progress)
     return replace(chosen, notes=(*notes, *chosen.notes))
 
 
 def choose(
-    body: BodyModel, gender: str, person: Person, settings: MoshSettings, progress: Progress
+    body: BodyModel, sex: str, person: Person, settings: MoshSettings, progress: Progress
 ) -> Chosen:
     """The model of a person: with "auto" that of the sex in the capture's file, or else of the sex
     that a fit of the neutral model is sure of; the neutral one where it cannot tell.
     """
-    if gender != "auto":
-        return Chosen(of_gender(body, gender), gender)
+    if sex != "auto":
+        return Chosen(of_sex(body, sex), sex)
     if body.name not in NEUTRAL:
-        note = f"gender auto: the body {body.name} is one model, so none had to be chosen"
+        note = f"sex auto: the body {body.name} is one model, so none had to be chosen"
         return Chosen(body, "neutral", notes=(note,))
     if (told := _told(person)) is not None:
         return Chosen(
-            of_gender(body, told), told, notes=(f"gender auto: the capture's file says {told}",)
+            of_sex(body, told), told, notes=(f"sex auto: the capture's file says {told}",)
         )
-    progress("gender", 0.0)
+    progress("sex", 0.0)
     return _estimated(body, person, settings)
 
 
@@ -110,22 +110,20 @@ def _estimated(body: BodyModel, person: Person, settings: MoshSettings) -> Chose
             if fit.verdict.level == FAILED
             else f"{body.called} has no classifier of sex"
         )
-        return Chosen(
-            body, "neutral", notes=(f"gender auto: {why}, so the neutral model was kept",)
-        )
+        return Chosen(body, "neutral", notes=(f"sex auto: {why}, so the neutral model was kept",))
     said = said_of(probability)
     if said == CANNOT_TELL:
         note = (
-            f"gender auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): "
+            f"sex auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): "
             "the neutral model was kept"
         )
         return Chosen(body, "neutral", probability, (note,))
     sure = probability if said == "female" else 1.0 - probability
     note = (
-        f"gender auto: the neutral shape is {said} with probability {sure:.2f}: fitted with "
+        f"sex auto: the neutral shape is {said} with probability {sure:.2f}: fitted with "
         f"the {said} model"
     )
-    return Chosen(of_gender(body, said), said, probability, (note,))
+    return Chosen(of_sex(body, said), said, probability, (note,))
 
 
 def _told(person: Person) -> str | None:

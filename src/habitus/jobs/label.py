@@ -107,28 +107,27 @@ def label(
     *,
     layout: PathLike = "auto",
     like: PathLike | Capture | None = None,
-    sure: float = SURE,
+    min_confidence: float = SURE,
     people: int = 1,
     body: PathLike | BodyModel = "default",
-    rate_hz: float | None = None,
+    fps: float | None = None,
 ) -> LabelledCapture:
     """Name the points of a capture, whatever they were called, and write the result where ``out``
     is given.
 
     layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a
     file. like: a labelled capture of the same person with the same markers, which tells shape and
-    places; the strongest. sure: labels less likely than this are left out. people: how many are in
-    the capture, all in the same markers; their labels begin with ``person1:``, ``person2:``, which
-    readers take for subjects. Raises HabitusError with one clear line on bad input.
+    places; the strongest. min_confidence: labels less likely than this are left out. people: how
+    many are in the capture, all in the same markers; their labels begin with ``person1:``,
+    ``person2:``, which readers take for subjects. Raises HabitusError with one clear line on bad
+    input.
     """
     _check_people(people, like)
-    if not 0.0 <= sure <= 1.0:
-        raise HabitusError(f"sure = {sure:g}; expected a confidence of 0 to 1")
+    if not 0.0 <= min_confidence <= 1.0:
+        raise HabitusError(f"min_confidence = {min_confidence:g}; expected a confidence of 0 to 1")
     if out is not None:
         _check_path(Path(out))
-    source = (
-        _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, rate_hz)
-    )
+    source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, fps)
     model = loaded(body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
     one = clouds if people == 1 else only(clouds, heaps(clouds, tracklets(clouds), people) == 0)
@@ -139,7 +138,7 @@ def label(
         found = label_people(model, prior_of(model), chosen, clouds, people)
         names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
     source = replace(source, warnings=(*source.warnings, *(_alike(chosen) if like is None else ())))
-    result = _labelled(source, clouds, names, found, sure, how)
+    result = _labelled(source, clouds, names, found, min_confidence, how)
     if out is not None:
         result.save(out, None if isinstance(capture, Capture) else capture)
     return result
@@ -151,13 +150,11 @@ def check_labelling(how: str) -> None:
         raise HabitusError(f"label = {how!r}; expected 'given' or 'auto'")
 
 
-def labelled_capture(
-    source: PathLike | Capture, layout: PathLike, rate_hz: float | None
-) -> Capture:
+def labelled_capture(source: PathLike | Capture, layout: PathLike, fps: float | None) -> Capture:
     """A capture with the labels that were found for its points; what was found is told by a
     warning.
     """
-    return label(source, layout=layout, rate_hz=rate_hz).capture()
+    return label(source, layout=layout, fps=fps).capture()
 
 
 def _check_people(people: int, like: object) -> None:
@@ -297,7 +294,7 @@ def _report(
                 "confidence": round(float(found.confidence[named == i].mean()), 3)
                 if frames[i]
                 else None,
-                "told_from_nearest": round(float(found.sure[i]), 3),
+                "label_margin": round(float(found.sure[i]), 3),
             }
             for i, name in enumerate(names)
         },

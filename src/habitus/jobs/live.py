@@ -20,7 +20,7 @@ from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source
 from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded
-from habitus.jobs.genders import check_gender
+from habitus.jobs.genders import check_sex
 from habitus.jobs.live_follow import Follower, Sink, status
 from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
 from habitus.jobs.live_stream import Stream
@@ -42,14 +42,14 @@ def live(
     address: PathLike | None = None,
     out: PathLike | None = None,
     *,
-    subject: PathLike | MarkerFit | None = None,
+    known: PathLike | MarkerFit | None = None,
     layout: PathLike = "auto",
     body: PathLike | BodyModel = "default",
-    person: str | None = None,
-    gender: str = "neutral",
+    subject: str | None = None,
+    sex: str = "neutral",
     joints: str = "auto",
     age: float | str | None = None,
-    rate_hz: float | None = None,
+    fps: float | None = None,
     seconds: float = 5.0,
     stop_after: float | None = None,
     keep: bool = True,
@@ -62,31 +62,33 @@ def live(
 
     source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this
     one without, with ``:port`` where that is another), or any `habitus.io.streams.source.Source`.
-    out: a file that ends in .npz or .glb, or a folder for all files of a fit. subject: a fit or the
+    out: a file that ends in .npz or .glb, or a folder for all files of a fit. known: a fit or the
     body.npz of one, whose shape and marker places are taken; without, they are found from the first
-    ``seconds``. rate_hz: how fast a file is played (0: as fast as it can be followed), or the rate
+    ``seconds``. fps: how fast a file is played (0: as fast as it can be followed), or the rate
     of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
     on_status: told what happens, and a line a second. It ends with the stream, or with Ctrl-C,
     which is no error once somebody is followed. The fit that comes back holds all frames from the
     first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
     HabitusError with one clear line on bad input.
     """
-    check_gender(gender)
+    check_sex(sex)
     target = None if out is None else _checked(Path(out))
-    wanted = Wanted(layout, body, person, gender, joints, age)
+    wanted = Wanted(layout, body, subject, sex, joints, age)
     settings = MoshSettings(causal=True, soft_tissue=False)
     named = isinstance(body, str) and body == "default"
-    known = (
-        load_fit(subject, None if named else body)
-        if isinstance(subject, str | os.PathLike)
-        else subject
+    fit_before = (
+        load_fit(known, None if named else body) if isinstance(known, str | os.PathLike) else known
     )
-    model = known.body if isinstance(known, MarkerFit) else loaded(body, joints, read_age(age))
+    model = (
+        fit_before.body
+        if isinstance(fit_before, MarkerFit)
+        else loaded(body, joints, read_age(age))
+    )
     warm_up(model)
-    stream = Stream(open_source(source, address, rate_hz) if isinstance(source, str) else source)
+    stream = Stream(open_source(source, address, fps) if isinstance(source, str) else source)
     try:
         asked = Asked(
-            wanted, model, settings, known, seconds, None if source == "replay" else rate_hz
+            wanted, model, settings, fit_before, seconds, None if source == "replay" else fps
         )
         fit = _session(stream, asked, stop_after, keep or target is not None, sinks, say, on_status)
     finally:

@@ -19,7 +19,7 @@ from habitus.io.layouts.files import list_layouts
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import told_age
 from habitus.jobs.bodies import with_fingers
-from habitus.jobs.genders import of_gender
+from habitus.jobs.genders import of_sex
 from habitus.jobs.subjects import Person, gather
 from habitus.kernels.threads import one_blas_thread
 from habitus.types import PathLike
@@ -27,7 +27,7 @@ from habitus.types import PathLike
 
 @dataclass(frozen=True)
 class Wanted:
-    """Who and what is asked for: the layout, which person of several, gender, joints, age, as
+    """Who and what is asked for: the layout, which person of several, sex, joints, age, as
     `habitus.Mosh` has it.
 
     ``given`` is the body as it was asked for, by name or whole.
@@ -36,7 +36,7 @@ class Wanted:
     layout: PathLike
     given: PathLike | BodyModel
     person: str | None
-    gender: str
+    sex: str
     joints: str
     age: float | str | None
 
@@ -52,7 +52,7 @@ def learnt(
     people = gather([captures], wanted.layout, wanted.person, model)
     people, model = with_fingers(people, model, wanted.given, wanted.joints)
     model = told_age(model, wanted.age, people[0])[0]
-    model = of_gender(model, "neutral" if wanted.gender == "auto" else wanted.gender)
+    model = of_sex(model, "neutral" if wanted.sex == "auto" else wanted.sex)
     if len(people) > 1 or len(people[0].captures) > 1:
         raise HabitusError("the capture holds several people; name one with subject")
     warm_up(model)

@@ -27,7 +27,7 @@ from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.discovering import check_layout
-from habitus.jobs.genders import check_gender, model_of, of_gender
+from habitus.jobs.genders import check_sex, model_of, of_sex
 from habitus.jobs.held_out import errors_of, rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.live_subject import Wanted, learnt
@@ -45,7 +45,7 @@ class _Options(TypedDict, total=False):
     out: PathLike | None
     hold_out: Sequence[str]
     hold_out_every: int | None
-    places_from: Source | Sequence[Source]
+    placements_from: Source | Sequence[Source]
     obj: bool
     npz_style: str
     workers: WorkersLike
@@ -57,7 +57,7 @@ class Mosh:
     """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each
     marker sat (MoSh).
 
-    The options are those of ``habitus mosh``. Raises HabitusError for a gender or an age that is
+    The options are those of ``habitus mosh``. Raises HabitusError for a sex or an age that is
     none.
     """
 
@@ -67,7 +67,7 @@ class Mosh:
     """
     weights: MoshWeights = field(default_factory=MoshWeights)
     """Of the energy's terms."""
-    gender: str = "neutral"
+    sex: str = "neutral"
     """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral
     fit is sure of.
     """
@@ -79,7 +79,7 @@ class Mosh:
     """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
     subject: str | None = None
     """Which person, where a file holds several."""
-    rate_hz: float | None = None
+    fps: float | None = None
     """Frames a second, where a file does not say or says it wrong."""
     joints: str = "auto"
     """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have
@@ -96,7 +96,7 @@ class Mosh:
 
     def __post_init__(self) -> None:
         check_labelling(self.label)
-        check_gender(self.gender)
+        check_sex(self.sex)
         read_age(self.age)
 
     @property
@@ -128,7 +128,7 @@ class Mosh:
         out: PathLike | None = None,
         hold_out: Sequence[str] = (),
         hold_out_every: int | None = None,
-        places_from: Source | Sequence[Source] = (),
+        placements_from: Source | Sequence[Source] = (),
         obj: bool = False,
         npz_style: str = "habitus",
         workers: WorkersLike = None,
@@ -141,11 +141,11 @@ class Mosh:
         "default" or a file. out: a folder that receives ``<capture's name>/`` with body.npz,
         body.glb, metrics.json and report.html, and with ``obj`` a mesh a frame; npz_style "amass"
         writes body.npz as AMASS scripts slice it. hold_out leaves markers out of everything and
-        reports their error; hold_out_every does so for all, one in so many at a time; places_from
-        are other captures of the same person that tell where held-out markers sit, for a second
-        report; workers (a number of threads, the address of a Dask scheduler, or `Workers`) share
-        these fits, which without any follow each other, each on all cores. progress: told (stage,
-        share done). Raises HabitusError with one clear line on bad input.
+        reports their error; hold_out_every does so for all, one in so many at a time;
+        placements_from are other captures of the same person that tell where held-out markers sit,
+        for a second report; workers (a number of threads, the address of a Dask scheduler, or
+        `Workers`) share these fits, which without any follow each other, each on all cores.
+        progress: told (stage, share done). Raises HabitusError with one clear line on bad input.
         """
         one = isinstance(captures, Capture | str | os.PathLike)
         sources = _listed(captures)
@@ -173,7 +173,7 @@ class Mosh:
                     "list"
                 )
             folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
-            told = self.read_all(_listed(places_from))
+            told = self.read_all(_listed(placements_from))
             each = self.each_fit(
                 model, people, hold_out, hold_out_every, workers, progress, read_seconds, told
             )
@@ -204,14 +204,14 @@ class Mosh:
         """
         for person in people:
             check_each(person)
-        if self.gender in ("female", "male"):
-            body = of_gender(body, self.gender)
+        if self.sex in ("female", "male"):
+            body = of_sex(body, self.sex)
         progress("start", 0.0)
         startup = warm_up(body)
         count = sum(len(person.captures) for person in people)
         for person in people:
             notes = check_told(person, told, hold_out, hold_out_every)
-            model = model_of(body, self.age, self.gender, person, self.settings, progress)
+            model = model_of(body, self.age, self.sex, person, self.settings, progress)
             fits = self._fits(
                 model.body, person, (hold_out, hold_out_every, told), workers, progress
             )
@@ -236,7 +236,7 @@ class Mosh:
         """
         read = self.read(captures)
         settings = replace(self.settings, causal=True, soft_tissue=False)
-        wanted = Wanted(self.layout, body, self.subject, self.gender, self.joints, self.age)
+        wanted = Wanted(self.layout, body, self.subject, self.sex, self.joints, self.age)
         known, recording, capture = learnt(read, self.body(body), wanted, settings)
         wiring = find_wiring(capture.markers, recording.observed, 1.0)
         return LiveFit(known, capture.labels, wiring.columns, settings, recording.rate_hz)
@@ -250,10 +250,10 @@ class Mosh:
     def read(self, source: Source) -> tuple[Capture, ...]:
         """The captures of a file, one a person. Raises HabitusError."""
         if self.label == "auto":
-            return (labelled_capture(source, self.layout, self.rate_hz),)
+            return (labelled_capture(source, self.layout, self.fps),)
         if not isinstance(source, Capture):
-            return read_captures(source, rate_hz=self.rate_hz)
-        return (source if self.rate_hz is None else replace(source, rate_hz=self.rate_hz),)
+            return read_captures(source, fps=self.fps)
+        return (source if self.fps is None else replace(source, rate_hz=self.fps),)
 
     def read_all(self, sources: Sequence[Source]) -> list[Capture]:
         """The captures of several files. Raises HabitusError."""
@@ -310,14 +310,14 @@ def mosh(
     layout: PathLike = "auto",
     weights: MoshWeights | None = None,
     body: PathLike | BodyModel = "default",
-    gender: str = "neutral",
+    sex: str = "neutral",
     soft_tissue: bool | str = True,
     causal: bool = False,
     hold_out: Sequence[str] = (),
     hold_out_every: int | None = None,
-    places_from: Source | Sequence[Source] = (),
+    placements_from: Source | Sequence[Source] = (),
     subject: str | None = None,
-    rate_hz: float | None = None,
+    fps: float | None = None,
     joints: str = "auto",
     obj: bool = False,
     npz_style: str = "habitus",
@@ -337,17 +337,19 @@ def mosh(
     told = (
         layout,
         weights or MoshWeights(),
-        gender,
+        sex,
         soft_tissue,
         causal,
         subject,
-        rate_hz,
+        fps,
         joints,
         seed,
         age,
         label,
     )
-    held_out = _Options(hold_out=hold_out, hold_out_every=hold_out_every, places_from=places_from)
+    held_out = _Options(
+        hold_out=hold_out, hold_out_every=hold_out_every, placements_from=placements_from
+    )
     written = _Options(out=out, obj=obj, npz_style=npz_style)
     return Mosh(*told).fit(
         _listed(captures), body, **held_out, **written, workers=workers, progress=progress

@@ -36,12 +36,12 @@ def save_fit(
     folder: str | os.PathLike[str],
     obj: bool = False,
     npz_style: str = "habitus",
-    lean: bool = False,
+    minimal: bool = False,
 ) -> MarkerFit:
     """body.npz, body.glb, metrics.json and report.html in a folder that appears whole, also in an
     older one's place; layout.toml, where the layout was found by fitting.
 
-    npz_style: "habitus", or "amass" as scripts for AMASS slice it; lean leaves body.glb and
+    npz_style: "habitus", or "amass" as scripts for AMASS slice it; minimal leaves body.glb and
     report.html out. Files in the older folder that no fit writes stay. The fit comes back with its
     export time.
     """
@@ -53,7 +53,7 @@ def save_fit(
         whole_folder(folder, OURS) as partial,
         ThreadPoolExecutor(1) as beside_this,
     ):
-        animated = None if lean else beside_this.submit(write_glb, fit, partial / "body.glb")
+        animated = None if minimal else beside_this.submit(write_glb, fit, partial / "body.glb")
         _NPZ_STYLES[npz_style](fit, partial / "body.npz")
         if obj:
             write_obj_sequence(fit, partial / "obj")

@@ -97,7 +97,7 @@ def select_markers(
     goal: str = "surface",
     region: str = "all",
     pairs: bool = False,
-    fewest: int = 5,
+    min_markers: int = 5,
     people: int = 40,
     keep: Sequence[int] = (25, 67),
     body: PathLike | BodyModel = "default",
@@ -128,7 +128,7 @@ def select_markers(
     known = best_states(model, prior, drawn, vertices)
     problem = linearised(model, prior, known, found.candidates, goal, region)
     with open_workers(workers) as shared:
-        least = min(len(found.start), max(1, -(-fewest // (2 if pairs else 1))))
+        least = min(len(found.start), max(1, -(-min_markers // (2 if pairs else 1))))
         removed = _told(
             removals(problem, found.start, least, shared), "remove", len(found.start) - least, tell
         )

@@ -64,7 +64,7 @@ def check_told(
         return ()
     if not labels and every is None:
         raise HabitusError(
-            "places-from tells where held-out markers sit, but none is held out: add "
+            "placements-from tells where held-out markers sit, but none is held out: add "
             "hold-out-every K"
         )
     have = {normalised(label) for capture in others for label in capture.labels}
@@ -73,15 +73,15 @@ def check_told(
     if len(lacking) == len(wanted):
         names = listed(tuple(capture.name for capture in others))
         raise HabitusError(
-            f"places-from: {names} has none of the held-out labels {listed(wanted)}; expected the "
-            "same"
+            f"placements-from: {names} has none of the held-out labels {listed(wanted)}; "
+            "expected the same"
         )
-    notes = [f"places-from: not told there: {listed(lacking)}"] if lacking else []
+    notes = [f"placements-from: not told there: {listed(lacking)}"] if lacking else []
     own = [Worn.of(replace(capture, subject=None)) for capture in whole.captures]
     for other in others:
         if not any(Worn.of(replace(other, subject=None)).like(worn) for worn in own):
             notes.append(
-                f"places-from: markers of {other.name} are not as far apart as here; is it the "
+                f"placements-from: markers of {other.name} are not as far apart as here; is it the "
                 "same person, and were "
                 "the markers left where they were?"
             )

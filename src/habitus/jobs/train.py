@@ -16,7 +16,7 @@ from habitus.io.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
 from habitus.jobs.training_callback import Callbacks, CheckpointingCallback
 from habitus.jobs.training_data import (
-    by_gender,
+    by_sex,
     check_data,
     check_people,
     open_template,
@@ -58,7 +58,7 @@ class Trainer(TrainOptions):
         out: PathLike | None = None,
         detail: str = "coarse",
         joints: str | None = None,
-        gender: str = "all",
+        sex: str = "all",
         baselines: bool = False,
         unit: str = "m",
         every: int = 1,
@@ -72,14 +72,13 @@ class Trainer(TrainOptions):
         """Train one model. Without ``out`` nothing is written; with it, files and checkpoints as
         `train` writes them.
 
-        Arguments are those of `train`; ``gender`` "each", which means two models, is refused.
+        Arguments are those of `train`; ``sex`` "each", which means two models, is refused.
         Training draws no random numbers: ``seed`` is accepted because the other verbs take one, and
         changes nothing.
         """
-        if gender == "each":
+        if sex == "each":
             raise HabitusError(
-                "gender 'each' means two models; fit 'female' and 'male' in turn, or use "
-                "habitus.train"
+                "sex 'each' means two models; fit 'female' and 'male' in turn, or use habitus.train"
             )
         (done,) = _train(
             registrations,
@@ -89,7 +88,7 @@ class Trainer(TrainOptions):
                 **{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}
             ),
             level=(detail, joints),
-            gender=gender,
+            sex=sex,
             baselines=baselines,
             unit=unit,
             every=every,
@@ -108,7 +107,7 @@ def train(
     options: TrainOptions | None = None,
     detail: str = "coarse",
     joints: str | None = None,
-    gender: str = "all",
+    sex: str = "all",
     baselines: bool = False,
     unit: str = "m",
     every: int = 1,
@@ -119,12 +118,12 @@ def train(
     on_warning: Callable[[str], None] | None = None,
 ) -> list[Training]:
     """Train body models from registrations and write them to the folder ``out``; one model for each
-    gender with "each".
+    sex with "each".
 
     datasets: what `open_registrations` opens, in one topology; or registrations already open (m).
     template: what `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose
     prior, sex) is carried over. detail and joints: of a body's file, as in `load_body`; "full" of a
-    file of two levels gives such a file again. gender: "all" people together, "each", "female" or
+    file of two levels gives such a file again. sex: "all" people together, "each", "female" or
     "male"; the latter three use folders of those names in ``out``. baselines: also train models
     without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`. workers:
     number of threads (default: one per core), address of a Dask scheduler, or Workers. progress:
@@ -140,7 +139,7 @@ def train(
         template=template,
         options=options or TrainOptions(),
         level=(detail, joints),
-        gender=gender,
+        sex=sex,
         baselines=baselines,
         unit=unit,
         every=every,
@@ -173,7 +172,7 @@ def _train(
     template: PathLike | Template | BodyModel,
     options: TrainOptions,
     level: tuple[str, str | None],
-    gender: str,
+    sex: str,
     baselines: bool,
     unit: str,
     every: int,
@@ -181,8 +180,8 @@ def _train(
     workers: WorkersLike,
     callbacks: Callbacks,
 ) -> list[Training]:
-    data, notes = open_training_data(datasets, unit, every, gender)
-    groups = by_gender(data, gender)
+    data, notes = open_training_data(datasets, unit, every, sex)
+    groups = by_sex(data, sex)
     for whose, group in groups.items():
         check_people(whose, group, options)
     model, body, about = open_template(template, options, *level)
@@ -211,29 +210,29 @@ def _train(
             return [_train_one(run, whose, group) for whose, group in groups.items()]
 
 
-def _train_one(run: _Run, gender: str, data: Registrations) -> Training:
-    folder = None if run.out is None else run.out / gender
+def _train_one(run: _Run, sex: str, data: Registrations) -> Training:
+    folder = None if run.out is None else run.out / sex
     if folder is not None:
         tidy(folder)
     done = _train_model(
-        run, folder, gender, replace(data, faces=run.template.faces)
+        run, folder, sex, replace(data, faces=run.template.faces)
     )  # same faces, other order
     return _train_baselines(run, folder, done) if run.baselines else done
 
 
-def _train_model(run: _Run, folder: Path | None, gender: str, data: Registrations) -> Training:
+def _train_model(run: _Run, folder: Path | None, sex: str, data: Registrations) -> Training:
     """The model itself, written where there is a folder."""
-    trained, callback = _train_body(run, folder, gender, data, "model", run.options)
+    trained, callback = _train_body(run, folder, sex, data, "model", run.options)
     late = _fewer_betas(trained, run.options)
     seconds = {"model": callback.elapsed}
     steps = {"model": callback.seconds}
     done = Training(
-        gender, trained, data, run.options, (*run.notes, *late), seconds, steps, like=run.like
+        sex, trained, data, run.options, (*run.notes, *late), seconds, steps, like=run.like
     )
     if folder is not None:
         done = done.save(folder)
     for note in done.warnings[len(run.notes) :]:
-        run.callbacks.on_warning(f"{gender} {note}".strip())
+        run.callbacks.on_warning(f"{sex} {note}".strip())
     return done
 
 
@@ -244,7 +243,7 @@ def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training
     for name, skinning in _BASELINES.items():
         fixed = tuple(name for name in run.options.fixed if name != "posedirs")
         options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning, fixed=fixed)
-        trained, callback = _train_body(run, folder, done.gender, done.registrations, name, options)
+        trained, callback = _train_body(run, folder, done.sex, done.registrations, name, options)
         done = replace(
             done,
             baselines={**done.baselines, name: trained},
@@ -268,7 +267,7 @@ def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
 def _train_body(
     run: _Run,
     folder: Path | None,
-    gender: str,
+    sex: str,
     data: Registrations,
     name: str,
     options: TrainOptions,
@@ -278,7 +277,7 @@ def _train_body(
     if folder is not None:
         described = fingerprint(data, run.template, options, run.body)
         checkpoint = Checkpoint.open(folder / "checkpoint" / name, described, restart=run.restart)
-    title = f"{gender} {name}".strip()
+    title = f"{sex} {name}".strip()
     callback = CheckpointingCallback(
         title, checkpoint, options.rounds, run.callbacks.progress, run.callbacks.on_step
     )
@@ -298,7 +297,7 @@ def _train_body(
 
 def _blendscape(run: _Run, done: Training) -> BlendScape:
     """BlendSCAPE on the same registrations, in the poses that the trained model gave them."""
-    title = f"{done.gender} BlendSCAPE".strip()
+    title = f"{done.sex} BlendSCAPE".strip()
     workers = ReportingWorkers(
         run.workers, lambda n, total: run.callbacks.progress(title, n / total)
     )

@@ -76,7 +76,7 @@ def train_dynamics(
     body: PathLike | BodyModel = "default",
     test: PathLike | Sequence[PathLike] | Sequence[MovingSurface] = (),
     options: DynamicsOptions | None = None,
-    rate_hz: float | None = None,
+    fps: float | None = None,
     unit: str = "m",
     workers: WorkersLike = None,
     progress: Progress | None = None,
@@ -87,7 +87,7 @@ def train_dynamics(
     datasets, and test, which is kept out of the training and gives the errors of S 6: what
     `habitus.io.registrations.motions.open_moving_surfaces` opens, or such sequences. Where they
     tell no betas, pose and trans, these are fitted first. body: a file, one of the bodies that come
-    along, or a BodyModel; a file's other arrays and levels of detail are kept. ``rate_hz`` and
+    along, or a BodyModel; a file's other arrays and levels of detail are kept. ``fps`` and
     ``unit``: where the data do not tell them. ``out`` receives model.npz (the body with dynamics)
     and dynamics.json. Raises HabitusError, in one line, for bad input.
     """
@@ -95,7 +95,7 @@ def train_dynamics(
     options = options or DynamicsOptions()
     progress = progress or _silent
     model = body if isinstance(body, BodyModel) else load_whole_body(os.fspath(body))
-    given = [_opened(each, rate_hz, unit) for each in (datasets, test)]
+    given = [_opened(each, fps, unit) for each in (datasets, test)]
     if not given[0]:
         raise HabitusError("no sequences to learn from; expected people in motion")
     folder = None if out is None else Path(out)
@@ -112,14 +112,12 @@ def train_dynamics(
     return training
 
 
-def _opened(given: Any, rate_hz: float | None, unit: str) -> list[MovingSurface]:
+def _opened(given: Any, fps: float | None, unit: str) -> list[MovingSurface]:
     paths = [given] if isinstance(given, str | os.PathLike) else list(given)
     found: list[MovingSurface] = []
     for one in paths:
         known = isinstance(one, MovingSurface)
-        found += (
-            [one] if known else open_moving_surfaces(os.fspath(one), rate_hz=rate_hz, unit=unit)
-        )
+        found += [one] if known else open_moving_surfaces(os.fspath(one), fps=fps, unit=unit)
     return found
 
 

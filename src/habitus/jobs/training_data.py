@@ -1,4 +1,4 @@
-"""Registrations and template of a training: opened, selected by gender, checked."""
+"""Registrations and template of a training: opened, selected by sex, checked."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -18,26 +18,26 @@ from habitus.mesh.template import Template
 from habitus.parallel.workers import ReportingWorkers, Workers
 from habitus.types import PathLike, Progress
 
-GENDERS = ("all", "each", "female", "male")
+SEXES = ("all", "each", "female", "male")
 
 
 def open_training_data(
-    datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, gender: str
+    datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, sex: str
 ) -> tuple[Registrations, list[str]]:
-    """The registrations to train on, those of the sets "pose" and "shape" and the gender asked for;
+    """The registrations to train on, those of the sets "pose" and "shape" and the sex asked for;
     and warnings.
     """
-    if gender not in GENDERS:
-        raise HabitusError(f"gender is {gender!r}; expected one of {', '.join(GENDERS)}")
+    if sex not in SEXES:
+        raise HabitusError(f"sex is {sex!r}; expected one of {', '.join(SEXES)}")
     if not isinstance(datasets, Registrations):
         paths = [datasets] if isinstance(datasets, str | os.PathLike) else list(datasets)
         datasets = open_registrations(
             [Path(path).absolute() for path in paths], unit=unit, every=every
         )
     data = datasets.where(set=("pose", "shape"))
-    if gender == "all":
+    if sex == "all":
         return data, []
-    wanted = ("female", "male") if gender == "each" else (gender,)
+    wanted = ("female", "male") if sex == "each" else (sex,)
     known = data.where(sex=wanted)
     if not len(known):
         raise HabitusError(
@@ -48,10 +48,10 @@ def open_training_data(
     return known, [f"{unknown} registrations whose sex is not told are left out"] if unknown else []
 
 
-def by_gender(data: Registrations, gender: str) -> dict[str, Registrations]:
-    """The registrations of each model by gender; "" means all people together."""
+def by_sex(data: Registrations, sex: str) -> dict[str, Registrations]:
+    """The registrations of each model by sex; "" means all people together."""
     known = {word: data.where(sex=word) for word in ("female", "male") if word in data.sex}
-    groups = {"": data} if gender == "all" else known
+    groups = {"": data} if sex == "all" else known
     for word, group in groups.items():
         if "pose" not in group.set:
             raise HabitusError(
@@ -62,13 +62,13 @@ def by_gender(data: Registrations, gender: str) -> dict[str, Registrations]:
     return groups
 
 
-def check_people(gender: str, data: Registrations, options: TrainOptions) -> None:
+def check_people(sex: str, data: Registrations, options: TrainOptions) -> None:
     """Refuse too few people before hours are spent on their poses."""
     people = data.set.count("shape") or len(data.subjects)
     least = max(2, options.shape_features + 1)
     if people < least:
         raise HabitusError(
-            f"too few {gender or 'people'} to learn shapes from: {people}, with "
+            f"too few {sex or 'people'} to learn shapes from: {people}, with "
             f"{options.shape_features} "
             f"shape_features; expected {least} or more"
         )

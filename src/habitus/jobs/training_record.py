@@ -23,14 +23,14 @@ from habitus.types import PathLike
 class Training:
     """One trained model with its energies, estimate, warnings and seconds of work.
 
-    ``gender`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are,
+    ``sex`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are,
     None where nothing was written. ``step_seconds`` holds for each model the seconds of work at the
     end of each step of its history. ``baselines`` are the models without pose blend shapes, by
     name; ``blendscape`` is trained with them. ``like`` is the body's file of two levels of detail
     whose full one was trained, where it was.
     """
 
-    gender: str
+    sex: str
     trained: TrainedBody
     registrations: Registrations
     options: TrainOptions
@@ -79,7 +79,7 @@ def write_record(done: Training, folder: Path) -> None:
     seconds = done.step_seconds
     record = {
         "version": habitus.__version__,
-        "sex": done.gender,
+        "sex": done.sex,
         "sizes": {
             "vertices": body.num_vertices,
             "faces": body.num_faces,

@@ -248,7 +248,7 @@ def test_no_rate_is_asked_for_and_can_be_given(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(np.float32(123.5).tobytes(), bytes(4)))
     with pytest.raises(HabitusError, match="frame rate"):
         read_capture(path)
-    assert read_capture(path, rate_hz=50.0).rate_hz == 50.0
+    assert read_capture(path, fps=50.0).rate_hz == 50.0
 
 
 def test_paths_that_are_no_captures_are_told_apart(tmp_path: Path) -> None:

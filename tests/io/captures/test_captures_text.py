@@ -235,7 +235,7 @@ def test_rates_that_no_capture_has_are_refused_and_odd_ones_told(tmp_path: Path,
     write(1e5)
     with pytest.raises(HabitusError, match=r"100000 Hz.*rate_hz"):
         read_capture(path)
-    assert read_capture(path, rate_hz=100).rate_hz == 100
+    assert read_capture(path, fps=100).rate_hz == 100
     write(2.5)
     assert any("2.5 Hz is an unusual" in text for text in read_capture(path).warnings)
     write(250)

@@ -93,7 +93,7 @@ def test_dynas_file_with_a_motion_and_without(people, tmp_path):
         and second.rate_hz == 60.0
         and second.name == other.name
     )
-    (faster, _) = open_moving_surfaces(tmp_path / "dyna.h5", rate_hz=100)
+    (faster, _) = open_moving_surfaces(tmp_path / "dyna.h5", fps=100)
     assert faster.rate_hz == 100
 
 

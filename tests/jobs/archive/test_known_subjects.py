@@ -66,7 +66,7 @@ def test_the_digest_is_that_of_what_a_fit_depends_on(tmp_path):
     betas = np.nextafter(given.shape.betas, 9.0)
     others = [
         replace(given, shape=replace(given.shape, betas=betas)),
-        replace(given, choice=replace(given.choice, gender="male")),
+        replace(given, choice=replace(given.choice, sex="male")),
         replace(given, agreed=replace(given.agreed, layout=load_layout("mosh-67"))),
         replace(given, misplaced=()),
     ]

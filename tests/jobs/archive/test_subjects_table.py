@@ -54,5 +54,5 @@ def test_the_command_ends_with_2_and_one_line(tmp_path, capsys):
     assert ended.value.code == 2 and len(said) == 1 and "did you mean walk.c3d" in said[0]
     assert not (tmp_path / "out").exists()
     with pytest.raises(SystemExit) as ended:
-        main([*options, "--jobs", "2", "--cluster", "tcp://host:8786"])
+        main([*options, "--workers", "2", "--cluster", "tcp://host:8786"])
     assert ended.value.code == 2 and "give one of them" in capsys.readouterr().err

@@ -77,15 +77,15 @@ class Capture:
 
 
 def read_capture(
-    path: str | os.PathLike[str], subject: str | None = None, rate_hz: float | None = None
+    path: str | os.PathLike[str], subject: str | None = None, fps: float | None = None
 ) -> Capture:
     """The capture in a file: of several people the one named ``subject``, else the one with most
     markers and a warning.
 
-    ``rate_hz`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown
+    ``fps`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown
     kind or damaged, holds no physical markers, names no rate, or holds nobody called ``subject``.
     """
-    captures = read_captures(path, rate_hz)
+    captures = read_captures(path, fps)
     names = [capture.subject or "one without a name" for capture in captures]
     if subject is not None:
         for capture in captures:
@@ -103,14 +103,12 @@ def read_capture(
     return replace(captures[0], warnings=(*captures[0].warnings, warning))
 
 
-def read_captures(
-    path: str | os.PathLike[str], rate_hz: float | None = None
-) -> tuple[Capture, ...]:
+def read_captures(path: str | os.PathLike[str], fps: float | None = None) -> tuple[Capture, ...]:
     """Every person in a capture file, the one with most markers first. Errors as for
     read_capture.
     """
     path = Path(path)
-    raw, rate = read_raw(path, rate_hz)
+    raw, rate = read_raw(path, fps)
     return captures_of(raw, rate, shown_stem(path), path.name)
 
 
@@ -121,16 +119,16 @@ def captures_of(raw: RawPoints, rate_hz: float, name: str, source: str) -> tuple
     return tuple(_capture(person, raw, name, rate_hz) for person in find_people(raw, source))
 
 
-def read_raw(path: Path, rate_hz: float | None = None) -> tuple[RawPoints, float]:
-    """What a file holds, and its frame rate; ``rate_hz`` overrides it. Raises HabitusError."""
+def read_raw(path: Path, fps: float | None = None) -> tuple[RawPoints, float]:
+    """What a file holds, and its frame rate; ``fps`` overrides it. Raises HabitusError."""
     content = _content(path)
     raw = PARSERS[path.suffix.lower()](content, path.name)
-    rate = raw.rate_hz if rate_hz is None else rate_hz
+    rate = raw.rate_hz if fps is None else fps
     if rate is None or not SLOWEST_HZ <= rate <= FASTEST_HZ:
         named = "names no frame rate" if rate is None else f"its frame rate is {rate:g} Hz"
         raise HabitusError(
             f"{path.name}: {named}; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second, "
-            "give them as rate_hz"
+            "give them as fps"
         )
     return raw, float(rate)
 

@@ -36,16 +36,14 @@ class UnlabelledCapture:
     warnings: tuple[str, ...] = ()
 
 
-def read_unlabelled(
-    path: str | os.PathLike[str], rate_hz: float | None = None
-) -> UnlabelledCapture:
+def read_unlabelled(path: str | os.PathLike[str], fps: float | None = None) -> UnlabelledCapture:
     """All physical points of a capture file, whatever they are called.
 
-    ``rate_hz`` overrides the file's frame rate. Raises HabitusError as
+    ``fps`` overrides the file's frame rate. Raises HabitusError as
     `habitus.io.captures.read.read_captures`.
     """
     path = Path(path)
-    raw, rate = read_raw(path, rate_hz)
+    raw, rate = read_raw(path, fps)
     declared = {
         bare: group
         for label, group in raw.groups.items()

@@ -34,7 +34,7 @@ Told = Mapping[str, Any]
 
 
 def open_moving_surfaces(
-    path: str | Path | Sequence[str | Path], *, rate_hz: float | None = None, unit: str = "m"
+    path: str | Path | Sequence[str | Path], *, fps: float | None = None, unit: str = "m"
 ) -> tuple[MovingSurface, ...]:
     """The sequences of a path, or of several, in any format of `open_registrations`; their vertices
     stay on disk.
@@ -45,13 +45,13 @@ def open_moving_surfaces(
     (N, J, 3) or (N, 3 J), ``trans`` (N, 3), ``joint_names`` (J,) of the pose, ``vertex_ids`` (V,),
     and ``still_vertices`` (N, V, 3), the surfaces at rest in the same poses: as arrays of the
     ``.npz`` or zarr group, as ``.npy`` files of the folder; in an ``.h5`` those of each sequence in
-    the group ``motion/<sequence>``. ``rate_hz`` is taken in the place of what is told. Raises
+    the group ``motion/<sequence>``. ``fps`` replaces the stored rate. Raises
     HabitusError, naming the file, where no rate is told and for all that is not such data.
     """
     paths = [path] if isinstance(path, str | Path) else list(path)
     if not paths:
         raise HabitusError("no registrations given; expected sequences of people in motion")
-    return tuple(one for each in paths for one in _open(Path(each), rate_hz, unit))
+    return tuple(one for each in paths for one in _open(Path(each), fps, unit))
 
 
 def _open(path: Path, rate_hz: float | None, unit: str) -> list[MovingSurface]:
@@ -104,7 +104,7 @@ def _sequence(
     if not 1.0 <= rate <= 1e5:
         raise HabitusError(
             f"the rate of {shown(name)} is {rate:g} Hz; tell how many frames a second: rate_hz, "
-            "--rate"
+            "--fps"
         )
     ids = found.get("vertex_ids")
     return MovingSurface(

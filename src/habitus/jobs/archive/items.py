@@ -17,7 +17,7 @@ class Order:
     recipe: Mosh
     body: str
     out: Path
-    lean: bool = False
+    minimal: bool = False
     npz_style: str = "habitus"
 
 

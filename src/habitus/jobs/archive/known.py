@@ -34,7 +34,7 @@ class BodyChoice:
 
     joints: str
     age: float | None
-    gender: str
+    sex: str
     female_probability: float | None
     notes: tuple[str, ...]
 
@@ -60,7 +60,7 @@ class KnownSubject:
 
     def chosen(self, body: BodyModel) -> Chosen:
         """The body and what is to be said of it."""
-        return Chosen(body, self.choice.gender, self.choice.female_probability, self.choice.notes)
+        return Chosen(body, self.choice.sex, self.choice.female_probability, self.choice.notes)
 
 
 def write_known(known: KnownSubject, path: Path) -> str:

@@ -188,7 +188,10 @@ def recipe_digest(order: Order) -> str:
     """Of all that a result depends on besides its capture: options, the files that these name, and
     the version.
     """
-    told: dict[str, Any] = asdict(order.recipe) | {"lean": order.lean, "npz_style": order.npz_style}
+    told: dict[str, Any] = asdict(order.recipe) | {
+        "minimal": order.minimal,
+        "npz_style": order.npz_style,
+    }
     files = [Path(str(name)) for name in (order.body, order.recipe.layout)]
     contents = [digest_of(path) if path.is_file() else str(path) for path in files]
     return _digest([__version__, json.dumps(told, sort_keys=True, default=str), *contents])

@@ -72,7 +72,7 @@ def archive(
     mosh: Mosh | None = None,
     body: PathLike = "default",
     workers: int | str | None = None,
-    lean: bool = False,
+    minimal: bool = False,
     npz_style: str = "habitus",
     progress: Callable[[Tally], None] = lambda tally: None,
     on_failure: Callable[[str, str], None] = lambda path, reason: None,
@@ -85,14 +85,14 @@ def archive(
     what did not change is not fitted again. subjects: a table (CSV: capture, subject) of whose
     captures are whose; else the files' subjects and folders tell. mosh: the recipe. body: a name or
     a file. workers: processes of one thread each (as many as there are cores), or the address of a
-    Dask scheduler, whose machines must see both folders under the same paths. lean: of each capture
-    only body.npz and metrics.json. progress is told a `Tally`, on_failure a path and why it has no
-    result. Raises HabitusError where nothing can begin.
+    Dask scheduler, whose machines must see both folders under the same paths. minimal: of each
+    capture only body.npz and metrics.json. progress is told a `Tally`, on_failure a path and why it
+    has no result. Raises HabitusError where nothing can begin.
     """
     began = time.monotonic()
     recipe = mosh or Mosh()
     check_extra("duckdb", "tables of an archive", "archive")
-    order = Order(recipe, str(body), Path(out).absolute(), lean, npz_style)
+    order = Order(recipe, str(body), Path(out).absolute(), minimal, npz_style)
     check_npz_style(npz_style, recipe.body(order.body))
     check_layout(recipe.layout)
     top = Path(folder).absolute()

@@ -37,7 +37,7 @@ from habitus.jobs.archive.items import (
 from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
 from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.finding import SURE, Worn
-from habitus.jobs.genders import model_of, of_gender
+from habitus.jobs.genders import model_of, of_sex
 from habitus.jobs.held_out import silent
 from habitus.jobs.mosh_files import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
@@ -193,13 +193,13 @@ def _shaped(
     recipe = order.recipe
     (person,), fingered = with_fingers([person], body, order.body, recipe.joints)
     joints = recipe.joints if fingered is body else "smplh"
-    model = model_of(fingered, recipe.age, recipe.gender, person, recipe.settings, silent)
+    model = model_of(fingered, recipe.age, recipe.sex, person, recipe.settings, silent)
     found = known_subject(
         model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings
     )
     layout, _, subject = found
     told = "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
-    choice = BodyChoice(joints, model.body.age, model.gender, model.female_probability, model.notes)
+    choice = BodyChoice(joints, model.body.age, model.sex, model.female_probability, model.notes)
     agreed = replace(Agreed.of(person), layout=layout)
     known = KnownSubject(
         choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told
@@ -231,7 +231,7 @@ def _fit(order: Order, task: Fit) -> Fitted:
             if task.file is None
             else _known(order, capture, task.file, seconds)
         )
-        fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, lean=order.lean)
+        fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, minimal=order.minimal)
         numbers = json.loads((task.capture.folder / "metrics.json").read_text("utf-8"))
         return Fitted(numbers, motion_picture(fit), time.thread_time() - began)
     except Exception as error:
@@ -249,7 +249,7 @@ def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerF
     choice = known.choice
     settings = order.recipe.settings
     layout = known.agreed.layout
-    body = fitted_body(order.body, choice.joints, choice.age, choice.gender)
+    body = fitted_body(order.body, choice.joints, choice.age, choice.sex)
     prior = prior_of(body)
     recording = known.agreed.recording(capture)
     fit = fit_known(body, prior, layout, recording, known.subject(body), settings)
@@ -264,8 +264,8 @@ _kept = lru_cache(maxsize=4)(lambda path, changed: read_known(path))
 
 
 @lru_cache(maxsize=4)
-def fitted_body(body: str, joints: str, age: Any, gender: str) -> BodyModel:
+def fitted_body(body: str, joints: str, age: Any, sex: str) -> BodyModel:
     """A body by its words (`BodyChoice`), with its kernels loaded."""
-    found = of_gender(loaded(body, joints, None if age == "auto" else age), gender)
+    found = of_sex(loaded(body, joints, None if age == "auto" else age), sex)
     warm_up(found)
     return found

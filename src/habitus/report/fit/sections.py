@@ -258,7 +258,7 @@ def held_out(numbers: dict[str, Any]) -> str:
     held = numbers["held_out_error_mm"]
     if held is None:
         return ""
-    told = numbers.get("held_out_at_told_places_mm")
+    told = numbers.get("held_out_known_placement_mm")
     names = {"pose": "Pose stage", "soft_tissue": "Soft-tissue stage"}
     columns = [(names[stage], held[stage]) for stage in names if held[stage]]
     columns += [
