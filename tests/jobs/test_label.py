@@ -47,7 +47,7 @@ def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_pa
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"sure": 2.0}, "expected a confidence of 0 to 1"),
+        ({"min_confidence": 2.0}, "expected a confidence of 0 to 1"),
         ({"layout": "no-such"}, "no layout 'no-such'"),
         ({"out": "out.txt"}, "ends in .c3d or .trc"),
     ],

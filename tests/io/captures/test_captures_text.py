@@ -233,7 +233,7 @@ def test_rates_that_no_capture_has_are_refused_and_odd_ones_told(tmp_path: Path,
             )
 
     write(1e5)
-    with pytest.raises(HabitusError, match=r"100000 Hz.*rate_hz"):
+    with pytest.raises(HabitusError, match=r"100000 Hz.*fps"):
         read_capture(path)
     assert read_capture(path, fps=100).rate_hz == 100
     write(2.5)
