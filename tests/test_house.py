@@ -7,6 +7,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
@@ -91,9 +92,22 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     }
 
 
+def test_readme_rendering_example_finds_the_position_with_the_public_face_alone(capsys):
+    text = (ROOT / "README.md").read_text()
+    example = re.search(r"## Rendering.*?```python\n(.*?)```", text, re.DOTALL)
+    assert example and set(re.findall(r"^import (\w+)", example[1], re.MULTILINE)) == {
+        "habitus",
+        "torch",
+    }
+    assert "from habitus" not in example[1]
+    names: dict = {}
+    exec(compile(example[1], "README.md", "exec"), names)
+    found = names["found"].values["translation"].numpy()
+    assert np.allclose(found, [0.3, -0.2, 3.0], atol=1e-4), capsys.readouterr().out
+
+
 def _write_walk(path: Path) -> None:
     """A synthetic capture, as long as the example asks for."""
-    import numpy as np
 
     from habitus.io.captures.c3d_write import write_c3d
     from habitus.io.captures.read import Capture

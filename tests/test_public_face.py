@@ -19,7 +19,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.suspects import Suspect
 
 LISTED = set(
-    "HabitusError Mosh MoshWeights Trainer __version__ archive body_from_measurements compare "
+    "BodyModel Camera HabitusError Mosh MoshWeights Term Trainer __version__ archive body_from_measurements compare draw "
     "evaluate exaggerate "
     "export_file fill_capture fit_rgbd label live load_body load_fit load_layout load_motion "
     "minimize mosh "
@@ -168,7 +168,7 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
                 print(name, error, sep=": ")
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
-    images = {told.pop(name) for name in ("fit_rgbd", "read_views")}
+    images = {told.pop(name) for name in ("Camera", "draw", "fit_rgbd", "read_views")}
     assert all(
         "needs PyTorch, which is not installed" in line and "habitus[torch]" in line
         for line in images

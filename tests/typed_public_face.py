@@ -14,6 +14,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.jobs.comparing import Comparison
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.camera import Camera
 
 
 def bodies() -> None:
@@ -89,8 +90,17 @@ def models() -> None:
     hb.evaluate(["model.npz"], "people.npz", out="measured")
 
 
-def inversion(body: BodyModel) -> None:
-    found = hb.minimize({"rest": lambda x: x - np.ones(3)}, {"x": np.zeros(3)}, max_iterations=5)
+def images(vertices: np.ndarray, faces: np.ndarray) -> None:
+    camera = hb.Camera.of(640, 480)
+    assert_type(camera, Camera)
+    frame = hb.draw(camera, vertices, faces)
+    print(frame.image(vertices).shape, frame.depth().shape)
+
+
+def inversion(body: hb.BodyModel) -> None:
+    rest = hb.Term(lambda x: x - np.ones(3), weight=2.0)
+    found = hb.minimize({"rest": rest}, {"x": np.zeros(3)}, max_iterations=5)
+    hb.minimize({"pose": lambda pose: pose.ravel()}, body.state(), fixed=["betas"])
     print(found.values["x"], hb.terms.PosePrior, body.name)
 
 

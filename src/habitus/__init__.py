@@ -10,9 +10,10 @@ fit.vertices(10), fit.joints(), fit.errors_mm
 fit.save("results/walk")
 ```
 
-`habitus.mosh("walk.c3d", "results")` does what the command ``habitus mosh walk.c3d --out results`` does. Lengths are
-metres, angles radians, and a capture keeps its own world frame; the project's ``docs/conventions.md`` says the rest.
-"""  # noqa: E501
+`habitus.mosh("walk.c3d", "results")` does what the command ``habitus mosh walk.c3d --out results``
+does. Lengths are metres, angles radians, and a capture keeps its own world frame; the project's
+``docs/conventions.md`` has the rest.
+"""
 
 import sys
 
@@ -20,14 +21,18 @@ from habitus.errors import HabitusError, TorchIsAnExtra
 
 __version__ = "0.1.0"
 __all__ = [
+    "BodyModel",
+    "Camera",
     "HabitusError",
     "Mosh",
     "MoshWeights",
+    "Term",
     "Trainer",
     "__version__",
     "archive",
     "body_from_measurements",
     "compare",
+    "draw",
     "evaluate",
     "exaggerate",
     "export_file",
@@ -58,12 +63,16 @@ __all__ = [
 ]
 
 _MODULES = {
+    "BodyModel": "habitus.body.model",
+    "Camera": "habitus.observe.camera",
     "Mosh": "habitus.jobs.mosh",
     "MoshWeights": "habitus.fit.markers.weights",
+    "Term": "habitus.solve.terms",
     "Trainer": "habitus.jobs.train",
     "archive": "habitus.jobs.archive.run",
     "body_from_measurements": "habitus.jobs.estimates",
     "compare": "habitus.jobs.comparing",
+    "draw": "habitus.render.draw",
     "evaluate": "habitus.jobs.evaluate",
     "exaggerate": "habitus.jobs.motions",
     "export_file": "habitus.jobs.exporting",

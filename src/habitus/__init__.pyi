@@ -1,5 +1,6 @@
 # What type checkers and editors see of the lazily loaded public face.
 
+from habitus.body.model import BodyModel as BodyModel
 from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
@@ -39,7 +40,10 @@ from habitus.jobs.train import train as train
 from habitus.jobs.train_dynamics import train_dynamics as train_dynamics
 from habitus.jobs.virtual_markers import fill_capture as fill_capture
 from habitus.jobs.virtual_markers import virtual_markers as virtual_markers
+from habitus.observe.camera import Camera as Camera
+from habitus.render.draw import draw as draw
 from habitus.residuals import terms as terms
 from habitus.solve.minimize import minimize as minimize
+from habitus.solve.terms import Term as Term
 
 __version__: str
