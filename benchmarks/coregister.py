@@ -28,10 +28,11 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.fit.registration.model_stage import Cloud, ModelState, ModelStep
-from habitus.fit.registration.recipe import Registrar
-from habitus.fit.registration.result import ScanFit
-from habitus.fit.registration.scan import Scan
+from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_fitting import ModelStep
+from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.points.scans import Registrar
+from habitus.fit.points.state import ModelState
 from habitus.io.models.priors import prior_of
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations

@@ -39,10 +39,10 @@ import habitus
 from habitus.body.model import BodyModel
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
-from habitus.fit.registration.recipe import UP, Registrar
-from habitus.fit.registration.result import ScanFit
-from habitus.fit.registration.scan import Scan
-from habitus.fit.registration.weights import hidden_vertices
+from habitus.fit.points.correspondences import hidden_vertices
+from habitus.fit.points.scan import Scan
+from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.points.scans import UP, Registrar
 from habitus.jobs.register import made_ready
 from habitus.mesh.intersections import intersecting_pairs
 from habitus.population.scans import STANCES, Scanner, person, scanned, stance

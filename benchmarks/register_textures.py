@@ -29,8 +29,8 @@ from rich.console import Console
 from rich.table import Table
 
 from habitus.body.jacobians import posed_skeleton
-from habitus.fit.registration.result import ScanFit
-from habitus.fit.registration.textured import with_colours
+from habitus.fit.points.scan_colours import with_colours
+from habitus.fit.points.scan_result import ScanFit
 from habitus.mesh.normals import vertex_normals
 from habitus.population.held_out import FLESH, smooth_field
 from habitus.population.painted_skin import PaintedSkin

@@ -25,12 +25,11 @@ from common import in_words, machine, write_json, written_rows
 from scipy.optimize import lsq_linear
 
 from habitus.body.model import BodyModel
-from habitus.fit.rgbd.off_model import along_normals
-from habitus.fit.rgbd.recipe import fit_views
-from habitus.fit.rgbd.segment import segment
-from habitus.fit.rgbd.settings import RgbdSettings
-from habitus.fit.rgbd.sights import Sight
-from habitus.fit.rgbd.start import arm_poses
+from habitus.fit.points.depth import fit_views
+from habitus.fit.points.depth_start import arm_poses
+from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.skin_offsets import along_normals
 from habitus.io.models.bodies import load_body
 from habitus.observe.depth_views import RgbdCapture
 from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene

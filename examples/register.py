@@ -5,7 +5,7 @@ truth is it?
 import numpy as np
 
 import habitus as hb
-from habitus.fit.registration.scan import Scan
+from habitus.fit.points.scan import Scan
 from habitus.population.scans import Scanner, person, scanned, stance
 
 

@@ -89,8 +89,8 @@ REFERENCE = {
         (
             "habitus.fit.markers.result",
             "habitus.fit.markers.live",
-            "habitus.fit.registration.result",
-            "habitus.fit.rgbd.result",
+            "habitus.fit.points.scan_result",
+            "habitus.fit.points.depth_result",
         ),
     ),
     "bodies": (
@@ -116,7 +116,7 @@ REFERENCE = {
     "settings": (
         "Settings",
         "Tuning constants of each recipe, with units and reasons.",
-        ("habitus.fit.markers.settings", "habitus.fit.rgbd.settings"),
+        ("habitus.fit.markers.settings", "habitus.fit.points.settings"),
     ),
 }
 """Pages of the reference beside the public face: title, first sentence, modules."""

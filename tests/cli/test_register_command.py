@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.cli.main import main
-from habitus.fit.registration.cleaning import cleaned
+from habitus.fit.points.scan import cleaned
 from habitus.io.scans import read_scan
 
 SCAN = Path(__file__).resolve().parents[3] / "shared" / "scans" / "demo_scan.ply"

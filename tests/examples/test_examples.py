@@ -92,8 +92,8 @@ def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
 
 
 def test_a_scan_is_registered(run, monkeypatch):
-    monkeypatch.setattr("habitus.fit.registration.start.KEPT", 4)  # an A-pose needs no more
-    monkeypatch.setattr("habitus.fit.registration.start.REFINED", 1)
+    monkeypatch.setattr("habitus.fit.points.scan_start.KEPT", 4)  # an A-pose needs no more
+    monkeypatch.setattr("habitus.fit.points.scan_start.REFINED", 1)
     found = run("register")
     assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
     assert found["truth"][0] < 6.0

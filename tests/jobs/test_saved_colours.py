@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import habitus
-from habitus.fit.registration.model_stage import Cloud
-from habitus.fit.registration.result import ScanColours, ScanFit
-from habitus.fit.registration.skin_grid import SkinGrid
+from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_result import ScanColours, ScanFit
+from habitus.fit.points.skin_colours import SkinGrid
 from habitus.io.scans import read_scan
 from habitus.jobs.register import save_scan
 from habitus.mesh.normals import vertex_normals

@@ -13,7 +13,7 @@ from habitus.errors import shown
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from habitus.fit.registration.result import ScanFit
+    from habitus.fit.points.scan_result import ScanFit
 
 
 @dataclass(frozen=True)

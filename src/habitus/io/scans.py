@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus.errors import HabitusError, require_extra
-from habitus.fit.registration.scan import Scan
+from habitus.fit.points.scan import Scan
 from habitus.io.archives import reason
 from habitus.io.meshes import check_obj, check_ply
 from habitus.io.scan_colours import part_colours

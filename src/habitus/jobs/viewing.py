@@ -14,7 +14,7 @@ from habitus.body.motion import BodyMotion
 from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError, require_extra
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.registration.scan import Scan
+from habitus.fit.points.scan import Scan
 from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.people import BodyShape, Mesh, open_person

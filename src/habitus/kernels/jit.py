@@ -40,7 +40,7 @@ FILES = (
     "fit/markers/sequence_kernels.py",
     "fit/labels/kernels.py",
     "fit/markers/rotation_charts.py",
-    "fit/registration/nearest_kernels.py",
+    "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",
     "learn/posing/quaternions.py",
     "learn/posing/kernels.py",

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
-from habitus.fit.registration.scan import Scan
+from habitus.fit.points.scan import Scan
 from habitus.mesh.normals import face_normals, vertex_normals
 from habitus.observe.harmonics import harmonic_terms
 from habitus.observe.srgb import linear_from_srgb, srgb_bytes

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from browser import visit
 
-from habitus.fit.registration.model_stage import Cloud
-from habitus.fit.registration.result import ScanFit
+from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_result import ScanFit
 from habitus.io.models.bodies import load_body
 from habitus.jobs.register import scan_metrics
 from habitus.mesh.normals import vertex_normals

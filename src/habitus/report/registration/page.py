@@ -32,7 +32,7 @@ from habitus.report.still import SCRIPTS, STYLE, Look, still, still_data
 from habitus.rotations import matrix_from_rotvec
 
 if TYPE_CHECKING:
-    from habitus.fit.registration.result import ScanFit
+    from habitus.fit.points.scan_result import ScanFit
 
 FAR_MM = 5.0
 MODEL_MM = 20.0

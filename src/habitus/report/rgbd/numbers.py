@@ -7,7 +7,7 @@ import numpy as np
 from habitus.body.gender import female_probability, said_of
 
 if TYPE_CHECKING:
-    from habitus.fit.rgbd.result import RgbdFit
+    from habitus.fit.points.depth_result import RgbdFit
 
 
 def rgbd_metrics(fit: "RgbdFit") -> dict[str, Any]:

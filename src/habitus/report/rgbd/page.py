@@ -29,8 +29,8 @@ from habitus.report.shell import shell
 from habitus.report.still import SCRIPTS, STYLE, Look, still, still_data
 
 if TYPE_CHECKING:
-    from habitus.fit.rgbd.result import RgbdFit
-    from habitus.fit.rgbd.texture import Skin
+    from habitus.fit.points.depth_result import RgbdFit
+    from habitus.fit.points.texture import Skin
 
 TERMS = {
     "depth": "E_D: depth, observed and the body's",

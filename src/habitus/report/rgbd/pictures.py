@@ -10,9 +10,8 @@ import torch
 from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter
 
-from habitus.fit.rgbd.appearance import Appearance, to_linear
-from habitus.fit.rgbd.colour_camera import moved
-from habitus.fit.rgbd.sights import Sight
+from habitus.fit.points.appearance import Appearance, moved, to_linear
+from habitus.fit.points.prepared_views import Sight
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.harmonics import harmonics
@@ -21,7 +20,7 @@ from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 
 if TYPE_CHECKING:
-    from habitus.fit.rgbd.result import RgbdFit
+    from habitus.fit.points.depth_result import RgbdFit
 
 ERROR_MM = 30.0
 """Where the scale of depth errors ends."""

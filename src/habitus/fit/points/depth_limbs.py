@@ -1,0 +1,185 @@
+"""A limb that one view has elsewhere than another, or that leaves pixels unexplained, is tried
+again.
+
+People who are seen twice stand alike: a lost arm is tried as the other views have it, and as arms
+usually are held; what explains the view best then stays.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from habitus.fit.points.depth_correspondences import Drawn, look, misfit
+from habitus.fit.points.depth_energy import Energy
+from habitus.fit.points.depth_start import ASIDE, COARSE, Tried, arm_poses, refined
+from habitus.fit.points.prepared_views import Grid, Sight
+from habitus.fit.points.settings import Stage
+from habitus.fit.points.state import State
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
+APART = 0.15
+"""Metres that a limb's joint is elsewhere in another view, seen from the pelvis, from which on it
+is tried again.
+"""
+UNEXPLAINED, FAR = 0.01, 0.05
+"""Share of a person's pixels that are so far (m) from the body from which on both arms are tried
+again.
+"""
+PASSES = 2
+KEPT = 2
+BETTER = 0.97
+"""Share of its misfit to which another way must bring a view."""
+PIXELS = 2000
+"""Of the person, that are looked at; a quarter of them in coarse steps."""
+
+
+def _stride(sight: Sight) -> int:
+    """Every how-manieth pixel leaves about so many of the person."""
+    return int(np.clip(np.sqrt(sight.mask.sum() / PIXELS), 1, 4))
+
+
+def _coarse(stride: int) -> Stage:
+    return replace(COARSE[-1][1], stride=2 * stride)
+
+
+def _fine(stride: int) -> Stage:
+    return Stage("pose", "nearest", 6, stride, (0.12, 0.05))
+
+
+def second_try(
+    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"]
+) -> tuple[State, Float[np.ndarray, "K J 3"]]:
+    """The state with limbs in doubt where they explain their views best, and what the pose's prior
+    is then around.
+    """
+    for _ in range(PASSES):
+        before = state
+        for k in range(len(energy.sights)):
+            state, means = _of_view(energy, state, means, k)
+        if state is before:
+            break
+    return state, means
+
+
+def _of_view(
+    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"], k: int
+) -> tuple[State, Float[np.ndarray, "K J 3"]]:
+    """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state
+    as it is where nothing is in doubt.
+    """
+    joints = _own_frames(energy, state)
+    grid = energy.sights[k].grid(_stride(energy.sights[k]))
+    drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
+    lost = _unexplained(grid, drawn) > UNEXPLAINED
+    first = Tried(
+        State(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
+        means[k],
+        misfit(grid, drawn),
+    )
+    now = first
+    for limb in LIMBS:
+        for rows in (_rows(energy, side, limb) for side in ("left", "right")):
+            apart = np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
+            if len(rows) and (apart > APART or (lost and limb == "arm")):
+                now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
+    if lost and len(state.pose) > 1:
+        ways = [
+            _turned(pose, state.pose[k], yaw)
+            for j, pose in enumerate(state.pose)
+            if j != k
+            for yaw in ASIDE
+        ]
+        now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
+    if now is first:
+        return state, means
+    pose = state.pose.copy()
+    trans = state.trans.copy()
+    around = means.copy()
+    pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
+    return State(state.betas, pose, trans), around
+
+
+def _own_frames(energy: Energy, state: State) -> Float[np.ndarray, "K J 3"]:
+    """Joints (m) from the pelvis, in its axes."""
+    joints = np.asarray(energy.body(state.betas, state.pose, state.trans).joints)
+    return np.stack(
+        [
+            (j - j[0]) @ matrix_from_rotvec(pose[0])
+            for j, pose in zip(joints, state.pose, strict=True)
+        ]
+    )
+
+
+def _unexplained(grid: Grid, drawn: Drawn) -> float:
+    """Share of the person's pixels that are far from the body."""
+    if not len(drawn.points):
+        return 1.0
+    return float((KDTree(drawn.points).query(grid.points[grid.own])[0] > FAR).mean())
+
+
+def _rows(energy: Energy, side: str, limb: str) -> Int[np.ndarray, " j"]:
+    """Joints of a limb."""
+    names = [f"{side}_{part}" for part in LIMBS[limb]]
+    return np.array(
+        [k for k, name in enumerate(energy.body.joint_names) if name in names], dtype=np.int64
+    )
+
+
+def _ways(energy: Energy, state: State, k: int, limb: str) -> list[Float[np.ndarray, "J 3"]]:
+    """Poses that have a limb otherwise: those of other views, and the usual ones of arms."""
+    others = [pose for j, pose in enumerate(state.pose) if j != k]
+    return others + (list(arm_poses(energy.body, energy.settings.arms)) if limb == "arm" else [])
+
+
+def _best_way(
+    energy: Energy,
+    k: int,
+    now: Tried,
+    rows: Int[np.ndarray, " j"],
+    ways: list[Float[np.ndarray, "J 3"]],
+) -> Tried:
+    """The way to hold a limb that explains view k best after some steps, coarse for all and fine
+    for the best; ``now`` itself where none is better.
+    """
+    stride = _stride(energy.sights[k])
+    tried = [_stepped(energy, k, _held(now, way, rows), _coarse(stride)) for way in ways]
+    tried = sorted(tried, key=lambda one: one.misfit)[:KEPT]
+    stays, *others = (_stepped(energy, k, one, _fine(stride)) for one in (now, *tried))
+    best = min(others, key=lambda one: one.misfit)
+    return best if best.misfit < BETTER * stays.misfit else now
+
+
+def _turned(
+    pose: Float[np.ndarray, "J 3"], own: Float[np.ndarray, "J 3"], degrees: float
+) -> Float[np.ndarray, "J 3"]:
+    """A pose of another view, turned as this view has it and by so many degrees more about the
+    upright.
+    """
+    found = pose.copy()
+    more = matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
+    found[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
+    return found
+
+
+def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:
+    """A limb held another way, its prior with it."""
+    pose = now.state.pose.copy()
+    mean = now.mean.copy()
+    pose[0, rows] = mean[rows] = way[rows]
+    return replace(now, state=replace(now.state, pose=pose), mean=mean)
+
+
+def _stepped(energy: Energy, k: int, one: Tried, stage: Stage) -> Tried:
+    """Some steps further; the misfit on finer pixels."""
+    sight = energy.sights[k]
+    grid = sight.grid(stage.stride)
+    fine = sight.grid(_stride(sight))
+    prepared = energy.body.prepare(one.state.betas)
+    one = refined(
+        energy.body, prepared, energy.solver, energy.triangles, grid, one, stage, energy.settings
+    )
+    surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
+    return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles)))

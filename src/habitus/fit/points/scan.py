@@ -1,0 +1,345 @@
+"""A scan: points of a person's surface, with or without triangles, and what was done to it since it
+was read.
+
+A scan as it comes made ready: metres, without floor and islands, with outward normals, in random
+order.
+
+Normals of clouds of points, and which way they point.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+from habitus.errors import HabitusError
+from habitus.mesh.normals import vertex_normals
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """Points (N, 3) of a surface, in metres and y up once
+    `habitus.fit.points.scan.cleaned` has seen them.
+
+    ``normals`` (N, 3) are unit, outward where ``oriented``, else of either sign. ``faces`` (F, 3)
+    where it was a mesh. ``colours`` (M, 3) are linear light, 0 to 1 (files hold sRGB; readers make
+    it linear), of the points themselves or of ``colour_places`` (M, 3), in the same unit and axes:
+    a picture shows more of a surface than its points. ``to_body`` (4, 4) took the file's own
+    numbers to these; ``notes`` say in sentences what was found and done.
+    """
+
+    name: str
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"] | None = None
+    faces: Int[np.ndarray, "F 3"] | None = None
+    oriented: bool = True
+    to_body: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    notes: tuple[str, ...] = ()
+    colours: Float[np.ndarray, "M 3"] | None = None
+    colour_places: Float[np.ndarray, "M 3"] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points (N, 3) of a scan, in metres and y up, and their normals (N, 3), outward; in random
+    order.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+
+    def first(self, count: int) -> "Cloud":
+        """Some of them."""
+        return Cloud(self.points[:count], self.normals[:count])
+
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+LEAST, MOST = 0.5, 2.7
+"""Metres: extents that a person may have."""
+FEWEST = 1000
+KEPT = 40_000
+"""Points that are fitted."""
+FLOOR_SHARE, FLOOR_BAND, FLOOR_TRIES = 0.08, 0.006, 200
+"""Of the points at least so many lie in a floor, which is so thick (of the scan's extent)."""
+ISLAND_LINK, ISLAND_NEAR, ISLAND_SHARE = 0.03, 0.06, 0.004
+"""Of the extent: points so near are of one piece, and pieces so near the largest are of the person,
+if they have at least that share of its points.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """A scan in metres, in its own axes, what of it is fitted, and whither the floor's normal
+    points, if there is one.
+
+    ``kept`` are the rows of ``scan.points`` that are of the person.
+    """
+
+    scan: Scan
+    cloud: Cloud
+    kept: Bool[np.ndarray, " N"]
+    scale: float
+    floor_up: Float[np.ndarray, " 3"] | None
+    notes: tuple[str, ...]
+
+
+def cleaned(scan: Scan, unit: str = "auto", seed: int = 0) -> Cleaned:
+    """The scan made ready to be fitted.
+
+    Raises HabitusError for too few points, numbers that are not finite, and sizes that no person
+    has in any unit.
+    """
+    if unit != "auto" and unit not in UNITS:
+        raise HabitusError(f"unit is {unit!r}; expected auto, {', '.join(UNITS)}")
+    finite = np.isfinite(scan.points).all(1)
+    if finite.sum() < FEWEST:
+        raise HabitusError(
+            f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, {FEWEST} at "
+            "least"
+        )
+    rng = np.random.default_rng(seed)
+    notes = []
+    kept = finite.copy()
+    some = np.flatnonzero(finite)
+    some = some[rng.permutation(len(some))[:20_000]]
+    floor = find_floor(scan.points[some], rng)
+    if floor is not None:
+        normal, height, band = floor
+        kept &= scan.points @ normal > height + band
+        if kept.sum() < FEWEST:
+            raise HabitusError(
+                f"{scan.name}: a plane and nothing else; expected the scan of a person"
+            )
+        notes.append(
+            f"a floor with {(finite & ~kept).sum() / finite.sum():.0%} of the points was left out"
+        )
+    islands = _off(scan.points, kept, rng)
+    if islands.any():
+        notes.append(
+            f"islands with {islands.sum() / max(kept.sum(), 1):.1%} of the points were left out"
+        )
+        kept &= ~islands
+    scale, said = _scale(scan, kept, unit)
+    cloud = _cloud(scan, kept, scale, rng)
+    return Cleaned(
+        scan, cloud, kept, scale, None if floor is None else floor[0], (*scan.notes, *said, *notes)
+    )
+
+
+def _scale(scan: Scan, kept: np.ndarray, unit: str) -> tuple[float, list[str]]:
+    """Metres of one of the scan's units, and what is said of it."""
+    points = scan.points[kept]
+    points = points[:: max(1, len(points) // 20_000)]
+    axes = np.linalg.eigh(np.cov(points.T))[1]
+    low, high = np.percentile(points @ axes, (0.2, 99.8), axis=0)
+    extent = float((high - low).max())
+    if unit != "auto":
+        size = extent * UNITS[unit]
+        if not LEAST <= size <= MOST:
+            raise HabitusError(
+                f"{scan.name}: {size:.3g} m large in {unit}; expected a person, {LEAST} to {MOST} m"
+            )
+        return UNITS[unit], []
+    for name in ("m", "cm", "mm"):
+        if LEAST <= extent * UNITS[name] <= MOST:
+            said = (
+                []
+                if name == "m"
+                else [f"its numbers are read as {name}: {extent * UNITS[name]:.2f} m large"]
+            )
+            return UNITS[name], said
+    raise HabitusError(
+        f"{scan.name}: {extent:.4g} large; expected a person of {LEAST} to {MOST} m in m, cm or "
+        "mm; "
+        "say the unit, and cut away what is not the person"
+    )
+
+
+def _cloud(scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator) -> Cloud:
+    rows = np.flatnonzero(kept)
+    rows = rows[rng.permutation(len(rows))[:KEPT]]
+    points = scale * scan.points[rows]
+    normals = None if scan.normals is None else scan.normals[rows]
+    if normals is None and scan.faces is not None:
+        normals = vertex_normals(scan.points, scan.faces)[rows]
+    if normals is None or (np.linalg.norm(normals, axis=1) < 0.5).mean() > 0.02:
+        normals, near = plane_normals(points)
+        return Cloud(points, outward(points, normals, near))
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    good = length[:, 0] > 0.5
+    points = points[good]
+    normals = normals[good] / length[good]
+    near = cKDTree(points).query(points, k=min(16, len(points)))[1]
+    return Cloud(points, outward(points, normals, near, carry=False))
+
+
+def find_floor(
+    points: Float[np.ndarray, "N 3"], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
+    """Normal (towards the person), place along it and thickness of a plane that bounds the scan;
+    None without one.
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    band = FLOOR_BAND * extent
+    best = 0
+    found = None
+    for _ in range(FLOOR_TRIES):
+        a, b, c = points[rng.integers(0, len(points), 3)]
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal)
+        if length < (0.05 * extent) ** 2:
+            continue
+        normal = normal / length
+        along = points @ normal
+        inside = np.abs(along - a @ normal) < 0.5 * band
+        if inside.sum() > max(best, FLOOR_SHARE * len(points)):
+            above = (along > a @ normal + band).mean()
+            below = (along < a @ normal - band).mean()
+            if min(above, below) < 0.01 < max(above, below) and _wide(points[inside], extent):
+                sign = 1.0 if above > below else -1.0
+                best = int(inside.sum())
+                found = (sign * normal, float(sign * (a @ normal)), band)
+    return found
+
+
+def _wide(points: np.ndarray, extent: float) -> bool:
+    """Whether a piece of plane is as large as a floor: a chest, pressed flat, is not."""
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
+    return bool(spread[1] > 0.1 * extent)
+
+
+def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool[np.ndarray, " N"]:
+    """Points of islands: pieces that are far from the largest, or hardly more than dust."""
+    rows = np.flatnonzero(kept)
+    few = rows[rng.permutation(len(rows))[:8000]]
+    some = points[few]
+    size = float((np.percentile(some, 99, axis=0) - np.percentile(some, 1, axis=0)).max())
+    tree = cKDTree(some)
+    spacing = float(np.percentile(tree.query(some, k=2)[0][:, 1], 90))
+    pairs = tree.query_pairs(max(ISLAND_LINK * size, 2.5 * spacing), output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(some),) * 2)
+    piece = connected_components(graph, directed=False)[1]
+    count = np.bincount(piece)
+    main = cKDTree(some[piece == count.argmax()])
+    apart = main.query(some)[0]
+    gone = np.zeros(len(count), dtype=bool)
+    for k in range(len(count)):
+        near = apart[piece == k].min() < ISLAND_NEAR * size
+        gone[k] = not near or count[k] < ISLAND_SHARE * len(some)
+    gone[count.argmax()] = False
+    off = np.zeros(len(points), dtype=bool)
+    if gone.any():
+        off[rows] = gone[piece][tree.query(points[rows])[1]]
+    return off
+
+
+def turned(one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Cloud]:
+    """The scan with ``turn`` (3, 3) made upright, in metres: what of it is of the person, and what
+    is fitted.
+    """
+    motion = np.eye(4)
+    motion[:3, :3] = one.scale * turn
+    scan = one.scan
+    kept = one.kept
+    points = one.scale * scan.points[kept] @ turn.T
+    whole = replace(
+        scan,
+        points=points,
+        normals=None,
+        faces=None,
+        to_body=motion @ scan.to_body,
+        notes=one.notes,
+    )
+    return whole, Cloud(one.cloud.points @ turn.T, one.cloud.normals @ turn.T)
+
+
+NEIGHBOURS = 16
+LINKED = 8
+AT_ONCE = 20_000
+COARSE, AROUND = 3000, 24
+"""Points that tell out from in, and how many neighbours each is held against."""
+
+
+def plane_normals(
+    points: Float[np.ndarray, "N 3"], neighbours: int = NEIGHBOURS
+) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N K"]]:
+    """The normal (unit, of either sign) of the plane through each point's neighbours, and these."""
+    near = cKDTree(points).query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)
+    normals = np.empty_like(points)
+    for begin in range(0, len(points), AT_ONCE):
+        some = points[near[begin : begin + AT_ONCE]]
+        some = some - some.mean(1, keepdims=True)
+        normals[begin : begin + AT_ONCE] = np.linalg.eigh(some.transpose(0, 2, 1) @ some)[1][..., 0]
+    return normals, near
+
+
+def outward(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    near: Int[np.ndarray, "N K"],
+    carry: bool = True,
+) -> Float[np.ndarray, "N 3"]:
+    """The same normals with one sign a sheet, carried from neighbour to neighbour, then outward on
+    the whole.
+
+    Hoppe et al. 1992: along the tree on which neighbours' normals change least. Every connected
+    part is turned so that it is round outside: limbs and trunk are. Without ``carry`` the signs are
+    trusted to agree, and only the whole is turned.
+    """
+    if not carry:
+        return normals * (1.0 if _roundness(points, normals) >= 0.0 else -1.0)
+    count = len(points)
+    others = near[:, 1 : LINKED + 1]
+    rows = np.repeat(np.arange(count), others.shape[1])
+    bend = 1.0 - np.abs((normals[rows] * normals[others.ravel()]).sum(1)) + 1e-3
+    tree = minimum_spanning_tree(
+        coo_array((bend, (rows, others.ravel())), shape=(count, count)).tocsr()
+    )
+    tree = tree + tree.T
+    sign = np.zeros(count)
+    left = np.ones(count, dtype=bool)
+    while left.any():
+        first = int(np.flatnonzero(left)[0])
+        order, before = breadth_first_order(tree, first, directed=False)
+        _carry(order, before, normals, sign)
+        left[order] = False
+        if _roundness(points[order], normals[order] * sign[order, None]) < 0.0:
+            sign[order] *= -1.0
+    return normals * sign[:, None]
+
+
+def agreed(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    others: Float[np.ndarray, "N 3"],
+) -> Float[np.ndarray, "N 3"]:
+    """The same normals, turned over where they and their neighbours look against ``others``, zero
+    where not known.
+    """
+    near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
+    along = np.einsum("nc,nkc->nk", normals, normals[near])
+    votes = (np.sign(along) * (normals * others).sum(1)[near]).mean(1)
+    return np.where(votes < -0.1, -1.0, 1.0)[:, None] * normals
+
+
+def _roundness(points: np.ndarray, normals: np.ndarray) -> float:
+    """How far points stand out, along their normals, from the middles of what is around them."""
+    some = slice(None, None, max(1, len(points) // COARSE))
+    few = points[some]
+    around = few[cKDTree(few).query(few, k=min(AROUND, len(few)))[1].reshape(len(few), -1)].mean(1)
+    return float(((few - around) * normals[some]).sum())
+
+
+def _carry(order: np.ndarray, before: np.ndarray, normals: np.ndarray, sign: np.ndarray) -> None:
+    """Signs along a tree, from its root on."""
+    sign[order[0]] = 1.0
+    agree = np.ones(len(order))
+    agree[1:] = np.sign((normals[order[1:]] * normals[before[order[1:]]]).sum(1))
+    agree[agree == 0.0] = 1.0
+    for place, parent, same in zip(
+        order[1:].tolist(), before[order[1:]].tolist(), agree[1:].tolist(), strict=True
+    ):
+        sign[place] = sign[parent] * same

@@ -1,0 +1,280 @@
+"""Registered scans of one person made to agree in their colours, where at least two scans have
+colours.
+
+Surfaces of one person's scans moved along the skin until their colours agree (the appearance
+term of Bogo et al.).
+
+    sum_pc w_p (grad T_c . u(b_p) - (T_c - tone_pc))^2 / s_c^2 + u^T Q u,    x = x_0 + u
+
+x_0 is the surface that geometry found, u (V, 3) how far it slides from there along itself, Q a
+Matern field's precision: slides are alike over a limb. Coarse to fine, the texture built anew each
+time, first with pose and shape, then the surface alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import bsr_array, csc_array, csr_array, eye_array, kron
+from scipy.spatial import cKDTree
+
+from habitus.errors import HabitusError
+from habitus.fit.points.correspondences import Topology, nearest, vertex_weights
+from habitus.fit.points.free_surface import STEPS as FREE_STEPS
+from habitus.fit.points.free_surface import factored, free_surface, new_cuts, uncut
+from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_fitting import OFFSET_STEPS as STEPS
+from habitus.fit.points.scan_fitting import ModelFitter, field_precision, fit_with_offsets
+from habitus.fit.points.scan_result import ScanColours, ScanFit, at_rest, lost_share
+from habitus.fit.points.scans import MATCHED, Registrar
+from habitus.fit.points.skin_colours import (
+    ColourCloud,
+    Places,
+    SharedSkin,
+    Sight,
+    SkinGrid,
+    colour_matches,
+    find_skin,
+)
+from habitus.fit.points.state import ModelState
+from habitus.mesh.normals import vertex_normals
+from habitus.residuals.surface_points import PointMatches
+
+MOST = 200_000
+"""Coloured points of a scan that are used."""
+PIECES = 4
+"""Pieces an edge that the texture is handed out with."""
+
+
+def with_colours(
+    registrar: Registrar, fits: Sequence[ScanFit], scans: Sequence[Scan]
+) -> list[ScanFit]:
+    """The fits of one person's scans, slid along the skin until colours agree.
+
+    A scan whose colours then differ no less from the others' stays as it was, and says so; so does
+    what is no person. Raises HabitusError for fewer than two scans, and for scans without colours.
+    """
+    check_colours(scans)
+    people = [k for k, fit in enumerate(fits) if fit.person]
+    if len(people) < 2:
+        return list(fits)
+    agreed = dict(
+        zip(
+            people,
+            _agreed(registrar, [fits[k] for k in people], [scans[k] for k in people]),
+            strict=True,
+        )
+    )
+    return [agreed.get(k, fit) for k, fit in enumerate(fits)]
+
+
+def _agreed(registrar: Registrar, fits: Sequence[ScanFit], scans: Sequence[Scan]) -> list[ScanFit]:
+    """The fits of two scans of people or more."""
+    clouds = [_coloured(fit, scan) for fit, scan in zip(fits, scans, strict=True)]
+    fitter = registrar.fitter
+    poses = np.stack([fit.pose for fit in fits])
+    trans = np.stack([fit.trans for fit in fits])
+    state = ModelState(np.mean([fit.betas for fit in fits], axis=0), poses, trans)
+    before = [fit.vertices for fit in fits]
+    state, after = agreeing(fitter, state, [fit.cloud for fit in fits], before, clouds)
+    grid = SkinGrid.of(fitter.topology.faces, PIECES)
+    skins = [shared_skin(fitter.topology, grid, surfaces, clouds) for surfaces in (before, after)]
+    told = [[colour_difference(skin, k) for k in range(len(fits))] for skin in skins]
+    found = []
+    for k, fit in enumerate(fits):
+        colours = ScanColours(
+            grid, np.exp(skins[1].tones), skins[1].apart(k), told[0][k], told[1][k]
+        )
+        if told[1][k] < told[0][k]:
+            found.append(_moved(registrar, fit, state.one(k), after[k], colours))
+        else:
+            said = (
+                f"its colours differ from the other scans' by {told[0][k]:.3f} and would by "
+                f"{told[1][k]:.3f}: not used"
+            )
+            found.append(
+                replace(fit, colours=replace(colours, after=told[0][k]), notes=(*fit.notes, said))
+            )
+    return found
+
+
+def check_colours(scans: Sequence[Scan]) -> None:
+    """Raises HabitusError where colours cannot tell anything: one scan, or scans without them."""
+    if len(scans) < 2:
+        raise HabitusError(
+            f"texture was asked for with {len(scans)} scan; expected two of one person or more to "
+            "compare"
+        )
+    plain = [scan.name for scan in scans if scan.colours is None]
+    if plain:
+        raise HabitusError(
+            f"{', '.join(plain)}: no colours; expected colours of vertices or a picture on the "
+            "mesh; leave texture out"
+        )
+
+
+def _coloured(fit: ScanFit, scan: Scan) -> ColourCloud:
+    """Coloured points in the body's frame; normals are those of the fitted points beside them."""
+    assert scan.colours is not None
+    places = scan.points if scan.colour_places is None else scan.colour_places
+    rows = np.flatnonzero(np.isfinite(places).all(1) & np.isfinite(scan.colours).all(1))
+    rows = rows[np.random.default_rng(0).permutation(len(rows))[:MOST]]
+    points = places[rows] @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
+    near = cKDTree(fit.cloud.points).query(points)[1]
+    return ColourCloud.of(points, fit.cloud.normals[near], scan.colours[rows])
+
+
+def _moved(
+    registrar: Registrar,
+    fit: ScanFit,
+    state: ModelState,
+    surface: Float[np.ndarray, "V 3"],
+    colours: ScanColours,
+) -> ScanFit:
+    """The fit with another state and surface."""
+    topology = registrar.fitter.topology
+    cloud = fit.cloud
+    model = registrar.fitter.vertices(state)
+    there, near = (
+        nearest(topology, each, cloud.points, cloud.normals) for each in (surface, model)
+    )
+    to_surface, to_model = (
+        np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near)
+    )
+    counted = (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3)
+    return replace(
+        fit,
+        betas=state.betas,
+        pose=state.pose[0],
+        trans=state.trans[0],
+        vertices=surface,
+        model_vertices=model,
+        rest_vertices=at_rest(fit.body, state, surface - model),
+        weights=vertex_weights(topology, surface, cloud),
+        to_surface=to_surface[counted],
+        to_model=to_model[counted],
+        far_from_surface=to_surface,
+        matched=float(((to_model < MATCHED) & (near.cosine > 0.3)).mean()),
+        lost=lost_share(cloud.points, to_surface),
+        cuts=new_cuts(topology, model, surface),
+        colours=replace(colours, slid=float(np.linalg.norm(surface - fit.vertices, axis=1).mean())),
+    )
+
+
+SLIDE, ALIKE = 0.001, 0.12
+"""Metres (sd): how far a surface slides beside the model's; and over what distance alike."""
+LOOSE = 0.002
+"""Metres (sd) that the model's skin slides on the person's, whatever its pose."""
+WORTH = 1500.0
+"""Coloured points that all of a scan count as for the model."""
+FREE = FREE_STEPS[-1:]
+FREE_POINTS = 20_000
+MODEL_POINTS = 15_000
+SURFACE_POINTS = 60_000
+COARSE, FINE = (2, 4), (4, 4)
+"""Pieces an edge of the grids that pose and shape, and that surfaces are solved with."""
+
+
+def agreeing(
+    fitter: ModelFitter,
+    state: ModelState,
+    clouds: Sequence[Cloud],
+    surfaces: Sequence[Float[np.ndarray, "V 3"]],
+    coloured: Sequence[ColourCloud],
+) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+    """Pose and shape, then surfaces (m), of two scans or more whose colours agree, from where
+    geometry has them.
+    """
+    now = list(surfaces)
+    topology = fitter.topology
+    places = Places.of(now[0], topology.faces, SURFACE_POINTS)
+    some = Places.of(now[0], topology.faces, MODEL_POINTS)
+    for n in COARSE:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
+        models = [fitter.vertices(state, k) for k in range(len(clouds))]
+        matches = [_for_model(skin, k, some, models[k]) for k in range(len(clouds))]
+        state, now = fit_with_offsets(fitter, state, clouds, STEPS[1:], matches)
+    base = [
+        free_surface(
+            topology, fitter.vertices(state, k), clouds[k].first(FREE_POINTS), start=now[k]
+        )
+        for k in range(len(clouds))
+    ]
+    now = base
+    for n in FINE:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
+        matches = [colour_matches(skin, k, places, now[k], LOOSE) for k in range(len(clouds))]
+        now = [slid(topology, base[k], clouds[k], matches[k]) for k in range(len(clouds))]
+    return state, [
+        uncut(topology, fitter.vertices(state, k), surface) for k, surface in enumerate(now)
+    ]
+
+
+def colour_difference(skin: SharedSkin, k: int) -> float:
+    """What the tones of scan k typically differ by from the others' where both are seen."""
+    apart = skin.apart(k)
+    return float(1.4826 * np.median(apart[apart > 0.0])) if (apart > 0.0).any() else 0.0
+
+
+def shared_skin(
+    topology: Topology,
+    grid: SkinGrid,
+    surfaces: Sequence[Float[np.ndarray, "V 3"]],
+    coloured: Sequence[ColourCloud],
+) -> SharedSkin:
+    """The texture of all scans where their surfaces are now."""
+    sights = [Sight.of(topology, *each) for each in zip(surfaces, coloured, strict=True)]
+    return find_skin(grid, coloured, sights)
+
+
+def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointMatches:
+    matches = colour_matches(skin, k, places, model, LOOSE)
+    share = np.sqrt(min(1.0, WORTH / len(places.face)))
+    return PointMatches(
+        matches.face, matches.barycentric, matches.target, share * matches.direction
+    )
+
+
+def slid(
+    topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointMatches
+) -> Float[np.ndarray, "V 3"]:
+    """A surface slid along itself to where colours would have it, then put on the scan again along
+    its normals.
+
+    ``base`` is where geometry had it. Slides have no part across the skin: what a scan says of its
+    own place must not be made good by sliding.
+    """
+    across = _across(topology, base)
+    field = field_precision(topology, base, np.full(len(base), SLIDE), ALIKE)
+    rows, apart = _rows(topology, along, base)
+    rows = csr_array(rows @ across)
+    matrix = rows.T @ rows + across.T @ kron(field, eye_array(3), format="csc") @ across
+    moved = base + (across @ factored(csc_array(matrix)).solve(rows.T @ apart)).reshape(-1, 3)
+    return free_surface(topology, moved, cloud.first(FREE_POINTS), FREE)
+
+
+def _across(topology: Topology, base: np.ndarray) -> csr_array:
+    """From two numbers a vertex to its slide (3 V, 2 V): two unit directions on the skin."""
+    normal = vertex_normals(base, topology.faces)
+    one = np.cross(normal, np.eye(3)[np.abs(normal).argmin(1)])
+    one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12)
+    blocks = np.stack([one, np.cross(normal, one)], 2)
+    numbers = np.arange(len(base) + 1)
+    return csr_array(
+        bsr_array((blocks, numbers[:-1], numbers), shape=(3 * len(base), 2 * len(base)))
+    )
+
+
+def _rows(
+    topology: Topology, matches: PointMatches, base: np.ndarray
+) -> tuple[csr_array, Float[np.ndarray, " R"]]:
+    """Rows (P D, 3 V) of directions by vertices, and what they should be beyond the base's."""
+    count, directions = matches.direction.shape[:2]
+    blocks = matches.barycentric[:, None, :, None] * matches.direction[:, :, None, :]
+    corners = topology.faces[matches.face]
+    ends = np.arange(0, 3 * count * directions + 1, 3)
+    table = (blocks.reshape(-1, 1, 3), np.repeat(corners, directions, axis=0).ravel(), ends)
+    rows = csr_array(bsr_array(table, shape=(count * directions, 3 * len(base))))
+    place = np.einsum("pk,pkc->pc", matches.barycentric, base[corners])
+    return rows, np.einsum("pdc,pc->pd", matches.direction, matches.target - place).ravel()

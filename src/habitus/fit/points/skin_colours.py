@@ -1,0 +1,402 @@
+"""A grid finer than a body's triangles, for colours of skin: each is cut into n² alike; it has no
+seams.
+
+The colours of a person's skin, shared by all scans of them (Bogo et al. 2014): texture, and the
+light of each scan.
+
+    log(I_kp + d) = T(b_kp) + h(n_kp) . L_k
+
+T are tones (log of linear colours) at the nodes of a `SkinGrid`, one texture for all scans k; p is
+a coloured point, b its place on the registered surface, n the normal there, h harmonics up to order
+2, L_k what light does in scan k. What a scan is held against is the texture of all others: its own
+colours would hold it where it is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array, diags_array
+
+from habitus.fit.points.correspondences import Nearest, Topology, nearest
+from habitus.mesh.normals import face_normals
+from habitus.observe.harmonics import harmonic_terms
+from habitus.residuals.robust import geman_mcclure_weight
+from habitus.residuals.surface_points import PointMatches
+
+
+@dataclass(frozen=True, eq=False)
+class SkinGrid:
+    """G nodes on the faces (F, 3) of a mesh, ``n`` pieces an edge; neighbouring faces share the
+    nodes of their edge.
+
+    ``node`` (F, n + 1, n + 1) are those of a face by how far they are to its second and third
+    corner; -1 beyond it. ``spread`` (G, G) takes a value at each node to the mean of its
+    neighbours', row sums 1.
+    """
+
+    n: int
+    faces: Int[np.ndarray, "F 3"]
+    node: Int[np.ndarray, "F n1 n1"]
+    spread: csr_array
+
+    @staticmethod
+    def of(faces: Int[np.ndarray, "F 3"], n: int) -> "SkinGrid":
+        """To be made once a mesh and fineness."""
+        place = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)])
+        weights = np.column_stack([n - place.sum(1), place])  # (L, 3), whole numbers of n
+        names = np.where(
+            weights > 0, (faces[:, None] + 1) * (n + 1) + weights, 0
+        )  # the same from all faces it is on
+        names.sort(axis=-1)
+        base = (int(faces.max()) + 2) * (n + 1)
+        _, number = np.unique(
+            (names[..., 0] * base + names[..., 1]) * base + names[..., 2], return_inverse=True
+        )
+        node = np.full((len(faces), n + 1, n + 1), -1)
+        node[:, place[:, 0], place[:, 1]] = number.reshape(len(faces), -1)
+        return SkinGrid(n, faces, node, _neighbour_means(node))
+
+    @property
+    def size(self) -> int:
+        """G."""
+        return self.spread.shape[0]
+
+    def placed(self, corners: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "G C"]:
+        """What the mesh's vertices have (their places), at the nodes, straight in between."""
+        out = np.empty((self.size, corners.shape[1]))
+        for i in range(self.n + 1):
+            for j in range(self.n + 1 - i):
+                share = np.array([self.n - i - j, i, j]) / self.n
+                out[self.node[:, i, j]] = np.einsum("k,fkc->fc", share, corners[self.faces])
+        return out
+
+    @property
+    def triangles(self) -> Int[np.ndarray, "T 3"]:
+        """The pieces, n² of each face, as triangles of nodes."""
+        node = self.node
+        lie = np.stack([node[:, :-1, :-1], node[:, 1:, :-1], node[:, :-1, 1:]], -1).reshape(-1, 3)
+        turned = np.stack([node[:, 1:, 1:], node[:, :-1, 1:], node[:, 1:, :-1]], -1).reshape(-1, 3)
+        every = np.concatenate([lie, turned])
+        return every[(every >= 0).all(1)]
+
+    def smoothed(self, values: Float[np.ndarray, "G C"], times: int) -> Float[np.ndarray, "G C"]:
+        """Each value's mean with that of its neighbours', so many times."""
+        for _ in range(times):
+            values = 0.5 * (values + self.spread @ values)
+        return values
+
+    def weights(self, face: Int[np.ndarray, " N"], share: Float[np.ndarray, "N 3"]) -> csr_array:
+        """Places on faces, by the weights of their corners, from nodes: (N, G), straight in
+        between.
+        """
+        node, weight, _ = self._pieces(face, share)
+        ends = np.arange(0, 3 * len(face) + 1, 3)
+        return csr_array((weight.ravel(), node.ravel(), ends), shape=(len(face), self.size))
+
+    def slopes(
+        self,
+        values: Float[np.ndarray, "G C"],
+        vertices: Float[np.ndarray, "V 3"],
+        face: Int[np.ndarray, " N"],
+        share: Float[np.ndarray, "N 3"],
+    ) -> Float[np.ndarray, "N C 3"]:
+        """How values change along the surface with ``vertices`` (m) at places on it, per metre."""
+        node, _, sign = self._pieces(face, share)
+        corner = values[node]  # N 3 C
+        by_second, by_third = (
+            self.n * sign[:, None] * (corner[:, k] - corner[:, 0]) for k in (1, 2)
+        )
+        a, b, c = vertices[self.faces[face]].transpose(1, 0, 2)
+        normal = np.cross(b - a, c - a)
+        square = np.maximum((normal**2).sum(1, keepdims=True), 1e-20)
+        second = np.cross(c - a, normal) / square
+        third = np.cross(normal, b - a) / square
+        return by_second[..., None] * second[:, None] + by_third[..., None] * third[:, None]
+
+    def _pieces(
+        self, face: np.ndarray, share: np.ndarray
+    ) -> tuple[Int[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+        """The nodes around places, their weights, and 1 in pieces that lie as the face does, -1 in
+        those between.
+        """
+        u, v = (self.n * np.clip(share[:, 1:], 0.0, 1.0)).T
+        beyond = np.maximum(u + v, self.n) / self.n
+        u = u / beyond
+        v = v / beyond
+        i = np.minimum(u.astype(int), self.n - 1)
+        j = np.minimum(v.astype(int), self.n - 1 - i)
+        u = u - i
+        v = v - j
+        other = (u + v > 1.0) & (i + j < self.n - 1)
+        k = other.astype(int)
+        rows = [(i + k, j + k), (i + 1 - k, j + k), (i + k, j + 1 - k)]
+        # turned pieces begin at (1, 1); their second node lies at u = 0, their third at v = 0
+        node = np.stack([self.node[face, a, b] for a, b in rows], 1)
+        u = np.where(other, 1.0 - u, u)
+        v = np.where(other, 1.0 - v, v)
+        return node, np.stack([1.0 - u - v, u, v], 1), np.where(other, -1.0, 1.0)
+
+
+def _neighbour_means(node: np.ndarray) -> csr_array:
+    """Neighbours along the three directions of all faces; those of edges are counted once."""
+    ends = [
+        (node[:, :-1], node[:, 1:]),
+        (node[:, :, :-1], node[:, :, 1:]),
+        (node[:, 1:, :-1], node[:, :-1, 1:]),
+    ]
+    pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in ends])
+    pairs = pairs[(pairs >= 0).all(1)]
+    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
+    size = int(node.max()) + 1
+    near = coo_array((np.ones(len(rows)), (rows, columns)), shape=(size, size)).tocsr()
+    near.data[:] = 1.0
+    return csr_array(diags_array(1.0 / np.maximum(near.sum(1), 1.0)) @ near)
+
+
+DARK, NOISE = 0.004, 0.008
+"""Linear light below which all is black, and the noise (sd) of a camera's pixels."""
+CERTAIN = 0.1
+"""Noise of a tone that halves what it counts."""
+REACH = 0.006
+"""Metres from the surface beyond which a coloured point hardly counts."""
+LEAST_COSINE = 0.4
+SMOOTHINGS = 3
+"""Times that the texture is averaged over neighbouring nodes."""
+LIGHT_ROUNDS, LIGHT_HELD = 3, 0.01
+"""Solves of light and texture in turn, and the weight of no light at all against that of all
+points.
+"""
+GAIN_PIECES = 2
+GAIN_SMOOTHINGS = 20
+PASSES = 2
+"""Means of what the means before left: without these a tone is that of the middle of some points,
+not of the node.
+"""
+SEEN, LEAST_SHARE = 0.1, 0.6
+"""Coloured points for each node from which on its tone is trusted, and their least share of what
+other scans have.
+"""
+TRUSTED = 0.5
+"""How surely a tone is to be seen to be compared."""
+GRAIN = 22.0
+"""Pieces of a grid that make up one independent tone of a texture so often averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColourCloud:
+    """Coloured points (N, 3) of a scan, m and y up, normals (N, 3), outward, and tones (N, 3), in
+    random order.
+    """
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    tones: Float[np.ndarray, "N 3"]
+    certain: Float[np.ndarray, " N"]
+
+    @staticmethod
+    def of(
+        points: Float[np.ndarray, "N 3"],
+        normals: Float[np.ndarray, "N 3"],
+        colours: Float[np.ndarray, "N 3"],
+    ) -> "ColourCloud":
+        """From linear colours; what is dark is less certain."""
+        bright = np.maximum(colours, DARK)
+        return ColourCloud(
+            points, normals, np.log(bright), 1.0 / (1.0 + (NOISE / CERTAIN / bright.mean(1)) ** 2)
+        )
+
+    def first(self, count: int) -> "ColourCloud":
+        """Some of them."""
+        return ColourCloud(
+            self.points[:count], self.normals[:count], self.tones[:count], self.certain[:count]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Where on a surface a scan's coloured points belong, and how much each counts (N,)."""
+
+    found: Nearest
+    weight: Float[np.ndarray, " N"]
+
+    @staticmethod
+    def of(topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: ColourCloud) -> "Sight":
+        """On a surface (m)."""
+        found = nearest(topology, surface, cloud.points, cloud.normals)
+        away = np.linalg.norm(cloud.points - found.place, axis=1)
+        return Sight(
+            found, geman_mcclure_weight(away, REACH) * (found.cosine > LEAST_COSINE) * cloud.certain
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSkin:
+    """Tones (K, G, 3) of each scan's skin at the nodes of a grid, its light taken out, and how
+    surely they are seen there (K, G), 0 to 1; ``noise`` (3,): what single points differ by (robust
+    sd).
+    """
+
+    grid: SkinGrid
+    each: Float[np.ndarray, "K G 3"]
+    seen: Float[np.ndarray, "K G"]
+    noise: Float[np.ndarray, " 3"]
+
+    @property
+    def tones(self) -> Float[np.ndarray, "G 3"]:
+        """The texture, 0 where no scan shows the skin."""
+        return _mean(self.each, self.seen)[0]
+
+    def without(self, k: int) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
+        """The texture of all scans but k, and how surely one of them shows it."""
+        others = np.arange(len(self.each)) != k
+        return _mean(self.each[others], self.seen[others])
+
+    def apart(self, k: int) -> Float[np.ndarray, " G"]:
+        """How far the tones of scan k are from the others' (root mean square of channels), 0 where
+        either is unseen.
+        """
+        others, told = self.without(k)
+        both = (told > TRUSTED) & (self.seen[k] > TRUSTED)
+        return np.sqrt(((others - self.each[k]) ** 2).mean(1)) * both
+
+
+def find_skin(grid: SkinGrid, clouds: Sequence[ColourCloud], sights: Sequence[Sight]) -> SharedSkin:
+    """Texture and lights of all scans, solved in turn; for lights, colours that stand out count
+    less.
+    """
+    wide = SkinGrid.of(grid.faces, GAIN_PIECES)
+    count = range(len(clouds))
+    shapes = [harmonic_terms(sight.found.normal) for sight in sights]
+    tables = [grid.weights(sight.found.face, sight.found.barycentric) for sight in sights]
+    rough = [wide.weights(sight.found.face, sight.found.barycentric) for sight in sights]
+    weights = [sight.weight for sight in sights]
+    middle = np.median(
+        np.concatenate([cloud.tones[w > 0.1] for cloud, w in zip(clouds, weights, strict=True)]),
+        axis=0,
+    )
+    light = [shapes[k] @ _light(shapes[k], clouds[k].tones - middle, weights[k]) for k in count]
+    for _ in range(LIGHT_ROUNDS):
+        found = [
+            _at_nodes(grid, tables[k], sights[k].weight, clouds[k].tones - light[k]) for k in count
+        ]
+        each, mass = (np.stack(part) for part in zip(*found, strict=True))
+        seen = _surely(mass)
+        skin = _mean(each, seen)[0]
+        apart = [clouds[k].tones - tables[k] @ skin for k in count]
+        light = [shapes[k] @ _light(shapes[k], apart[k], weights[k]) for k in count]
+        light = [light[k] + _gain(wide, rough[k], weights[k], apart[k] - light[k]) for k in count]
+        left = [apart[k] - light[k] for k in count]
+        noise = _spread(np.concatenate([left[k][sights[k].weight > 0.1] for k in count]))
+        weights = [
+            sights[k].weight * geman_mcclure_weight(np.sqrt(((left[k] / noise) ** 2).mean(1)), 3.0)
+            for k in count
+        ]
+    return SharedSkin(grid, each, seen, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Places (N,) evenly all over a skin: faces, weights of corners (N, 3), and the area (m^2) that
+    each stands for.
+    """
+
+    face: Int[np.ndarray, " N"]
+    share: Float[np.ndarray, "N 3"]
+    area: float
+    faces_area: Float[np.ndarray, " F"]
+
+    @staticmethod
+    def of(
+        surface: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int
+    ) -> "Places":
+        """Drawn once, always the same."""
+        rng = np.random.default_rng(0)
+        area = 0.5 * np.linalg.norm(face_normals(surface, faces), axis=1)
+        face = rng.choice(len(faces), count, p=area / area.sum())
+        return Places(face, rng.dirichlet((1.0, 1.0, 1.0), count), float(area.sum() / count), area)
+
+
+def colour_matches(
+    skin: SharedSkin, k: int, places: Places, surface: Float[np.ndarray, "V 3"], loose: float = 0.0
+) -> PointMatches:
+    """Where colours would have places on the surface (m) of scan k, along it: grad T . dx = T -
+    tone in all channels.
+
+    T is the texture of the others; moving all at once, each goes its part of the way. A row's
+    spread is that of tones, and of ``loose`` metres by which skin may slide for other reasons; rows
+    closer than the texture's grain share what it tells.
+    """
+    table = skin.grid.weights(places.face, places.share)
+    others, told = skin.without(k)
+    apart = table @ (others - skin.each[k])
+    seen = np.minimum(table @ told, table @ skin.seen[k])
+    half = 0.5 * (others + skin.each[k])
+    slope = skin.grid.slopes(half, surface, places.face, places.share)
+    noise = _spread(apart[seen > TRUSTED])
+    spread = np.sqrt(noise**2 + (loose * np.linalg.norm(slope, axis=2)) ** 2)
+    weight = seen * geman_mcclure_weight(np.sqrt(((apart / spread) ** 2).mean(1)), 3.0)
+    grain = np.maximum(GRAIN * places.faces_area[places.face] / skin.grid.n**2, 1e-9)
+    root = np.sqrt(weight * np.minimum(places.area / grain, 1.0))[:, None]
+    rows = (root / spread)[..., None] * slope
+    wanted = (1.0 - 1.0 / len(skin.each)) * root * apart / spread
+    size, axes = np.linalg.eigh(np.einsum("nci,ncj->nij", rows, rows))
+    size = np.maximum(size[:, 1:], 0.0)
+    axes = axes[:, :, 1:].transpose(0, 2, 1)  # the two along the skin
+    good = size > 1e-6 * size.max(initial=1e-30)
+    step = good * np.einsum("nkj,ncj,nc->nk", axes, rows, wanted) / np.where(good, size, 1.0)
+    place = np.einsum("nk,nkc->nc", places.share, surface[skin.grid.faces[places.face]])
+    target = place + np.einsum("nk,nkc->nc", step, axes)
+    return PointMatches(places.face, places.share, target, (np.sqrt(size) * good)[..., None] * axes)
+
+
+def _light(shape: np.ndarray, apart: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, "9 3"]:
+    weighed = shape * weight[:, None]
+    return np.linalg.solve(
+        weighed.T @ shape + LIGHT_HELD * weight.sum() * np.eye(9), weighed.T @ apart
+    )
+
+
+def _gain(
+    wide: SkinGrid, table: csr_array, weight: np.ndarray, apart: np.ndarray
+) -> Float[np.ndarray, "N 3"]:
+    """What light does that no harmonic does: shadows, light from the skin beside; alike over some 3
+    cm.
+    """
+    sums = table.T @ np.column_stack([weight[:, None] * apart, weight])
+    sums = wide.smoothed(sums, GAIN_SMOOTHINGS)
+    return table @ (sums[:, :3] / np.maximum(sums[:, 3:], 1e-6))
+
+
+def _at_nodes(
+    grid: SkinGrid, table: csr_array, weight: np.ndarray, tone: np.ndarray
+) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
+    """Tones at nodes, and the points about them: means about them, and means of what these leave
+    (Barnes 1964).
+    """
+    back = csr_array(table.T)
+    mass = grid.smoothed(back @ weight[:, None], SMOOTHINGS)
+    values = np.zeros((grid.size, 3))
+    for _ in range(PASSES):
+        values += grid.smoothed(
+            back @ (weight[:, None] * (tone - table @ values)), SMOOTHINGS
+        ) / np.maximum(mass, 1e-6)
+    return values, mass[:, 0]
+
+
+def _surely(mass: Float[np.ndarray, "K G"]) -> Float[np.ndarray, "K G"]:
+    """How surely nodes are seen: at the border of a hole tones are those of one side alone."""
+    share = mass / np.maximum(mass.max(0), 1e-9)
+    return np.clip((share - LEAST_SHARE) / 0.2, 0.0, 1.0) * np.clip(mass / SEEN, 0.0, 1.0)
+
+
+def _mean(
+    each: np.ndarray, seen: np.ndarray
+) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
+    whole = np.maximum(seen.sum(0), 1e-9)
+    return np.einsum("kgc,kg->gc", each, seen) / whole[:, None], seen.max(0)
+
+
+def _spread(apart: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
+    return np.maximum(1.4826 * np.median(np.abs(apart), axis=0), 0.003)

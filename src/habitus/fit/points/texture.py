@@ -1,0 +1,139 @@
+"""The person's albedo on the body's texture: of each texel what the views show there, lit as it was
+found.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy import sparse
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse.linalg import splu
+
+from habitus.body.model import BodyModel
+from habitus.fit.points.appearance import Appearance, depth_of, look_up, moved
+from habitus.fit.points.prepared_views import Sight
+from habitus.fit.points.skin_offsets import along_normals
+from habitus.fit.points.state import State
+from habitus.mesh.normals import vertex_normals
+from habitus.observe.harmonics import harmonics
+from habitus.render import operators
+from habitus.render.rasterize import rasterize
+from habitus.render.triangles import Triangles
+
+GUESS = 0.03
+"""Weight of the vertices' albedo beside a texel's own colour seen face on."""
+BRIGHTEST = 0.92
+"""Where the brightest albedo goes: its scale cannot be told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A body's full surface with linear albedo: of each vertex (V, 3), and a texture (S, S, 3)
+    where it has one.
+    """
+
+    body: BodyModel
+    vertex_albedo: Float[np.ndarray, "V 3"]
+    texture: Float[np.ndarray, "S S 3"] | None
+
+
+def bake(
+    body: BodyModel,
+    state: State,
+    sights: tuple[Sight, ...],
+    appearance: Appearance,
+    size: int,
+    offset: Float[np.ndarray, " V"] | None = None,
+) -> Skin:
+    """The albedo of the body at its full level of detail. offset: of the skin from the model
+    (m).
+    """
+    fine = body.full or body
+    albedo = np.exp(spread(body, np.log(appearance.albedo)))
+    surfaces = fine(state.betas, state.pose, state.trans).vertices
+    if offset is not None:
+        surfaces = along_normals(surfaces, spread(body, offset[:, None])[:, 0], fine)
+    uv_faces = None if fine.mesh is None else fine.mesh.triangle_uv(fine.faces)
+    texture = None
+    if fine.mesh is not None and uv_faces is not None:
+        texture = _texture(
+            fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size
+        )
+    brightest = float(np.percentile(albedo.max(1), 99.5))
+    scale = BRIGHTEST / max(brightest, 1e-3)
+    return Skin(
+        fine, (albedo * scale).clip(0, 1), None if texture is None else (texture * scale).clip(0, 1)
+    )
+
+
+def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "W C"]:
+    """The coarse vertices' values over the full mesh, smoothly between."""
+    fine = body.full or body
+    if fine is body or body.full_vertices is None:
+        return values
+    pairs = np.concatenate([fine.faces[:, [0, 1]], fine.faces[:, [1, 2]], fine.faces[:, [2, 0]]])
+    count = fine.num_vertices
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    step = sparse.csr_array(
+        (np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), (len(pairs), count)
+    )
+    known = np.zeros(count)
+    known[body.full_vertices] = 1e3
+    given = np.zeros((count, values.shape[1]))
+    given[body.full_vertices] = 1e3 * values
+    return splu((step.T @ step + sparse.diags_array(known + 1e-6)).tocsc()).solve(given)
+
+
+def _texture(
+    fine: BodyModel,
+    surfaces: Float[np.ndarray, "K V 3"],
+    sights: tuple[Sight, ...],
+    appearance: Appearance,
+    albedo: Float[np.ndarray, "V 3"],
+    chart: tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]],
+    size: int,
+) -> Float[np.ndarray, "S S 3"]:
+    pixel, face, share = _texels(*chart, size)
+    corners = fine.faces[face]
+    total = GUESS * np.einsum("nk,nkc->nc", share, albedo[corners])
+    weights = np.full(len(pixel), GUESS)
+    triangles = Triangles.of(fine.faces, num_vertices=fine.num_vertices)
+    for k, sight in enumerate(sights):
+        if sight.colour_camera is None:
+            continue
+        vertices = surfaces[k]
+        normals = np.einsum("nk,nkc->nc", share, vertex_normals(vertices, fine.faces)[corners])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        points = np.einsum("nk,nkc->nc", share, vertices[corners])
+        camera = moved(sight.colour_camera, appearance.shift.shift)
+        colour, weight = look_up(
+            sight, camera, points, normals, depth_of(camera, vertices, triangles)
+        )
+        shade = (harmonics(torch.from_numpy(normals)).numpy() @ appearance.light).clip(0.1)
+        total += (weight**2)[:, None] * colour / shade
+        weights += weight**2
+    image = np.zeros((size * size, 3))
+    image[pixel] = total / weights[:, None]
+    covered = np.zeros(size * size, bool)
+    covered[pixel] = True
+    rows, columns = distance_transform_edt(
+        ~covered.reshape(size, size), return_distances=False, return_indices=True
+    )
+    return image.reshape(size, size, 3)[rows, columns]
+
+
+def _texels(
+    uv: Float[np.ndarray, "U 2"], uv_faces: Int[np.ndarray, "F 3"], size: int
+) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Texels that the surface covers (row 0 on top): number, face, barycentric coordinates."""
+    flat = np.column_stack([uv * [1.0, -1.0] * size + [0.0, size], np.ones(len(uv))])
+    screen = torch.from_numpy(np.ascontiguousarray(flat))
+    triangles = Triangles.of(uv_faces, num_vertices=len(uv))
+    ids = rasterize(screen, triangles, size, size, False, False).ids.reshape(-1)
+    pixel = torch.nonzero(ids >= 0)[:, 0]
+    points = torch.stack([pixel % size + 0.5, pixel // size + 0.5], 1).to(screen.dtype)
+    face = ids[pixel]
+    share = operators.barycentrics(screen, triangles.faces, face, points, False)
+    return pixel.numpy(), face.numpy().astype(np.int64), share.numpy()

@@ -1,0 +1,116 @@
+"""Registered scans train a body, and the body registers the same scans again (T 5.4)."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from habitus import Trainer, load_body
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.fit.points.correspondences import Topology, vertex_weights
+from habitus.fit.points.free_surface import free_surface
+from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_fitting import ModelFitter, ModelStep, fit_with_offsets
+from habitus.fit.points.state import ModelState
+from habitus.mesh.normals import vertex_normals
+from habitus.mesh.registrations import Registrations
+from habitus.population.coarse_bodies import coarse_body
+from habitus.residuals.surface_points import SurfacePointSolver
+
+PEOPLE = 2
+POSES = 2
+STEPS = (ModelStep(4, 2000, 0.05, 0.0025, 0.0, 1000),)
+
+
+def fitter_of(body: BodyModel) -> ModelFitter:
+    size = 3 * (body.num_joints - 1)
+    prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
+    return ModelFitter(
+        SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior
+    )
+
+
+def test_a_body_trained_on_registered_scans_knows_these_people_better():
+    body = coarse_body(load_body("default"), 400)
+    rng = np.random.default_rng(0)
+    swell = (
+        0.008
+        * np.sin(body.v_template @ (7.0, 5.0, 6.0))[:, None]
+        * vertex_normals(body.v_template, body.faces)
+    )
+    other = replace(
+        body, v_template=body.v_template + swell
+    )  # a people whom the body does not know
+    states = []
+    truths = []
+    clouds = []
+    for _ in range(PEOPLE):
+        pose = 0.2 * rng.normal(size=(POSES, body.num_joints, 3))
+        trans = np.zeros((POSES, 3))
+        states.append(ModelState(0.5 * rng.normal(size=body.num_betas), pose, trans))
+        truths.append([np.asarray(other(states[-1].betas, one).vertices) for one in pose])
+        clouds.append([scanned(one, body.faces, rng) for one in truths[-1]])
+    first = fitter_of(body)
+    before = [
+        fit_with_offsets(first, state, each, STEPS)
+        for state, each in zip(states, clouds, strict=True)
+    ]
+    surfaces = np.array(
+        [
+            free_surface(first.topology, first.vertices(state, k), clouds[p][k], start=start)
+            for p, (state, starts) in enumerate(before)
+            for k, start in enumerate(starts)
+        ]
+    )
+    every = [cloud for each in clouds for cloud in each]
+    weights = [vertex_weights(first.topology, *each) for each in zip(surfaces, every, strict=True)]
+    count = len(every)
+    who = tuple(f"p{k // POSES}" for k in range(PEOPLE * POSES))
+    names = tuple(map(str, range(count)))
+    data = Registrations(
+        surfaces, body.faces, who, ("",) * count, ("pose",) * count, names, np.array(weights)
+    )
+    held = ("skinning_weights", "posedirs", "joint_regressor")
+    trained = (
+        Trainer(start="body", fixed=held, num_betas=1, rounds=3)
+        .fit(data, template=body, workers=1)
+        .body
+    )
+    second = fitter_of(trained)
+    begin = [
+        ModelState(np.zeros(trained.num_betas), state.pose, state.trans) for state, _ in before
+    ]
+    after = [
+        fit_with_offsets(second, state, each, STEPS)
+        for state, each in zip(begin, clouds, strict=True)
+    ]
+
+    def wrong(
+        fitter: ModelFitter, found: list
+    ) -> float:  # of all models, from where each vertex truly is
+        pairs = [
+            (fitter.vertices(s, k), truths[p][k])
+            for p, (s, _) in enumerate(found)
+            for k in range(POSES)
+        ]
+        return float(np.mean([np.linalg.norm(model - true, axis=1) for model, true in pairs]))
+
+    def off(fitter: ModelFitter, found: list) -> float:  # what the model leaves to the offset
+        pairs = [(fitter.vertices(s, k), x[k]) for s, x in found for k in range(POSES)]
+        return float(np.mean([np.linalg.norm(model - surface, axis=1) for model, surface in pairs]))
+
+    error, away = (
+        np.array([each(*run) for run in ((first, before), (second, after))])
+        for each in (wrong, off)
+    )
+    assert away[1] < 0.9 * away[0] and error[1] < error[0]
+
+
+def scanned(surface: np.ndarray, faces: np.ndarray, rng: np.random.Generator) -> Cloud:
+    face = rng.integers(0, len(faces), 2000)
+    share = rng.dirichlet((1.0, 1.0, 1.0), 2000)
+    places, normals = (
+        np.einsum("pk,pkc->pc", share, x[faces[face]])
+        for x in (surface, vertex_normals(surface, faces))
+    )
+    return Cloud(places, normals / np.linalg.norm(normals, axis=1, keepdims=True))

@@ -1,0 +1,186 @@
+"""Skin off the model: a field over the surface that all views share, what is worn, soles on the
+floor, lost limbs.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rgbd_scene_small import small_scene
+
+from habitus.fit.points.depth import fit_state
+from habitus.fit.points.depth_energy import Energy, Priors
+from habitus.fit.points.depth_limbs import second_try
+from habitus.fit.points.depth_start import arm_poses
+from habitus.fit.points.floor import LIFTED, Footpads
+from habitus.fit.points.scan_fitting import offset_spread
+from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.skin_offsets import (
+    OffModel,
+    along_normals,
+    off_equations,
+    spread_out,
+    uncoated,
+    worn,
+)
+from habitus.fit.points.state import State
+from habitus.io.models.bodies import load_body
+from habitus.mesh.normals import vertex_normals
+from habitus.residuals.surface_points import PointMatches, points_on_surface
+
+SETTINGS = RgbdSettings(clothes=0.0, hair=0.0)
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body("default")
+
+
+@pytest.fixture(scope="module")
+def off(body):
+    return OffModel.of(body, SETTINGS)
+
+
+def test_the_field_is_as_wide_as_told_and_alike_nearby(body, off):
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    told = SETTINGS.skin * offset_spread(body)
+    spread = np.sqrt((off.basis**2).sum(1))
+    trunk = (
+        body.skinning_weights[:, [body.joint_names.index(f"spine{k}") for k in (1, 2)]].sum(1) > 0.8
+    )
+    assert 0.7 < np.median(spread[trunk] / told[trunk]) < 1.1
+    navel = np.flatnonzero(trunk)[np.argmax(rest[trunk, 2])]
+    alike = (off.basis @ off.basis[navel]) / (spread * spread[navel]).clip(1e-9)
+    away = np.linalg.norm(rest - rest[navel], axis=1)
+    assert alike[away < 0.03].min() > 0.8
+    assert np.abs(alike[away > 0.6]).max() < 0.1
+
+
+def test_soles_have_no_offset(body, off):
+    pads = Footpads.of(body)
+    assert np.abs(off.basis[body.faces[pads.face, pads.corner]]).max() == 0.0
+
+
+def test_places_are_far_from_each_other():
+    points = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], 1)
+    assert sorted(spread_out(points, 3)) == [0, 4, 8]
+
+
+def test_clothes_and_hair_lie_where_they_are_worn(body):
+    layer = worn(body, 0.001, 0.003)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    assert np.isclose(layer[rest[:, 1].argmax()], 0.003, atol=2e-4)
+    head = body.skinning_weights[:, body.joint_names.index("head")] > 0.9
+    nose = np.flatnonzero(head)[rest[head, 2].argmax()]
+    assert layer[nose] < 1e-4
+    for name, told in (("spine1", 0.001), ("left_elbow", 0.0), ("right_ankle", 0.0)):
+        part = body.skinning_weights[:, body.joint_names.index(name)] > 0.95
+        np.testing.assert_allclose(layer[part], told, atol=1e-4)
+
+
+def test_an_offset_is_found_and_the_shape_stays(body, off):
+    """Points on the front of a planted person; what the field tells elsewhere is the likeliest, not
+    the truth.
+    """
+    rng = np.random.default_rng(3)
+    pose = np.zeros((2, body.num_joints, 3))
+    trans = np.zeros((2, 3))
+    planted = rng.normal(size=off.count)
+    state = State(np.zeros(body.num_betas), pose, trans)
+    numbers = np.zeros(off.count)
+    model = body(state.betas, pose, trans).vertices
+    seen = along_normals(model, off.offset(planted), body)
+    facing = vertex_normals(model[0], body.faces)[:, 2]
+    front = np.flatnonzero(facing[body.faces].min(1) > 0.5)
+    face = np.repeat(front, 2)
+    share = rng.dirichlet((1, 1, 1), 2 * len(front))
+    normal = vertex_normals(seen[0], body.faces)[body.faces[face, 0]]
+
+    def matches(surface):
+        target = points_on_surface(seen[0], body.faces, face, share)
+        return [PointMatches.to_planes(face, share, target, normal, np.full(len(face), 1e6))] * len(
+            surface
+        )
+
+    priors = Priors.of(body, state, SETTINGS).weights()
+    found = off_equations(off, state, numbers, matches(model), model, model)
+    held = found.matrix + np.diag(np.concatenate([priors + 1e-6, np.zeros(off.count)]))
+    step = -np.linalg.solve(held, found.gradient)
+    size = len(state.vector)
+    told = facing > 0.6
+    assert np.std((off.offset(step[size:]) - off.offset(planted))[told]) < 0.4 * np.std(
+        off.offset(planted)[told]
+    )
+    alone = -np.linalg.solve(held[:size, :size], found.gradient[:size])
+    head = body.num_betas
+    assert np.linalg.norm(step[:head]) < 0.7 * np.linalg.norm(alone[:head])
+
+
+def test_targets_move_back_by_what_lies_between(body):
+    model = body.rest_vertices(np.zeros(body.num_betas))
+    seen = model + 0.01
+    face = np.arange(5)
+    share = np.full((5, 3), 1 / 3)
+    one = PointMatches.to_planes(
+        face, share, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.ones(5)
+    )
+    np.testing.assert_allclose(
+        uncoated({"outline": one}, model, seen, body)["outline"].target, -0.01
+    )
+
+
+def test_soles_stand_as_high_as_they_are_at_rest(body):
+    pads = Footpads.of(body)
+    rest = body.rest_vertices(np.zeros(body.num_betas))
+    used = body.faces[pads.face, pads.corner]
+    standing = rest - [0.0, rest[used, 1].min(), 0.0]
+    here = pads.on_floor(1e4, standing, body)
+    apart = points_on_surface(standing, body.faces, here.face, here.barycentric) - here.target
+    assert np.abs(apart[:, 1]).max() < 0.006  # 14 mm, were all of a sole drawn to the floor
+    lifted = pads.on_floor(1e4, standing + np.array([0.0, LIFTED, 0.0]), body)
+    assert np.allclose(
+        np.median(
+            np.linalg.norm(lifted.direction, axis=-1) / np.linalg.norm(here.direction, axis=-1)
+        ),
+        0.5,
+        atol=0.15,
+    )
+
+
+@pytest.fixture(scope="module")
+def fitted(body):
+    """The planted scene, and a fit by depth from a start with other arms, turned by 30 degrees."""
+    scene = small_scene()[1]
+    poses = np.stack(list(arm_poses(body, ((0.0, 0.0, 0.0),))) * 2)
+    poses[:, 0, 1] = np.deg2rad([30.0, 15.0])
+    return scene, fit_state(scene.capture, body, replace(SETTINGS, colour_levels=()), start=poses)
+
+
+def test_a_start_with_other_arms_comes_home(fitted):
+    scene, found = fitted
+    for k, sight in enumerate(found.sights):
+        true = scene.surfaces[k] @ sight.turn.T + sight.shift
+        assert np.linalg.norm(found.seen[k] - true, axis=1).mean() < 0.02
+    assert np.abs(found.skin).max() < 0.02 and found.skin.std() > 2e-4
+
+
+def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
+    scene, found = fitted
+    energy = Energy.of(body, found.sights, SETTINGS)
+    state = found.state
+    pose = found.state.pose.copy()
+    arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
+    pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]
+    again, _ = second_try(energy, replace(state, pose=pose), pose)
+    true = scene.surfaces[1] @ found.sights[1].turn.T + found.sights[1].shift
+    before, after = (energy.surfaces(one)[1] for one in (replace(state, pose=pose), again))
+    away = [np.linalg.norm(surface - true, axis=1).mean() for surface in (before, after)]
+    assert away[0] > 0.07 and away[1] < 0.03
+
+
+def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
+    _, found = fitted
+    energy = Energy.of(body, found.sights[1:], SETTINGS)
+    alone = State(found.state.betas, found.state.pose[1:], found.state.trans[1:])
+    same, means = second_try(energy, alone, alone.pose)
+    assert same is alone and means is alone.pose

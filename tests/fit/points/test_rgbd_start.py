@@ -1,0 +1,110 @@
+"""Starts: keypoints lead to a pose that no arms and turns would find; height is read off the
+mask.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rgbd_scene_small import small_scene
+
+from habitus.fit.points.depth_correspondences import look, misfit
+from habitus.fit.points.depth_start import arm_poses, pose_of_keypoints, seen_joints, tall_as
+from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.settings import FOLDED
+from habitus.render.triangles import Triangles
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """The body, a sight with the keypoints of the planted person, and the planted surface in its
+    world.
+    """
+    body, scene = small_scene()
+    view = scene.capture.views[1]
+    sight = Sight.of(view, segment(view))
+    surface = scene.surfaces[1] @ sight.turn.T + sight.shift
+    joints = (
+        body.joint_regressor @ scene.rest
+    )  # only to see that they differ from where they are posed
+    names = [
+        f"{s}_{j}"
+        for s in ("left", "right")
+        for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    ]
+    part = body.skinning_weights
+    points = []
+    for name in names:
+        k = body.joint_names.index(name)
+        near = np.minimum(part[:, k], part[:, body.parents[k]])
+        points.append((near[:, None] * surface).sum(0) / near.sum())
+    assert len(joints) == body.num_joints
+    pixels = sight.colour_camera.project(torch.tensor(np.array(points)))[0].numpy()
+    keypoints = {
+        name: (float(u), float(v), 0.9) for name, (u, v) in zip(names, pixels, strict=True)
+    }
+    return body, replace(sight, view=replace(view, keypoints=keypoints)), surface, np.array(points)
+
+
+def test_keypoints_become_joints_behind_the_skin(seen):
+    body, sight, _, points = seen
+    joints, found = seen_joints(body, sight)
+    assert len(joints) >= 9
+    order = [
+        f"{s}_{j}"
+        for s in ("left", "right")
+        for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    ]
+    true = np.array([points[order.index(body.joint_names[k])] for k in joints])
+    assert np.median(np.linalg.norm(found - true, axis=1)) < 0.05
+
+
+def test_keypoints_lead_near_the_person(seen):
+    body, sight, surface, _ = seen
+    pose, trans = pose_of_keypoints(body, sight, np.zeros(body.num_betas))
+    assert np.linalg.norm(body((), pose, trans).vertices - surface, axis=1).mean() < 0.12
+    assert (
+        pose_of_keypoints(
+            body, replace(sight, view=replace(sight.view, keypoints={})), np.zeros(24)
+        )
+        is None
+    )
+
+
+def test_height_is_read_off_the_mask(seen):
+    body, sight, surface, _ = seen
+    betas = tall_as(body, [sight])
+    assert abs(np.ptp(body.rest_vertices(betas)[:, 1]) - np.ptp(surface[:, 1])) < 0.08
+
+
+def test_the_true_surface_misfits_least(seen):
+    body, sight, surface, _ = seen
+    grid = sight.grid(2)
+    triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+    true, aside = (
+        misfit(grid, look(grid, surface + np.array([x, 0.0, 0.0]), triangles)) for x in (0.0, 0.15)
+    )
+    assert true < 0.02 and aside > 2.5 * true
+    assert misfit(grid, look(grid, surface + np.array([9.0, 0.0, 0.0]), triangles)) == 0.3
+
+
+def test_a_grids_pixels_are_the_images(seen):
+    _, sight, _, _ = seen
+    grid = sight.grid(3)
+    inside = grid.points[grid.own]
+    pixels = grid.camera.project(torch.from_numpy(inside))[0].numpy()
+    rows, columns = np.nonzero(grid.own)
+    np.testing.assert_allclose(pixels, np.stack([columns + 0.5, rows + 0.5], 1), atol=1e-3)
+
+
+def test_folded_forearms_lie_before_the_belly(seen):
+    body = seen[0]
+    (pose,) = arm_poses(body, (FOLDED,))
+    joints = body((), pose).joints
+    wrists = joints[[body.joint_names.index(f"{side}_wrist") for side in ("left", "right")]]
+    belly = joints[0]
+    assert (wrists[:, 2] > belly[2] + 0.1).all() and (np.abs(wrists[:, 0] - belly[0]) < 0.2).all()
+    assert (wrists[:, 1] > belly[1]).all() and np.allclose(
+        wrists[0] * [-1, 1, 1], wrists[1], atol=0.02
+    )

@@ -1,0 +1,177 @@
+"""The parts of registering a scan, each by a law of its own."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+from synthetic import synthetic_body
+
+from habitus.errors import HabitusError
+from habitus.fit.points.correspondences import Topology, nearest, vertex_weights
+from habitus.fit.points.free_surface import FreeStep, free_surface, stretched_surface
+from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
+from habitus.fit.points.scan_result import at_rest, judge_scan, lost_share
+from habitus.fit.points.state import ModelState
+from habitus.mesh.closest import closest_points
+from habitus.mesh.normals import vertex_normals
+
+BALL = trimesh.creation.icosphere(3, 0.4)
+
+
+def on_ball(count: int, radius: float = 0.4, seed: int = 0) -> Cloud:
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return Cloud(radius * points, points)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_normals_of_a_cloud_point_outward_also_of_its_front_alone(whole):
+    cloud = on_ball(3000)
+    points = cloud.points if whole else cloud.points[cloud.points[:, 2] > 0.1]
+    normals, near = plane_normals(points)
+    found = outward(points, normals, near)
+    unit = points / np.linalg.norm(points, axis=1, keepdims=True)
+    assert ((found * unit).sum(1) > 0.9).mean() > 0.99
+
+
+def test_a_patch_that_looks_the_wrong_way_is_turned_over():
+    cloud = on_ball(3000)
+    wrong = cloud.points[:, 0] > 0.3
+    normals = np.where(wrong[:, None], -1.0, 1.0) * cloud.normals
+    found = agreed(cloud.points, normals, cloud.normals)
+    assert ((found * cloud.normals).sum(1) > 0.0).mean() > 0.97
+
+
+def test_the_nearest_place_is_on_the_nearest_face_that_looks_the_same_way():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    cloud = on_ball(200, 0.41)
+    found = nearest(topology, np.asarray(BALL.vertices), cloud.points, cloud.normals)
+    _, place = closest_points(cloud.points, np.asarray(BALL.vertices), np.asarray(BALL.faces))
+    np.testing.assert_allclose(found.place, place, atol=1e-9)
+    assert (found.cosine > 0.97).all()
+    corners = BALL.vertices[BALL.faces[found.face]]
+    np.testing.assert_allclose(
+        np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9
+    )
+
+
+def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    cloud = on_ball(6000, 0.42)
+    seen = cloud.points[:, 1] < 0.33
+    cloud = Cloud(cloud.points[seen], cloud.normals[seen])
+    steps = (FreeStep(0.1, 0.05), FreeStep(0.01, 0.02))
+    surface = free_surface(topology, np.asarray(BALL.vertices), cloud, steps)
+    radius = np.linalg.norm(surface, axis=1)
+    weights = vertex_weights(topology, surface, cloud)
+    assert np.abs(radius[weights > 0.9] - 0.421).max() < 0.0015  # faces lie below their corners
+    assert radius[weights == 0.0].min() > 0.41 and radius[weights == 0.0].max() < 0.43
+    assert weights[surface[:, 1] > 0.39].max() == 0.0 and weights[surface[:, 1] < 0.2].min() == 1.0
+
+
+def test_a_free_surface_goes_along_the_normals_and_nowhere_else():
+    vertices = np.asarray(BALL.vertices) * (1.0, 2.0, 1.0)
+    topology = Topology.of(np.asarray(BALL.faces), len(vertices))
+    normal = vertex_normals(vertices, topology.faces)
+    swollen = vertices + (0.01 + 0.01 * np.sin(5.0 * vertices[:, :1])) * normal
+    face = np.random.default_rng(0).integers(0, len(BALL.faces), 6000)
+    share = (1 / 3, 1 / 3, 1 / 3)
+    cloud = Cloud(
+        share @ swollen[BALL.faces[face]],
+        vertex_normals(swollen, topology.faces)[BALL.faces[face][:, 0]],
+    )
+    found = free_surface(topology, vertices, cloud) - vertices
+    assert np.linalg.norm(np.cross(found, normal), axis=1).max() < 1e-9
+    assert np.linalg.norm(vertices + found - swollen, axis=1).mean() < 0.001
+
+
+def test_a_stretched_surface_goes_sideways_too():
+    topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
+    ball = np.asarray(BALL.vertices)
+    cloud = on_ball(6000)
+    shift = np.array([0.02, 0.0, 0.0])
+    moved = stretched_surface(topology, ball, Cloud(cloud.points + shift, cloud.normals)) - ball
+    pole = np.abs(ball[:, 1]) > 0.35  # whose normals are across the shift
+    assert np.linalg.norm(moved - shift, axis=1).mean() < 0.006 and moved[pole, 0].mean() > 0.012
+
+
+def test_units_floor_and_dust_are_found():
+    rng = np.random.default_rng(1)
+    points = on_ball(5000).points * (0.5, 2.2, 0.5)
+    floor = np.column_stack(
+        [rng.uniform(-1, 1, 3000), np.full(3000, -0.9), rng.uniform(-1, 1, 3000)]
+    )
+    dust = np.array([0.8, 0.5, 0.8]) + 0.01 * rng.normal(size=(30, 3))
+    one = cleaned(Scan("a", 1000.0 * np.concatenate([points, floor, dust])))
+    assert one.scale == 1e-3 and one.kept[:5000].mean() > 0.99 and not one.kept[5000:].any()
+    np.testing.assert_allclose(one.floor_up, (0, 1, 0), atol=1e-3)
+    whole, cloud = turned(one, np.eye(3))
+    assert np.ptp(cloud.points[:, 1]) == pytest.approx(1.76, abs=0.02)
+    np.testing.assert_allclose(whole.to_body, np.diag([1e-3, 1e-3, 1e-3, 1.0]))
+    assert len(one.notes) == 3
+
+
+@pytest.mark.parametrize(
+    ("scan", "unit", "said"),
+    [
+        (Scan("a", np.zeros((10, 3))), "auto", "10 points"),
+        (Scan("a", 5.0 * on_ball(2000).points), "auto", "expected a person of 0.5 to 2.7 m"),
+        (Scan("a", 2.0 * on_ball(2000).points), "mm", "0.00159 m large in mm"),
+        (Scan("a", on_ball(2000).points), "furlong", "expected auto, m"),
+    ],
+)
+def test_what_is_no_person_is_said_before_a_fit(scan, unit, said):
+    with pytest.raises(HabitusError, match=said):
+        cleaned(scan, unit)
+
+
+def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
+    body = synthetic_body("smpl", 120)
+    rng = np.random.default_rng(2)
+    state = ModelState(
+        rng.normal(size=body.num_betas),
+        0.4 * rng.normal(size=(1, body.num_joints, 3)),
+        np.zeros((1, 3)),
+    )
+    rest = body.rest_vertices(state.betas)
+    np.testing.assert_allclose(at_rest(body, state, np.zeros_like(rest)), rest, atol=1e-12)
+    offset = 0.01 * rng.normal(size=rest.shape)
+    still = ModelState(state.betas, 0 * state.pose, state.trans)
+    np.testing.assert_allclose(at_rest(body, still, offset), rest + offset, atol=1e-12)
+
+
+def test_what_is_off_the_surface_counts_where_it_is_together():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (10_000, 3))
+    away = np.where(rng.random(10_000) < 0.01, 0.02, 0.001)
+    assert lost_share(points, away) < 0.001  # a hundred points, all over
+    away[np.linalg.norm(points - 0.5, axis=1) < 0.1] = 0.02
+    inside = (np.linalg.norm(points - 0.5, axis=1) < 0.05).mean()
+    assert lost_share(points, away) > 0.8 * inside > 0.0
+    assert lost_share(points, np.zeros(10_000)) == 0.0
+
+
+def test_the_verdict_follows_the_numbers():
+    good = {
+        "betas": np.ones(4),
+        "to_surface": np.full(100, 3e-4),
+        "to_model": np.full(100, 3e-3),
+        "matched": 0.99,
+        "pose_distance": 1.0,
+        "seen": 0.9,
+        "rival": None,
+        "lost": 0.001,
+        "person": True,
+        "cuts": 3,
+    }
+    assert judge_scan(SimpleNamespace(**good)).level == "good"
+    for change, level in (
+        ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
+        ({"matched": 0.5}, "failed"), ({"cuts": 60}, "doubtful"), ({"cuts": 2000}, "failed"),
+        ({"rival": 1.01}, "doubtful"),
+        ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
+        ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
+    ):  # fmt: skip
+        verdict = judge_scan(SimpleNamespace(**(good | change)))
+        assert verdict.level == level and len(verdict.reasons) >= 1
