@@ -16,10 +16,10 @@ import pytest
 from planted import person, plant
 
 from habitus.errors import HabitusError
+from habitus.files import locked, tidy
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
-from habitus.io.files import locked, tidy
 from habitus.jobs import batch
 from habitus.jobs.batch import FitOptions, fit_all
 from habitus.jobs.mosh import Mosh

@@ -18,7 +18,7 @@ from toy_people import OPTIONS, toy
 
 import habitus
 from habitus.errors import HabitusError
-from habitus.io.files import locked
+from habitus.files import locked
 from habitus.io.models.blendscape import load_blendscape
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.open import open_registrations, write_registrations

@@ -12,7 +12,7 @@ import numpy as np
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.model import BodyModel
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.models.bodies import load_body
 
 NOISE = (

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from habitus.cli.screen import Flag, plain, say, screen, unset
 from habitus.errors import HabitusError
+from habitus.files import write_text
 from habitus.io.captures.read import Capture, read_capture
-from habitus.io.files import write_text
 from habitus.io.layouts.draft import draft_layout
 from habitus.io.layouts.files import load_layout, match_layout, shipped_layouts
 from habitus.markers.layouts import Marker, MarkerLayout

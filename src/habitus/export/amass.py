@@ -15,7 +15,7 @@ from habitus.body.model import BodyModel
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.parallel.blocks import mapped
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from habitus.body.up import up_rotation
 from habitus.export.animation import Animation, animate
 from habitus.export.euler import continuous_angles
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from habitus.export.animation import Animation
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 FORMAT = "habitus-correctives"
 EDITION = 1

@@ -14,7 +14,7 @@ from habitus.body.mesh import BodyMesh
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.seams import Seams, seams_of, seams_of_mesh
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from habitus.body.joint_angles import Chains, joint_angles
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, shown
 from habitus.export.euler import continuous_angles
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

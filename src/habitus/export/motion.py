@@ -24,8 +24,8 @@ from habitus.export.points import write_points
 from habitus.export.rates import at_rate
 from habitus.export.surface import write_surface
 from habitus.export.usd import ENDINGS, write_usd
+from habitus.files import atomic_write
 from habitus.fit.markers.result import MarkerFit
-from habitus.io.files import atomic_write
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from habitus import __version__
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.parallel.blocks import mapped, release
 
 if TYPE_CHECKING:

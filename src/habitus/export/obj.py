@@ -10,7 +10,7 @@ import numpy as np
 from habitus.body.mesh import BodyMesh
 from habitus.body.model import BodyModel
 from habitus.body.up import up_rotation
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

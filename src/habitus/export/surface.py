@@ -13,7 +13,7 @@ from habitus.body.mesh import BodyMesh
 from habitus.errors import HabitusError
 from habitus.export.glb import mesh_document
 from habitus.export.obj import face_lines, obj_lines
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 
 def write_surface(

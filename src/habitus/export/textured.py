@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from habitus.body.mesh import BodyMesh
 from habitus.export.glb import mesh_document
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 
 def write_textured(

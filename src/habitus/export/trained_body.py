@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.models.bodies import save_body
 from habitus.io.models.forms import is_official
 from habitus.io.models.levels import save_like

@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, shown
+from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
-from habitus.io.files import atomic_write
 
 Unit = Literal["mm", "m"]
 _PER_METRE: dict[str, tuple[float, int]] = {

@@ -15,7 +15,7 @@ from habitus.errors import HabitusError, require_extra, shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.glb import SKIN_COLOUR
 from habitus.export.seams import polygons_of
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import Any
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.export.amass import check_npz_style
+from habitus.files import locked, tidy
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
-from habitus.io.files import locked, tidy
 from habitus.io.names import file_name
 from habitus.jobs.bodies import with_fingers
 from habitus.jobs.discovering import check_layout

@@ -16,8 +16,8 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
+from habitus.files import atomic_write, tidy
 from habitus.io.archives import mapped_header, open_archive, reason
-from habitus.io.files import atomic_write, tidy
 from habitus.jobs.checkpoint_checks import checked_state
 from habitus.learn.callback import Record, TrainingState
 from habitus.learn.energy import Energy

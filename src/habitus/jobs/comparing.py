@@ -9,7 +9,7 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.io.files import write_text
+from habitus.files import write_text
 from habitus.io.people import person_file
 from habitus.jobs.exporting import read_moving
 from habitus.report.comparison.differences import Differences, differences

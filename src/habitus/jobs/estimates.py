@@ -12,7 +12,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
 from habitus.export.surface import write_surface
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 

@@ -14,7 +14,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.known_state import KnownErrors, known_errors
 from habitus.evaluate.posable import without_pose_shapes
-from habitus.io.files import atomic_write, writable_folder
+from habitus.files import atomic_write, writable_folder
 from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.registrations.open import open_registrations

@@ -13,7 +13,7 @@ from habitus.errors import require_extra
 from habitus.evaluate.generalisation import Generalisation
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, ModelEvaluation
-from habitus.io.files import atomic_write, locked, tidy
+from habitus.files import atomic_write, locked, tidy
 from habitus.jobs.evaluation_pictures import draw_pictures, slug
 from habitus.report.evaluation.figures import figures
 from habitus.report.evaluation.page import training_page

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
+from habitus.files import write_text
 from habitus.fit.labels.clouds import Clouds, tracklets
 from habitus.fit.labels.people import heaps, only
 from habitus.fit.labels.recipe import Known, Named, label_people, label_points
@@ -25,7 +26,6 @@ from habitus.io.captures.c3d_relabel import write_relabelled
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.captures.unlabelled import UnlabelledCapture, read_unlabelled
-from habitus.io.files import write_text
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.priors import prior_of
 from habitus.jobs.bodies import loaded

@@ -16,7 +16,7 @@ from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
 from habitus.body.recognise import is_of, misfit, turned_by
 from habitus.errors import HabitusError
-from habitus.io.files import write_text
+from habitus.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body

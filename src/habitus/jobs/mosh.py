@@ -13,6 +13,7 @@ from typing import TypedDict, Unpack, overload
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
+from habitus.files import locked
 from habitus.fit.markers.attempts import iterate_attempts
 from habitus.fit.markers.live import LiveFit
 from habitus.fit.markers.result import MarkerFit
@@ -20,7 +21,6 @@ from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
 from habitus.fit.markers.warm_up import warm_up
 from habitus.fit.markers.weights import MoshWeights
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.files import locked
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
 from habitus.io.streams.wiring import find_wiring

@@ -13,9 +13,9 @@ from habitus.errors import HabitusError, shown
 from habitus.export import write_amass, write_glb, write_npz, write_obj_sequence
 from habitus.export.amass import check_npz_style
 from habitus.export.glb import thinning_note
+from habitus.files import replaceable, whole_folder
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
-from habitus.io.files import replaceable, whole_folder
 from habitus.io.names import file_name
 from habitus.kernels.threads import one_blas_thread
 from habitus.report import metrics, write_metrics, write_report

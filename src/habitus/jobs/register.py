@@ -15,12 +15,12 @@ from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
 from habitus.export.surface import write_surface
 from habitus.export.textured import write_textured
+from habitus.files import whole_folder, write_text
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.state import ModelState
-from habitus.io.files import whole_folder, write_text
 from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations

@@ -14,13 +14,13 @@ from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.model import BodyModel
 from habitus.export.npz import motion_arrays, save_arrays
 from habitus.export.textured import write_textured
+from habitus.files import atomic_write, whole_folder, write_text
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_result import RgbdFit
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import along_normals
 from habitus.fit.points.state import State
 from habitus.fit.points.texture import Skin, bake, spread
-from habitus.io.files import atomic_write, whole_folder, write_text
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.observe.depth_views import RgbdCapture

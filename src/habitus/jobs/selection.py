@@ -14,13 +14,13 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
+from habitus.files import atomic_write, whole_folder, write_text
 from habitus.fit.markers.shape import place
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
 from habitus.fit.selection.poses import PoseChoice, choose_poses
 from habitus.fit.selection.problem import NOISE, linearised
-from habitus.io.files import atomic_write, whole_folder, write_text
 from habitus.io.layouts.files import save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.io.models.priors import prior_of

@@ -12,7 +12,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.baselines.blendscape_training import train_blendscape
-from habitus.io.files import locked, tidy
+from habitus.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
 from habitus.jobs.training_callback import Callbacks, CheckpointingCallback
 from habitus.jobs.training_data import (

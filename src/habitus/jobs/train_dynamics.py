@@ -16,7 +16,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.evaluate.dynamics import QUANTITIES, WAYS, DynamicsErrors, evaluate_dynamics
 from habitus.evaluate.motion_fit import with_motions
-from habitus.io.files import atomic_write, locked
+from habitus.files import atomic_write, locked
 from habitus.io.models.bodies import load_whole_body, save_body, save_dynamics
 from habitus.io.registrations.motions import open_moving_surfaces
 from habitus.learn.dynamics.options import DynamicsOptions

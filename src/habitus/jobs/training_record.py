@@ -11,7 +11,7 @@ import habitus
 from habitus.body.model import BodyModel
 from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.export.trained_body import write_model, write_poses
-from habitus.io.files import atomic_write, writable_folder
+from habitus.files import atomic_write, writable_folder
 from habitus.io.models.blendscape import save_blendscape
 from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody

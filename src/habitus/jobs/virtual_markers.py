@@ -15,13 +15,13 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError, shown
 from habitus.export.trc import write_trc
+from habitus.files import atomic_write, write_text
 from habitus.fit.markers.filling import Filling, fill_gaps
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.c3d_fill import filled_c3d
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.files import atomic_write, write_text
 from habitus.io.layouts.files import load_layout
 from habitus.io.people import load_fit, load_motion
 from habitus.io.units import METRES

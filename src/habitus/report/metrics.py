@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
+from habitus.files import write_text
 from habitus.fit.markers.spread import betas_covariance
 from habitus.fit.markers.suspects import Suspect
-from habitus.io.files import write_text
 from habitus.parallel.blocks import blocks, columns, is_large, release
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from habitus import load_body
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.surface import posed
 

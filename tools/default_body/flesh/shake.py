@@ -33,7 +33,7 @@ from default_body.flesh.person import Person, make_person
 from default_body.flesh.studio import open_studio
 from habitus import load_body
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.parallel.choose import open_workers
 from habitus.population.flesh.assembly_kernels import determinants
 from habitus.population.flesh.dynamics import Matter, Swing, at_rest, stills, swing

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.population.flesh.paths import Walk, walk
 
 from .gates import ruler

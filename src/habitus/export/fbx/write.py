@@ -11,7 +11,7 @@ from habitus.export.fbx.body import add_channels, add_mesh, add_skeleton, add_sk
 from habitus.export.fbx.motion import add_motion
 from habitus.export.fbx.nodes import document
 from habitus.export.fbx.scene import Objects, top_nodes
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.files import atomic_write
 from habitus.io.captures.unlabelled import UnlabelledCapture
-from habitus.io.files import atomic_write
 from habitus.io.units import METRES
 
 _MOST_LABELS = 255

@@ -8,8 +8,8 @@ import ezc3d
 import numpy as np
 
 from habitus.errors import HabitusError, shown
+from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
-from habitus.io.files import atomic_write
 
 _MOST_LABELS = 255
 _MOST_FRAMES = 65535

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.layouts.label_lists import labels_in_lines, labels_in_tree, layout_of_labels
 from habitus.io.layouts.moshpp import parse_moshpp
 from habitus.io.layouts.opensim import parse_marker_set

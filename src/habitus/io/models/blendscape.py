@@ -7,7 +7,7 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.evaluate.baselines.blendscape import BlendScape
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.mesh.joint_tree import check_parents

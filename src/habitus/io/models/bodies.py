@@ -22,7 +22,7 @@ from habitus.body.pose_features import find_pose_features
 from habitus.body.pose_shapes import of_joints
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints

@@ -7,8 +7,8 @@ import numpy as np
 
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.errors import HabitusError
+from habitus.files import atomic_write
 from habitus.io.archives import Archive
-from habitus.io.files import atomic_write
 from habitus.io.models.arrays import ModelArrays
 
 

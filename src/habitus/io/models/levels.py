@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.files import atomic_write
 from habitus.io.archives import open_archive
-from habitus.io.files import atomic_write
 from habitus.io.models.bodies import load_body, shipped_file
 from habitus.io.models.forms import own_form
 

@@ -8,7 +8,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.io.registrations.known import joined_known, known_form
 from habitus.io.registrations.sources import KNOWN, WORDS, Source, open_source
 from habitus.io.registrations.table import table_text

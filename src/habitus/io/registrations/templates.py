@@ -11,8 +11,8 @@ from jaxtyping import Int
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
+from habitus.files import atomic_write
 from habitus.io.archives import Archive
-from habitus.io.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import require_extra
-from habitus.io.files import whole_folder, write_text
+from habitus.files import whole_folder, write_text
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import RgbdCapture
 from habitus.rotations import matrix_from_rotvec

@@ -13,10 +13,10 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.files import atomic_write
 from habitus.fit.markers.assembly import Subject
 from habitus.fit.markers.shape import ShapeFit
 from habitus.fit.markers.suspects import Suspect
-from habitus.io.files import atomic_write
 from habitus.jobs.genders import Chosen
 from habitus.jobs.subjects import Agreed
 from habitus.markers.layouts import Marker, MarkerLayout

@@ -14,7 +14,7 @@ from typing import Any
 
 from habitus.errors import HabitusError, check_extra
 from habitus.export.amass import check_npz_style
-from habitus.io.files import locked, tidy
+from habitus.files import locked, tidy
 from habitus.io.names import file_name
 from habitus.jobs.archive.grouping import grouped_by_subject
 from habitus.jobs.archive.items import Fitted, Look, Looked, Order, Shape, Shaped

@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from habitus.errors import shown
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 from habitus.report.facts import LONGEST_NAME, Facts, facts_of
 from habitus.report.shell import THEME, asset, shell
 

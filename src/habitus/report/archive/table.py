@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from habitus.errors import require_extra
-from habitus.io.files import atomic_write
+from habitus.files import atomic_write
 
 _FIRST = {
     "capture": "VARCHAR",

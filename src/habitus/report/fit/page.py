@@ -9,7 +9,7 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from habitus.errors import shown
-from habitus.io.files import write_text
+from habitus.files import write_text
 from habitus.report.fit import sections
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.plots import ANGLE_FRAMES, add_angles, add_plots

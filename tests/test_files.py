@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from habitus import files
 from habitus.errors import HabitusError
-from habitus.io import files
-from habitus.io.files import atomic_write, locked, tidy, whole_folder, write_text
+from habitus.files import atomic_write, locked, tidy, whole_folder, write_text
 
 OURS = ("numbers.txt", "page.html")
 
@@ -92,7 +92,7 @@ def test_a_kill_at_any_step_of_the_replacement_leaves_one_of_both_whole(tmp_path
     code = """
         import os, sys
         from pathlib import Path
-        from habitus.io import files
+        from habitus import files
         calls = 0
         def dying(change):
             def call(*arguments, **named):
@@ -200,7 +200,7 @@ def test_a_second_run_in_a_folder_is_refused_and_a_later_one_is_not(tmp_path):
     code = """
         import sys
         from pathlib import Path
-        from habitus.io.files import locked
+        from habitus.files import locked
         with locked(Path(sys.argv[1])):
             print(1)
     """
