@@ -98,7 +98,7 @@ _MODULES = {
     "train": "habitus.jobs.train",
     "train_dynamics": "habitus.jobs.train_dynamics",
     "virtual_markers": "habitus.jobs.virtual_markers",
-    "write_surface": "habitus.export.surface",
+    "write_surface": "habitus.body.surface_files",
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the
     # public face

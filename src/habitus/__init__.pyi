@@ -2,9 +2,9 @@
 
 from habitus.body.model import BodyModel as BodyModel
 from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
+from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
-from habitus.export.surface import write_surface as write_surface
 from habitus.export.trc import write_trc as write_trc
 from habitus.fit.markers.guessing import guess as guess
 from habitus.fit.markers.judge import judge as judge

@@ -46,7 +46,7 @@ class BodySurface:
     mesh: BodyMesh | None = None
 
     def export(self, path: PathLike) -> None:
-        """Write the surface as a mesh file, by its ending (`habitus.write_surface`)."""
-        import habitus
+        """Write the surface as a mesh file, by its ending: .ply, .obj or .glb."""
+        from habitus.body.surface_files import write_surface  # loads glTF, which few need
 
-        habitus.write_surface(self, path)
+        write_surface(self, path)

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pygltflib as gl
-from jaxtyping import Float, Int
 
 from habitus import __version__
-from habitus.body.mesh import BodyMesh
+from habitus.body.surface_files import (
+    GltfBuffer,
+    gltf_material,
+    gltf_primitive,
+    unit_float32,
+)
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
-from habitus.export.seams import Seams, seams_of, seams_of_mesh
+from habitus.export.seams import seams_of
 from habitus.files import atomic_write
-from habitus.mesh.normals import vertex_normals
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
@@ -24,13 +27,6 @@ GLB_FRAMES = 36_000
 """Most frames that an animation is given by itself: readers hold every key of every joint in
 memory.
 """
-_COMPONENTS = {
-    "f4": gl.FLOAT,
-    "u1": gl.UNSIGNED_BYTE,
-    "u2": gl.UNSIGNED_SHORT,
-    "u4": gl.UNSIGNED_INT,
-}
-SKIN_COLOUR = (0.78, 0.58, 0.47, 1.0)
 
 
 def write_glb(
@@ -85,73 +81,6 @@ def thinning_note(fit: "Moving") -> tuple[str, ...]:
     )
 
 
-class _Buffer:
-    """Collects arrays into one binary chunk and makes their accessors."""
-
-    def __init__(self, document: gl.GLTF2):
-        self.document = document
-        self.chunks = []
-        self.size = 0
-
-    def add(
-        self, array: np.ndarray, kind: str, target: int | None = None, bounds: bool = False
-    ) -> int:
-        data = np.ascontiguousarray(array)
-        columns = data.reshape(len(data), -1)
-        self.document.accessors.append(
-            gl.Accessor(
-                bufferView=self._view(data, target),
-                componentType=_COMPONENTS[data.dtype.str[1:]],
-                count=columns.size if kind == gl.SCALAR else len(columns),
-                type=kind,
-                min=columns.min(axis=0).tolist() if bounds else None,
-                max=columns.max(axis=0).tolist() if bounds else None,
-            )
-        )
-        return len(self.document.accessors) - 1
-
-    def add_morph(self, offsets: Float[np.ndarray, "N 3"]) -> int:
-        """Offsets (m) of vertices: those that move alone, where most do not."""
-        moved = np.flatnonzero(offsets.any(axis=1))
-        if len(moved) > 0.8 * len(offsets):
-            return self.add(offsets, gl.VEC3, gl.ARRAY_BUFFER, bounds=True)
-        moved = moved if len(moved) else np.zeros(1, np.int64)
-        index = moved.astype("u2" if len(offsets) < 65535 else "u4")
-        self.document.accessors.append(
-            gl.Accessor(
-                byteOffset=None,  # it has no view that one could count from
-                componentType=gl.FLOAT,
-                count=len(offsets),
-                type=gl.VEC3,
-                min=offsets.min(axis=0).tolist(),
-                max=offsets.max(axis=0).tolist(),
-                sparse=gl.Sparse(
-                    count=len(index),
-                    indices=gl.AccessorSparseIndices(
-                        bufferView=self._view(index), componentType=_COMPONENTS[index.dtype.str[1:]]
-                    ),
-                    values=gl.AccessorSparseValues(bufferView=self._view(offsets[moved])),
-                ),
-            )
-        )
-        return len(self.document.accessors) - 1
-
-    def _view(self, data: np.ndarray, target: int | None = None) -> int:
-        self.document.bufferViews.append(
-            gl.BufferView(buffer=0, byteOffset=self.size, byteLength=data.nbytes, target=target)
-        )
-        padding = -data.nbytes % 4
-        self.chunks.append(data.tobytes() + b"\0" * padding)
-        self.size += data.nbytes + padding
-        return len(self.document.bufferViews) - 1
-
-    def closed(self) -> gl.GLTF2:
-        """The document with all that was added."""
-        self.document.buffers.append(gl.Buffer(byteLength=self.size))
-        self.document.set_binary_blob(b"".join(self.chunks))
-        return self.document
-
-
 def _document(animation: Animation, name: str) -> gl.GLTF2:
     joints = len(animation.body.parents)
     document = gl.GLTF2(
@@ -159,45 +88,13 @@ def _document(animation: Animation, name: str) -> gl.GLTF2:
         scene=0,
         scenes=[gl.Scene(name=name, nodes=[0, joints])],
         nodes=[*_joint_nodes(animation), gl.Node(name=name, mesh=0, skin=0)],
-        materials=[_material()],
+        materials=[gltf_material()],
     )
-    buffer = _Buffer(document)
+    buffer = GltfBuffer(document)
     document.meshes.append(_mesh(animation, buffer))
     document.skins.append(_skin(animation, buffer))
     document.animations.append(_tracks(animation, buffer, name))
     return buffer.closed()
-
-
-def mesh_document(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None = None
-) -> gl.GLTF2:
-    """A still mesh, metres, +y up; with texture coordinates where ``mesh`` has them for its
-    faces.
-    """
-    document = gl.GLTF2(
-        asset=gl.Asset(version="2.0", generator=f"habitus {__version__}"),
-        scene=0,
-        scenes=[gl.Scene(nodes=[0])],
-        nodes=[gl.Node(name="body", mesh=0)],
-        materials=[_material()],
-    )
-    buffer = _Buffer(document)
-    document.meshes.append(
-        gl.Mesh(
-            name="body",
-            primitives=[_primitive(vertices, faces, buffer, seams_of_mesh(faces, mesh))],
-        )
-    )
-    return buffer.closed()
-
-
-def _material() -> gl.Material:
-    surface = gl.PbrMetallicRoughness(
-        baseColorFactor=list(SKIN_COLOUR), metallicFactor=0.0, roughnessFactor=0.7
-    )
-    return gl.Material(
-        name="skin", pbrMetallicRoughness=surface, alphaMode="OPAQUE", doubleSided=False
-    )
 
 
 def _joint_nodes(animation: Animation) -> list[gl.Node]:
@@ -214,10 +111,10 @@ def _joint_nodes(animation: Animation) -> list[gl.Node]:
     ]
 
 
-def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
+def _mesh(animation: Animation, buffer: GltfBuffer) -> gl.Mesh:
     seams = seams_of(animation.body)
     array = gl.ARRAY_BUFFER
-    primitive = _primitive(animation.rest_vertices, animation.body.faces, buffer, seams)
+    primitive = gltf_primitive(animation.rest_vertices, animation.body.faces, buffer, seams)
     for k, (index, value) in enumerate(_influences(animation)):
         setattr(
             primitive.attributes, f"JOINTS_{k}", buffer.add(index[seams.source], gl.VEC4, array)
@@ -232,35 +129,6 @@ def _mesh(animation: Animation, buffer: _Buffer) -> gl.Mesh:
     primitive.targets = targets
     extras = {"targetNames": list(animation.morph_names)} if targets else {}
     return gl.Mesh(name="body", primitives=[primitive], weights=[0.0] * len(targets), extras=extras)
-
-
-def _primitive(
-    vertices: np.ndarray, faces: np.ndarray, buffer: _Buffer, seams: Seams | None = None
-) -> gl.Primitive:
-    seams = Seams(np.arange(len(vertices)), faces) if seams is None else seams
-    array = gl.ARRAY_BUFFER
-    width = "u2" if len(seams.source) < 65535 else "u4"
-    attributes = gl.Attributes(
-        POSITION=buffer.add(vertices[seams.source].astype("f4"), gl.VEC3, array, bounds=True),
-        NORMAL=buffer.add(_normals(vertices, faces)[seams.source], gl.VEC3, array),
-    )
-    if seams.uv is not None:  # glTF counts from the top left
-        attributes.TEXCOORD_0 = buffer.add(
-            (seams.uv * [1, -1] + [0, 1]).astype("f4"), gl.VEC2, array
-        )
-    indices = buffer.add(seams.faces.astype(width).reshape(-1), gl.SCALAR, gl.ELEMENT_ARRAY_BUFFER)
-    return gl.Primitive(attributes=attributes, indices=indices, material=0, mode=gl.TRIANGLES)
-
-
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals; up where a vertex has none."""
-    normals = vertex_normals(vertices, faces)
-    return _unit(np.where(normals.any(-1, keepdims=True), normals, (0.0, 1.0, 0.0)))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    rounded = vectors.astype("f4")
-    return rounded / np.linalg.norm(rounded, axis=-1, keepdims=True)
 
 
 def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -288,7 +156,7 @@ def _influences(animation: Animation) -> list[tuple[np.ndarray, np.ndarray]]:
     ]
 
 
-def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
+def _skin(animation: Animation, buffer: GltfBuffer) -> gl.Skin:
     joints = len(animation.body.parents)
     inverse = np.tile(np.eye(4, dtype="f4"), (joints, 1, 1))
     inverse[:, 3, :3] = -animation.rest_joints  # glTF matrices are column-major
@@ -298,7 +166,7 @@ def _skin(animation: Animation, buffer: _Buffer) -> gl.Skin:
     )
 
 
-def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
+def _tracks(animation: Animation, buffer: GltfBuffer, name: str) -> gl.Animation:
     motion = animation.tracks[0]
     frames, joints = motion.quaternions.shape[:2]
     joints_move = np.ptp(motion.joint_translations[:, 1:], axis=0).max(initial=0.0) > 0
@@ -314,7 +182,7 @@ def _tracks(animation: Animation, buffer: _Buffer, name: str) -> gl.Animation:
         target = gl.AnimationChannelTarget(node=node, path=path)
         tracks.channels.append(gl.AnimationChannel(sampler=len(tracks.samplers) - 1, target=target))
 
-    quaternions = _unit(motion.quaternions)
+    quaternions = unit_float32(motion.quaternions)
     translations = motion.joint_translations.astype("f4")
     for joint in range(joints):
         track(joint, "rotation", quaternions[:, joint], gl.VEC4)

@@ -9,6 +9,7 @@ import numpy as np
 
 from habitus.body.motion import BodyMotion, Moving
 from habitus.body.recentred import recentred_arrays
+from habitus.body.surface_files import write_surface
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.animation import Animation, body_at
@@ -22,7 +23,6 @@ from habitus.export.npz import motion_arrays, save_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.export.points import write_points
 from habitus.export.rates import at_rate
-from habitus.export.surface import write_surface
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.files import atomic_write
 from habitus.fit.markers.result import MarkerFit

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from habitus.body.mesh import BodyMesh
 from habitus.body.model import BodyModel
+from habitus.body.surface_files import face_lines, obj_lines
 from habitus.body.up import up_rotation
 from habitus.files import atomic_write
 
@@ -60,19 +60,3 @@ def fitted_vertices(
     """
     for surface in fit.surfaces(np.asarray(list(frames), dtype=np.int64), vertices, body):
         yield from surface.vertices
-
-
-def obj_lines(vertices: np.ndarray) -> str:
-    """Vertices (V, 3) as lines of an OBJ file."""
-    return ("v %.6f %.6f %.6f\n" * len(vertices)) % tuple(vertices.ravel())
-
-
-def face_lines(faces: np.ndarray, mesh: BodyMesh | None = None) -> str:
-    """Triangles (F, 3) as lines of an OBJ file; with ``mesh`` its texture coordinates and quads in
-    their place.
-    """
-    if mesh is None:
-        return ("f %d %d %d\n" * len(faces)) % tuple((faces + 1).ravel())
-    corners = np.stack([mesh.quads, mesh.quad_uv], -1) + 1
-    places = ("vt %.6f %.6f\n" * len(mesh.uv)) % tuple(mesh.uv.ravel())
-    return places + ("f %d/%d %d/%d %d/%d %d/%d\n" * len(corners)) % tuple(corners.ravel())

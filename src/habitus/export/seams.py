@@ -1,6 +1,4 @@
-"""Vertices doubled along the seams of a texture, for formats in which a vertex has one place on the
-texture.
-"""
+"""Texture seams and polygons of a body, from its quads or from the coordinates of its file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,43 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.mesh import BodyMesh
 from habitus.body.model import BodyModel
+from habitus.body.surface_files import Seams, doubled_vertices, texture_seams
 
 _NAMES = (("uv", "uv_faces"), ("vt", "ft"))  # ours, and those of SMPL-family files
-
-
-@dataclass(frozen=True)
-class Seams:
-    """The mesh as it is written: N vertices, each a copy of the body's vertex ``source``; ``uv``
-    from below left.
-    """
-
-    source: Int[np.ndarray, " N"]
-    faces: Int[np.ndarray, "F 3"]
-    uv: Float[np.ndarray, "N 2"] | None = None
 
 
 def seams_of(body: BodyModel) -> Seams:
     """The body's own vertices and faces, doubled at seams where it has texture coordinates that fit
     its faces.
     """
-    if body.mesh is not None and (found := seams_of_mesh(body.faces, body.mesh)) is not None:
+    if body.mesh is not None and (found := texture_seams(body.faces, body.mesh)) is not None:
         return found
     extras = _coordinates(body.extras, len(body.faces))
     return (
         Seams(np.arange(body.num_vertices), body.faces)
         if extras is None
-        else _doubled(body.faces, *extras)
+        else doubled_vertices(body.faces, *extras)
     )
-
-
-def seams_of_mesh(faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None) -> Seams | None:
-    """The seams of faces that are a body's quads cut in two; None where they are not, or nothing is
-    known of quads.
-    """
-    uv_faces = None if mesh is None else mesh.triangle_uv(faces)
-    return None if mesh is None or uv_faces is None else _doubled(faces, mesh.uv, uv_faces)
 
 
 @dataclass(frozen=True)
@@ -66,12 +45,6 @@ def polygons_of(body: BodyModel) -> Polygons:
         return Polygons(body.mesh.quads, body.mesh.uv, body.mesh.quad_uv)
     extras = _coordinates(body.extras, len(body.faces))
     return Polygons(body.faces) if extras is None else Polygons(body.faces, *extras)
-
-
-def _doubled(faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> Seams:
-    corners = np.stack([faces.ravel(), uv_faces.ravel()], axis=1)
-    pairs, place = np.unique(corners, axis=0, return_inverse=True)
-    return Seams(pairs[:, 0], place.reshape(faces.shape), uv[pairs[:, 1]])
 
 
 def _coordinates(

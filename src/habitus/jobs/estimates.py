@@ -9,9 +9,9 @@ import numpy as np
 
 from habitus.body.from_measurements import BodyEstimate, Given, estimate_body
 from habitus.body.model import BodyModel
+from habitus.body.surface_files import write_surface
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
-from habitus.export.surface import write_surface
 from habitus.files import atomic_write
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike

@@ -11,10 +11,9 @@ import numpy as np
 
 from habitus import __version__
 from habitus.body.model import BodyModel
+from habitus.body.surface_files import write_surface, write_textured
 from habitus.errors import HabitusError
 from habitus.export.npz import save_arrays
-from habitus.export.surface import write_surface
-from habitus.export.textured import write_textured
 from habitus.files import whole_folder, write_text
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours

@@ -12,8 +12,8 @@ import numpy as np
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.model import BodyModel
+from habitus.body.surface_files import write_textured
 from habitus.export.npz import motion_arrays, save_arrays
-from habitus.export.textured import write_textured
 from habitus.files import atomic_write, whole_folder, write_text
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_result import RgbdFit

@@ -3,10 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.surface_files import SKIN_COLOUR
 from habitus.export.animation import Animation
 from habitus.export.fbx.nodes import Node
 from habitus.export.fbx.scene import ROOT, Objects, prop, props
-from habitus.export.glb import SKIN_COLOUR
 from habitus.export.seams import polygons_of
 from habitus.mesh.normals import vertex_normals
 
