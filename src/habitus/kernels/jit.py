@@ -23,7 +23,7 @@ FILES = (
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",
-    "residuals/surface_point_kernels.py",
+    "residuals/point_kernels.py",
     "render/kernels/structs.py",
     "render/kernels/vectors.py",
     "render/kernels/raster.py",

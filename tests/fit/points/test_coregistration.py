@@ -15,7 +15,7 @@ from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
 from habitus.population.coarse_bodies import coarse_body
-from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.residuals.points import PointSolver
 
 PEOPLE = 2
 POSES = 2
@@ -25,9 +25,7 @@ STEPS = (ModelStep(4, 2000, 0.05, 0.0025, 0.0, 1000),)
 def fitter_of(body: BodyModel) -> ModelFitter:
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(
-        SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior
-    )
+    return ModelFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
 
 
 def test_a_body_trained_on_registered_scans_knows_these_people_better():

@@ -23,7 +23,7 @@ from habitus.fit.points.scan_fitting import (
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
 from habitus.population.coarse_bodies import coarse_body
-from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.residuals.points import PointSolver
 
 STEP = ModelStep(4, 3000, 0.05, 0.002, 0.0, 1000)
 
@@ -33,9 +33,7 @@ def fitter() -> ModelFitter:
     body = coarse_body(load_body("default"), 700)
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(
-        SurfacePointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior
-    )
+    return ModelFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
 
 
 def sampled(surface: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Cloud:

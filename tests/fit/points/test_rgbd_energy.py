@@ -8,7 +8,7 @@ from synthetic import synthetic_body
 from habitus.fit.points.depth_energy import NOTHING, Priors, costs_of, gauss_newton_step, merged
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.state import State
-from habitus.residuals.surface_points import PointMatches, SurfacePointSolver, points_on_surface
+from habitus.residuals.points import PointObservations, PointSolver, points_on_surface
 
 
 def scene(views=2, count=400):
@@ -27,14 +27,14 @@ def scene(views=2, count=400):
     for k in range(views):
         vertices = body(truth.betas, truth.pose[k], truth.trans[k]).vertices
         target = points_on_surface(vertices, body.faces, face, share)
-        matches = PointMatches.to_planes(
+        matches = PointObservations.to_planes(
             face, share, target, np.tile([0.0, 0.0, 1.0], (count, 1)), np.ones(count), 1.0
         )
         terms.append({"depth": matches, "floor": NOTHING})
     start = State(
         np.zeros(body.num_betas), truth.pose + 0.05 * rng.normal(size=shape), truth.trans + 0.1
     )
-    return body, SurfacePointSolver.of(body), truth, start, terms
+    return body, PointSolver.of(body), truth, start, terms
 
 
 def test_steps_lead_to_the_planted_state():

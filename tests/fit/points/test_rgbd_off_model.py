@@ -26,7 +26,7 @@ from habitus.fit.points.skin_offsets import (
 from habitus.fit.points.state import State
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.surface_points import PointMatches, points_on_surface
+from habitus.residuals.points import PointObservations, points_on_surface
 
 SETTINGS = RgbdSettings(clothes=0.0, hair=0.0)
 
@@ -98,9 +98,9 @@ def test_an_offset_is_found_and_the_shape_stays(body, off):
 
     def matches(surface):
         target = points_on_surface(seen[0], body.faces, face, share)
-        return [PointMatches.to_planes(face, share, target, normal, np.full(len(face), 1e6))] * len(
-            surface
-        )
+        return [
+            PointObservations.to_planes(face, share, target, normal, np.full(len(face), 1e6))
+        ] * len(surface)
 
     priors = Priors.of(body, state, SETTINGS).weights()
     found = off_equations(off, state, numbers, matches(model), model, model)
@@ -121,7 +121,7 @@ def test_targets_move_back_by_what_lies_between(body):
     seen = model + 0.01
     face = np.arange(5)
     share = np.full((5, 3), 1 / 3)
-    one = PointMatches.to_planes(
+    one = PointObservations.to_planes(
         face, share, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.ones(5)
     )
     np.testing.assert_allclose(
@@ -140,7 +140,7 @@ def test_soles_stand_as_high_as_they_are_at_rest(body):
     lifted = pads.on_floor(1e4, standing + np.array([0.0, LIFTED, 0.0]), body)
     assert np.allclose(
         np.median(
-            np.linalg.norm(lifted.direction, axis=-1) / np.linalg.norm(here.direction, axis=-1)
+            np.linalg.norm(lifted.directions, axis=-1) / np.linalg.norm(here.directions, axis=-1)
         ),
         0.5,
         atol=0.15,

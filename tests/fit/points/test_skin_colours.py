@@ -111,8 +111,8 @@ def test_directions_of_colours_lie_along_the_skin():
     places = Places.of(VERTICES, FACES, 2000)
     along = colour_matches(skin, 0, places, VERTICES)
     normal = face_normals(VERTICES, FACES)[along.face]
-    size = np.linalg.norm(along.direction, axis=2) * np.linalg.norm(normal, axis=1)[:, None]
-    assert (np.abs(np.einsum("pdc,pc->pd", along.direction, normal)) <= 1e-6 * size + 1e-12).all()
+    size = np.linalg.norm(along.directions, axis=2) * np.linalg.norm(normal, axis=1)[:, None]
+    assert (np.abs(np.einsum("pdc,pc->pd", along.directions, normal)) <= 1e-6 * size + 1e-12).all()
 
 
 def test_colours_that_cannot_be_compared_are_refused():

@@ -14,8 +14,8 @@ from habitus.fit.points.prepared_views import Grid
 from habitus.fit.points.settings import RgbdSettings, Stage
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
+from habitus.residuals.points import PointObservations
 from habitus.residuals.robust import geman_mcclure_weight
-from habitus.residuals.surface_points import PointMatches
 
 CLEAR = 0.08
 """Metres that what was seen lies behind the model where the model cannot be."""
@@ -58,7 +58,7 @@ class Matching:
     pixels were off.
     """
 
-    matches: Mapping[str, PointMatches]
+    matches: Mapping[str, PointObservations]
     distance: Float[np.ndarray, " P"]
 
 
@@ -85,7 +85,7 @@ def match(
     )
     weight = settings.depth * stage.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
-    depth_term = PointMatches.to_planes(
+    depth_term = PointObservations.to_planes(
         drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide
     )
     return Matching(
@@ -108,7 +108,7 @@ def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(own), grid.points.reshape(-1, 3)[drawn.pixel[own]]
 
 
-def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointMatches:
+def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> PointObservations:
     """Points of the model before what was seen through are drawn to the person's nearest pixel,
     across the view.
     """
@@ -127,7 +127,7 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     across = np.cross(rays, [0.0, 1.0, 0.0])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     directions = np.stack([across, np.cross(rays, across)], 1) * np.sqrt(weight)[:, None, None]
-    return PointMatches(drawn.face[rows], drawn.barycentric[rows], target, directions)
+    return PointObservations(drawn.face[rows], drawn.barycentric[rows], target, directions)
 
 
 def wrong_rows(grid: Grid, drawn: Drawn) -> Int[np.ndarray, " n"]:

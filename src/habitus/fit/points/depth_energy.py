@@ -37,7 +37,7 @@ from habitus.fit.points.settings import STIFF, RgbdSettings, Stage
 from habitus.fit.points.skin_offsets import OffModel, off_equations, uncoated
 from habitus.fit.points.state import State
 from habitus.render.triangles import Triangles
-from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
+from habitus.residuals.points import PointObservations, PointSolver
 from habitus.solve.arrow import ArrowMatrix
 
 
@@ -80,35 +80,37 @@ class Priors:
         return {"shape": float(each[:count].sum()), "pose": float(each[count:].sum())}
 
 
-def merged(terms: Mapping[str, PointMatches]) -> PointMatches:
+def merged(terms: Mapping[str, PointObservations]) -> PointObservations:
     """Terms of one view as one, with as many directions a point as the most of them."""
     given = [one for one in terms.values() if len(one.face)]
     if not given:
         return NOTHING
-    most = max(one.direction.shape[1] for one in given)
+    most = max(one.directions.shape[1] for one in given)
     padded = [
         replace(
             one,
-            direction=np.pad(one.direction, ((0, 0), (0, most - one.direction.shape[1]), (0, 0))),
+            directions=np.pad(
+                one.directions, ((0, 0), (0, most - one.directions.shape[1]), (0, 0))
+            ),
         )
         for one in given
     ]
-    return PointMatches(
+    return PointObservations(
         *(np.concatenate([getattr(one, name) for one in padded]) for name in _FIELDS)
     )
 
 
-NOTHING = PointMatches(
+NOTHING = PointObservations(
     np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3))
 )
 """No points at all."""
-_FIELDS = ("face", "barycentric", "target", "direction")
+_FIELDS = ("face", "barycentric", "target", "directions")
 
 
 def gauss_newton_step(
-    solver: SurfacePointSolver,
+    solver: PointSolver,
     state: State,
-    terms: list[Mapping[str, PointMatches]],
+    terms: list[Mapping[str, PointObservations]],
     priors: Priors,
     moves: str,
 ) -> tuple[State, float]:
@@ -126,7 +128,7 @@ def gauss_newton_step(
 
 
 def data_equations(
-    solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]
+    solver: PointSolver, state: State, terms: list[Mapping[str, PointObservations]]
 ) -> tuple[float, np.ndarray, ArrowMatrix]:
     """Each term apart, as one with few directions need not pay for one with many."""
     found = [
@@ -147,7 +149,7 @@ def data_equations(
 
 
 def costs_of(
-    solver: SurfacePointSolver, state: State, terms: list[Mapping[str, PointMatches]]
+    solver: PointSolver, state: State, terms: list[Mapping[str, PointObservations]]
 ) -> dict[str, float]:
     """The cost of each term, all views together."""
     return {
@@ -199,7 +201,7 @@ class Energy:
     body: BodyModel
     sights: tuple[Sight, ...]
     settings: RgbdSettings
-    solver: SurfacePointSolver
+    solver: PointSolver
     triangles: Triangles
     pads: Footpads | None
 
@@ -208,7 +210,7 @@ class Energy:
         """The energy of a body before some views."""
         triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
         return Energy(
-            body, tuple(sights), settings, SurfacePointSolver.of(body), triangles, Footpads.of(body)
+            body, tuple(sights), settings, PointSolver.of(body), triangles, Footpads.of(body)
         )
 
     def surfaces(self, state: State) -> Float[np.ndarray, "K V 3"]:
@@ -230,7 +232,7 @@ class Energy:
         stage: Stage,
         reach: float,
         seen: Float[np.ndarray, "K V 3"] | None = None,
-    ) -> list[Mapping[str, PointMatches]]:
+    ) -> list[Mapping[str, PointObservations]]:
         """What depth says of each view at a state, by name. seen: the surfaces, where they are off
         the model.
         """
@@ -348,7 +350,9 @@ class Energy:
             )
         return colour_equations(views, state, off.count, shown, edges, self.settings)
 
-    def _floor(self, sight: Sight, surface: Float[np.ndarray, "V 3"], stage: Stage) -> PointMatches:
+    def _floor(
+        self, sight: Sight, surface: Float[np.ndarray, "V 3"], stage: Stage
+    ) -> PointObservations:
         if self.pads is None or not sight.on_floor or stage.moves != "all":
             return NOTHING
         return self.pads.on_floor(

@@ -22,8 +22,8 @@ from habitus.fit.points.prepared_views import Grid, Sight
 from habitus.fit.points.settings import RgbdSettings, Stage
 from habitus.fit.points.state import State
 from habitus.render.triangles import Triangles
+from habitus.residuals.points import PointSolver
 from habitus.residuals.robust import geman_mcclure_weight
-from habitus.residuals.surface_points import SurfacePointSolver
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 STRIDE = 8
@@ -68,7 +68,7 @@ def _yaw(root: Float[np.ndarray, " 3"]) -> float:
 
 def find_start(
     body: BodyModel,
-    solver: SurfacePointSolver,
+    solver: PointSolver,
     triangles: Triangles,
     sights: list[Sight],
     settings: RgbdSettings,
@@ -116,7 +116,7 @@ def tall_as(body: BodyModel, sights: list[Sight]) -> Float[np.ndarray, " B"]:
 
 def _best(
     body: BodyModel,
-    solver: SurfacePointSolver,
+    solver: PointSolver,
     triangles: Triangles,
     sight: Sight,
     betas: np.ndarray,
@@ -267,7 +267,7 @@ def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
 def refined(
     body: BodyModel,
     prepared: PreparedBody,
-    solver: SurfacePointSolver,
+    solver: PointSolver,
     triangles: Triangles,
     grid: Grid,
     one: Tried,

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.retarget.contacts import find_soles
+from habitus.residuals.points import PointObservations
 from habitus.residuals.robust import geman_mcclure_weight
-from habitus.residuals.surface_points import PointMatches
 
 TRIES = 300
 SAMPLE = 4000
@@ -138,7 +138,7 @@ class Footpads:
 
     def on_floor(
         self, weight: float, surface: Float[np.ndarray, "V 3"], body: BodyModel
-    ) -> PointMatches:
+    ) -> PointObservations:
         """Drawn to their heights, with ``weight`` in all, those less that are far off it: a foot
         may be lifted.
         """
@@ -146,7 +146,7 @@ class Footpads:
         target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
         off = surface[body.faces[self.face, self.corner], 1] - self.height
         root = np.sqrt(weight / count * geman_mcclure_weight(off, LIFTED))
-        return PointMatches(
+        return PointObservations(
             self.face,
             np.eye(3)[self.corner],
             target,

@@ -39,7 +39,7 @@ from habitus.fit.points.skin_colours import (
 )
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.surface_points import PointMatches
+from habitus.residuals.points import PointObservations
 
 MOST = 200_000
 """Coloured points of a scan that are used."""
@@ -228,16 +228,16 @@ def shared_skin(
     return find_skin(grid, coloured, sights)
 
 
-def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointMatches:
+def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointObservations:
     matches = colour_matches(skin, k, places, model, LOOSE)
     share = np.sqrt(min(1.0, WORTH / len(places.face)))
-    return PointMatches(
-        matches.face, matches.barycentric, matches.target, share * matches.direction
+    return PointObservations(
+        matches.face, matches.barycentric, matches.target, share * matches.directions
     )
 
 
 def slid(
-    topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointMatches
+    topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointObservations
 ) -> Float[np.ndarray, "V 3"]:
     """A surface slid along itself to where colours would have it, then put on the scan again along
     its normals.
@@ -267,14 +267,14 @@ def _across(topology: Topology, base: np.ndarray) -> csr_array:
 
 
 def _rows(
-    topology: Topology, matches: PointMatches, base: np.ndarray
+    topology: Topology, matches: PointObservations, base: np.ndarray
 ) -> tuple[csr_array, Float[np.ndarray, " R"]]:
     """Rows (P D, 3 V) of directions by vertices, and what they should be beyond the base's."""
-    count, directions = matches.direction.shape[:2]
-    blocks = matches.barycentric[:, None, :, None] * matches.direction[:, :, None, :]
+    count, directions = matches.directions.shape[:2]
+    blocks = matches.barycentric[:, None, :, None] * matches.directions[:, :, None, :]
     corners = topology.faces[matches.face]
     ends = np.arange(0, 3 * count * directions + 1, 3)
     table = (blocks.reshape(-1, 1, 3), np.repeat(corners, directions, axis=0).ravel(), ends)
     rows = csr_array(bsr_array(table, shape=(count * directions, 3 * len(base))))
     place = np.einsum("pk,pkc->pc", matches.barycentric, base[corners])
-    return rows, np.einsum("pdc,pc->pd", matches.direction, matches.target - place).ravel()
+    return rows, np.einsum("pdc,pc->pd", matches.directions, matches.target - place).ravel()

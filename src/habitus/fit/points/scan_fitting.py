@@ -38,8 +38,8 @@ from habitus.fit.points.scan import Cloud, agreed
 from habitus.fit.points.state import ModelState
 from habitus.mesh.laplacian import cotangent_laplacian
 from habitus.mesh.normals import vertex_normals
+from habitus.residuals.points import PointObservations, PointSolver
 from habitus.residuals.robust import geman_mcclure_weight
-from habitus.residuals.surface_points import PointMatches, SurfacePointSolver
 from habitus.solve.arrow import ArrowMatrix
 
 WORTH = 1500.0
@@ -90,7 +90,7 @@ class FrameBefore:
 class ModelFitter:
     """A body made ready to be fitted to scans; ``before`` couples them in time."""
 
-    solver: SurfacePointSolver
+    solver: PointSolver
     topology: Topology
     prior: PosePrior
     before: FrameBefore | None = None
@@ -177,12 +177,14 @@ class ModelFitter:
             state.betas + change[:count], state.pose + turn, state.trans + each[:, :3]
         )
 
-    def _matches(self, state: ModelState, k: int, cloud: Cloud, step: ModelStep) -> PointMatches:
+    def _matches(
+        self, state: ModelState, k: int, cloud: Cloud, step: ModelStep
+    ) -> PointObservations:
         found = self.matched(state, k, cloud)
         apart = np.linalg.norm(cloud.points - found.place, axis=1)
         weight = geman_mcclure_weight(apart, step.reach) * (found.cosine > MODEL_MIN_COSINE)
         weight *= min(1.0, WORTH / len(apart)) / step.noise**2
-        return PointMatches.to_planes(
+        return PointObservations.to_planes(
             found.face, found.barycentric, cloud.points, found.normal, weight, step.slide
         )
 
@@ -248,7 +250,7 @@ def fit_with_offsets(
     state: ModelState,
     clouds: Sequence[Cloud],
     schedule: Sequence[ModelStep] = OFFSET_STEPS,
-    along: Sequence[PointMatches] | None = None,
+    along: Sequence[PointObservations] | None = None,
 ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
     """The state of all scans (one shape), and of each the surface: the model with its offset (m).
 
@@ -286,7 +288,9 @@ def fit_with_offsets(
     return state, [_off(fitter, state, k, offset) for k, offset in enumerate(offsets)]
 
 
-def _along(fitter: ModelFitter, state: ModelState, pull: _Pull, matches: PointMatches) -> _Pull:
+def _along(
+    fitter: ModelFitter, state: ModelState, pull: _Pull, matches: PointObservations
+) -> _Pull:
     more = fitter.solver.at(state.betas, state.pose[0], state.trans[0], matches)
     return replace(pull, gradient=pull.gradient + more.gradient, matrix=pull.matrix + more.matrix)
 

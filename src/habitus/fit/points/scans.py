@@ -46,7 +46,7 @@ from habitus.fit.points.scan_result import BETAS, LOST, MODEL, ScanFit, at_rest,
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.surface_points import SurfacePointSolver
+from habitus.residuals.points import PointSolver
 from habitus.rotations import matrix_from_rotvec
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
@@ -79,9 +79,7 @@ class Registrar:
     def of(body: BodyModel, prior: PosePrior, others: Sequence[BodyModel] = ()) -> "Registrar":
         """To be made once a body."""
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
-        fitter = ModelFitter(
-            SurfacePointSolver.of(body), topology, prior.for_joints(body.joint_names)
-        )
+        fitter = ModelFitter(PointSolver.of(body), topology, prior.for_joints(body.joint_names))
         more = tuple(Registrar.of(other, prior) for other in others)
         return Registrar(body, fitter, Guesser.of(fitter), more)
 

@@ -22,8 +22,8 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from habitus.fit.points.correspondences import Nearest, Topology, nearest
 from habitus.mesh.normals import face_normals
 from habitus.observe.harmonics import harmonic_terms
+from habitus.residuals.points import PointObservations
 from habitus.residuals.robust import geman_mcclure_weight
-from habitus.residuals.surface_points import PointMatches
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +320,7 @@ class Places:
 
 def colour_matches(
     skin: SharedSkin, k: int, places: Places, surface: Float[np.ndarray, "V 3"], loose: float = 0.0
-) -> PointMatches:
+) -> PointObservations:
     """Where colours would have places on the surface (m) of scan k, along it: grad T . dx = T -
     tone in all channels.
 
@@ -348,7 +348,9 @@ def colour_matches(
     step = good * np.einsum("nkj,ncj,nc->nk", axes, rows, wanted) / np.where(good, size, 1.0)
     place = np.einsum("nk,nkc->nc", places.share, surface[skin.grid.faces[places.face]])
     target = place + np.einsum("nk,nkc->nc", step, axes)
-    return PointMatches(places.face, places.share, target, (np.sqrt(size) * good)[..., None] * axes)
+    return PointObservations(
+        places.face, places.share, target, (np.sqrt(size) * good)[..., None] * axes
+    )
 
 
 def _light(shape: np.ndarray, apart: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, "9 3"]:

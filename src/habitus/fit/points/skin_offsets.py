@@ -27,7 +27,7 @@ from habitus.fit.points.scan_fitting import field_precision, offset_spread
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.state import State
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.surface_points import PointMatches, points_on_surface
+from habitus.residuals.points import PointObservations, points_on_surface
 
 WORN = ("pelvis", "spine1", "spine2", "spine3", "hip", "collar")
 """Parts that tight clothes cover."""
@@ -128,11 +128,11 @@ def worn(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, " V"
 
 
 def uncoated(
-    terms: Mapping[str, PointMatches],
+    terms: Mapping[str, PointObservations],
     model: Float[np.ndarray, "V 3"],
     seen: Float[np.ndarray, "V 3"],
     body: BodyModel,
-) -> Mapping[str, PointMatches]:
+) -> Mapping[str, PointObservations]:
     """Terms for points of what is seen as terms for the model's: targets are moved back by what
     lies between.
     """
@@ -161,7 +161,7 @@ def off_equations(
     off: OffModel,
     state: State,
     numbers: Float[np.ndarray, " C"],
-    matches: Sequence[PointMatches],
+    matches: Sequence[PointObservations],
     models: Float[np.ndarray, "K V 3"],
     surfaces: Float[np.ndarray, "K V 3"],
 ) -> OffEquations:
@@ -192,7 +192,7 @@ def off_equations(
 
 
 def _lumped(
-    match: PointMatches, surface: Float[np.ndarray, "V 3"], body: BodyModel
+    match: PointObservations, surface: Float[np.ndarray, "V 3"], body: BodyModel
 ) -> tuple[Int[np.ndarray, " U"], csr_array, Float[np.ndarray, " U"], float]:
     """Corners of the points' triangles, the points' weights and residuals laid on them, and the
     cost.
@@ -202,7 +202,7 @@ def _lumped(
     entries = (match.barycentric.ravel(), (row, corner.ravel()))
     share = coo_array(entries, shape=(len(match.face), len(used))).tocsr()
     apart = points_on_surface(surface, body.faces, match.face, match.barycentric) - match.target
-    direction = match.direction[:, 0]
+    direction = match.directions[:, 0]
     residual = (direction * apart).sum(1)
     root = np.linalg.norm(direction, axis=1)
     lumped = csr_array(share.T @ diags_array(root**2) @ share)

@@ -42,6 +42,32 @@ def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
                 )
 
 
+@jit_noalloc
+def place_vertices(rig, state, used, vertices, room):
+    """Places (V, 3) of the vertices ``used``, without derivatives; room: (4, 3) to work with."""
+    for n in range(len(used)):
+        i = used[n]
+        _rest(rig, state, i, room[0])
+        _blend(rig, state, i, room[0], room[1:4], vertices[i])
+
+
+@jit_noalloc
+def points_cost(rig, vertices, points):
+    """1/2 sum of the squared products of q - target with each direction."""
+    total = 0.0
+    for p in range(len(points.face)):
+        face = rig.faces[points.face[p]]
+        for d in range(points.directions.shape[1]):
+            off = 0.0
+            for c in range(3):
+                q = -points.target[p, c]
+                for k in range(3):
+                    q += points.barycentric[p, k] * vertices[face[k], c]
+                off += points.directions[p, d, c] * q
+            total += off * off
+    return 0.5 * total
+
+
 @jit_inline
 def _rest(rig, state, i, rest):
     """The vertex at rest: template, shape and pose blend shapes."""
@@ -123,15 +149,15 @@ def write_rows(rig, table, points, some, column, rows, residual):
     column: (J,) where the three columns of each joint begin; those of betas and trans come first.
     """
     betas = table.by_betas.shape[2]
-    directions = points.direction.shape[1]
+    directions = points.directions.shape[1]
     rows[:] = 0.0
     for n in range(len(some)):
         p = some[n]
         face = rig.faces[points.face[p]]
         for d in range(directions):
-            x = points.direction[p, d, 0]
-            y = points.direction[p, d, 1]
-            z = points.direction[p, d, 2]
+            x = points.directions[p, d, 0]
+            y = points.directions[p, d, 1]
+            z = points.directions[p, d, 2]
             row = rows[n * directions + d]
             row[betas], row[betas + 1], row[betas + 2] = x, y, z
             off = -(x * points.target[p, 0] + y * points.target[p, 1] + z * points.target[p, 2])
