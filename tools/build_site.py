@@ -74,6 +74,7 @@ MENU = {
         "renderer",
         "architecture",
         "how-accurate",
+        "accuracy-of-scans-and-depth",
         "evaluation-of-mosh",
         "compared",
         "benchmarks",
