@@ -8,6 +8,7 @@ right side's units are mirrored ones.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -154,6 +155,8 @@ MIDDLE = ("spine1", "spine2", "spine3", "neck", "head", "pelvis", "jaw")
 BOTH_LEGS = ("squat",)
 STRETCH = (0.85, 1.05)  # amplitudes are drawn between these
 SCATTER = 3.0  # degrees of noise on each joint that moves
+SEXES = ("female", "male")
+ROUNDS = 2  # how often a person goes through every unit, in other pairings
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +202,17 @@ def sessions(
         }
         found.append(_session(rng, f"lanes{turn}{k:02d}", lanes, joint_names))
     return found
+
+
+def rounds_of_sessions(
+    seed: int, person: int, sex: str, joint_names: tuple[str, ...]
+) -> Iterator[list[Session]]:
+    """The sessions of one person, a list for each of `ROUNDS` rounds; the same ones for the same
+    numbers.
+    """
+    for turn in range(ROUNDS):
+        rng = np.random.default_rng([seed, person, SEXES.index(sex), turn])
+        yield sessions(rng, joint_names, turn)
 
 
 def _shuffled(rng: np.random.Generator, units: dict[str, Stops]) -> list[str]:

@@ -21,15 +21,13 @@ if __package__ in (None, ""):
 
 from default_body.flesh.gather import gather, table
 from default_body.flesh.people import people
-from default_body.flesh.poses import Session, sessions
+from default_body.flesh.poses import ROUNDS, SEXES, Session, rounds_of_sessions
 from default_body.flesh.simulate import Task, Workshop, simulate
 from default_body.flesh.studio import open_studio
 from habitus import load_body
 from habitus.parallel.choose import open_workers
 from habitus.population.poses import motion_poses
 
-SEXES = ("female", "male")
-ROUNDS = 2  # how often a person goes through every unit, in other pairings
 BLOCK = 6  # people of each sex that are finished before the next
 TOGETHER = 3  # poses of real motions that one session holds
 
@@ -44,12 +42,10 @@ def tasks(options: argparse.Namespace) -> list[Task]:
     for sex in options.sexes:
         body = load_body(sex, detail="full", joints="smplx")
         for k, shape in enumerate(people(body, sex, options.people, options.seed)):
-            for turn in range(ROUNDS):
-                rng = np.random.default_rng([options.seed, k, SEXES.index(sex), turn])
-                found += [
-                    (k // BLOCK, turn, k, Task(sex, shape, one))
-                    for one in sessions(rng, body.joint_names, turn)
-                ]
+            for turn, all_of in enumerate(
+                rounds_of_sessions(options.seed, k, sex, body.joint_names)
+            ):
+                found += [(k // BLOCK, turn, k, Task(sex, shape, one)) for one in all_of]
             rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
             moments = _from_motions(options, rng, len(body.joint_names))
             found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in moments]
