@@ -75,6 +75,7 @@ MENU = {
         "architecture",
         "how-accurate",
         "accuracy-of-scans-and-depth",
+        "accuracy-of-measurements",
         "evaluation-of-mosh",
         "compared",
         "benchmarks",
