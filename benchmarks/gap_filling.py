@@ -17,7 +17,7 @@ from common import machine, write_json
 from scipy.interpolate import CubicSpline
 
 import habitus as hb
-from habitus.fit.markers.filling import runs
+from habitus.arrays import runs
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 
@@ -79,8 +79,9 @@ def main() -> None:
     left_empty = 0
     shown = []
     for marker in range(hidden.shape[1]):
-        for first, last in runs(hidden[:, marker]):
-            gap = slice(first, last + 1)
+        for first, stop in runs(hidden[:, marker]):
+            last = stop - 1
+            gap = slice(first, stop)
             ways = dict(
                 zip(
                     ("cubic", "straight"),

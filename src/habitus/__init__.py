@@ -66,7 +66,7 @@ _MODULES = {
     "BodyModel": "habitus.body.model",
     "Camera": "habitus.observe.camera",
     "Mosh": "habitus.jobs.mosh",
-    "MoshWeights": "habitus.fit.markers.weights",
+    "MoshWeights": "habitus.fit.markers.settings",
     "Term": "habitus.solve.terms",
     "Trainer": "habitus.jobs.train",
     "archive": "habitus.jobs.archive.run",
@@ -103,7 +103,7 @@ _MODULES = {
     # what methods of results call, so that numerics import nothing that writes; not part of the
     # public face
     "export_motion": "habitus.export.motion",
-    "guess": "habitus.fit.markers.guessing",
+    "guess": "habitus.fit.markers.uncertainty",
     "judge": "habitus.fit.markers.judge",
     "prior_of": "habitus.io.models.priors",
     "save_fit": "habitus.jobs.mosh_files",

@@ -6,9 +6,9 @@ from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.motion import export_motion as export_motion
 from habitus.export.trc import write_trc as write_trc
-from habitus.fit.markers.guessing import guess as guess
 from habitus.fit.markers.judge import judge as judge
-from habitus.fit.markers.weights import MoshWeights as MoshWeights
+from habitus.fit.markers.settings import MoshWeights as MoshWeights
+from habitus.fit.markers.uncertainty import guess as guess
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body

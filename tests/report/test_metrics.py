@@ -8,8 +8,8 @@ from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.gender import female_probability, said_of
 from habitus.fit.markers.result import HeldOut
-from habitus.fit.markers.spread import betas_covariance
 from habitus.fit.markers.suspects import Suspect
+from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.parallel import blocks
 from habitus.report import metrics, write_metrics
 

@@ -19,8 +19,8 @@ from ranges import range_prior
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.frames import random_frames
 from habitus.fit.markers.recipe import fit_subject
+from habitus.fit.markers.recordings import random_frames
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.fit.markers.start import start_sequence

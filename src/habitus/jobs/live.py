@@ -10,11 +10,11 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
-from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.warm_up import warm_up
+from habitus.fit.subject import Subject
 from habitus.io.people import load_fit
 from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source
@@ -33,7 +33,7 @@ REHEARSED = 0.7
 """Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next
 frame comes.
 """
-MakeSink = Callable[[KnownSubject, Recording], Sink]
+MakeSink = Callable[[Subject, Recording], Sink]
 """Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
 
 
@@ -152,10 +152,10 @@ def _session(
     return follower.record.fit(found.known, found.recording, asked.settings, notes)
 
 
-def _introduced(follower: Follower, known: KnownSubject, asked: Asked) -> str:
-    measured = known.body.measure(known.subject.shape.betas)
+def _introduced(follower: Follower, known: Subject, asked: Asked) -> str:
+    measured = known.body.measure(known.shape.betas)
     who = f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg"
-    how = "as saved" if asked.fit is not None else f"shape in {known.subject.seconds:.1f} s"
+    how = "as saved" if asked.fit is not None else f"shape in {known.seconds:.1f} s"
     return (
         f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): "
         f"{follower.quality.verdict}"

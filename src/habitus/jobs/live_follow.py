@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import listed
-from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.live import LiveFrame, Quality
 from habitus.fit.markers.recordings import FEWEST_MARKERS
-from habitus.fit.markers.tracking import LiveFrame
 from habitus.io.captures.points import RawPoints
 from habitus.io.streams.source import Frame
 from habitus.io.streams.wiring import rewired

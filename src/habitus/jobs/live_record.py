@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from habitus.fit.markers.assembly import PoseStage, assemble
-from habitus.fit.markers.gaps import Evidence
-from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.gaps import MarkerTargets
+from habitus.fit.markers.live import LiveFrame
+from habitus.fit.markers.recipe import PoseStage, assemble
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.suspects import exchange
-from habitus.fit.markers.tracking import LiveFrame
+from habitus.fit.subject import Subject
 from habitus.residuals.robust import geman_mcclure_weight
 
 
@@ -43,7 +43,7 @@ class Record:
 
     def fit(
         self,
-        known: KnownSubject,
+        known: Subject,
         recording: Recording,
         settings: MoshSettings,
         notes: Sequence[str],
@@ -54,7 +54,7 @@ class Record:
         standing = _held(np.isfinite(np.array(self._trans)[:, 0]))
         pose = np.array(self._poses)[standing]
         trans = np.array(self._trans)[standing]
-        observed = exchange(np.array(self._observed, dtype=np.float64), known.subject.exchanged)
+        observed = exchange(np.array(self._observed, dtype=np.float64), known.exchanged)
         scale = np.full(observed.shape[1], settings.robust_scale[1])
         costs = np.array(self._costs)
         result = SequenceResult(
@@ -68,12 +68,10 @@ class Record:
             len(costs),
             (float(costs.sum()),),
         )
-        found = PoseStage(result, observed, Evidence(observed, None), scale)
+        found = PoseStage(result, observed, MarkerTargets(observed, None), scale)
         recording = replace(recording, warnings=(*recording.warnings, *notes))
-        seconds = {"shape": known.subject.seconds, "pose": None, "soft_tissue": None}
-        fit = assemble(
-            known.body, known.layout, recording, known.subject, found, None, seconds, settings
-        )
+        seconds = {"shape": known.seconds, "pose": None, "soft_tissue": None}
+        fit = assemble(recording, known, found, None, seconds, settings)
         distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
         return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
 

@@ -8,9 +8,9 @@ import numpy as np
 from habitus.errors import HabitusError, shown
 from habitus.export.osc import Sender
 from habitus.export.posing import OSC_PORT, UNITY_BONES, VMC_PORT, OscPoses, VmcPoses
-from habitus.fit.markers.live import KnownSubject
-from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.live import Quality
 from habitus.fit.markers.recordings import Recording
+from habitus.fit.subject import Subject
 from habitus.io.streams.addresses import host_and_port
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now, Sink
@@ -42,7 +42,7 @@ def _sending(text: str) -> MakeSink:
     return partial(_sender, kind.lower(), Sender(*host_and_port(address, _PORTS[kind.lower()])))
 
 
-def _sender(kind: str, sender: Sender, known: KnownSubject, recording: Recording) -> Sink:
+def _sender(kind: str, sender: Sender, known: Subject, recording: Recording) -> Sink:
     body = known.body
     if kind == "osc":
         return PoseSender(OscPoses(body.joint_names), sender)
@@ -51,9 +51,7 @@ def _sender(kind: str, sender: Sender, known: KnownSubject, recording: Recording
             f"vmc sends joints of the SMPL family; {body.name} begins with "
             f"{body.joint_names[0]!r}: use osc"
         )
-    rest = body(
-        known.subject.shape.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]
-    ).joints
+    rest = body(known.shape.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]).joints
     return PoseSender(VmcPoses(body.joint_names, body.parents, rest, recording.up_axis), sender)
 
 

@@ -12,11 +12,11 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
-from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.live import LiveFrame, Tracker
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.tracking import LiveFrame, Tracker
+from habitus.fit.subject import Subject
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.read import captures_of
 from habitus.io.streams.source import Frame
@@ -76,7 +76,7 @@ class Followed:
     metres and what the tracker made of them, and how the stream's points become markers.
     """
 
-    known: KnownSubject
+    known: Subject
     recording: Recording
     wiring: Wiring
     tracker: Tracker

@@ -9,11 +9,12 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
-from habitus.fit.markers.live import KnownSubject
+from habitus.fit.markers.live import saved_subject, subject_of
+from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.warm_up import warm_up
+from habitus.fit.subject import Subject
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import list_layouts
 from habitus.io.models.priors import prior_of
@@ -43,7 +44,7 @@ class Wanted:
 
 def learnt(
     captures: Sequence[Capture], model: BodyModel, wanted: Wanted, settings: MoshSettings
-) -> tuple[KnownSubject, Recording, Capture]:
+) -> tuple[Subject, Recording, Capture]:
     """The person of some frames, shape and marker places found from them; the frames on the markers
     in use, and as they were captured.
 
@@ -58,15 +59,13 @@ def learnt(
     warm_up(model)
     person = people[0]
     with one_blas_thread():  # the matrices are small: more threads only wait for each other
-        known = KnownSubject.learnt(
-            model, prior_of(model), person.layout, person.recordings[0], settings
-        )
+        known = subject_of(model, prior_of(model), person.layout, person.recordings[0], settings)
     return known, _of(person.recordings[0], person, known), person.captures[0]
 
 
 def saved(
     captures: Sequence[Capture], fit: MarkerFit, wanted: Wanted, settings: MoshSettings
-) -> tuple[KnownSubject, Recording, Capture]:
+) -> tuple[Subject, Recording, Capture]:
     """A person who was fitted before; the frames on the markers that both have, and as they were
     captured.
 
@@ -85,7 +84,7 @@ def saved(
     layout = people[0].layout
     layout = layout.restricted_to(tuple(label for label in layout.labels if label in fit.labels))
     warm_up(fit.body)
-    known = KnownSubject.saved(fit, prior_of(fit.body), layout, settings)
+    known = saved_subject(fit, prior_of(fit.body), layout, settings)
     return known, _of(people[0].recordings[0], people[0], known), chosen
 
 
@@ -110,7 +109,7 @@ def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:
     )
 
 
-def _of(recording: Recording, person: Person, known: KnownSubject) -> Recording:
+def _of(recording: Recording, person: Person, known: Subject) -> Recording:
     """The recording on the known subject's markers."""
     columns = [person.layout.labels.index(label) for label in known.layout.labels]
     return replace(recording, observed=np.ascontiguousarray(recording.observed[:, columns]))

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 
 from habitus.errors import check_extra
-from habitus.fit.markers.live import KnownSubject
-from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.live import Quality
 from habitus.fit.markers.recordings import Recording
+from habitus.fit.subject import Subject
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now
 from habitus.report.live.board import Board, Shown
@@ -32,9 +32,7 @@ class Viewer:
     the latest.
     """
 
-    def __init__(
-        self, port: int, say: Callable[[str], None], known: KnownSubject, recording: Recording
-    ):
+    def __init__(self, port: int, say: Callable[[str], None], known: Subject, recording: Recording):
         context = multiprocessing.get_context("spawn")
         self._board = Board(context, known.body.num_joints, len(known.layout))
         self._say = say
@@ -43,7 +41,7 @@ class Viewer:
         self._told = ""
         self._who = _who(known)
         fields = {name: getattr(known.body, name) for name in NEEDED}
-        told = (self._board, fields, known.subject.shape.betas, recording.up_axis, port)
+        told = (self._board, fields, known.shape.betas, recording.up_axis, port)
         self._process = context.Process(target=serve, args=told, daemon=True)
         self._process.start()
 
@@ -82,8 +80,8 @@ class Viewer:
             )
 
 
-def _who(known: KnownSubject) -> str:
-    measured = known.body.measure(known.subject.shape.betas)
+def _who(known: Subject) -> str:
+    measured = known.body.measure(known.shape.betas)
     return f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg, layout {known.layout.name}"
 
 

@@ -16,10 +16,9 @@ from habitus.export.amass import check_npz_style
 from habitus.files import locked
 from habitus.fit.markers.attempts import iterate_attempts
 from habitus.fit.markers.live import LiveFit
+from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
-from habitus.fit.markers.warm_up import warm_up
-from habitus.fit.markers.weights import MoshWeights
+from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings, MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of

@@ -16,7 +16,7 @@ from habitus.body.motion import Moving
 from habitus.errors import HabitusError, shown
 from habitus.export.trc import write_trc
 from habitus.files import atomic_write, write_text
-from habitus.fit.markers.filling import Filling, fill_gaps
+from habitus.fit.markers.gaps import Filling, fill_gaps
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.c3d_fill import filled_c3d

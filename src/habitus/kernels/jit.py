@@ -39,7 +39,6 @@ FILES = (
     "render/kernels/projection.py",
     "fit/markers/sequence_kernels.py",
     "fit/labels/kernels.py",
-    "fit/markers/rotation_charts.py",
     "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",
     "learn/posing/quaternions.py",

@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
 from habitus.files import write_text
-from habitus.fit.markers.spread import betas_covariance
 from habitus.fit.markers.suspects import Suspect
+from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.parallel.blocks import blocks, columns, is_large, release
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from synthetic_fit import synthetic_fit
 
-from habitus.fit.markers.filling import fill_gaps, runs
+from habitus.fit.markers.gaps import fill_gaps
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
@@ -72,8 +72,3 @@ def test_what_nobody_knows_stays_empty():
     }
     assert found.filled.any(axis=0).tolist() == [False, False, True] + [False] * 9
     assert np.isnan(found.markers[5:10, [0, 1, 3]]).all()
-
-
-def test_runs():
-    assert list(runs(np.array([1, 1, 0, 1, 0, 0, 1], bool))) == [(0, 1), (3, 3), (6, 6)]
-    assert not list(runs(np.zeros(3, bool))) and list(runs(np.ones(3, bool))) == [(0, 2)]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from habitus.fit.markers.flips import find_flips
-from habitus.fit.markers.suspects import undo_swaps
+from habitus.fit.markers.suspects import find_flips, undo_swaps
 from habitus.population.marker_faults import lost, swapped
 
 T = 200

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from habitus.fit.markers.frames import random_frames, spread_frames
+from habitus.fit.markers.recordings import random_frames, spread_frames
 from habitus.fit.markers.settings import MoshSettings
 
 

@@ -122,7 +122,7 @@ def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_cen
 
 @pytest.mark.parametrize("weights", [None, np.random.default_rng(0).uniform(0.1, 1.0, size=(9, 5))])
 def test_markers_that_are_left_out_have_no_say_and_the_others_theirs(weights):
-    whole = gaps.Evidence(np.zeros((9, 5, 3)), weights)
+    whole = gaps.MarkerTargets(np.zeros((9, 5, 3)), weights)
     expected = np.ones((9, 5)) if weights is None else weights.copy()
     expected[:, [1, 4]] = 0.0
     np.testing.assert_array_equal(gaps.without(whole, [4, 1]).weights, expected)

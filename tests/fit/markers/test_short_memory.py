@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from marker_scene import scene
 
-from habitus.fit.markers.flips import find_flips
 from habitus.fit.markers.gaps import bridged, fill_short_gaps, without
 from habitus.fit.markers.recordings import Recording, within_reach
-from habitus.fit.markers.suspects import marker_noise, suspects
+from habitus.fit.markers.suspects import find_flips, marker_noise, suspects
 from habitus.observe.marker_prediction import predict
 from habitus.parallel import blocks
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from marker_scene import degrees_apart, scene
 
-from habitus.fit.markers.live_quality import Quality
+from habitus.fit.markers.live import Quality, Tracker
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.tracking import Tracker
 
 RATE = 30.0
 
@@ -23,9 +22,13 @@ def s():
 def tracker(s, exchanged=(), misplaced=()):
     prior = SimpleNamespace(**vars(s.prior), joint_names=("a", "b", "c", "d"))
     subject = SimpleNamespace(
-        rig=s.rig, shape=SimpleNamespace(pose=s.pose[::6]), exchanged=exchanged, misplaced=misplaced
+        prior=prior,
+        rig=s.rig,
+        shape=SimpleNamespace(pose=s.pose[::6]),
+        exchanged=exchanged,
+        misplaced=misplaced,
     )
-    return Tracker(subject, prior, MoshSettings(), RATE)
+    return Tracker(subject, MoshSettings(), RATE)
 
 
 def follow(s, **told):

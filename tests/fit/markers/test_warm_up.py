@@ -7,9 +7,8 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from habitus.errors import HabitusError
-from habitus.fit.markers.recipe import Recording, fit_markers
+from habitus.fit.markers.recipe import Recording, fit_markers, warm_up
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.warm_up import warm_up
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior

@@ -9,10 +9,9 @@ from planted import person, plant, prior_of_poses
 
 from habitus.fit.markers.causal import fit_causally
 from habitus.fit.markers.recipe import Recording, fit_markers
-from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.sequence import GRID, OVERLAP, fit_long, fit_sequence, windows
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings
-from habitus.fit.markers.start import start_sequence
-from habitus.fit.markers.windows import GRID, OVERLAP, fit_long, start_long, windows
+from habitus.fit.markers.start import start_long, start_sequence
 from habitus.parallel import blocks
 from habitus.solve.sequence.solver import SequenceOptions
 
@@ -99,7 +98,7 @@ def test_the_coarsest_level_knows_how_far_its_last_frame_is_from_the_one_before(
     part = slice(0, frames)
     gaps = []
     monkeypatch.setattr(
-        "habitus.fit.markers.windows.solve_coarsest",
+        "habitus.fit.markers.sequence.solve_coarsest",
         lambda problem, start, gap, *_: gaps.append(gap),
     )
     given = (

@@ -11,7 +11,8 @@ from habitus.body.prior import PosePrior
 from habitus.fit.discover.assign import Known, places_of, squared_distances
 from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import Placement, ShapeFit, shape_stage
+from habitus.fit.markers.shape import Placement, shape_stage
+from habitus.fit.subject import ShapeFit
 from habitus.observe.marker_prediction import marked_body, predict
 
 OFF_SPREAD = 0.006

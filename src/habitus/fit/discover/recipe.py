@@ -27,8 +27,7 @@ from habitus.fit.discover.sides import agreement, named_sides
 from habitus.fit.discover.skin import Skin, betas_of_height, spread_places
 from habitus.fit.discover.starts import bodies_of_single_frames, in_all_frames
 from habitus.fit.discover.telling import DECIDED, told
-from habitus.fit.markers.frames import spread_frames
-from habitus.fit.markers.recordings import ever_seen
+from habitus.fit.markers.recordings import ever_seen, spread_frames
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.types import Progress
 

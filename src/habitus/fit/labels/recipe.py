@@ -18,10 +18,10 @@ from habitus.fit.labels.people import heaps, nearest_bodies, only
 from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
 from habitus.fit.labels.seeds import best_seeds, once, seed_votes
 from habitus.fit.labels.votes import assign, averaged, distances, judged
-from habitus.fit.markers.sequence import SequenceResult
+from habitus.fit.markers.sequence import SequenceResult, fit_long
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.shape import Placement, place, shape_stage
-from habitus.fit.markers.windows import fit_long, start_long
+from habitus.fit.markers.start import start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.recordings import FEWEST_MARKERS
-from habitus.fit.markers.rotation_charts import nearest_equivalent, shortened
 from habitus.fit.markers.sequence import SequenceResult
-from habitus.fit.markers.sequence_kernels import LevelArrays
+from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, shortened
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import blocks, distances, mapped, release, room

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.arrays import runs
 from habitus.body.kinematics import descends
 from habitus.fit.markers.result import MarkerFit
 from habitus.parallel.blocks import mapped
@@ -149,9 +150,8 @@ def _speed(fit: MarkerFit) -> float:
 
 
 def _longest(flags: Bool[np.ndarray, " T"]) -> int:
-    """The longest run of flags."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    """The length of the longest run of flags."""
+    return max((last - first for first, last in runs(flags)), default=0)
 
 
 def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:

@@ -9,15 +9,20 @@ time than a body that walks: reach is the time in which a joint usually gets as 
 the shorter the longer a gap is. Leading and trailing gaps hold.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.interpolate import Akima1DInterpolator
 
+from habitus.arrays import runs
+from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import GROSS
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.observe.markers import MarkerAttachment, predict_markers, triangle_bases
 from habitus.parallel.blocks import by_column, mapped, with_columns
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -37,9 +42,9 @@ TRUST = 0.25
 """Weight of a marker that stands in for one that is not seen."""
 
 
-class Evidence(NamedTuple):
-    """What predicted markers are held against: places in metres (NaN where nothing is known),
-    weights or None for 1.
+class MarkerTargets(NamedTuple):
+    """What predicted markers are fitted to: positions in metres (NaN where unknown) and weights,
+    None for 1.
     """
 
     markers: Float[np.ndarray, "T M 3"]
@@ -52,29 +57,29 @@ def bridged(
     trans: Float[np.ndarray, "T 3"],
     observed: Float[np.ndarray, "T M 3"],
     rate_hz: float,
-) -> tuple[Evidence, Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
-    """Evidence for every frame, and pose and trans to start from, from a fit of what is seen."""
+) -> tuple[MarkerTargets, Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """Targets of every frame, and pose and trans to start from, from a fit of the seen markers."""
     if _seen(observed).all():
-        return Evidence(observed, None), pose, trans
+        return MarkerTargets(observed, None), pose, trans
     filled = fill_short_gaps(observed, rate_hz)
     seen = _seen(filled)
     pose, trans = bridge_states(pose, trans, known_joints(rig, pose, seen), rate_hz)
     hidden = np.where(seen.any(axis=0), TRUST, 0.0)
     weights = mapped(lambda part: np.where(part, 1.0, hidden), seen)
-    return Evidence(stand_ins(rig, pose, trans, filled), weights), pose, trans
+    return MarkerTargets(stand_ins(rig, pose, trans, filled), weights), pose, trans
 
 
-def without(evidence: Evidence, markers: Sequence[int]) -> Evidence:
-    """The same, but some markers (columns) have no say."""
+def without(targets: MarkerTargets, markers: Sequence[int]) -> MarkerTargets:
+    """The same targets with weight 0 for some markers (columns)."""
     if not len(markers):
-        return evidence
-    kept = np.ones(evidence.markers.shape[1])
+        return targets
+    kept = np.ones(targets.markers.shape[1])
     kept[list(markers)] = 0.0
-    if evidence.weights is None:
-        return evidence._replace(
-            weights=mapped(lambda part: np.tile(kept, (len(part), 1)), evidence.markers)
-        )
-    return evidence._replace(weights=mapped(lambda part: part * kept, evidence.weights))
+    if targets.weights is None:
+        weights = mapped(lambda part: np.tile(kept, (len(part), 1)), targets.markers)
+    else:
+        weights = mapped(lambda part: part * kept, targets.weights)
+    return targets._replace(weights=weights)
 
 
 def fill_short_gaps(
@@ -170,7 +175,7 @@ def bridge(
     first known one and after the last.
     """
     out = values.copy()
-    for first, last in _runs(~known):
+    for first, last in runs(~known):
         if first > 0 and last < len(values):
             near = _near(known, first, last, rate_hz)
             around = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
@@ -192,7 +197,7 @@ def bridge_rotations(
     round.
     """
     out = rotvecs.copy()
-    for first, last in _runs(~known):
+    for first, last in runs(~known):
         origin = rotvecs[first - 1 if first else min(last, len(rotvecs) - 1)]
         start = matrix_from_rotvec(origin)
         part = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
@@ -232,12 +237,6 @@ def _plain_offsets(observed: np.ndarray, carried: np.ndarray) -> np.ndarray:
     off = np.nan_to_num(observed - carried)
     off[np.linalg.norm(off, axis=2) > GROSS] = 0.0
     return off
-
-
-def _runs(chosen: Bool[np.ndarray, " T"]) -> Iterator[tuple[int, int]]:
-    """(first, last + 1) of each run."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
-    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def _near(known: Bool[np.ndarray, " T"], first: int, last: int, rate_hz: float) -> np.ndarray:
@@ -296,3 +295,125 @@ def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " 
     time = np.arange(len(values))
     degree = 2 if len(values) > 3 else min(1, len(values) - 1)
     return np.polyfit(time - time[at], values, degree)[-2] if degree else np.zeros(values.shape[1])
+
+
+TRUSTED = 0.5
+"""Weight of the robust loss below which a sample beside a gap does not tell where the marker sits.
+"""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A marker's frames ``first`` to ``last`` without a sample; ``why`` says why it stays empty, ""
+    where it is filled.
+
+    ``nearby`` is the median number of other markers that were seen meanwhile on the same part of
+    the body or a part beside it: what is filled where that is 0 rests on the pose prior and the
+    frames around.
+    """
+
+    label: str
+    first: int
+    last: int
+    nearby: int
+    why: str = ""
+
+    @property
+    def frames(self) -> int:
+        """How many."""
+        return self.last - self.first + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """The markers with their gaps filled (T, M, 3), which samples these are (T, M), and every
+    gap.
+    """
+
+    labels: tuple[str, ...]
+    markers: Float[np.ndarray, "T M 3"]
+    filled: Bool[np.ndarray, "T M"]
+    gaps: tuple[Gap, ...]
+
+
+def fill_gaps(
+    fit: MarkerFit,
+    observed: Float[np.ndarray, "T M 3"],
+    left_out: Mapping[str, str] = MappingProxyType({}),
+) -> Filling:
+    """The gaps of ``observed``, in metres, the fit's frames and the order of its labels, filled
+    where the fit knows.
+
+    Empty stay frames with too few markers, gaps of markers under suspicion (what a label carries is
+    not sure then), gaps whose ends do not lie on the body, and labels that are ``left_out`` for the
+    reason given.
+    """
+    missing = ~np.isfinite(observed[..., 0])
+    refused = _suspicious(fit) | dict(left_out)
+    predicted, bases = _carried(fit)
+    beside = _beside(fit)
+    markers = np.array(observed)
+    filled = np.zeros_like(missing)
+    gaps = []
+    for marker, label in enumerate(fit.labels):
+        for first, stop in runs(missing[:, marker]):
+            last = stop - 1
+            gap = slice(first, stop)
+            ends = [t for t in (first - 1, last + 1) if 0 <= t < len(observed)]
+            near = int(np.median((~missing[gap][:, beside[marker]]).sum(1)))
+            why = refused.get(label) or _refusal(fit, marker, gap, ends)
+            if not why:
+                off = [
+                    bases[t, marker].T @ (observed[t, marker] - predicted[t, marker]) for t in ends
+                ]
+                placed = (
+                    predicted[gap, marker]
+                    + (bases[gap, marker] @ _between(off, last - first + 1)[..., None])[..., 0]
+                )
+                known = ~fit.flagged_frames[gap]
+                markers[gap, marker] = np.where(known[:, None], placed, np.nan)
+                filled[gap, marker] = known
+            gaps.append(Gap(label, first, last, near, why))
+    return Filling(fit.labels, markers, filled, tuple(gaps))
+
+
+def _suspicious(fit: MarkerFit) -> dict[str, str]:
+    return {
+        each.label: f"under suspicion: {each.reason}" for each in fit.suspects if not each.corrected
+    }
+
+
+def _refusal(fit: MarkerFit, marker: int, gap: slice, ends: list[int]) -> str:
+    if not ends:
+        return "never seen"
+    if fit.marker_weights[ends, marker].min() < TRUSTED:
+        return "the samples beside it do not lie on the body"
+    return "too few markers are seen" if fit.flagged_frames[gap].all() else ""
+
+
+def _between(ends: list[np.ndarray], frames: int) -> Float[np.ndarray, "G 3"]:
+    """Offsets in a gap: on the straight way from one end's to the other's, or as at the only
+    end.
+    """
+    share = np.arange(1, frames + 1)[:, None] / (frames + 1)
+    return ends[0] + share * (ends[-1] - ends[0])
+
+
+def _carried(fit: MarkerFit) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted markers (T, M, 3) and the axes of their triangles (T, M, 3, 3)."""
+    used, corners = np.unique(fit.attachment.triangles, return_inverse=True)
+    attachment = MarkerAttachment(corners.reshape(-1, 3), fit.attachment.coefficients)
+    points = fit.points(used)
+    return predict_markers(points, attachment), triangle_bases(points, attachment.triangles).basis
+
+
+def _beside(fit: MarkerFit) -> Bool[np.ndarray, "M M"]:
+    """Which other markers ride on the same joint as a marker, or on one next to it in the tree."""
+    body = fit.body
+    joint = body.strongest_joint[fit.attachment.triangles[:, 0]]
+    parents = np.array(body.parents)
+    one = joint[:, None]
+    other = joint[None]
+    near = (one == other) | (parents[one] == other) | (parents[other] == one)
+    np.fill_diagonal(near, False)
+    return near

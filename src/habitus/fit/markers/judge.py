@@ -123,7 +123,7 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "few markers": "Only {count} markers were used; shape and pose follow mostly the priors.",
         "left out": "Left out because nothing fits them: {labels}.",
         "tried": "{text}",
-        # of a live fit, over its last second (`habitus.fit.markers.live_quality`)
+        # of a live fit, over its last second (`habitus.fit.markers.live`)
         "nobody": "Nobody is seen.",
         "live few": "Too few markers are seen to place a body.",
         "live errors": "Markers lie {mean:.0f} mm from the body.",

@@ -2,8 +2,10 @@
 arrive (M 6).
 """
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,83 +13,271 @@ from jaxtyping import Float, Int
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.markers.assembly import Subject
-from habitus.fit.markers.frames import spread_frames
+from habitus.fit.markers.causal import CausalFrame, CausalSolver
+from habitus.fit.markers.judge import LIMITS, SENTENCES
 from habitus.fit.markers.recipe import fit_subject
-from habitus.fit.markers.recordings import Recording, ever_seen, of_markers
+from habitus.fit.markers.recordings import (
+    FEWEST_MARKERS,
+    Recording,
+    ever_seen,
+    of_markers,
+    spread_frames,
+)
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import ShapeFit
-from habitus.fit.markers.tracking import LiveFrame, Tracker
+from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.start import start_frame
+from habitus.fit.markers.suspects import GROSS, exchange
+from habitus.fit.subject import ShapeFit, Subject
+from habitus.fit.verdict import (
+    DOUBTFUL,
+    FAILED,
+    GOOD,
+    Reason,
+    Verdict,
+    above,
+    verdict_of,
+    worst,
+)
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.marker_prediction import marked_body
 
 
-@dataclass(frozen=True)
-class KnownSubject:
-    """A person whose shape and marker places are known: body, its prior, the layout of the N
-    markers in use.
+def subject_of(
+    body: BodyModel,
+    prior: PosePrior,
+    layout: MarkerLayout,
+    recording: Recording,
+    settings: MoshSettings,
+) -> Subject:
+    """The subject of some frames, by the shape stage, on the markers that are seen in any of them;
+    recording: its markers in the layout's order.
+
+    Raises HabitusError where no frame holds enough markers.
+    """
+    seen = ever_seen(recording.observed)
+    kept = tuple(marker for marker, s in zip(layout.markers, seen, strict=True) if s)
+    recording = replace(recording, observed=of_markers(recording.observed, seen))
+    return fit_subject(body, prior, replace(layout, markers=kept), [recording], settings)
+
+
+def saved_subject(
+    fit: MarkerFit, prior: PosePrior, layout: MarkerLayout, settings: MoshSettings
+) -> Subject:
+    """The subject of an earlier fit; layout: of the labels in use, all of which the fit has."""
+    columns = [fit.labels.index(label) for label in layout.labels]
+    attachment = replace(
+        fit.attachment,
+        triangles=fit.attachment.triangles[columns],
+        coefficients=fit.attachment.coefficients[columns],
+    )
+    frames = spread_frames(fit.observed_markers, settings.frames, settings.seed)
+    shape = ShapeFit(
+        betas=fit.betas,
+        latent_markers=fit.latent_markers[columns],
+        attachment=attachment,
+        pose=fit.pose[frames],
+        trans=fit.trans[frames],
+        costs={},
+        status="saved",
+        iterations=0,
+    )
+    return Subject(fit.body, prior.for_joints(fit.body.joint_names), layout, shape)
+
+
+State = Literal["nobody", "started", "tracked", "held"]
+GONE_S = 0.5
+"""Seconds without enough markers after which a person has left: motion is no longer carried on."""
+LOOK_S = 0.2
+"""Seconds for which more markers are waited for before a start, and for which a body may be astray.
+"""
+ASTRAY = 0.06
+"""Metres that half of the markers may be off the body before it is begun anew."""
+BETTER = 0.7
+"""A new beginning is taken where its cost is below this share of the old one's."""
+
+
+class LiveFrame(NamedTuple):
+    """What a stream's frame told: pose (J, 3) rad, trans (3,) m, its cost, and how far each marker
+    is off (M,) m.
+
+    state: "tracked"; "started" in the first frame of somebody who comes, or where a body that was
+    astray begins anew; "held" where too few markers are seen for a moment and the motion is carried
+    on; "nobody" where nobody is seen: pose and trans are NaN then. distances: of the markers in
+    use, NaN where missing.
     """
 
-    body: BodyModel
-    prior: PosePrior
-    layout: MarkerLayout
-    subject: Subject
+    pose: Float[np.ndarray, "J 3"]
+    trans: Float[np.ndarray, " 3"]
+    cost: float
+    state: State
+    distances: Float[np.ndarray, " M"]
 
-    @classmethod
-    def learnt(
-        cls,
-        body: BodyModel,
-        prior: PosePrior,
-        layout: MarkerLayout,
-        recording: Recording,
-        settings: MoshSettings,
-    ) -> "KnownSubject":
-        """From some frames, by the shape stage; recording: its markers in the layout's order.
 
-        Raises HabitusError where no frame holds enough markers.
+class Tracker:
+    """Fits a person of known shape frame by frame; for one stream and one thread.
+
+    rate_hz: of the stream.
+    """
+
+    def __init__(self, subject: Subject, settings: MoshSettings, rate_hz: float):
+        self._subject = subject
+        self._prior = subject.prior
+        self._settings = settings
+        self._gone = max(1, round(GONE_S * rate_hz))
+        self._look = max(1, round(LOOK_S * rate_hz))
+        self._solver: CausalSolver | None = None
+        self._blind = self._waited = self._astray = 0
+
+    def step(self, observed: Float[np.ndarray, "M 3"]) -> LiveFrame:
+        """The next frame; ``observed`` in metres, NaN where missing, all of them for a frame that
+        was lost.
         """
-        seen = ever_seen(recording.observed)
-        prior = prior.for_joints(body.joint_names)
-        layout = replace(
-            layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s)
+        observed = exchange(observed[None], self._subject.exchanged)[0]
+        observed[list(self._subject.misplaced)] = np.nan
+        seen = int(np.isfinite(observed[:, 0]).sum())
+        self._blind = 0 if seen >= FEWEST_MARKERS else self._blind + 1
+        if self._blind > self._gone:
+            self._solver = None
+        if self._solver is None:
+            return self._begin(observed, seen)
+        found = self._solver.step(observed)
+        if self._blind:
+            return self._told(found, observed, "held")
+        frame = self._told(found, observed, "tracked")
+        self._astray = (
+            self._astray + 1 if 2 * np.count_nonzero(frame.distances > ASTRAY) > seen else 0
         )
-        recording = replace(recording, observed=of_markers(recording.observed, seen))
-        return cls(body, prior, layout, fit_subject(body, prior, layout, [recording], settings))
-
-    @classmethod
-    def saved(
-        cls, fit: MarkerFit, prior: PosePrior, layout: MarkerLayout, settings: MoshSettings
-    ) -> "KnownSubject":
-        """From an earlier fit; layout: of the labels that are in use, which the fit has too."""
-        columns = [fit.labels.index(label) for label in layout.labels]
-        attachment = replace(
-            fit.attachment,
-            triangles=fit.attachment.triangles[columns],
-            coefficients=fit.attachment.coefficients[columns],
-        )
-        some = spread_frames(fit.observed_markers, settings.frames, settings.seed)
-        shape = ShapeFit(
-            betas=fit.betas,
-            latent_markers=fit.latent_markers[columns],
-            attachment=attachment,
-            pose=fit.pose[some],
-            trans=fit.trans[some],
-            costs={},
-            status="saved",
-            iterations=0,
-        )
-        rig = marked_body(fit.body, fit.betas, attachment)
-        return cls(
-            fit.body,
-            prior.for_joints(fit.body.joint_names),
-            layout,
-            Subject(shape, rig, (), (), 0.0),
+        return (
+            self._anew(observed, frame)
+            if self._astray and self._astray % self._look == 0
+            else frame
         )
 
-    def tracker(self, settings: MoshSettings, rate_hz: float) -> Tracker:
-        """What follows this person through a stream of so many frames a second."""
-        return Tracker(self.subject, self.prior, settings, rate_hz)
+    def rehearse(self) -> None:
+        """To be called while nothing comes, so that the next frame takes less time; it changes
+        nothing.
+        """
+        if self._solver is not None:
+            self._solver.rehearse()
+
+    def _begin(self, observed: np.ndarray, seen: int) -> LiveFrame:
+        """The first frame of a person, when half of the markers are seen, or for some time enough
+        of them.
+        """
+        self._waited = self._waited + 1 if seen >= FEWEST_MARKERS else 0
+        if not self._waited or (seen < len(observed) / 2 and self._waited < self._look):
+            return _nobody(self._subject, len(observed))
+        self._waited = self._astray = 0
+        self._solver = self._started(observed)
+        return self._told(self._solver.step(observed), observed, "started")
+
+    def _anew(self, observed: np.ndarray, frame: LiveFrame) -> LiveFrame:
+        """The better one of the track and a new beginning."""
+        other = self._started(observed)
+        found = other.step(observed)
+        if found.cost > BETTER * frame.cost:
+            return frame
+        self._solver = other
+        self._astray = 0
+        return self._told(found, observed, "started")
+
+    def _told(self, found: CausalFrame, observed: np.ndarray, state: State) -> LiveFrame:
+        assert self._solver is not None
+        distances = np.sqrt(np.square(self._solver.markers() - observed).sum(axis=1))
+        return LiveFrame(found.pose, found.trans, found.cost, state, distances)
+
+    def _started(self, observed: np.ndarray) -> CausalSolver:
+        rig = self._subject.rig
+        names = ("root", *self._prior.joint_names)
+        pose, trans = start_frame(rig, self._subject.shape.pose, names, observed)
+        scales = np.full(len(observed), self._settings.robust_scale[1])
+        return CausalSolver(
+            rig, self._prior, pose, trans, sequence_settings(self._settings), scales
+        )
+
+
+def _nobody(subject: Subject, markers: int) -> LiveFrame:
+    joints = subject.rig.num_joints
+    return LiveFrame(
+        np.full((joints, 3), np.nan), np.full(3, np.nan), 0.0, "nobody", np.full(markers, np.nan)
+    )
+
+
+FEW = 0.5
+"""Share of the markers below which what is seen is too little to be sure of a body."""
+_NAMED = 3
+
+
+class Quality:
+    """Verdict on the frames of the last second. labels: of the N markers; rate_hz: of the
+    stream.
+    """
+
+    def __init__(self, labels: tuple[str, ...], rate_hz: float):
+        self.labels = labels
+        self._last: deque[LiveFrame] = deque(maxlen=max(1, round(rate_hz)))
+
+    def add(self, frame: LiveFrame) -> None:
+        """The next frame."""
+        self._last.append(frame)
+
+    @property
+    def seen(self) -> int:
+        """How many markers the last frame has."""
+        return int(np.isfinite(self._last[-1].distances).sum()) if self._last else 0
+
+    @property
+    def mean_mm(self) -> float:
+        """Of the distances between markers and body over the last second, NaN where there are
+        none.
+        """
+        found = self._distances()
+        return (
+            1e3 * float(found[np.isfinite(found)].mean())
+            if np.isfinite(found).any()
+            else float("nan")
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """``good``, ``doubtful`` or ``failed``, with its reasons."""
+        if not self._last or self._last[-1].state == "nobody":
+            return verdict_of([Reason(FAILED, "nobody")], SENTENCES)
+        distances = self._distances()
+        reasons = [self._errors(distances), self._missing(distances)]
+        return verdict_of([reason for reason in reasons if reason.level != GOOD], SENTENCES)
+
+    def _distances(self) -> np.ndarray:
+        """(F, N) of the last second's frames that show somebody."""
+        shown = [frame.distances for frame in self._last if frame.state in ("tracked", "started")]
+        return np.array(shown).reshape(-1, len(self.labels))
+
+    def _errors(self, distances: np.ndarray) -> Reason:
+        seen = np.isfinite(distances)
+        if not seen.any():
+            return Reason(FAILED, "live few")
+        mean = 1e3 * distances[seen].mean()
+        p95 = 1e3 * np.percentile(distances[seen], 95)
+        level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
+        medians = _medians(distances)
+        far = np.flatnonzero(medians > GROSS)
+        if not len(far):
+            return Reason(level, "live errors", {"mean": mean})
+        named = ", ".join(f"{self.labels[k]} {1e3 * medians[k]:.0f} mm" for k in far[:_NAMED])
+        more = f" and {len(far) - _NAMED} more" if len(far) > _NAMED else ""
+        values = {"mean": mean, "named": named + more}
+        return Reason(worst([level, DOUBTFUL]), "live outliers", values)
+
+    def _missing(self, distances: np.ndarray) -> Reason:
+        share = float(np.isfinite(distances).mean()) if distances.size else 0.0
+        return Reason(DOUBTFUL if share < FEW else GOOD, "live missing", {"share": share})
+
+
+def _medians(found: np.ndarray) -> np.ndarray:
+    """(N,) of each marker that is seen, 0 elsewhere."""
+    out = np.zeros(found.shape[1])
+    seen = np.isfinite(found).any(axis=0)
+    out[seen] = np.nanmedian(found[:, seen], axis=0)
+    return out
 
 
 class LiveFit:
@@ -100,19 +290,19 @@ class LiveFit:
 
     def __init__(
         self,
-        known: KnownSubject,
+        subject: Subject,
         labels: Sequence[str],
         columns: Int[np.ndarray, " N"],
         settings: MoshSettings,
         rate_hz: float,
     ):
-        self.body = known.body
-        self.layout = known.layout
+        self.body = subject.body
+        self.layout = subject.layout
         self.labels = tuple(labels)
-        self.betas = known.subject.shape.betas
-        self.latent_markers = known.subject.shape.latent_markers
+        self.betas = subject.shape.betas
+        self.latent_markers = subject.shape.latent_markers
         self._columns = columns
-        self._tracker = known.tracker(settings, rate_hz)
+        self._tracker = Tracker(subject, settings, rate_hz)
 
     def step(self, markers: Float[np.ndarray, "M 3"]) -> LiveFrame:
         """Pose (J, 3) in rad, trans (3,) in m and cost of the next frame, in the markers' own world

@@ -12,8 +12,14 @@ from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.markers.rotation_charts import nearest_equivalent, unwrap
-from habitus.fit.markers.sequence_kernels import LevelArrays, MarkerData, costs, visit
+from habitus.fit.markers.sequence_kernels import (
+    LevelArrays,
+    MarkerData,
+    costs,
+    nearest_equivalent,
+    unwrap,
+    visit,
+)
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
 from habitus.kernels.threads import num_threads

@@ -3,47 +3,52 @@ three stages.
 """
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.assembly import PoseStage, Subject, assemble
-from habitus.fit.markers.causal import fit_causally
-from habitus.fit.markers.drift import find_drifts
-from habitus.fit.markers.gaps import Evidence, bridged, fill_short_gaps, without
+from habitus.fit.markers.causal import CausalSolver, fit_causally
+from habitus.fit.markers.drift import Drift, find_drifts
+from habitus.fit.markers.gaps import MarkerTargets, bridged, fill_short_gaps, without
 from habitus.fit.markers.recordings import (
     Recording,
     check_recordings,
     ever_seen,
+    few_markers,
     first_frame,
+    flag_warning,
     labels_put_back,
     of_markers,
     shape_frames,
     within_reach,
 )
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.sequence import SequenceResult
-from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
+from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequence_settings
 from habitus.fit.markers.shape import place, shape_stage
-from habitus.fit.markers.start import start_frames, start_sequence, trunk_weights
+from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
 from habitus.fit.markers.suspects import (
     crossed_placements,
     exchange,
     far_placements,
     find_swaps,
+    lengths,
     marker_noise,
+    suspects,
     undo_swaps,
 )
-from habitus.fit.markers.windows import fit_long, start_long
+from habitus.fit.subject import Subject
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
-from habitus.observe.soft_space import check_space
-from habitus.parallel.blocks import distances
+from habitus.observe.soft_space import check_space, parted
+from habitus.parallel.blocks import distances, mapped
+from habitus.solve.sequence.solver import SequenceOptions
 from habitus.types import Progress
 
 __all__ = [
@@ -55,6 +60,23 @@ __all__ = [
     "iterate_fits",
     "known_subject",
 ]
+
+
+@dataclass(frozen=True)
+class PoseStage:
+    """What the pose stage found.
+
+    observed: the markers with exchanged labels put right (T, M, 3). targets: what the result was
+    fitted to. scale: of the robust loss (M,), metres. swaps: pairs put back (`find_swaps`). drifts:
+    markers that slide.
+    """
+
+    result: SequenceResult
+    observed: Float[np.ndarray, "T M 3"]
+    targets: MarkerTargets
+    scale: Float[np.ndarray, " M"]
+    swaps: Sequence[tuple[int, int, Bool[np.ndarray, " T"]]] = ()
+    drifts: tuple[Drift, ...] = ()
 
 
 def fit_markers(
@@ -87,11 +109,11 @@ def iterate_fits(
     settings = settings or MoshSettings()
     prior = prior.for_joints(body.joint_names)
     progress("shape", 0.0)
-    layout, recordings, subject = known_subject(body, prior, layout, recordings, settings)
+    recordings, subject = known_subject(body, prior, layout, recordings, settings)
     for index, recording in enumerate(recordings):
         progress(recording.name, index / len(recordings))
         with threadpool_limits(1, user_api="blas"):
-            fit = _fit_recording(body, prior, layout, recording, subject, settings)
+            fit = _fit_recording(recording, subject, settings)
         yield fit
 
 
@@ -101,9 +123,9 @@ def known_subject(
     layout: MarkerLayout,
     recordings: Sequence[Recording],
     settings: MoshSettings,
-) -> tuple[MarkerLayout, list[Recording], Subject]:
-    """The shape stage of a subject: its layout and recordings as they are fitted, without markers
-    that are never seen, and what was found. Raises HabitusError when no frame holds enough markers.
+) -> tuple[list[Recording], Subject]:
+    """The shape stage: the recordings as they are fitted, without markers that are never seen, and
+    the subject. Raises HabitusError when no frame holds enough markers.
     """
     check_space(body, settings.soft_space)
     recordings = [within_reach(recording, layout.labels) for recording in recordings]
@@ -116,30 +138,19 @@ def known_subject(
     with threadpool_limits(
         1, user_api="blas"
     ):  # the matrices are small: more threads only wait for each other
-        subject = fit_subject(
-            body, prior.for_joints(body.joint_names), layout, recordings, settings
-        )
-    return layout, recordings, subject
+        subject = fit_subject(body, prior, layout, recordings, settings)
+    return recordings, subject
 
 
-def fit_known(
-    body: BodyModel,
-    prior: PosePrior,
-    layout: MarkerLayout,
-    recording: Recording,
-    subject: Subject,
-    settings: MoshSettings,
-) -> MarkerFit:
-    """Pose and soft tissue in one more recording of a subject whose shape stage is done, on the
-    layout that it gave.
+def fit_known(recording: Recording, subject: Subject, settings: MoshSettings) -> MarkerFit:
+    """Pose and soft tissue in one more recording of a subject, on the subject's layout.
 
     Raises HabitusError when no frame holds enough markers.
     """
+    layout = subject.layout
     (recording,) = _put_right([within_reach(recording, layout.labels)], layout, settings)
     with threadpool_limits(1, user_api="blas"):
-        return _fit_recording(
-            body, prior.for_joints(body.joint_names), layout, recording, subject, settings
-        )
+        return _fit_recording(recording, subject, settings)
 
 
 def _put_right(
@@ -165,6 +176,7 @@ def fit_subject(
     found and put right.
     """
     began = time.perf_counter()
+    prior = prior.for_joints(body.joint_names)
     placement = place(layout, body)
     observed, sources = shape_frames(recordings, settings)
     latent = default_markers(body, np.zeros(body.num_betas), placement.vertices, placement.distance)
@@ -189,43 +201,31 @@ def fit_subject(
     if misplaced:
         observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
-        rig = marked_body(body, shape.betas, shape.attachment)
-    return Subject(shape, rig, exchanged, misplaced, time.perf_counter() - began, sources)
+    seconds = time.perf_counter() - began
+    return Subject(body, prior, layout, shape, exchanged, misplaced, seconds, sources)
 
 
-def _fit_recording(
-    body: BodyModel,
-    prior: PosePrior,
-    layout: MarkerLayout,
-    recording: Recording,
-    subject: Subject,
-    settings: MoshSettings,
-) -> MarkerFit:
+def _fit_recording(recording: Recording, subject: Subject, settings: MoshSettings) -> MarkerFit:
     """Pose stage and soft-tissue stage of one capture."""
     observed = exchange(recording.observed, subject.exchanged)
     began = time.perf_counter()
-    found = _pose_stage(body, subject, observed, recording.rate_hz, prior, settings)
+    found = _pose_stage(subject, observed, recording.rate_hz, settings)
     pose_seconds = time.perf_counter() - began
     began = time.perf_counter()
-    soft = (
-        _soft_tissue_stage(body, subject, found, prior, settings) if settings.soft_tissue else None
-    )
+    soft = _soft_tissue_stage(subject, found, settings) if settings.soft_tissue else None
     soft_seconds = time.perf_counter() - began if soft else None
     seconds = {"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds}
-    return assemble(body, layout, recording, subject, found, soft, seconds, settings)
+    return assemble(recording, subject, found, soft, seconds, settings)
 
 
 def _pose_stage(
-    body: BodyModel,
-    subject: Subject,
-    observed: np.ndarray,
-    rate_hz: float,
-    prior: PosePrior,
-    settings: MoshSettings,
+    subject: Subject, observed: np.ndarray, rate_hz: float, settings: MoshSettings
 ) -> PoseStage:
     """All frames at once; then each marker's noise is known, exchanged pairs are put right, sliding
     markers found, gaps bridged, and it is solved again.
     """
+    body = subject.body
+    prior = subject.prior
     scale = np.full(observed.shape[1], settings.robust_scale[1])
     if settings.causal:
         first = first_frame(observed)
@@ -239,10 +239,10 @@ def _pose_stage(
         result = fit_causally(
             subject.rig, observed, prior, start, scale, sequence_settings(settings)
         )
-        return PoseStage(result, observed, Evidence(observed, None), scale)
+        return PoseStage(result, observed, MarkerTargets(observed, None), scale)
     longest = settings.longest
     lam = sequence_settings(settings)
-    first = without(Evidence(fill_short_gaps(observed, rate_hz), None), subject.misplaced)
+    first = without(MarkerTargets(fill_short_gaps(observed, rate_hz), None), subject.misplaced)
     pose, trans = start_long(
         subject.rig, subject.shape.pose, ("root", *prior.joint_names), first.markers, longest
     )
@@ -256,21 +256,122 @@ def _pose_stage(
     drifts = find_drifts(
         body, subject.shape.attachment, subject.rig, observed, scale, rate_hz, prior, result, lam
     )
-    evidence, pose, trans = bridged(subject.rig, result.pose, result.trans, observed, rate_hz)
-    evidence = without(evidence, subject.misplaced)
-    result = fit_long(subject.rig, *evidence, scale, prior, pose, trans, lam, longest=longest)
-    return PoseStage(result, observed, evidence, scale, swaps, drifts)
+    targets, pose, trans = bridged(subject.rig, result.pose, result.trans, observed, rate_hz)
+    targets = without(targets, subject.misplaced)
+    result = fit_long(subject.rig, *targets, scale, prior, pose, trans, lam, longest=longest)
+    return PoseStage(result, observed, targets, scale, swaps, drifts)
 
 
 def _soft_tissue_stage(
-    body: BodyModel, subject: Subject, found: PoseStage, prior: PosePrior, settings: MoshSettings
+    subject: Subject, found: PoseStage, settings: MoshSettings
 ) -> SequenceResult:
-    """Soft tissue let go in time, with E_Delta (eq. 10), begun from the pose stage: the shape's
-    changes beta_t, or dynamics, whose prior is what was learned: their coefficients are in root
-    mean squares, and not correlated.
+    """Soft tissue that changes in time, with E_Delta (M eq. 10), begun from the pose stage.
+
+    Its coefficients are changes of the shape beta_t, or dynamics, whose prior is learned:
+    coefficients in root mean squares, uncorrelated.
     """
+    body = subject.body
     soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
     still = np.zeros((len(found.observed), soft.num_betas))
     lam = sequence_settings(settings, warm=True)
     given = (found.result.pose, found.result.trans, lam, still)
-    return fit_long(soft, *found.evidence, found.scale, prior, *given, longest=settings.longest)
+    return fit_long(
+        soft, *found.targets, found.scale, subject.prior, *given, longest=settings.longest
+    )
+
+
+def assemble(
+    recording: Recording,
+    subject: Subject,
+    found: PoseStage,
+    soft: SequenceResult | None,
+    seconds: Mapping[str, float | None],
+    settings: MoshSettings,
+) -> MarkerFit:
+    """The fit of one capture, put together from what its stages found."""
+    body = subject.body
+    layout = subject.layout
+    posed = found.result
+    observed = found.observed
+    final = soft or posed
+    predicted = predict(subject.rig, posed.pose, posed.trans)
+    off = mapped(np.subtract, observed, predicted)
+    few = few_markers(observed)
+    place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
+    change = None
+    moving = None
+    moved = None
+    if soft is not None and soft.soft_tissue is not None:
+        marked = marked_body(
+            body, subject.shape.betas, subject.shape.attachment, settings.soft_space
+        )
+        change, moving = parted(body, settings.soft_space, soft.soft_tissue)
+        moved = predict(marked, soft.pose, soft.trans, soft.soft_tissue)
+    always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
+    return MarkerFit(
+        capture_name=recording.name,
+        body_name=body.name,
+        layout_name=layout.name,
+        body=body,
+        up_axis=recording.up_axis,
+        rate_hz=recording.rate_hz,
+        labels=layout.labels,
+        betas=subject.shape.betas,
+        latent_markers=subject.shape.latent_markers,
+        attachment=subject.shape.attachment,
+        pose=final.pose,
+        trans=final.trans,
+        soft_tissue=change,
+        dynamics=moving,
+        pose_stage=(posed.pose, posed.trans),
+        observed_markers=observed,
+        predicted_pose_stage=predicted,
+        predicted_soft_tissue=moved,
+        marker_weights=mapped(_of_the_seen, observed, final.weights),
+        marker_noise=marker_noise(lengths(off)),
+        flagged_frames=few,
+        suspects=(
+            *recording.suspects,
+            *suspects(layout.labels, off, found.scale, [*always, *found.swaps], found.drifts),
+        ),
+        costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
+        stage_seconds=seconds,
+        warnings=(*recording.warnings, *flag_warning(few)),
+        settings=asdict(settings),
+        status=final.status,
+        seed=settings.seed,
+        recorded=recording.recorded,
+        layout_confidence=recording.layout_confidence,
+        doubts=recording.doubts,
+        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1)
+        / layout.place_spreads(),
+    )
+
+
+def _of_the_seen(observed: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(observed[..., 0]), weights, 0.0)
+
+
+FRAMES = 4
+MARKERS = 2
+
+
+def warm_up(body: BodyModel) -> float:
+    """Call each kernel of a marker fit once on a few frames of this body; the seconds that took."""
+    began = time.perf_counter()
+    betas = np.zeros(body.num_betas)
+    vertices = np.linspace(0, body.num_vertices - 1, MARKERS).astype(np.int64)
+    latent = default_markers(body, betas, vertices, np.full(MARKERS, 0.01))
+    rig = marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
+    prior = PosePrior((), np.zeros(0), np.zeros((0, 0))).for_joints(body.joint_names)
+    pose = np.zeros((FRAMES, body.num_joints, 3))
+    trans = np.zeros((FRAMES, 3))
+    soft = np.zeros((FRAMES, body.num_betas))
+    scales = np.full(MARKERS, 0.1)
+    observed = predict(rig, pose, trans, soft)
+    body(betas, pose[0], trans[0])
+    brief = SequenceSettings(options=SequenceOptions(strides=(1,), sweeps=1))
+    for start in (None, soft):
+        fit_sequence(rig, observed, None, scales, prior, pose, trans, brief, soft_tissue=start)
+    CausalSolver(rig, prior, pose[0], trans[0], brief, scales).step(observed[0])
+    return time.perf_counter() - began

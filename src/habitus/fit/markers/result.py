@@ -4,16 +4,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
-from habitus.fit.markers.guessed import Guessed
 from habitus.fit.markers.sequence_terms import sequence_terms
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
@@ -25,6 +24,24 @@ from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
 ALL = slice(None)
+
+GUESSED = 0.06
+"""Metres: a part whose skin is known no better (standard deviation) is guessed."""
+
+
+class Guessed(NamedTuple):
+    """How well each joint's segment is known: ``spread`` (F, J) in metres, in the spans of frames
+    from ``edges`` (F,).
+
+    It is the standard deviation of where the segment's skin is; zero for a joint that carries none.
+    """
+
+    edges: Int[np.ndarray, " F"]
+    spread: Float[np.ndarray, "F J"]
+
+    def joints(self) -> Bool[np.ndarray, " J"]:
+        """Which joints' segments are guessed (GUESSED) in half of the spans, or more."""
+        return np.median(self.spread, axis=0) > GUESSED
 
 
 @dataclass(frozen=True)

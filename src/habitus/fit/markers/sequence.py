@@ -12,16 +12,20 @@ optimum that the paper's filter approximates. rho is Geman-McClure's s^2 d^2 / (
 scale s per marker, or the square where s is infinite.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.marker_sequence import marker_sequence
+from habitus.fit.markers.recordings import few_markers
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody
-from habitus.solve.sequence.solver import solve_sequence
+from habitus.parallel.blocks import release, room, taken
+from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
 
 
 @dataclass(frozen=True)
@@ -82,4 +86,201 @@ def fit_sequence(
         status=solution.status,
         iterations=solution.iterations,
         history=solution.history,
+    )
+
+
+OVERLAP = 240
+"""Frames solved with a window beyond those that are kept: a multiple of GRID."""
+GRID = 48
+"""Windows begin at multiples of it: the solver's three colours on its coarsest stride of 16."""
+WORST_FIRST = ("not finite", "iterations", "converged")
+LOOK = 20
+"""In so many steps of GRID to either side a place is sought where markers are seen, to cut there.
+"""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Frames of a capture that are solved together, and those of them that are kept."""
+
+    solved: slice
+    kept: slice
+
+    @property
+    def inside(self) -> slice:
+        """The kept frames, counted from the first that is solved."""
+        return slice(self.kept.start - self.solved.start, self.kept.stop - self.solved.start)
+
+
+def windows(few: Bool[np.ndarray, " T"], longest: int, overlap: int = OVERLAP) -> list[Window]:
+    """How a capture is cut; few: frames with too few markers, near which no window should begin or
+    end.
+
+    longest: about how many frames are solved together, those of the overlap included.
+    """
+    frames = len(few)
+    edges = [0]
+    if frames <= longest:
+        return [Window(slice(0, frames), slice(0, frames))]
+    bad = np.concatenate([[0], np.cumsum(few)])
+    step = max((longest - 2 * overlap) // GRID, 1) * GRID
+    while frames - edges[-1] > step + overlap:
+        edges.append(_cut(bad, edges[-1] + step, edges[-1] + GRID, overlap))
+    edges.append(frames)
+    parts = [slice(first, last) for first, last in pairwise(edges)]
+    return [
+        Window(slice(max(p.start - overlap, 0), min(p.stop + overlap + 1, frames)), p)
+        for p in parts
+    ]
+
+
+def _cut(bad: np.ndarray, wanted: int, first: int, overlap: int) -> int:
+    """The latest place up to ``wanted`` around which the fewest frames lack markers."""
+    places = np.arange(wanted, max(first, wanted - LOOK * GRID) - 1, -GRID)
+    missing = bad[np.minimum(places + overlap, len(bad) - 1)] - bad[np.maximum(places - overlap, 0)]
+    return int(places[np.argmin(missing)])
+
+
+def fit_long(
+    marked: MarkedBody,
+    observed: Float[np.ndarray, "T M 3"],
+    weights: Float[np.ndarray, "T M"] | None,
+    scales: Float[np.ndarray, " M"] | None,
+    prior: PosePrior,
+    start_pose: Float[np.ndarray, "T J 3"],
+    start_trans: Float[np.ndarray, "T 3"],
+    settings: SequenceSettings,
+    soft_tissue: Float[np.ndarray, "T B"] | None = None,
+    *,
+    longest: int,
+) -> SequenceResult:
+    """`fit_sequence` of a capture of any length; of long ones the result's arrays may lie over
+    files.
+
+    There, status is that of the worst window, iterations the most of any, and history holds the
+    first and the last total cost, nearly.
+    """
+    parts = windows(few_markers(observed), longest)
+    if len(parts) == 1:
+        return fit_sequence(
+            marked,
+            observed,
+            weights,
+            scales,
+            prior,
+            start_pose,
+            start_trans,
+            settings,
+            soft_tissue=soft_tissue,
+        )
+    stage = _Stage(
+        marked, observed, weights, scales, prior, (start_pose, start_trans), settings, soft_tissue
+    )
+    return _gathered(stage, parts, stage.solutions(parts))
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What `fit_long` is given."""
+
+    marked: MarkedBody
+    observed: np.ndarray
+    weights: np.ndarray | None
+    scales: np.ndarray | None
+    prior: PosePrior
+    start: tuple[np.ndarray, np.ndarray]
+    settings: SequenceSettings
+    soft_tissue: np.ndarray | None
+
+    @property
+    def betas(self) -> int:
+        return 0 if self.soft_tissue is None else self.soft_tissue.shape[1]
+
+    def problem(self, frames: slice | np.ndarray):
+        """The problem of some frames, and their start."""
+        observed, weights, pose, trans, soft = (
+            None
+            if array is None
+            else array[frames]
+            if isinstance(frames, slice)
+            else taken(array, frames)
+            for array in (self.observed, self.weights, *self.start, self.soft_tissue)
+        )
+        problem = marker_sequence(
+            self.marked, observed, weights, self.scales, self.prior, self.settings, self.betas
+        )
+        return problem, problem.pack(pose, trans, soft)
+
+    def solutions(self, parts: list[Window]) -> Iterator[tuple]:
+        """Problem and solution of each window."""
+        options = self.settings.options
+        coarse = None
+        if self.settings.acceleration == 0.0:
+            options = replace(options, strides=(1,), relaxation=1.0)
+        if options.strides[0] > 1:
+            coarse = self._coarse(options)
+        for window in parts:
+            problem, start = self.problem(window.solved)
+            known = None
+            if coarse is not None:
+                frames, states, damping = coarse
+                here = (frames >= window.solved.start) & (frames < window.solved.stop)
+                known = SolvedFrames(frames[here] - window.solved.start, damping[here])
+                start[known.frames] = states[here]
+            yield (
+                problem,
+                solve_sequence(problem, start, slice(3, problem.pose_end), options, known),
+            )
+
+    def _coarse(self, options):
+        """Frames of the coarsest level, their states and damping; all windows share them."""
+        last = len(self.observed) - 1
+        frames = np.unique(np.append(np.arange(0, last + 1, options.strides[0]), last))
+        problem, start = self.problem(frames)
+        return frames, *solve_coarsest(
+            problem, start, frames[-1] - frames[-2], slice(3, problem.pose_end), options
+        )
+
+
+def _gathered(stage: _Stage, parts: list[Window], solutions: Iterator[tuple]) -> SequenceResult:
+    """The kept frames of all windows, one after another."""
+    count = len(stage.observed)
+    joints = stage.marked.num_joints
+    pose = room((count, joints, 3))
+    trans = room((count, 3))
+    weights = room(stage.observed.shape[:2])
+    soft = room((count, stage.betas)) if stage.betas else None
+    frame_costs = np.empty(count)
+    costs = []
+    total = np.zeros(2)
+    ends: list[tuple[str, int]] = []
+    for window, (problem, solution) in zip(parts, solutions, strict=True):
+        states = solution.states[window.inside]
+        frame_costs[window.kept] = solution.frame_costs[window.inside]
+        shares, weights[window.kept] = problem.terms(
+            states, frame_costs[window.kept], window.inside.start
+        )
+        costs.append(
+            shares | {"acceleration": float(np.sum(solution.frame_couplings[window.inside]))}
+        )
+        pose[window.kept], trans[window.kept], some = problem.unpack(states)
+        if soft is not None:
+            soft[window.kept] = some
+        total += (
+            len(states)
+            / len(solution.states)
+            * np.array([solution.history[0], solution.history[-1]])
+        )
+        ends.append((solution.status, solution.iterations))
+        release(pose, trans, weights, soft, stage.observed, stage.weights, *stage.start)
+    return SequenceResult(
+        pose=pose,
+        trans=trans,
+        soft_tissue=soft,
+        costs={name: sum(part[name] for part in costs) for name in costs[0]},
+        frame_costs=frame_costs,
+        weights=weights,
+        status=next(status for status in WORST_FIRST if any(end[0] == status for end in ends)),
+        iterations=max(end[1] for end in ends),
+        history=(float(total[0]), float(total[1])),
     )

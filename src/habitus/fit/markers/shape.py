@@ -9,6 +9,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.subject import ShapeFit
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
@@ -36,22 +37,6 @@ def place(layout: MarkerLayout, body: BodyModel) -> Placement:
     return Placement(
         layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads()
     )
-
-
-@dataclass(frozen=True)
-class ShapeFit:
-    """Result of the shape stage: betas (B,), latent_markers (M, 3), pose (F, J, 3), trans (F, 3)
-    and how it ended.
-    """
-
-    betas: np.ndarray
-    latent_markers: np.ndarray
-    attachment: MarkerAttachment
-    pose: np.ndarray
-    trans: np.ndarray
-    costs: dict[str, float]
-    status: str
-    iterations: int
 
 
 def shape_stage(

@@ -12,9 +12,10 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.gaps import bridge, bridge_rotations
 from habitus.fit.markers.recordings import few_markers
-from habitus.fit.markers.sequence import fit_sequence
+from habitus.fit.markers.sequence import fit_sequence, windows
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.parallel.blocks import release, room
 from habitus.rotations import procrustes, rotvec_from_matrix
 from habitus.solve.sequence.solver import SequenceOptions
 
@@ -115,6 +116,26 @@ def start_sequence(
     pose, trans = align_root(rig, pose, observed, everywhere)
     pose[:, 0] = bridge_rotations(pose[:, 0], enough)
     return pose, bridge(trans, enough)
+
+
+def start_long(
+    rig: MarkedBody,
+    known_poses: Float[np.ndarray, "N J 3"],
+    joint_names: tuple[str, ...],
+    observed: Float[np.ndarray, "T M 3"],
+    longest: int,
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """`start_sequence` of a capture of any length."""
+    parts = windows(few_markers(observed), longest)
+    if len(parts) == 1:
+        return start_sequence(rig, known_poses, joint_names, observed)
+    pose = room((len(observed), rig.num_joints, 3))
+    trans = room((len(observed), 3))
+    for window in parts:
+        found = start_sequence(rig, known_poses, joint_names, observed[window.solved])
+        pose[window.kept], trans[window.kept] = (each[window.inside] for each in found)
+        release(pose, trans, observed)
+    return pose, trans
 
 
 def start_frame(

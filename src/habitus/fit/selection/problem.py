@@ -21,7 +21,7 @@ from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.markers.weights import MoshWeights
+from habitus.fit.markers.settings import MoshWeights
 from habitus.residuals.shape_stage import PER_CM2
 
 GOALS = ("surface", "shape", "pose")

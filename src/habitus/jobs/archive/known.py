@@ -14,13 +14,12 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
-from habitus.fit.markers.assembly import Subject
-from habitus.fit.markers.shape import ShapeFit
 from habitus.fit.markers.suspects import Suspect
+from habitus.fit.subject import ShapeFit, Subject
+from habitus.io.models.priors import prior_of
 from habitus.jobs.genders import Chosen
 from habitus.jobs.subjects import Agreed
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.observe.marker_prediction import marked_body
 from habitus.observe.markers import MarkerAttachment
 
 _ARRAYS = ("betas", "latent_markers", "pose", "trans")
@@ -55,8 +54,11 @@ class KnownSubject:
 
     def subject(self, body: BodyModel) -> Subject:
         """As the recipe has it."""
-        rig = marked_body(body, self.shape.betas, self.shape.attachment)
-        return Subject(self.shape, rig, self.exchanged, self.misplaced, self.seconds)
+        prior = prior_of(body).for_joints(body.joint_names)
+        layout = self.agreed.layout
+        return Subject(
+            body, prior, layout, self.shape, self.exchanged, self.misplaced, self.seconds
+        )
 
     def chosen(self, body: BodyModel) -> Chosen:
         """The body and what is to be said of it."""

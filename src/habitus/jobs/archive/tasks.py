@@ -14,9 +14,8 @@ from typing import Any
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.fit.markers.attempts import attempted
-from habitus.fit.markers.recipe import fit_known, known_subject
+from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.warm_up import warm_up
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.found import found_layout_text
 from habitus.io.models.priors import prior_of
@@ -197,7 +196,8 @@ def _shaped(
     found = known_subject(
         model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings
     )
-    layout, _, subject = found
+    _, subject = found
+    layout = subject.layout
     told = "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
     choice = BodyChoice(joints, model.body.age, model.sex, model.female_probability, model.notes)
     agreed = replace(Agreed.of(person), layout=layout)
@@ -252,7 +252,7 @@ def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerF
     body = fitted_body(order.body, choice.joints, choice.age, choice.sex)
     prior = prior_of(body)
     recording = known.agreed.recording(capture)
-    fit = fit_known(body, prior, layout, recording, known.subject(body), settings)
+    fit = fit_known(recording, known.subject(body), settings)
     fit = attempted(fit, body, prior, layout, recording, settings, True)
     fit = replace(
         fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout

@@ -1,8 +1,4 @@
-"""Which parts of the body a fit only guesses: where no marker tells, and the prior over poses
-leaves much open.
-"""
-
-from typing import TYPE_CHECKING
+"""How well each part of a fitted body is known, as a value."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -10,12 +6,10 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.guessed import Guessed
-from habitus.fit.markers.spread import PLACE
+from habitus.fit.markers.result import Guessed, MarkerFit
+from habitus.mesh.sampling import farthest_points
+from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_jacobian import marker_jacobian
-
-if TYPE_CHECKING:
-    from habitus.fit.markers.result import MarkerFit
 
 SPANS = 24
 """Spans of time that a capture is looked at in."""
@@ -26,7 +20,7 @@ _BATCH = 8
 TRUSTED = 0.5  # of a marker's full weight
 
 
-def guess(fit: "MarkerFit", prior: PosePrior) -> Guessed:
+def guess(fit: MarkerFit, prior: PosePrior) -> Guessed:
     """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the
     body's.
     """
@@ -38,13 +32,13 @@ def guess(fit: "MarkerFit", prior: PosePrior) -> Guessed:
 
 
 def segment_spread(
-    fit: "MarkerFit", prior: PosePrior, edges: Int[np.ndarray, " F"]
+    fit: MarkerFit, prior: PosePrior, edges: Int[np.ndarray, " F"]
 ) -> Float[np.ndarray, "F J"]:
     """How well the skin of each joint's segment is known (m), in the spans of frames that begin at
     ``edges``.
 
     The standard deviation of its place given the markers that are seen and trusted in some frame of
-    the span, each off by `habitus.fit.markers.spread.PLACE` and its noise, and the prior over
+    the span, each off by `PLACE` and its noise, and the prior over
     poses; shape is taken as found. Spans that see the same markers share one number, from the
     pose in the middle of the first of them.
     """
@@ -67,7 +61,7 @@ def segment_spread(
     return found[which.reshape(-1)]
 
 
-def _told(fit: "MarkerFit", edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+def _told(fit: MarkerFit, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
     """Which markers are seen and trusted in some frame of each span."""
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights
@@ -79,7 +73,7 @@ def _told(fit: "MarkerFit", edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
 
 
 def _moved(
-    fit: "MarkerFit",
+    fit: MarkerFit,
     pose: Float[np.ndarray, "f J 3"],
     trans: Float[np.ndarray, "f 3"],
     rows: Int[np.ndarray, " P"],
@@ -121,14 +115,43 @@ def _probes(body: BodyModel) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P
     for joint in range(body.num_joints):
         own = np.flatnonzero((weight[:, joint] >= _MOST) & (weight.argmax(1) == joint))
         if len(own):
-            rows += _far_apart(np.asarray(body.v_template)[own], own)
+            points = np.asarray(body.v_template)[own]
+            first = int(np.linalg.norm(points - points.mean(0), axis=1).argmax())
+            rows += own[farthest_points(points, _PROBES, first)].tolist()
             owners += [joint] * (len(rows) - len(owners))
     return np.array(rows, np.int64), np.array(owners, np.int64)
 
 
-def _far_apart(points: Float[np.ndarray, "N 3"], names: Int[np.ndarray, " N"]) -> list[int]:
-    chosen = [int(np.linalg.norm(points - points.mean(0), axis=1).argmax())]
-    while len(chosen) < min(_PROBES, len(points)):
-        away = np.linalg.norm(points[:, None] - points[chosen], axis=2).min(1)
-        chosen.append(int(away.argmax()))
-    return [int(names[k]) for k in chosen]
+PLACE = 0.015
+"""Standard deviation (m) of a marker's place on a real body about its place on the fitted one:
+hands that placed it, flesh, and a shape space that knows no body exactly.
+"""
+_FREE_POSE = (
+    1.0  # radians and metres: how far pose and trans may move to make up for a change of shape
+)
+
+
+def betas_covariance(fit: MarkerFit, place: float = PLACE) -> Float[np.ndarray, "B B"]:
+    """The betas' posterior covariance (B, B): standard normal, seen through markers in one frame of
+    free pose.
+
+    Markers are off their places by ``place`` and by their noise. Frames do not make this less, as a
+    marker is off alike in all of them; so the frame that sees most markers stands for all.
+    """
+    count = len(fit.betas)
+    frame = int(np.argmax(fit.visible.sum(axis=1)))
+    seen = fit.visible[frame] & np.isfinite(fit.marker_noise)
+    rig = BodyMarkers(fit.body, fit.betas, fit.attachment)
+    with_pose = rig.jacobian(fit.pose[[frame]], fit.trans[[frame]])
+    shape = with_pose.by_betas[0][seen].reshape(-1, count)
+    moved = np.concatenate(
+        [with_pose.by_pose[0][seen].reshape(len(shape), -1), np.tile(np.eye(3), (seen.sum(), 1))], 1
+    )
+    weight = np.repeat(1.0 / np.sqrt(place**2 + fit.marker_noise[seen] ** 2), 3)[:, None]
+    shape = weight * shape
+    moved = weight * moved
+    both = moved.T @ shape
+    left = shape.T @ shape - both.T @ np.linalg.solve(
+        moved.T @ moved + np.eye(moved.shape[1]) / _FREE_POSE**2, both
+    )
+    return np.linalg.inv(np.eye(count) + 0.5 * (left + left.T))
