@@ -182,7 +182,7 @@ def learn(name: str, gathered: Gathered, asked: Asked) -> Followed:
             "repeat"
         )
     markers = np.stack([wiring.markers(each) for each in points])
-    tracker = known.tracker(asked.settings, rate)
+    tracker = Tracker(known, asked.settings, rate)
     return Followed(
         known, recording, wiring, tracker, markers, tuple(tracker.step(each) for each in markers)
     )
