@@ -6,10 +6,13 @@ terms = {"markers": hb.terms.Markers(body, observed, vertices), "pose": hb.terms
 found = hb.minimize(terms, body.state(), weights={"markers": 7500.0})
 ```
 
-A term is any function whose parameters are named like the unknowns that it takes and that returns a residual; these
-are those that MoSh has names for. Their cost is 1/2 |residual|^2 times the weight given to `minimize`; lengths are
-metres, so that MoSh's weights of squared lengths (per cm^2) are to be multiplied by 1e4.
-"""  # noqa: E501
+A term is any function whose parameters are named like the unknowns that it takes and that returns a
+residual, or what `Term` says beside it. Their cost is 1/2 |residual|^2 times the weight given to
+`minimize`. `Markers` and the priors are those of MoSh, whose weights of squared lengths (per cm^2)
+are to be multiplied by 1e4, as lengths are metres; `Points`, `Depth`, `Silhouette` and `Joints`
+know their own noise, so that their weight is 1. `points_term` makes a term of any points of the
+body that should be at places.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,10 +24,27 @@ from habitus.arrays import constant, flatten
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
 from habitus.observe.markers import MarkerAttachment, predict_markers
-from habitus.solve.terms import GemanMcClure, Term
+from habitus.residuals.points import JointObservations, PointObservations, points_term
+from habitus.residuals.surface_terms import Depth, Joints, Points, Silhouette
+from habitus.solve.terms import GemanMcClure, Quadratic, Term
 from habitus.types import Array
 
-__all__ = ["Acceleration", "GemanMcClure", "Markers", "PosePrior", "ShapePrior", "Term"]
+__all__ = [
+    "Acceleration",
+    "Depth",
+    "GemanMcClure",
+    "JointObservations",
+    "Joints",
+    "Markers",
+    "PointObservations",
+    "Points",
+    "PosePrior",
+    "Quadratic",
+    "ShapePrior",
+    "Silhouette",
+    "Term",
+    "points_term",
+]
 
 
 @dataclass(frozen=True)
