@@ -29,7 +29,7 @@ from rich.table import Table
 import habitus
 from habitus.errors import HabitusError
 from habitus.fit.markers.result import MarkerFit
-from habitus.report import metrics
+from habitus.results.metrics import marker_metrics
 
 PAIRS = (
     ("85_02", "85_12"),
@@ -74,7 +74,7 @@ def found(places: Iterable[Path], names: tuple[str, ...]) -> list[Path]:
 
 def row(fit: MarkerFit) -> dict:
     """The numbers of one fit."""
-    numbers = metrics(fit)
+    numbers = marker_metrics(fit)
     errors = numbers["marker_error_mm"]
     held = numbers["held_out_error_mm"]
     recorded = fit.recorded.get("height_m")

@@ -49,7 +49,7 @@ from habitus.markers.placements import PlacementPrior
 from habitus.observe.markers import attach, triangle_bases
 from habitus.population.captures import misplace, smooth_motion
 from habitus.population.held_out import FLESH, smooth_field
-from habitus.report.metrics import fit_female_probability
+from habitus.results.metrics import fit_female_probability
 
 COUNTS = (5, 10, 25, 47, 67)
 MARKERS = 89

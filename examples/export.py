@@ -21,5 +21,5 @@ trans = np.zeros((len(seconds), 3)) - body(betas=[1.0]).vertices.min(axis=0) * [
 betas = np.pad([1.0], (0, body.num_betas - 1))
 motion = BodyMotion(body, betas, pose, trans, rate, up_axis="+y", capture_name="wave")
 for path in sys.argv[1:] or ["wave.fbx", "wave.glb", "wave.bvh"]:
-    motion.export(path)
+    hb.export_file(motion, path)
     print(f"wrote {path}")

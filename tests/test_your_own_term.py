@@ -50,6 +50,6 @@ def test_the_code_of_the_page_lifts_the_feet(folder, monkeypatch, capsys):
 def loaded(path):
     from planted import person
 
-    from habitus.io.people import load_fit
+    from habitus.jobs.results import load_fit
 
     return load_fit(path, body=person())

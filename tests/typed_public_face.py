@@ -9,10 +9,9 @@ import numpy as np
 
 import habitus as hb
 from habitus.body.model import BodyModel
-from habitus.body.motion import BodyMotion
-from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.jobs.comparing import Comparison
+from habitus.jobs.results import MarkerResult, Motion
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.camera import Camera
 
@@ -34,7 +33,7 @@ def markers(body: BodyModel) -> None:
     assert_type(hb.load_layout("cmu-41"), MarkerLayout)
     mosh = hb.Mosh(layout="auto", weights=hb.MoshWeights(surface=50))
     fit = mosh.fit(capture, body, progress=tell)
-    assert_type(fit, MarkerFit)
+    assert_type(fit, MarkerResult)
     assert_type(fit.vertices(10), np.ndarray[tuple[Any, ...], np.dtype[Any]])
     assert_type(fit.verdict.level, str)
     assert_type(fit.guessed.spread, np.ndarray[tuple[Any, ...], np.dtype[Any]])
@@ -43,8 +42,8 @@ def markers(body: BodyModel) -> None:
     fit.export("walk.fbx", fps=30)
     live = mosh.start(capture[:200], body)
     print(live.step(capture.markers[200]).trans)
-    assert_type(mosh.fit([capture, capture], body), list[MarkerFit])
-    assert_type(hb.mosh("walk.c3d", "results", soft_tissue=False), list[MarkerFit])
+    assert_type(mosh.fit([capture, capture], body), list[MarkerResult])
+    assert_type(hb.mosh("walk.c3d", "results", soft_tissue=False), list[MarkerResult])
     assert_type(hb.compare(fit, "other/walk", out="compared"), Comparison)
     hb.write_trc(capture, "walk.trc")
 
@@ -53,10 +52,10 @@ def tell(stage: str, share: float) -> None:
     print(stage, share)
 
 
-def motions(fit: MarkerFit) -> None:
+def motions(fit: MarkerResult) -> None:
     motion = hb.load_motion("results/walk/body.npz")
-    assert_type(motion, BodyMotion)
-    assert_type(hb.load_fit("results/walk/body.npz"), MarkerFit)
+    assert_type(motion, Motion)
+    assert_type(hb.load_fit("results/walk/body.npz"), MarkerResult)
     hb.export_file(motion, "walk.fbx")
     hb.exaggerate(fit, 2.0)
     hb.retarget(fit, "female")

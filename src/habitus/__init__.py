@@ -81,9 +81,9 @@ _MODULES = {
     "label": "habitus.jobs.label",
     "live": "habitus.jobs.live",
     "load_body": "habitus.io.models.bodies",
-    "load_fit": "habitus.io.people",
+    "load_fit": "habitus.jobs.results",
     "load_layout": "habitus.io.layouts.files",
-    "load_motion": "habitus.io.people",
+    "load_motion": "habitus.jobs.results",
     "minimize": "habitus.solve.minimize",
     "mosh": "habitus.jobs.mosh",
     "open_registrations": "habitus.io.registrations.open",
@@ -102,13 +102,9 @@ _MODULES = {
     "write_trc": "habitus.export.trc",
     # what methods of results call, so that numerics import nothing that writes; not part of the
     # public face
-    "export_motion": "habitus.export.motion",
     "guess": "habitus.fit.markers.uncertainty",
     "judge": "habitus.fit.markers.judge",
     "prior_of": "habitus.io.models.priors",
-    "save_fit": "habitus.jobs.mosh_files",
-    "save_scan": "habitus.jobs.register",
-    "save_rgbd": "habitus.jobs.rgbd",
 }
 _WHOLE_MODULES = {"terms"}
 

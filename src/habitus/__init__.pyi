@@ -4,7 +4,6 @@ from habitus.body.model import BodyModel as BodyModel
 from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
-from habitus.export.motion import export_motion as export_motion
 from habitus.export.trc import write_trc as write_trc
 from habitus.fit.markers.judge import judge as judge
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
@@ -13,8 +12,6 @@ from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
 from habitus.io.models.priors import prior_of as prior_of
-from habitus.io.people import load_fit as load_fit
-from habitus.io.people import load_motion as load_motion
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
@@ -26,13 +23,12 @@ from habitus.jobs.label import label as label
 from habitus.jobs.live import live as live
 from habitus.jobs.mosh import Mosh as Mosh
 from habitus.jobs.mosh import mosh as mosh
-from habitus.jobs.mosh_files import save_fit as save_fit
 from habitus.jobs.motions import exaggerate as exaggerate
 from habitus.jobs.motions import retarget as retarget
 from habitus.jobs.register import register_scans as register_scans
-from habitus.jobs.register import save_scan as save_scan
+from habitus.jobs.results import load_fit as load_fit
+from habitus.jobs.results import load_motion as load_motion
 from habitus.jobs.rgbd import fit_rgbd as fit_rgbd
-from habitus.jobs.rgbd import save_rgbd as save_rgbd
 from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses
 from habitus.jobs.train import Trainer as Trainer

@@ -213,6 +213,7 @@ def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
 
     Raises HabitusError at once where another run is at work in it, or it cannot be written to.
     """
+    is_new = not folder.exists()
     lock = FileLock(writable_folder(folder) / LOCK, mode=0o666 & ~_umask())
     try:
         lock.acquire(timeout=0)
@@ -233,3 +234,6 @@ def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
         with suppress(OSError):  # who waits for it sees that it has no name any more
             os.unlink(lock.lock_file)
         lock.release()
+        if is_new:
+            with suppress(OSError):  # it holds results
+                folder.rmdir()

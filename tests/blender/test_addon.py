@@ -15,9 +15,9 @@ from read_blender import PROGRAMS
 from synthetic_fit import tube_body
 
 import habitus as hb
-from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
 from habitus.io.models.bodies import save_body
+from habitus.jobs.results import Motion
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
@@ -140,8 +140,8 @@ class Given:
     bodies: list
     betas: np.ndarray
     pose: np.ndarray
-    motion: BodyMotion
-    other: BodyMotion
+    motion: Motion
+    other: Motion
 
 
 def written(folder: Path) -> Given:
@@ -162,7 +162,7 @@ def written(folder: Path) -> Given:
         ages=np.array(ages),
     )
     path = np.cumsum(rng.normal(0, 0.15, (8, 24, 3)), 0), np.cumsum(rng.normal(0, 0.05, (8, 3)), 0)
-    motion = BodyMotion(bodies[0], betas[0], *path, 119.88, body_name="female")
+    motion = Motion(bodies[0], betas[0], *path, 119.88, body_name="female")
     motion.export(folder / "motion.npz")
     markers = motion.vertices()[:, [100, 200]]
     markers[2:, 1] = np.nan
@@ -173,7 +173,7 @@ def written(folder: Path) -> Given:
     )
     file = tube_body(posedirs=True)
     save_body(file, folder / "smpl.npz")
-    other = BodyMotion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
+    other = Motion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
     other.export(folder / "other.npz")
     return Given(bodies, betas, pose, motion, other)
 

@@ -17,7 +17,7 @@ from habitus.export import write_glb, write_obj_sequence
 from habitus.export.obj import fitted_vertices
 from habitus.io.models.bodies import load_body
 from habitus.report import write_report
-from habitus.report.metrics import metrics
+from habitus.results.metrics import marker_metrics
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_files_show_the_full_body_and_the_fit_keeps_the_coarse_one(fit, tmp_path
     half = len(full.mesh.quads)
     known = full.mesh.uv[full.mesh.quad_uv[:, [0, 1, 2]]] * [1, -1] + [0, 1]
     assert np.abs(uv[corners[:half]] - known).max() < 1e-6
-    write_report(fit, tmp_path / "report.html", metrics(fit), ())
+    write_report(fit, tmp_path / "report.html", marker_metrics(fit), ())
     assert (tmp_path / "report.html").stat().st_size < 2_000_000
 
 

@@ -20,7 +20,7 @@ from habitus.export import glb as writer
 from habitus.export import write_glb
 from habitus.export.correctives import WORST
 from habitus.export.obj import fitted_vertices
-from habitus.io.people import load_fit
+from habitus.io.people import read_fit
 
 FRAMES = (0, 17, 44, 89)
 
@@ -56,7 +56,7 @@ def test_glb_holds_soft_tissue_that_the_body_predicts(tmp_path, posedirs):
     np.testing.assert_allclose(still.vertices(FRAMES), fit.vertices(FRAMES), atol=1e-12)
     np.testing.assert_allclose(still.predicted_soft_tissue, fit.predicted_pose_stage, atol=1e-9)
     moving.export(tmp_path / "body.npz")
-    again = load_fit(tmp_path / "body.npz", body)
+    again = read_fit(tmp_path / "body.npz", body)
     np.testing.assert_allclose(again.vertices(FRAMES), moving.vertices(FRAMES), atol=1e-9)
 
 

@@ -10,7 +10,8 @@ from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
-from habitus.io.people import load_fit, load_motion
+from habitus.io.people import read_fit, read_motion
+from habitus.jobs.results import Motion
 
 
 @pytest.mark.parametrize(
@@ -29,10 +30,10 @@ def test_every_ending_of_a_fit_and_of_a_motion(tmp_path, ending):
 def test_a_fit_keeps_its_markers_and_another_rate_is_a_motion(tmp_path):
     fit = synthetic_fit(8, rate_hz=120.0)
     fit.export(tmp_path / "a.npz")
-    assert load_fit(tmp_path / "a.npz", fit.body).labels == fit.labels
+    assert read_fit(tmp_path / "a.npz", fit.body).labels == fit.labels
     fit.export(tmp_path / "b.npz", fps=30)
-    assert np.allclose(load_motion(tmp_path / "b.npz", fit.body).pose, fit.pose[::4])
-    BodyMotion.of(fit).export(tmp_path / "c.glb", fps=30, correctives="pca:2")
+    assert np.allclose(read_motion(tmp_path / "b.npz", fit.body).pose, fit.pose[::4])
+    Motion.of(fit).export(tmp_path / "c.glb", fps=30, correctives="pca:2")
     glb = Glb(tmp_path / "c.glb")
     assert (
         len({name.removesuffix("_back") for name in glb.json["meshes"][0]["extras"]["targetNames"]})

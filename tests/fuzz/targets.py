@@ -476,12 +476,12 @@ def _fits(folder: Path) -> list[Target]:
     from synthetic_fit import synthetic_fit, tube_body
 
     from habitus.export import write_npz
-    from habitus.io.people import load_fit
+    from habitus.io.people import read_fit
 
     body = tube_body()
 
     def read(path: Path) -> None:
-        fit = load_fit(path, body)
+        fit = read_fit(path, body)
         assert len(fit.labels) == fit.observed_markers.shape[1]
 
     write_npz(synthetic_fit(frames=6), folder / "fit.npz")

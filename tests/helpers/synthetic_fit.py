@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from habitus.arrays import to_numpy
 from habitus.body.model import BodyModel
-from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import Suspect
+from habitus.jobs.results import MarkerResult
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import MarkerAttachment, attach, predict_markers
 
@@ -206,8 +206,8 @@ def synthetic_fit(
     rate_hz: float = 120.0,
     seed: int = 0,
     **changes: Any,
-) -> MarkerFit:
-    """A ``MarkerFit``. Missing samples, a swapped and a shaky marker are built in."""
+) -> MarkerResult:
+    """A ``MarkerResult``. Missing samples, a swapped and a shaky marker are built in."""
     rng = np.random.default_rng(seed)
     body = tube_body() if body is None else body
     count = int(body.shapedirs.shape[-1])
@@ -279,4 +279,4 @@ def synthetic_fit(
         "status": "converged",
         "seed": 3,
     }
-    return MarkerFit(**(values | changes))
+    return MarkerResult(**(values | changes))

@@ -13,7 +13,7 @@ from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.models.bodies import load_body, save_body
-from habitus.io.people import BodyShape, Mesh, load_motion, load_shape, open_person
+from habitus.io.people import BodyShape, Mesh, open_person, read_motion, read_shape
 from habitus.jobs.estimates import body_from_measurements, save_estimate
 
 
@@ -56,7 +56,7 @@ def test_a_shipped_body_is_opened_by_its_name():
 
 def test_a_fit_read_as_a_motion_keeps_the_motion_and_no_markers(folder):
     fit = open_person(folder / "fit.npz", tube_body())
-    motion = load_motion(folder / "fit.npz", tube_body())
+    motion = read_motion(folder / "fit.npz", tube_body())
     assert type(motion) is BodyMotion
     np.testing.assert_array_equal(motion.pose, fit.pose)
 
@@ -65,41 +65,41 @@ def test_the_shape_of_any_file_with_betas_is_that_of_its_person(folder):
     body = tube_body()
     fit = synthetic_fit(4)
     for name in ("fit.npz", "motion.npz", "walk", "amass/body.npz"):
-        shape = load_shape(folder / name, body)
+        shape = read_shape(folder / name, body)
         np.testing.assert_array_equal(shape.betas, fit.betas)
         np.testing.assert_array_equal(shape.rest_vertices(), body.rest_vertices(fit.betas))
-    assert not load_shape(folder / "body.npz").betas.any()
+    assert not read_shape(folder / "body.npz").betas.any()
 
 
 def test_a_skin_offset_moves_the_surface_along_its_normals(tmp_path):
     body = load_body("default")
     offset = np.full(body.num_vertices, 0.01)
     np.savez(tmp_path / "thick.npz", betas=[1.0], surface_model_type="default", skin_offset=offset)
-    shape = load_shape(tmp_path / "thick.npz")
+    shape = read_shape(tmp_path / "thick.npz")
     moved = np.linalg.norm(shape.rest_vertices() - body.rest_vertices(shape.betas), axis=1)
     np.testing.assert_allclose(moved, 0.01, atol=1e-9)
 
 
 def test_missing_betas_are_zero_and_further_ones_must_be(tmp_path):
     np.savez(tmp_path / "few.npz", betas=[0.5, -0.5], surface_model_type="default")
-    assert load_shape(tmp_path / "few.npz").betas[:3].tolist() == [0.5, -0.5, 0.0]
+    assert read_shape(tmp_path / "few.npz").betas[:3].tolist() == [0.5, -0.5, 0.0]
     np.savez(tmp_path / "zeros.npz", betas=np.zeros(400), surface_model_type="default")
-    assert len(load_shape(tmp_path / "zeros.npz").betas) == load_body("default").num_betas
+    assert len(read_shape(tmp_path / "zeros.npz").betas) == load_body("default").num_betas
     np.savez(tmp_path / "many.npz", betas=np.ones(400), surface_model_type="default")
     with pytest.raises(HabitusError, match="400 betas; default has 24"):
-        load_shape(tmp_path / "many.npz")
+        read_shape(tmp_path / "many.npz")
 
 
 def test_betas_are_put_on_no_other_body(folder):
     with pytest.raises(HabitusError, match="another person"):
-        load_motion(folder / "motion.npz", "default")
+        read_motion(folder / "motion.npz", "default")
     fit = open_person(folder / "fit.npz", tube_body())
     fatter = replace(tube_body(), v_template=1.1 * fit.body.v_template)
     with pytest.raises(HabitusError, match="another person"):
         open_person(folder / "fit.npz", fatter)
 
 
-@pytest.mark.parametrize("read", [open_person, load_motion, load_shape, habitus.load_fit])
+@pytest.mark.parametrize("read", [open_person, read_motion, read_shape, habitus.load_fit])
 def test_every_reader_names_a_file_that_it_cannot_read(read, tmp_path):
     with pytest.raises(HabitusError, match=r"none\.npz: no such file"):
         read(tmp_path / "none.npz")

@@ -23,7 +23,8 @@ from habitus.io.captures.read import Capture
 from habitus.jobs import batch
 from habitus.jobs.batch import FitOptions, fit_all
 from habitus.jobs.mosh import Mosh
-from habitus.jobs.mosh_files import OURS, save_fit
+from habitus.jobs.results import save_fit
+from habitus.results.save import MARKER_FILES
 
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
 RECIPE = Mosh("cmu-41", soft_tissue=False)
@@ -143,7 +144,7 @@ def test_a_full_disk_fails_what_it_meets_and_leaves_nothing_half_written(
 
     def full(fit, folder, *more):
         if fit.capture_name == "one":
-            monkeypatch.setattr("habitus.jobs.mosh_files.write_glb", _no_room)
+            monkeypatch.setattr("habitus.results.save.write_glb", _no_room)
         try:
             return save(fit, folder, *more)
         finally:
@@ -244,7 +245,7 @@ def test_kills_while_results_are_replaced_leave_old_or_new_ones(fitted, tmp_path
                 os._exit(1)
         time.sleep(rng.uniform(0.02, 0.5))
         os.kill(child, signal.SIGKILL), os.waitpid(child, 0)
-        tidy(out, OURS)
+        tidy(out, MARKER_FILES)
         assert {path.name for path in out.iterdir()} == {"walk"}
         assert {path.name for path in (out / "walk").iterdir()} == FILES | {"notes.txt"}
         assert json.loads((out / "walk" / "metrics.json").read_text())["frames"] == 6

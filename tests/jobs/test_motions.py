@@ -17,6 +17,7 @@ from habitus.body.up import up_rotation
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
+from habitus.jobs.results import Motion
 
 
 @pytest.fixture
@@ -140,7 +141,7 @@ def test_files_as_amass_has_them(real, tmp_path):
 
 def test_motions_that_cannot_be_read_or_written(tmp_path):
     fit = synthetic_fit(4)
-    motion = BodyMotion.of(fit)
+    motion = Motion.of(fit)
     motion.export(tmp_path / "tubes.npz")
     with pytest.raises(HabitusError, match="'tubes'"):
         hb.load_motion(tmp_path / "tubes.npz")

@@ -13,7 +13,7 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanColours, ScanFit
 from habitus.fit.points.skin_colours import SkinGrid
 from habitus.io.scans import read_scan
-from habitus.jobs.register import save_scan
+from habitus.jobs.results import ScanResult
 from habitus.mesh.normals import vertex_normals
 from habitus.population.coarse_bodies import coarse_body
 from habitus.population.painted_skin import PaintedSkin
@@ -56,7 +56,7 @@ def test_a_scan_with_colours_is_saved_with_them(fit, tmp_path):
     told = replace(
         fit, colours=ScanColours(grid, albedo, np.full(grid.size, 0.1), 0.2, 0.12, 0.0004)
     )
-    save_scan(told, tmp_path / "anna")
+    ScanResult.of(told).save(tmp_path / "anna")
     numbers = json.loads((tmp_path / "anna" / "metrics.json").read_text())["colours"]
     assert numbers == {
         "difference_before": 0.2,
@@ -73,7 +73,7 @@ def test_a_scan_with_colours_is_saved_with_them(fit, tmp_path):
 
 
 def test_a_scan_without_colours_says_nothing_of_them(fit, tmp_path):
-    save_scan(fit, tmp_path / "anna")
+    ScanResult.of(fit).save(tmp_path / "anna")
     assert json.loads((tmp_path / "anna" / "metrics.json").read_text())["colours"] is None
     assert "Colours apart" not in (tmp_path / "anna" / "report.html").read_text()
 

@@ -10,9 +10,9 @@ import pytest
 from synthetic_fit import synthetic_fit
 
 import habitus
-from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import save_body
+from habitus.jobs.results import Motion
 from habitus.jobs.viewing import view
 
 
@@ -24,7 +24,7 @@ def shown(tmp_path_factory):
     pose = np.zeros((9, body.num_joints, 3))
     pose[:, 0, 2] = np.linspace(0.0, 0.4, 9)
     trans = np.linspace([1.0, 2.0, 0.0], [1.5, 2.0, 0.0], 9)
-    motion = BodyMotion(
+    motion = Motion(
         body,
         np.zeros(body.num_betas),
         pose,
@@ -76,7 +76,7 @@ def test_a_fit_shows_its_markers_and_a_motion_has_none(tmp_path):
     fit = synthetic_fit(4)
     save_body(fit.body, tmp_path / "tubes_body.npz")
     fit.export(tmp_path / "fit.npz")
-    BodyMotion.of(fit).export(tmp_path / "motion.npz")
+    Motion.of(fit).export(tmp_path / "motion.npz")
     page = view(
         [tmp_path / "fit.npz", tmp_path / "motion.npz"], body=tmp_path / "tubes_body.npz", port=8472
     )

@@ -25,7 +25,7 @@ import habitus
 from default_body.flesh.people import people
 from default_body.sheet import REPOSITORY, SKIN, View, _normals, grid
 from habitus.body.model import BodyModel
-from habitus.io.people import load_fit
+from habitus.jobs.results import load_fit
 
 BUILDS = {"soft": 0.95, "muscular": 0.1}  # share of people who are leaner
 OUT = np.array([0.85, 0.25, 0.20])

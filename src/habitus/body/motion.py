@@ -2,7 +2,6 @@
 such.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -144,18 +143,6 @@ class BodyMotion(Moving):
         made = (f"fitted to the markers of {moving.capture_name} (layout {moving.layout_name})",)
         shared = {name: getattr(moving, name) for name in _SHARED}
         return cls(**shared, made=made)
-
-    def export(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz,
-        .obj, .ply.
-
-        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives,
-        detail, frame (`habitus.export.motion.export_motion`). Raises HabitusError for other
-        endings, and where the path cannot be written to.
-        """
-        import habitus
-
-        habitus.export_motion(self, path, **options)
 
 
 _SHARED = (

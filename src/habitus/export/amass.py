@@ -14,8 +14,7 @@ from habitus.body.joint_layouts import SMPLH
 from habitus.body.model import BodyModel
 from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
-from habitus.export.npz import save_arrays
-from habitus.files import atomic_write
+from habitus.export.npz import write_arrays
 from habitus.parallel.blocks import mapped
 
 if TYPE_CHECKING:
@@ -49,9 +48,7 @@ def write_amass(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     Raises HabitusError where the body has not the joints of SMPL-H's body, and where the file
     cannot be written.
     """
-    arrays = amass_arrays(fit)
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        save_arrays(file, arrays)
+    write_arrays(path, amass_arrays(fit))
 
 
 def check_npz_style(style: str, body: BodyModel) -> None:

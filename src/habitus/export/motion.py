@@ -19,12 +19,11 @@ from habitus.export.driven import write_drivers
 from habitus.export.fbx.write import write_fbx
 from habitus.export.glb import write_glb
 from habitus.export.mot import write_mot
-from habitus.export.npz import motion_arrays, save_arrays, write_npz
+from habitus.export.npz import motion_arrays, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.export.points import write_points
 from habitus.export.rates import at_rate
 from habitus.export.usd import ENDINGS, write_usd
-from habitus.files import atomic_write
 from habitus.fit.markers.result import MarkerFit
 
 
@@ -67,8 +66,7 @@ def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
     """
     arrays = motion_arrays(motion) | dict(recentred_arrays(motion.body))
     arrays["made"] = np.array(motion.made, dtype=np.str_)
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        save_arrays(file, arrays)
+    write_arrays(path, arrays)
 
 
 def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:

@@ -1,17 +1,19 @@
 """A marker fit as one .npz file with the names that AMASS and MoSh++ users know."""
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from habitus import __version__
+from habitus.body.model import BodyModel
 from habitus.files import atomic_write
 from habitus.parallel.blocks import mapped, release
+from habitus.types import PathLike
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
@@ -24,7 +26,7 @@ POSE_PARTS = {  # number of joints -> AMASS's names for ranges of joints
 }
 
 
-def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
+def write_npz(fit: "MarkerFit", path: PathLike) -> None:
     """Write a ``MarkerFit`` as .npz, atomically, without pickled objects: ``np.load(path)`` reads
     it.
 
@@ -59,7 +61,11 @@ def write_npz(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
     ``tried``, ``left_out``, ``doubts``. `habitus.load_fit` reads it back.
     Raises HabitusError where the file cannot be written.
     """
-    arrays = npz_arrays(fit)
+    write_arrays(path, npz_arrays(fit))
+
+
+def write_arrays(path: PathLike, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write named arrays as .npz, atomically. Raises HabitusError where it cannot be written."""
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         save_arrays(file, arrays)
 
@@ -81,27 +87,22 @@ def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
 
 
 def motion_arrays(moving: "Moving") -> dict[str, np.ndarray]:
-    """Those of the body in motion, without what the markers told, under AMASS's names."""
+    """The body in motion under AMASS's names, without the markers of a fit."""
     pose = _as(moving.pose, np.float64)
     frames, joints = pose.shape[:2]
     arrays = {
         "poses": pose.reshape(frames, 3 * joints),
         "root_orient": pose[:, 0],
         "trans": _as(moving.trans, np.float64),
-        "betas": np.asarray(moving.betas, np.float64),
-        "num_betas": np.array(len(moving.betas)),
-        "gender": np.array(str(moving.gender)),
+        **shape_arrays(moving.body, moving.betas, moving.body_name, moving.gender),
         "mocap_framerate": np.array(float(moving.rate_hz)),
         "mocap_frame_rate": np.array(float(moving.rate_hz)),
         "mocap_time_length": np.array(frames / float(moving.rate_hz)),
-        "surface_model_type": np.array(str(moving.body_name)),
         "joint_names": _texts(moving.body.joint_names),
         "capture": np.array(str(moving.capture_name)),
         "up_axis": np.array(str(moving.up_axis)),
         "habitus_version": np.array(__version__),
     }
-    if moving.body.age is not None:
-        arrays["age_years"] = np.array(moving.body.age)
     if moving.soft_tissue is not None:
         arrays["soft_tissue_betas"] = _as(moving.soft_tissue, np.float64)
     if moving.dynamics is not None:
@@ -111,6 +112,19 @@ def motion_arrays(moving: "Moving") -> dict[str, np.ndarray]:
             lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose
         )
     return arrays
+
+
+def shape_arrays(
+    body: BodyModel, betas: Float[np.ndarray, " B"], body_name: str, gender: str
+) -> dict[str, np.ndarray]:
+    """The person at rest: betas, the body that they belong to, and its age where it has one."""
+    arrays = {
+        "betas": np.asarray(betas, np.float64),
+        "num_betas": np.array(len(betas)),
+        "gender": np.array(str(gender)),
+        "surface_model_type": np.array(str(body_name)),
+    }
+    return arrays if body.age is None else arrays | {"age_years": np.array(body.age)}
 
 
 def _fit_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:

@@ -143,7 +143,7 @@ def open_person(path: str | os.PathLike[str], body: BodyLike = None) -> Person:
     return _OPENERS[file.kind](file, body)
 
 
-def load_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerFit:
+def read_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerFit:
     """The `MarkerFit` of a body.npz that ``habitus mosh`` or ``fit.save`` wrote.
 
     body: the model that was fitted, loaded or a file; needed where it is none of the shipped
@@ -161,7 +161,7 @@ def load_fit(path: str | os.PathLike[str], body: BodyLike = None) -> MarkerFit:
     return _marker_fit(file, body)
 
 
-def load_motion(path: str | os.PathLike[str], body: BodyLike = None) -> BodyMotion:
+def read_motion(path: str | os.PathLike[str], body: BodyLike = None) -> BodyMotion:
     """The motion in an npz of ``habitus mosh``, ``exaggerate`` or ``retarget``, or of AMASS.
 
     AMASS: ``poses`` (T, 3J; rad), ``trans`` (T, 3; m), ``betas``, ``mocap_framerate`` (Hz), z up.
@@ -173,7 +173,7 @@ def load_motion(path: str | os.PathLike[str], body: BodyLike = None) -> BodyMoti
     return BodyMotion.of(_OPENERS[file.kind](file, body))
 
 
-def load_shape(
+def read_shape(
     path: str | os.PathLike[str],
     body: BodyLike = None,
     known: Mapping[str, BodyModel] | None = None,
@@ -326,10 +326,10 @@ def _betas(file: _PersonFile, body: BodyModel) -> Float[np.ndarray, " B"]:
 
 def _shape(file: _PersonFile, body: BodyLike) -> BodyShape:
     with _guarded(file):
-        return _read_shape(file, _model(file, body))
+        return _shape_data(file, _model(file, body))
 
 
-def _read_shape(file: _PersonFile, model: BodyModel) -> BodyShape:
+def _shape_data(file: _PersonFile, model: BodyModel) -> BodyShape:
     arrays = file.arrays
     skin = _optional(arrays, "skin_offset")
     if skin is not None and skin.shape != (model.num_vertices,):
@@ -350,10 +350,10 @@ def _read_shape(file: _PersonFile, model: BodyModel) -> BodyShape:
 def _motion(file: _PersonFile, body: BodyLike) -> BodyMotion:
     file.require(("poses", "trans"), "the body.npz of a fit, or an npz of AMASS")
     with _guarded(file):
-        return _checked_motion(_read_motion(file, _model(file, body)))
+        return _checked_motion(_motion_data(file, _model(file, body)))
 
 
-def _read_motion(file: _PersonFile, body: BodyModel) -> BodyMotion:
+def _motion_data(file: _PersonFile, body: BodyModel) -> BodyMotion:
     arrays = file.arrays
     made = tuple(map(str, np.atleast_1d(arrays.get("made", f"read from {file.source.name}"))))
     if np.any(arrays.get("dmpls", 0)):
@@ -423,7 +423,7 @@ def _check_rate(rate: float) -> None:
 def _marker_fit(file: _PersonFile, body: BodyLike) -> MarkerFit:
     file.require(_FIT_ARRAYS, "the body.npz of a marker fit")
     with _guarded(file):
-        return _checked_fit(_read_fit(file, _fitted_model(file, body)))
+        return _checked_fit(_fit_data(file, _fitted_model(file, body)))
 
 
 def _fitted_model(file: _PersonFile, body: BodyLike) -> BodyModel:
@@ -460,7 +460,7 @@ def _latent_marker_distance(arrays: Mapping[str, np.ndarray], body: BodyModel) -
     return float(np.linalg.norm(carried - arrays["markers_latent"], axis=1).max())
 
 
-def _read_fit(file: _PersonFile, body: BodyModel) -> MarkerFit:
+def _fit_data(file: _PersonFile, body: BodyModel) -> MarkerFit:
     arrays = file.arrays
     pose = arrays["poses"].reshape(len(arrays["poses"]), -1, 3)
     trans = arrays["trans"]

@@ -21,9 +21,10 @@ from habitus.jobs.discovering import check_layout
 from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
 from habitus.jobs.held_out import silent
 from habitus.jobs.mosh import Mosh
-from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
+from habitus.jobs.results import capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather
 from habitus.report import write_index
+from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike, Progress
 
 _Files = Mapping[Found, tuple[Capture, ...]]
@@ -104,9 +105,9 @@ def fit_all(
     check_layout(recipe.layout, options.hold_out, options.hold_out_every)
     found = find_captures([Path(path) for path in paths], target)
     outcomes: list[Outcome] = []
-    with locked(target, OURS):
+    with locked(target, MARKER_FILES):
         for place in {one.place for one in found}:
-            tidy(target / place, OURS)
+            tidy(target / place, MARKER_FILES)
         batch = _Batch(
             recipe, model, body, target, options, _Counted(progress, len(found), outcomes)
         )

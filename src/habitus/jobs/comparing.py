@@ -1,6 +1,5 @@
 """``habitus compare``: two results of one capture side by side."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from habitus.jobs.exporting import read_moving
 from habitus.report.comparison.differences import Differences, differences
 from habitus.report.comparison.numbers import numbers
 from habitus.report.comparison.page import comparison_page
-from habitus.report.metrics import finite
+from habitus.results.metrics import write_json
 from habitus.types import PathLike
 
 PAGE = "compare.html"
@@ -70,8 +69,7 @@ class Comparison:
         target = Path(folder)
         links = tuple(None if page is None else _way(target, page) for page in self.reports)
         write_text(target / PAGE, comparison_page(self.found, self.numbers, self.names, links))
-        text = json.dumps(finite(dict(self.numbers)), indent=2, ensure_ascii=False, allow_nan=False)
-        write_text(target / NUMBERS, text + "\n")
+        write_json(target / NUMBERS, self.numbers)
         return target / PAGE
 
 

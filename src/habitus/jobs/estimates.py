@@ -11,8 +11,7 @@ from habitus.body.from_measurements import BodyEstimate, Given, estimate_body
 from habitus.body.model import BodyModel
 from habitus.body.surface_files import write_surface
 from habitus.errors import HabitusError
-from habitus.export.npz import save_arrays
-from habitus.files import atomic_write
+from habitus.export.npz import shape_arrays, write_arrays
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 
@@ -61,17 +60,13 @@ def save_estimate(found: BodyEstimate, path: PathLike) -> None:
     if target.suffix.lower() != ".npz":
         write_surface((found.body.full or found.body)(found.betas), target)
         return
-    with atomic_write(target) as temporary, temporary.open("wb") as file:
-        save_arrays(file, _arrays(found))
+    write_arrays(target, _arrays(found))
 
 
 def _arrays(found: BodyEstimate) -> Mapping[str, np.ndarray]:
-    age = {} if found.age is None else {"age_years": np.array(found.age)}
-    return age | {
-        "betas": found.betas,
+    gender = found.space if found.space in SEXES else "neutral"
+    return shape_arrays(found.body, found.betas, found.space, gender) | {
         "betas_covariance": found.covariance,
-        "gender": np.array(found.space if found.space in SEXES else "neutral"),
-        "surface_model_type": np.array(found.space),
         "measurement_names": np.array(list(found.measurements)),
         "measurements": np.array(list(found.measurements.values())),
         "measurement_spread": np.array(list(found.spread.values())),

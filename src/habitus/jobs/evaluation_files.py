@@ -17,7 +17,7 @@ from habitus.files import atomic_write, locked, tidy
 from habitus.jobs.evaluation_pictures import draw_pictures, slug
 from habitus.report.evaluation.figures import figures
 from habitus.report.evaluation.page import training_page
-from habitus.report.metrics import finite
+from habitus.results.metrics import finite
 
 
 @contextmanager

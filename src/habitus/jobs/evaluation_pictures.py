@@ -12,9 +12,9 @@ from habitus.evaluate.generalisation import Generalisation
 from habitus.evaluate.neck_twist import head_and_neck, neck_vertices, turned_head, twist_axis
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
+from habitus.export.png import png
 from habitus.report.evaluation import pictures as draw
 from habitus.report.evaluation.page import Picture
-from habitus.report.png import png
 from habitus.rotations import matrix_from_rotvec
 
 WORST = 3  # fits of each model that are shown

@@ -17,7 +17,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import at_age, told_age
 from habitus.jobs.subjects import Person
-from habitus.report.metrics import fit_female_probability
+from habitus.results.metrics import fit_female_probability
 from habitus.types import Progress
 
 SEXES = ("neutral", "female", "male", "auto")

@@ -15,7 +15,7 @@ from habitus.fit.markers.recordings import Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.subject import Subject
-from habitus.io.people import load_fit
+from habitus.io.people import read_fit
 from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source
 from habitus.jobs.ages import read_age
@@ -25,7 +25,7 @@ from habitus.jobs.live_follow import Follower, Sink, status
 from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
 from habitus.jobs.live_stream import Stream
 from habitus.jobs.live_subject import Wanted
-from habitus.jobs.mosh_files import save_fit
+from habitus.jobs.results import save_fit
 from habitus.types import PathLike
 
 STATUS_S = 1.0
@@ -77,7 +77,7 @@ def live(
     settings = MoshSettings(causal=True, soft_tissue=False)
     named = isinstance(body, str) and body == "default"
     fit_before = (
-        load_fit(known, None if named else body) if isinstance(known, str | os.PathLike) else known
+        read_fit(known, None if named else body) if isinstance(known, str | os.PathLike) else known
     )
     model = (
         fit_before.body

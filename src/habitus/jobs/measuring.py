@@ -1,7 +1,5 @@
 """Measurements of what a file holds: a body model, a person of one, a fit, or a mesh."""
 
-import csv
-import io
 import json
 import os
 from collections.abc import Mapping
@@ -11,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
 from habitus.body.recognise import is_of, misfit, turned_by
@@ -20,8 +17,9 @@ from habitus.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
-from habitus.io.people import load_shape
+from habitus.io.people import read_shape
 from habitus.report.body.picture import tape_picture
+from habitus.results.metrics import measurements_csv
 from habitus.types import PathLike
 
 POSE = (
@@ -82,15 +80,7 @@ class Measurements:
         return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
 
     def _csv(self) -> str:
-        text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
-        for name, value in self.values.items():
-            told = DEFINITIONS[name]
-            rows.writerow(
-                (name, f"{value:.6g}", "kg" if name.endswith("_kg") else "m", told.says, told.iso)
-            )
-        return text.getvalue()
+        return measurements_csv(self.values)
 
 
 def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Measurements:
@@ -105,7 +95,7 @@ def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Me
     source = Path(path)
     if source.suffix.lower() in MESHES:
         return _of_mesh(source, body)
-    person = load_shape(source, body)
+    person = read_shape(source, body)
     rest = person.rest_vertices()
     values = person.body.measure_rest(rest)
     if not values:

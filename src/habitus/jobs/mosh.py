@@ -30,11 +30,12 @@ from habitus.jobs.genders import check_sex, model_of, of_sex
 from habitus.jobs.held_out import errors_of, rotate_hold_out, silent
 from habitus.jobs.label import check_labelling, labelled_capture
 from habitus.jobs.live_subject import Wanted, learnt
-from habitus.jobs.mosh_files import OURS, capture_folders, save_fit
+from habitus.jobs.results import MarkerResult, capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather, leave_out
 from habitus.jobs.told_places import check_told, told_errors
 from habitus.parallel.choose import WorkersLike
 from habitus.report import write_index
+from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike, Progress
 
 Source = Capture | PathLike
@@ -114,11 +115,11 @@ class Mosh:
     @overload
     def fit(
         self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]
-    ) -> MarkerFit: ...
+    ) -> MarkerResult: ...
     @overload
     def fit(
         self, captures: Sequence[Source], body: PathLike | BodyModel = ..., **options: object
-    ) -> list[MarkerFit]: ...
+    ) -> list[MarkerResult]: ...
     def fit(
         self,
         captures: Source | Sequence[Source],
@@ -132,7 +133,7 @@ class Mosh:
         npz_style: str = "habitus",
         workers: WorkersLike = None,
         progress: Progress | None = None,
-    ) -> MarkerFit | list[MarkerFit]:
+    ) -> MarkerResult | list[MarkerResult]:
         """The fit of one capture (read, or a file), or the list of fits of several, which are one
         subject.
 
@@ -157,7 +158,7 @@ class Mosh:
         progress = progress or silent
         check_npz_style(npz_style, model)
         check_layout(self.layout, hold_out, hold_out_every)
-        with nullcontext() if folder is None else locked(folder, OURS):
+        with nullcontext() if folder is None else locked(folder, MARKER_FILES):
             progress("read", 0.0)
             began = time.perf_counter()
             read = [self.read(source) for source in sources]
@@ -177,10 +178,11 @@ class Mosh:
                 model, people, hold_out, hold_out_every, workers, progress, read_seconds, told
             )
             if folder is None:
-                fits = [fit for _, fit in each]
+                fits = [MarkerResult.of(fit) for _, fit in each]
             else:
                 fits = [
-                    save_fit(fit, folders[id(capture)], obj, npz_style) for capture, fit in each
+                    MarkerResult.of(save_fit(fit, folders[id(capture)], obj, npz_style))
+                    for capture, fit in each
                 ]
                 write_index(folder)
         return fits[0] if one else fits
@@ -325,7 +327,7 @@ def mosh(
     label: str = "given",
     workers: WorkersLike = None,
     progress: Progress | None = None,
-) -> list[MarkerFit]:
+) -> list[MarkerResult]:
     """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out:
     a fit a capture.
 

@@ -3,6 +3,7 @@ in, files out.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion, Moving
 from habitus.export.motion import check_motion_path, export_motion
 from habitus.fit.retarget.recipe import Retargeting, retargeted
-from habitus.io.people import load_motion
+from habitus.io.people import read_motion
+from habitus.jobs.results import Motion
 from habitus.jobs.targets import find_target
 from habitus.types import PathLike
 
@@ -23,7 +25,7 @@ def exaggerate(
     *,
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
-) -> BodyMotion:
+) -> Motion:
     """The motion with its soft tissue ``factor`` times as far from its own mean (M 9.1): 1.5 or 2,
     or 0 for none.
 
@@ -33,7 +35,7 @@ def exaggerate(
     tissue, and other endings.
     """
     _check(out)
-    return _written(exaggerated(motion_of(source, body), factor), out)
+    return Motion.of(_written(exaggerated(motion_of(source, body), factor), out))
 
 
 def retarget(
@@ -57,12 +59,12 @@ def retarget(
     target, betas, name = find_target(motion, to)
     found = retargeted(motion, target, betas, name)
     _written(found.motion, out)
-    return found
+    return replace(found, motion=Motion.of(found.motion))
 
 
 def motion_of(source: Moving | PathLike, body: BodyModel | PathLike | None) -> BodyMotion:
     """A fit or a motion, or the npz of one, as a motion. Raises HabitusError."""
-    return BodyMotion.of(source) if isinstance(source, Moving) else load_motion(source, body)
+    return BodyMotion.of(source) if isinstance(source, Moving) else read_motion(source, body)
 
 
 def _check(out: PathLike | None) -> None:

@@ -1,20 +1,14 @@
 """Registers scans: from files to surfaces in the body's topology, for training and measuring."""
 
-import json
 import os
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from habitus import __version__
 from habitus.body.model import BodyModel
-from habitus.body.surface_files import write_surface, write_textured
 from habitus.errors import HabitusError
-from habitus.export.npz import save_arrays
-from habitus.files import whole_folder, write_text
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
@@ -25,27 +19,15 @@ from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
+from habitus.jobs.results import ScanResult
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.registrations import Registrations
-from habitus.report.metrics import finite
-from habitus.report.registration.page import scan_page
+from habitus.results.save import SCAN_FILES, result_lock
 from habitus.types import PathLike, Progress
 
-OURS = (
-    "body.npz",
-    "surface.ply",
-    "surface.glb",
-    "model.ply",
-    "rest.ply",
-    "metrics.json",
-    "report.html",
-)
-"""All names that `save_scan` writes into a scan's folder."""
 DATASET = "registrations.npz"
 """What `habitus train` reads, beside the folders of the scans."""
 SEXES = ("female", "male")
-BRIGHTEST = 0.9
-"""Where the brightest albedo goes: its scale cannot be told."""
 
 
 def register_scans(
@@ -62,7 +44,7 @@ def register_scans(
     texture: bool = False,
     seed: int = 0,
     progress: Progress = lambda stage, share: None,
-) -> list[ScanFit]:
+) -> list[ScanResult]:
     """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T
     5.4).
 
@@ -82,36 +64,40 @@ def register_scans(
     given = [scans] if isinstance(scans, Scan | str | os.PathLike) else list(scans)
     if not given:
         raise HabitusError("no scans were given; expected files, folders or points")
-    read = [one for each in given for one in _read(each)]
-    if texture:
-        if separate:
-            raise HabitusError(
-                "texture and separate were given; expected one: colours are compared within one "
-                "person"
-            )
-        check_colours(read)
-    names = _folders(read) if out is not None else []
-    registrar = made_ready(body, age)
-    asked = {"unit": unit, "up": up, "seed": seed}
-    with one_blas_thread():
-        if sequence:
-            fits = _in_time(registrar, read, asked, progress)
-        elif separate:
-            fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
-        else:
-            fits = registrar.register(read, **asked, progress=progress)
+    with result_lock(out, SCAN_FILES):
+        read = [one for each in given for one in _read(each)]
         if texture:
-            progress("colours", 0.9)
-            fits = with_colours(
-                registrar.settled(next((fit for fit in fits if fit.person), fits[0])), fits, read
-            )
-    if out is not None:
-        for fit, name in zip(fits, names, strict=True):
-            save_scan(fit, Path(out) / name)
-        subjects = names if separate else [file_name(Path(out).resolve().name)] * len(fits)
-        write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
-    progress("done", 1.0)
-    return fits
+            if separate:
+                raise HabitusError(
+                    "texture and separate were given; expected one: colours are compared within "
+                    "one person"
+                )
+            check_colours(read)
+        names = _folders(read) if out is not None else []
+        registrar = made_ready(body, age)
+        asked = {"unit": unit, "up": up, "seed": seed}
+        with one_blas_thread():
+            if sequence:
+                fits = _in_time(registrar, read, asked, progress)
+            elif separate:
+                fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
+            else:
+                fits = registrar.register(read, **asked, progress=progress)
+            if texture:
+                progress("colours", 0.9)
+                fits = with_colours(
+                    registrar.settled(next((fit for fit in fits if fit.person), fits[0])),
+                    fits,
+                    read,
+                )
+        results = [ScanResult.of(fit) for fit in fits]
+        if out is not None:
+            for fit, name in zip(results, names, strict=True):
+                fit.save(Path(out) / name)
+            subjects = names if separate else [file_name(Path(out).resolve().name)] * len(fits)
+            write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
+        progress("done", 1.0)
+        return results
 
 
 def made_ready(body: BodyModel | PathLike = "default", age: float | None = None) -> Registrar:
@@ -169,105 +155,3 @@ def _dataset(
         name=tuple(names),
         weights=np.stack([fit.weights for fit in fits]),
     )
-
-
-def save_scan(fit: ScanFit, folder: PathLike) -> None:
-    """body.npz, surface.ply and .glb, model.ply, rest.ply, metrics.json and report.html, in a
-    folder that is whole.
-
-    body.npz has AMASS's names for the model's state (one frame), ``vertices``, ``vertex_weights``
-    and ``to_body``. Raises HabitusError where it cannot be written.
-    """
-    with whole_folder(folder, OURS) as partial:
-        with (partial / "body.npz").open("wb") as file:
-            save_arrays(file, _arrays(fit))
-        for name, vertices in (
-            ("surface", fit.vertices), ("model", fit.model_vertices), ("rest", fit.rest_vertices),
-        ):  # fmt: skip
-            write_surface(_Mesh(vertices), partial / f"{name}.ply", fit.body.faces)
-        _write_glb(fit, partial / "surface.glb")
-        began = time.perf_counter()
-        numbers = scan_metrics(fit)
-        write_text(partial / "report.html", scan_page(fit, numbers))
-        numbers["stage_seconds"]["export"] = time.perf_counter() - began
-        text = json.dumps(finite(numbers), indent=2, ensure_ascii=False, allow_nan=False)
-        write_text(partial / "metrics.json", text + "\n")
-
-
-def _write_glb(fit: ScanFit, path: Path) -> None:
-    """The surface; with the person's albedo on triangles cut as finely as it is known, where
-    colours were used.
-    """
-    if fit.colours is None:
-        write_surface(_Mesh(fit.vertices), path, fit.body.faces)
-        return
-    grid = fit.colours.grid
-    albedo = fit.colours.albedo
-    bright = albedo / max(float(np.percentile(albedo, 99.5)), 1e-6)
-    write_textured(grid.placed(fit.vertices), grid.triangles, path, BRIGHTEST * bright)
-
-
-class _Mesh:
-    """Vertices to be written."""
-
-    def __init__(self, vertices: np.ndarray):
-        self.vertices = vertices
-
-
-def _arrays(fit: ScanFit) -> dict[str, np.ndarray]:
-    age = {} if fit.body.age is None else {"age_years": np.array(fit.body.age)}
-    return age | {
-        "poses": fit.pose.reshape(1, -1),
-        "trans": fit.trans[None],
-        "betas": fit.betas,
-        "num_betas": np.array(len(fit.betas)),
-        "gender": np.array(fit.body_name if fit.body_name in SEXES else "neutral"),
-        "surface_model_type": np.array(fit.body_name),
-        "joint_names": np.array(fit.body.joint_names),
-        "mocap_framerate": np.array(1.0),
-        "mocap_frame_rate": np.array(1.0),
-        "up_axis": np.array("+y"),
-        "vertices": fit.vertices,
-        "vertex_weights": fit.weights,
-        "to_body": fit.to_body,
-        "habitus_version": np.array(__version__),
-    }
-
-
-def scan_metrics(fit: ScanFit) -> dict[str, Any]:
-    """The numbers of a registered scan, as metrics.json holds them; lengths of errors in mm."""
-    return {
-        "scan": fit.scan_name,
-        "body": fit.body_name,
-        "age_years": fit.body.age,
-        "points": len(fit.cloud.points),
-        "scan_to_surface_mm": _spread(fit.to_surface),
-        "scan_to_model_mm": _spread(fit.to_model),
-        "matched": fit.matched,
-        "lost": fit.lost,
-        "self_cuts": fit.cuts,
-        "seen": fit.seen,
-        "betas": fit.betas.tolist(),
-        "pose_distance": fit.pose_distance,
-        "up_axis": fit.up_axis,
-        "to_body": fit.to_body.tolist(),
-        "body_measurements": dict(fit.measurements),
-        "model_measurements": fit.body.measure(fit.betas),
-        "colours": None
-        if fit.colours is None
-        else {
-            "difference_before": fit.colours.before,
-            "difference_after": fit.colours.after,
-            "slid_mm": 1e3 * fit.colours.slid,
-        },
-        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
-        "stage_seconds": dict(fit.stage_seconds),
-        "warnings": list(fit.notes),
-    }
-
-
-def _spread(distances: np.ndarray) -> dict[str, float]:
-    shares = zip(
-        ("median", "p95", "max"), np.percentile(1e3 * distances, (50, 95, 100)), strict=True
-    )
-    return {"mean": float(1e3 * distances.mean())} | {name: float(value) for name, value in shares}

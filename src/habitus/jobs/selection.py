@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
+from habitus.body.motion import BodyMotion
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.export.npz import save_arrays
-from habitus.files import atomic_write, whole_folder, write_text
+from habitus.export.npz import motion_arrays, write_arrays
+from habitus.files import whole_folder, write_text
 from habitus.fit.markers.shape import place
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.selection.full import best_states
@@ -294,18 +295,16 @@ def _write_poses(
     if target.suffix.lower() != ".npz":
         raise HabitusError(f"cannot write poses to {target.name}: expected a name in .npz")
     standing = [-float(body((), pose).vertices[:, 1].min()) for pose in poses]
-    arrays = {
-        "poses": poses.reshape(len(poses), -1),
-        "trans": np.outer(standing, [0.0, 1.0, 0.0]),
-        "betas": np.zeros(body.num_betas),
-        "mocap_framerate": np.array(1.0),
-        "gender": np.array("neutral"),
-        "surface_model_type": np.array(body.name),
-        "up_axis": np.array("+y"),
-        "shape_error_mm": 1e3 * np.array(choice.errors),
-        "made": np.array(
-            [f"poses that tell the shape best with the markers of {layout.name}, the best first"]
-        ),
-    }
-    with atomic_write(target) as temporary, temporary.open("wb") as file:
-        save_arrays(file, arrays)
+    motion = BodyMotion(
+        body,
+        np.zeros(body.num_betas),
+        poses,
+        np.outer(standing, [0.0, 1.0, 0.0]),
+        rate_hz=1.0,
+        up_axis="+y",
+        capture_name=target.stem,
+        body_name=body.name,
+        made=(f"poses that constrain the shape best with the layout {layout.name}, best first",),
+    )
+    errors = {"shape_error_mm": 1e3 * np.array(choice.errors)}
+    write_arrays(target, motion_arrays(motion) | {"made": np.array(motion.made)} | errors)

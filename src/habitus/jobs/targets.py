@@ -17,7 +17,7 @@ from habitus.errors import HabitusError, shown
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED
-from habitus.io.people import load_shape
+from habitus.io.people import read_shape
 from habitus.types import PathLike
 
 Target = tuple[BodyModel, Float[np.ndarray, " B"], str]
@@ -67,7 +67,7 @@ def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
 def _of_file(motion: BodyMotion, text: str) -> Target:
     """A person's npz, or a body's mean person."""
     known = {motion.body_name: motion.body}
-    person = load_shape(text, known=known)
+    person = read_shape(text, known=known)
     return _person(motion, person.body, person.betas, person.name)
 
 

@@ -23,7 +23,7 @@ from habitus.io.captures.c3d_fill import filled_c3d
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import load_layout
-from habitus.io.people import load_fit, load_motion
+from habitus.io.people import read_fit, read_motion
 from habitus.io.units import METRES
 from habitus.markers.columns import same_columns
 from habitus.population.captures import Faults
@@ -48,7 +48,7 @@ def virtual_markers(
     """What a marker system would record of a body in motion: M markers in every frame, metres, the
     motion's own world.
 
-    source: a fit, a motion, or the npz of one (`habitus.io.people.load_motion`). layout: a shipped
+    source: a fit, a motion, or the npz of one (`habitus.io.people.read_motion`). layout: a shipped
     one by name, or a file, without its optional markers; by itself a fit's own markers at the
     places that were found for them. faults: placement and noise (m, sd) and missing samples;
     `CLEAN` has none. out: a .c3d or .trc file that receives them. Raises HabitusError for a motion
@@ -148,7 +148,7 @@ def fill_capture(
         raise HabitusError(
             f"{target}: is the capture itself, which stays as it is; choose another name with --out"
         )
-    found = fit if isinstance(fit, MarkerFit) else load_fit(fit, body)
+    found = fit if isinstance(fit, MarkerFit) else read_fit(fit, body)
     person, columns = _person(found, source)
     observed = np.full((len(person), len(found.labels), 3), np.nan)
     observed[:, columns >= 0] = person.markers[:, columns[columns >= 0]]
@@ -181,7 +181,7 @@ def fill_capture(
 
 
 def _loaded(source: PathLike, layout: PathLike | None, body: BodyModel | PathLike | None) -> Moving:
-    return load_motion(source, body) if layout is not None else load_fit(source, body)
+    return read_motion(source, body) if layout is not None else read_fit(source, body)
 
 
 def _writable(out: PathLike) -> Path:

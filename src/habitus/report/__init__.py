@@ -1,7 +1,6 @@
-"""What a fit is worth, for people and for programs: metrics.json and the HTML report."""
+"""What a fit is worth, for people: HTML reports."""
 
 from habitus.report.fit.index import write_index
 from habitus.report.fit.page import write_report
-from habitus.report.metrics import metrics, write_metrics
 
-__all__ = ["metrics", "write_index", "write_metrics", "write_report"]
+__all__ = ["write_index", "write_report"]

@@ -15,10 +15,11 @@ import habitus
 from habitus.body.dynamics import Dynamics
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.export.npz import write_npz
 from habitus.fit.markers.hold_out import held_out_errors
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, settings_from
-from habitus.io.people import load_fit
+from habitus.io.people import read_fit
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach
 
@@ -93,8 +94,8 @@ def test_the_recipe_finds_dynamics(fitted, tmp_path):
             found.betas, found.pose[7:8], found.trans[7:8], dynamics=found.dynamics[7:8]
         ).vertices[0],
     )
-    found.export(tmp_path / "body.npz")
-    again = load_fit(tmp_path / "body.npz", found.body)
+    write_npz(found, tmp_path / "body.npz")
+    again = read_fit(tmp_path / "body.npz", found.body)
     np.testing.assert_array_equal(again.dynamics, found.dynamics)
     assert settings_from(again.settings).soft_space == "dynamics"
 

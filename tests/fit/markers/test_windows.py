@@ -7,6 +7,7 @@ import pytest
 from marker_scene import scene
 from planted import person, plant, prior_of_poses
 
+from habitus.export.npz import write_npz
 from habitus.fit.markers.causal import fit_causally
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.sequence import GRID, OVERLAP, fit_long, fit_sequence, windows
@@ -185,7 +186,7 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     assert short.verdict == plenty.verdict
     np.testing.assert_allclose(short.errors_mm, plenty.errors_mm, atol=0.05)
     np.testing.assert_array_equal(short.visible, plenty.visible)
-    short.export(tmp_path / "short.npz")
+    write_npz(short, tmp_path / "short.npz")
     with np.load(tmp_path / "short.npz") as file:
         np.testing.assert_array_equal(file["poses"].reshape(short.pose.shape), short.pose)
         np.testing.assert_array_equal(file["markers_obs"], np.float32(short.observed_markers))

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from browser import visit
 
+from habitus.export.png import small_png
 from habitus.report.archive.page import MOST_PICTURES, write_archive_page
 from habitus.report.archive.pictures import palette
-from habitus.report.png import small_png
 
 COUNT = 3000
 NASTY = "</script><script>alert(1)</script><b>&'\u202e"

@@ -10,6 +10,7 @@ from PIL import Image
 from planted import person
 from synthetic_fit import synthetic_fit
 
+from habitus.export.png import png, small_png
 from habitus.report.archive.pictures import (
     HEIGHT,
     MOMENTS,
@@ -18,7 +19,6 @@ from habitus.report.archive.pictures import (
     palette,
     shape_picture,
 )
-from habitus.report.png import png, small_png
 
 
 def opened(content: bytes) -> np.ndarray:

@@ -7,16 +7,15 @@ import duckdb
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.report import metrics
 from habitus.report.archive.page import write_archive_page
 from habitus.report.archive.table import write_table
-from habitus.report.metrics import finite
+from habitus.results.metrics import finite, marker_metrics
 
 
 @pytest.fixture(scope="module")
 def rows():
     """Two captures that were fitted, one that was not."""
-    plain = finite(metrics(synthetic_fit(frames=20)))
+    plain = finite(marker_metrics(synthetic_fit(frames=20)))
     marked = plain | {
         "suspect_markers": [{"label": "a'b", "reason": "ghost", "frames": 3, "corrected": False}]
     }

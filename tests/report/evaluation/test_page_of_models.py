@@ -14,13 +14,13 @@ from browser import chromium, visit
 from PIL import Image
 from tube_people import tube_people, written_tubes
 
+from habitus.export.png import png
 from habitus.jobs.evaluate import evaluate
 from habitus.jobs.evaluation_files import evaluation_numbers, write_evaluation
 from habitus.parallel.workers import Threads
 from habitus.report.evaluation import pictures
 from habitus.report.evaluation.figures import SERIES, figures, inline, model_looks
 from habitus.report.evaluation.page import Picture, training_page
-from habitus.report.png import png
 
 VOID = {"meta", "link", "br", "img", "input", "hr"}
 NASTY = "</script><script>alert(1)</script><b>&\"'$x_1$"

@@ -11,7 +11,8 @@ import pytest
 from synthetic_fit import synthetic_fit
 
 from habitus.errors import HabitusError
-from habitus.report import metrics, write_index, write_metrics
+from habitus.report import write_index
+from habitus.results.metrics import marker_metrics, write_json
 
 NASTY = "</td><script>alert(1)</script>\u202e&'\x1b"
 
@@ -35,9 +36,11 @@ def rows(page: str) -> list[list[str]]:
 def test_one_row_a_capture_and_it_grows(tmp_path):
     assert write_index(tmp_path) is None and not list(tmp_path.iterdir())
     fit = synthetic_fit(frames=20)
-    numbers = metrics(fit) | {"verdict": {"level": "doubtful", "reasons": ["a hip seen by nobody"]}}
+    numbers = marker_metrics(fit) | {
+        "verdict": {"level": "doubtful", "reasons": ["a hip seen by nobody"]}
+    }
     (tmp_path / "b").mkdir()
-    write_metrics(fit, tmp_path / "b" / "metrics.json", numbers)
+    write_json(tmp_path / "b" / "metrics.json", numbers)
     (tmp_path / "b" / "report.html").write_text("")
     page = write_index(tmp_path).read_text("utf-8")
     (row,) = rows(page)

@@ -13,11 +13,12 @@ from habitus.errors import HabitusError, shown
 from habitus.fit.markers.result import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.parallel import blocks
-from habitus.report import metrics, write_report
+from habitus.report import write_report
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.page import _every, report_page
 from habitus.report.fit.scene import player_stride
 from habitus.report.shell import json_for_script
+from habitus.results.metrics import marker_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
 
@@ -99,7 +100,7 @@ def test_strings_cannot_break_out():
 @pytest.mark.parametrize("level", ["good", "doubtful", "failed"])
 def test_the_verdict_stands_above_everything_else(level):
     fit = synthetic_fit(3)
-    numbers = metrics(fit) | {"verdict": {"level": level, "reasons": ["First.", NASTY]}}
+    numbers = marker_metrics(fit) | {"verdict": {"level": level, "reasons": ["First.", NASTY]}}
     page = report_page(fit, numbers)
     banner = re.search(r"<div class='banner (\w+)'.*?</div>", page, re.DOTALL)
     told = unescape(banner[0])
@@ -232,7 +233,7 @@ def test_what_is_guessed_is_said_and_packed():
     assert (levels[:, names.index("left_elbow")] == 255).all() and not levels[
         :, names.index("right_elbow")
     ].any()
-    assert {one["joint"] for one in metrics(blind)["guessed_segments"]} == {
+    assert {one["joint"] for one in marker_metrics(blind)["guessed_segments"]} == {
         "left_elbow",
         "left_wrist",
     }

@@ -11,9 +11,9 @@ from browser import visit
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanFit
 from habitus.io.models.bodies import load_body
-from habitus.jobs.register import scan_metrics
 from habitus.mesh.normals import vertex_normals
 from habitus.report.registration.page import scan_page
+from habitus.results.metrics import scan_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&'"
 LOOKS = ("Surface", "Scan", "Distances", "Model", "Off the model", "Weights")

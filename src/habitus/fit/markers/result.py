@@ -1,6 +1,5 @@
 """The result of a marker fit: state, status, residuals, timings and the settings that made it."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -214,29 +213,6 @@ class MarkerFit(Moving):
         return sequence_terms(
             marked, self.observed_markers[frames], None, scales, prior, sequence_settings(settings)
         )
-
-    def save(self, folder: str | os.PathLike[str], npz_style: str = "habitus") -> None:
-        """Write body.npz, body.glb, metrics.json and report.html into a folder, as ``habitus mosh``
-        does.
-
-        npz_style: "habitus", which ``habitus.load_fit(folder / "body.npz")`` reads back, or "amass"
-        (docs/amass.md). Raises HabitusError where it cannot be written to.
-        """
-        import habitus
-
-        habitus.save_fit(self, folder, npz_style=npz_style)
-
-    def export(self, path: str | os.PathLike[str], **options: Any) -> None:
-        """Write the motion by the path's ending: .fbx, .glb, .usd, .usdz, .bvh, .trc, .mot, .npz,
-        .obj, .ply.
-
-        Without an ending it is a folder with an OBJ mesh a frame. options: fps, correctives,
-        detail, frame (`habitus.export.motion.export_motion`). Raises HabitusError for other
-        endings, and where the path cannot be written to.
-        """
-        import habitus
-
-        habitus.export_motion(self, path, **options)
 
     def errors(self, stage: str = "soft_tissue") -> Float[np.ndarray, "T M"] | None:
         """Distances of observed from predicted markers in metres, NaN where missing; ``stage`` pose

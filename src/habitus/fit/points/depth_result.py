@@ -8,7 +8,6 @@ The result of a fit to depth views: a body, its poses in all views, what it look
 that is worth.
 """
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -420,13 +419,3 @@ class RgbdFit(Moving):
         each.
         """
         return judge(self.evidence)
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write body.npz, body.glb, measurements.csv, metrics.json and report.html, as ``habitus
-        rgbd`` does.
-
-        Raises HabitusError where the folder cannot be written to.
-        """
-        import habitus
-
-        habitus.save_rgbd(self, folder)

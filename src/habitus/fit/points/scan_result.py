@@ -4,7 +4,6 @@ worth.
 What a registered scan is worth, by numbers that can be checked without knowing the truth.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -109,15 +108,6 @@ class ScanFit:
         sentence each.
         """
         return judge_scan(self)
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Write body.npz, surface.ply, model.ply, rest.ply, surface.glb, metrics.json, report.html.
-
-        Raises HabitusError where the folder cannot be written to.
-        """
-        import habitus
-
-        habitus.save_scan(self, folder)
 
 
 MEDIAN, P95 = (0.0015, 0.004), (0.006, 0.020)

@@ -25,10 +25,10 @@ from habitus.jobs.archive.tasks import work
 from habitus.jobs.discovering import check_layout
 from habitus.jobs.finding import Found, find_captures
 from habitus.jobs.mosh import Mosh
-from habitus.jobs.mosh_files import OURS
 from habitus.parallel.queue import Lost, Queue, open_queue
 from habitus.report.archive.page import write_archive_page
 from habitus.report.archive.table import write_table
+from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike
 
 PAGE = "index.html"
@@ -104,9 +104,9 @@ def archive(
         if subjects is None
         else read_subjects(Path(subjects), [one.path.relative_to(top) for one in found])
     )
-    with locked(order.out, OURS), ExitStack() as stack:
+    with locked(order.out, MARKER_FILES), ExitStack() as stack:
         for place in {one.place for one in found}:
-            tidy(order.out / place, OURS)
+            tidy(order.out / place, MARKER_FILES)
         manifest = stack.enter_context(open_manifest(order.out))
         processes = cache(lambda: stack.enter_context(open_queue(workers)))
         files = {_called(one.path.relative_to(top)): one for one in found}

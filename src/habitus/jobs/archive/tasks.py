@@ -38,7 +38,7 @@ from habitus.jobs.bodies import loaded, with_fingers
 from habitus.jobs.finding import SURE, Worn
 from habitus.jobs.genders import model_of, of_sex
 from habitus.jobs.held_out import silent
-from habitus.jobs.mosh_files import save_fit
+from habitus.jobs.results import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
 from habitus.kernels.threads import one_thread
 from habitus.report.archive.pictures import motion_picture, shape_picture

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int, UInt8
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
 from habitus.body.up import up_rotation
-from habitus.report.png import small_png
+from habitus.export.png import small_png
 from habitus.rotations import matrix_from_rotvec
 
 HEIGHT, STEP, MARGIN = 84, 46, 16

@@ -7,7 +7,7 @@ import numpy as np
 from habitus.body.motion import Moving
 from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison.differences import Differences, notes
-from habitus.report.metrics import error_summary
+from habitus.results.metrics import error_summary
 
 WORST = 8
 _APART_S = 0.5  # between two of the worst moments

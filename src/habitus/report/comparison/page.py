@@ -19,8 +19,8 @@ from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
 from habitus.report.fit.plots import ANGLE_FRAMES, PLOT_BINS, bin_edges, bin_means
 from habitus.report.fit.scene import add_scene
-from habitus.report.metrics import finite
 from habitus.report.shell import VIEWER, WITHOUT_SCRIPT, asset, player, shell
+from habitus.results.metrics import finite
 
 SCRIPTS = (*VIEWER, "compare_player.js", "compare_main.js")
 LAYERS = 9

@@ -16,8 +16,8 @@ from habitus.report.fit.plots import ANGLE_FRAMES, add_angles, add_plots
 from habitus.report.fit.scene import Scene, add_scene
 from habitus.report.fit.suspicion import suspicions
 from habitus.report.fit.words import LONGEST_NAME, downloads
-from habitus.report.metrics import finite, metrics
 from habitus.report.shell import VIEWER, WITHOUT_SCRIPT, asset, player, shell
+from habitus.results.metrics import finite, marker_metrics
 
 if TYPE_CHECKING:
     from habitus.fit.markers.result import MarkerFit
@@ -34,10 +34,10 @@ def write_report(
 ) -> None:
     """Write the report of a ``MarkerFit`` as one HTML file, atomically.
 
-    ``numbers`` is ``metrics(fit)`` where the caller has it already; ``files`` are names of files
-    beside the page that it offers for download. Long captures are thinned for the player and the
-    joint angles only; errors, gaps and numbers hold every frame. Raises HabitusError where the file
-    cannot be written.
+    ``numbers`` is ``marker_metrics(fit)`` where the caller has it already; ``files`` are names of
+    files beside the page that it offers for download. Long captures are thinned for the player and
+    the joint angles only; errors, gaps and numbers hold every frame. Raises HabitusError where the
+    file cannot be written.
     """
     write_text(path, report_page(fit, numbers, files))
 
@@ -45,10 +45,10 @@ def write_report(
 def report_page(
     fit: "MarkerFit", given: dict[str, Any] | None = None, files: Sequence[str] = ()
 ) -> str:
-    """The report as text; ``given`` is ``metrics(fit)`` where there is one, ``files`` lie beside
-    the page.
+    """The report as text; ``given`` is ``marker_metrics(fit)`` where there is one, ``files`` lie
+    beside the page.
     """
-    numbers = _readable(finite(metrics(fit) if given is None else given))
+    numbers = _readable(finite(marker_metrics(fit) if given is None else given))
     blob = Blob()
     scene = add_scene(fit, blob)
     data = {

@@ -7,7 +7,7 @@ import numpy as np
 from habitus.body.joint_angles import joint_angles
 from habitus.parallel.blocks import mapped
 from habitus.report.fit.blob import Blob
-from habitus.report.metrics import marker_means
+from habitus.results.metrics import marker_means
 
 if TYPE_CHECKING:
     from habitus.fit.markers.result import MarkerFit

@@ -15,8 +15,8 @@ from habitus.report.fit.parts import guessed_parts
 from habitus.report.fit.scene import Scene
 from habitus.report.fit.suspicion import corrected_suspects, split_suspects
 from habitus.report.fit.words import isolated, term_rows
-from habitus.report.metrics import finite
 from habitus.report.parts import Tile, banner, card, numbers_table, tiles
+from habitus.results.metrics import finite
 
 if TYPE_CHECKING:
     from habitus.fit.markers.result import MarkerFit

@@ -10,10 +10,10 @@ import numpy as np
 
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.errors import shown
+from habitus.export.png import png
 from habitus.observe.srgb import srgb_bytes
 from habitus.report.facts import LONGEST_NAME
 from habitus.report.fit.blob import Blob
-from habitus.report.metrics import finite
 from habitus.report.parts import (
     banner,
     card,
@@ -23,10 +23,10 @@ from habitus.report.parts import (
     numbers_table,
     tiles,
 )
-from habitus.report.png import png
 from habitus.report.rgbd.pictures import ERROR_MM, PAPER, Picture, light_ball, view_pictures
 from habitus.report.shell import shell
 from habitus.report.still import SCRIPTS, STYLE, Look, still, still_data
+from habitus.results.metrics import finite
 
 if TYPE_CHECKING:
     from habitus.fit.points.depth_result import RgbdFit

@@ -1,27 +1,32 @@
-"""The numbers of a marker fit, as metrics.json holds them."""
+"""The numbers of fits, as metrics.json holds them, and the writer of JSON files of results.
 
+Lengths of errors are in mm, measurements in m and kg, times in s; NaN and infinities become null.
+"""
+
+import csv
+import io
 import json
 import math
-import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
+from habitus.body.measurement_names import DEFINITIONS
 from habitus.files import write_text
+from habitus.fit.markers.result import HeldOut, MarkerFit
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.markers.uncertainty import betas_covariance
+from habitus.fit.points.scan_result import ScanFit
 from habitus.parallel.blocks import blocks, columns, is_large, release
-
-if TYPE_CHECKING:
-    from habitus.fit.markers.result import HeldOut, MarkerFit
-    from habitus.fit.markers.suspects import Suspect
+from habitus.types import PathLike
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
 
 
-def metrics(fit: "MarkerFit") -> dict[str, Any]:
+def marker_metrics(fit: MarkerFit) -> dict[str, Any]:
     """Errors (mm), timings (s), suspects, measurements and warnings of a fit, NaN where there is no
     number.
 
@@ -57,21 +62,15 @@ def metrics(fit: "MarkerFit") -> dict[str, Any]:
     }
 
 
-def stage_seconds(fit: "MarkerFit") -> dict[str, float | None]:
+def stage_seconds(fit: MarkerFit) -> dict[str, float | None]:
     """Seconds of each stage, and of the start-up before them."""
     seconds = {name: _number(fit.stage_seconds.get(name)) for name in STAGE_NAMES}
     return seconds | {"startup": float(fit.startup_seconds)}
 
 
-def write_metrics(
-    fit: "MarkerFit", path: str | os.PathLike[str], numbers: dict[str, Any] | None = None
-) -> None:
-    """Write ``metrics(fit)``, or ``numbers`` where the caller has it already, as JSON, atomically.
-
-    Numbers that do not exist become null.
-    """
-    given = metrics(fit) if numbers is None else numbers
-    text = json.dumps(finite(given), indent=2, ensure_ascii=False, allow_nan=False)
+def write_json(path: PathLike, values: Mapping[str, Any]) -> None:
+    """Write nested values as JSON, atomically; numbers that are not finite become null."""
+    text = json.dumps(finite(dict(values)), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 
 
@@ -138,12 +137,12 @@ def marker_means(errors: Float[np.ndarray, "T M"]) -> Float[np.ndarray, " M"]:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def body_measurements(fit: "MarkerFit") -> dict[str, float]:
+def body_measurements(fit: MarkerFit) -> dict[str, float]:
     """Height (m), mass (kg), and what else the body knows how to measure on its rest surface."""
     return fit.body.measure(fit.betas)
 
 
-def _suspect(suspect: "Suspect") -> dict[str, Any]:
+def _suspect(suspect: Suspect) -> dict[str, Any]:
     """Label, reason, number of frames, and whether the marker was put right: its errors are then a
     good one's.
     """
@@ -155,7 +154,7 @@ def _suspect(suspect: "Suspect") -> dict[str, Any]:
     }
 
 
-def _guessed(fit: "MarkerFit") -> list[dict[str, Any]]:
+def _guessed(fit: MarkerFit) -> list[dict[str, Any]]:
     """Joints whose segments no marker tells in half of the capture or more, and how well they are
     known.
     """
@@ -164,7 +163,7 @@ def _guessed(fit: "MarkerFit") -> list[dict[str, Any]]:
     return [{"joint": fit.body.joint_names[k], "spread_mm": float(typical[k])} for k in joints]
 
 
-def _held_out(held: "HeldOut | None") -> dict[str, Any] | None:
+def _held_out(held: HeldOut | None) -> dict[str, Any] | None:
     if held is None:
         return None
     return {
@@ -172,7 +171,7 @@ def _held_out(held: "HeldOut | None") -> dict[str, Any] | None:
     }
 
 
-def fit_female_probability(fit: "MarkerFit") -> float | None:
+def fit_female_probability(fit: MarkerFit) -> float | None:
     """P(female) of the neutral shape, as sure as the markers know it; None for a body without a
     classifier of sex.
     """
@@ -181,7 +180,7 @@ def fit_female_probability(fit: "MarkerFit") -> float | None:
     return female_probability(fit.body, fit.betas, betas_covariance(fit))
 
 
-def _gender(fit: "MarkerFit") -> dict[str, Any] | None:
+def _gender(fit: MarkerFit) -> dict[str, Any] | None:
     """P(female) of the neutral shape, what that says ("female", "male", "cannot tell"), and the
     model fitted.
     """
@@ -201,3 +200,54 @@ def _number(value: float | None) -> float | None:
 
 def _rate(frames: int, seconds: float | None) -> float | None:
     return frames / seconds if seconds else None
+
+
+def scan_metrics(fit: ScanFit) -> dict[str, Any]:
+    """The numbers of a registered scan, as metrics.json holds them; lengths of errors in mm."""
+    return {
+        "scan": fit.scan_name,
+        "body": fit.body_name,
+        "age_years": fit.body.age,
+        "points": len(fit.cloud.points),
+        "scan_to_surface_mm": _spread(fit.to_surface),
+        "scan_to_model_mm": _spread(fit.to_model),
+        "matched": fit.matched,
+        "lost": fit.lost,
+        "self_cuts": fit.cuts,
+        "seen": fit.seen,
+        "betas": fit.betas.tolist(),
+        "pose_distance": fit.pose_distance,
+        "up_axis": fit.up_axis,
+        "to_body": fit.to_body.tolist(),
+        "body_measurements": dict(fit.measurements),
+        "model_measurements": fit.body.measure(fit.betas),
+        "colours": None
+        if fit.colours is None
+        else {
+            "difference_before": fit.colours.before,
+            "difference_after": fit.colours.after,
+            "slid_mm": 1e3 * fit.colours.slid,
+        },
+        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "stage_seconds": dict(fit.stage_seconds),
+        "warnings": list(fit.notes),
+    }
+
+
+def _spread(distances: np.ndarray) -> dict[str, float]:
+    shares = zip(
+        ("median", "p95", "max"), np.percentile(1e3 * distances, (50, 95, 100)), strict=True
+    )
+    return {"mean": float(1e3 * distances.mean())} | {name: float(value) for name, value in shares}
+
+
+def measurements_csv(values: Mapping[str, float]) -> str:
+    """Measurements (m, kg) as CSV text: name, value, unit, definition and ISO numbers."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
+    for name, value in values.items():
+        definition = DEFINITIONS[name]
+        unit = "kg" if name.endswith("_kg") else "m"
+        rows.writerow((name, f"{value:.6g}", unit, definition.says, definition.iso))
+    return text.getvalue()

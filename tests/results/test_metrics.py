@@ -11,7 +11,7 @@ from habitus.fit.markers.result import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.parallel import blocks
-from habitus.report import metrics, write_metrics
+from habitus.results.metrics import marker_metrics, write_json
 
 KEYS = {
     *(
@@ -43,7 +43,7 @@ def no_constants(name):
 
 
 def test_keys_are_those_of_the_design():
-    found = metrics(synthetic_fit())
+    found = marker_metrics(synthetic_fit())
     assert set(found) == KEYS
     assert set(found["stage_seconds"]) == {
         "read",
@@ -59,7 +59,7 @@ def test_keys_are_those_of_the_design():
 
 
 def test_markers_that_were_put_right_are_told_from_those_still_wrong():
-    told = metrics(
+    told = marker_metrics(
         synthetic_fit(
             suspects=(Suspect("M02", "fell", 4), Suspect("M03", "put back", 7, corrected=True))
         )
@@ -77,7 +77,7 @@ def test_errors_are_distances_over_visible_markers_in_mm():
     fit = synthetic_fit(
         4, 4, soft=False, observed_markers=observed, predicted_pose_stage=np.zeros_like(observed)
     )
-    found = metrics(fit)
+    found = marker_metrics(fit)
     error = found["marker_error_mm"]["pose"]
     assert error["mean"] == pytest.approx(4) and error["median"] == pytest.approx(2.5)
     assert error["max"] == pytest.approx(10) and 3 < error["p95"] < 10
@@ -94,7 +94,8 @@ def test_never_seen_marker_is_null_in_the_file(tmp_path):
     fit = synthetic_fit()
     observed = fit.observed_markers.copy()
     observed[:, 5] = np.nan
-    write_metrics(replace(fit, observed_markers=observed), tmp_path / "metrics.json")
+    unseen = replace(fit, observed_markers=observed)
+    write_json(tmp_path / "metrics.json", marker_metrics(unseen))
     found = json.loads((tmp_path / "metrics.json").read_text("utf-8"), parse_constant=no_constants)
     assert found["marker_error_mm"]["pose"]["per_marker"]["M05"] is None
     assert found["marker_error_mm"]["pose"]["mean"] > 0
@@ -102,17 +103,15 @@ def test_never_seen_marker_is_null_in_the_file(tmp_path):
 
 def test_nothing_seen_at_all(tmp_path):
     fit = synthetic_fit(soft=False)
-    write_metrics(
-        replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan)),
-        tmp_path / "m.json",
-    )
+    unseen = replace(fit, observed_markers=np.full_like(fit.observed_markers, np.nan))
+    write_json(tmp_path / "m.json", marker_metrics(unseen))
     found = json.loads((tmp_path / "m.json").read_text("utf-8"), parse_constant=no_constants)
     assert found["missing_fraction"] == 1 and found["marker_error_mm"]["pose"]["mean"] is None
 
 
 def test_held_out_markers_have_their_own_labels():
     held = HeldOut(("CHIN",), np.array([[0.01], [np.nan], [0.03]]), None)
-    found = metrics(synthetic_fit(3, held_out=held))["held_out_error_mm"]
+    found = marker_metrics(synthetic_fit(3, held_out=held))["held_out_error_mm"]
     assert found["pose"]["mean"] == pytest.approx(20) and found["pose"][
         "per_marker"
     ] == pytest.approx({"CHIN": 20.0})
@@ -122,30 +121,34 @@ def test_held_out_markers_have_their_own_labels():
 def test_held_out_markers_at_told_places_are_told_beside_them():
     held = HeldOut(("CHIN", "NOSE"), np.array([[0.03, 0.04]]), None)
     told = HeldOut(("CHIN", "NOSE"), np.array([[0.005, np.nan]]), None)
-    found = metrics(synthetic_fit(3, held_out=held, held_out_told=told))
+    found = marker_metrics(synthetic_fit(3, held_out=held, held_out_told=told))
     assert found["held_out_error_mm"]["pose"]["mean"] == pytest.approx(35)
     assert found["held_out_known_placement_mm"]["pose"]["mean"] == pytest.approx(5)
-    assert metrics(synthetic_fit(3, held_out=held))["held_out_known_placement_mm"] is None
+    assert marker_metrics(synthetic_fit(3, held_out=held))["held_out_known_placement_mm"] is None
 
 
 def test_gender_is_a_probability():
     body = replace(tube_body(), female_direction=(np.ones(6), 0.5))
     fit = synthetic_fit(3, body=body)
-    found = metrics(fit)["gender"]
+    found = marker_metrics(fit)["gender"]
     probability = female_probability(body, fit.betas, betas_covariance(fit))
     assert found == {
         "female_probability": probability,
         "says": said_of(probability),
         "model": "neutral",
     }
-    assert metrics(synthetic_fit(3))["gender"] is None
+    assert marker_metrics(synthetic_fit(3))["gender"] is None
 
 
 def test_a_fit_with_the_model_of_a_sex_says_why():
     fit = synthetic_fit(3, gender="male")
-    assert metrics(fit)["gender"] == {"female_probability": None, "says": None, "model": "male"}
+    assert marker_metrics(fit)["gender"] == {
+        "female_probability": None,
+        "says": None,
+        "model": "male",
+    }
     chosen = replace(fit, female_probability=0.07)
-    assert metrics(chosen)["gender"] == {
+    assert marker_metrics(chosen)["gender"] == {
         "female_probability": 0.07,
         "says": "male",
         "model": "male",
@@ -154,10 +157,10 @@ def test_a_fit_with_the_model_of_a_sex_says_why():
 
 def test_numbers_are_exact_where_memory_is_short(monkeypatch):
     fit = synthetic_fit()
-    plenty = metrics(fit)
+    plenty = marker_metrics(fit)
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 16)
-    short = metrics(fit)
+    short = marker_metrics(fit)
     for stage, errors in plenty["marker_error_mm"].items():
         found = short["marker_error_mm"][stage]
         assert {k: found[k] for k in ("mean", "median", "p95", "max")} == {
@@ -170,4 +173,4 @@ def test_numbers_are_exact_where_memory_is_short(monkeypatch):
 def test_suspects_say_whether_they_were_put_right():
     right = SimpleNamespace(label="M01", reason="exchanged", frames=5, corrected=True)
     fit = replace(synthetic_fit(frames=6), suspects=(right, Suspect("M02", "fell", 2)))
-    assert [one["corrected"] for one in metrics(fit)["suspect_markers"]] == [True, False]
+    assert [one["corrected"] for one in marker_metrics(fit)["suspect_markers"]] == [True, False]

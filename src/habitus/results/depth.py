@@ -1,0 +1,149 @@
+"""The result folder of a fit to depth views."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from habitus.body.gender import female_probability, said_of
+from habitus.body.surface_files import write_textured
+from habitus.export.npz import motion_arrays, write_arrays
+from habitus.export.png import png
+from habitus.files import whole_folder, write_text
+from habitus.fit.points.depth_result import RgbdFit
+from habitus.fit.points.skin_offsets import along_normals
+from habitus.fit.points.state import State
+from habitus.fit.points.texture import Skin, bake, spread
+from habitus.observe.srgb import srgb_bytes
+from habitus.results.metrics import measurements_csv, write_json
+from habitus.results.save import METRICS, REPORT
+from habitus.types import PathLike
+
+DEPTH_FILES = ("body.npz", "body.glb", "measurements.csv", METRICS, REPORT)
+TEXTURE_SIZES = {400: 1024, 0: 256}
+"""Texels along a side of the texture, by the least height (pixels) of the colour images."""
+
+DepthPage = Callable[[RgbdFit, Mapping[str, Any], Skin | None], str]
+"""The report of a fit, its numbers and the texture of the skin."""
+
+
+def save_depth(fit: RgbdFit, folder: PathLike, page: DepthPage | None = None) -> None:
+    """Write body.npz, body.glb, measurements.csv, metrics.json and report.html.
+
+    Raises HabitusError where the folder cannot be written.
+    """
+    skin = _baked_skin(fit)
+    with whole_folder(folder, DEPTH_FILES) as partial:
+        write_arrays(partial / "body.npz", _depth_arrays(fit))
+        _write_depth_glb(fit, skin, partial / "body.glb")
+        write_text(partial / "measurements.csv", measurements_csv(fit.measurements))
+        numbers = depth_metrics(fit)
+        write_json(partial / METRICS, numbers)
+        if page is not None:
+            write_text(partial / REPORT, page(fit, numbers, skin))
+
+
+def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
+    """Errors of depth (mm), shares explained, light, timings (s), measurements, verdict and
+    warnings.
+    """
+    seconds = {name: float(value) for name, value in fit.stage_seconds.items()}
+    return {
+        "capture": fit.capture_name,
+        "body": fit.body_name,
+        "age_years": fit.body.age,
+        "views": [vars(view) for view in fit.evidence.views],
+        "depth_error_mm": {
+            "median": float(np.median([view.median_mm for view in fit.evidence.views])),
+            "p95": float(np.max([view.p95_mm for view in fit.evidence.views])),
+        },
+        "parted_by": fit.evidence.way,
+        "appearance": _appearance(fit),
+        "costs": dict(fit.costs),
+        "stage_seconds": {**seconds, "total": sum(seconds.values())},
+        "body_measurements": dict(fit.measurements),
+        "gender": _depth_gender(fit),
+        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "warnings": list(fit.warnings),
+    }
+
+
+def _appearance(fit: RgbdFit) -> dict[str, Any] | None:
+    found = fit.appearance
+    if found is None:
+        return None
+    return {
+        "colour_residual": found.residual,
+        "seen_share": float((found.seen > 0).mean()),
+        "colour_camera_shift_mm": (1e3 * found.shift.shift).tolist(),
+        "outline_overlap": found.shift.overlap,
+        "light": found.light.tolist(),
+    }
+
+
+def _depth_gender(fit: RgbdFit) -> dict[str, Any] | None:
+    """P(female) of the neutral shape, as if it were known exactly, and the model fitted."""
+    if fit.body.female_direction is None:
+        return (
+            None
+            if fit.gender == "neutral"
+            else {"female_probability": None, "says": None, "model": fit.gender}
+        )
+    probability = female_probability(fit.body, fit.betas)
+    return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
+
+
+def _depth_arrays(fit: RgbdFit) -> dict[str, np.ndarray]:
+    arrays = motion_arrays(fit) | {
+        "made": np.array([f"fitted to {len(fit.pose)} depth views of {fit.capture_name}"]),
+        "view_names": np.array([view.name for view in fit.evidence.views]),
+        "T_world_sensor": np.stack([_rigid(sight.turn, sight.shift) for sight in fit.sights]),
+    }
+    if fit.skin is not None:
+        arrays["skin_offset"] = fit.skin.astype(np.float32)
+    if fit.appearance is not None:
+        arrays["albedo"] = fit.appearance.albedo.astype(np.float32)
+        arrays["light"] = fit.appearance.light
+        arrays["colour_camera_shift"] = fit.appearance.shift.shift
+    return arrays
+
+
+def _rigid(
+    rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    out = np.eye(4)
+    out[:3, :3] = rotation
+    out[:3, 3] = translation
+    return out
+
+
+def _baked_skin(fit: RgbdFit) -> Skin | None:
+    """The texture of the person's skin; None without colour images."""
+    if fit.appearance is None:
+        return None
+    image = fit.sights[0].view.colour
+    height = 0 if image is None else len(image)
+    size = next(size for least, size in TEXTURE_SIZES.items() if height >= least)
+    state = State(fit.betas, fit.pose, fit.trans)
+    return bake(fit.body, state, fit.sights, fit.appearance, size, fit.skin)
+
+
+def _write_depth_glb(fit: RgbdFit, skin: Skin | None, path: Path) -> None:
+    """The person in the pose of the first view, with their own colours, centred over the origin."""
+    body = fit.finest_body
+    vertices = np.asarray(body(fit.betas, fit.pose[0], fit.trans[0]).vertices)
+    if fit.skin is not None:
+        vertices = along_normals(vertices, spread(fit.body, fit.skin[:, None])[:, 0], body)
+    vertices = vertices - [*vertices[:, :1].mean(0), 0.0, vertices[:, 2].mean()]
+    albedo = np.full((body.num_vertices, 3), 0.6) if skin is None else skin.vertex_albedo
+    picture = None
+    if skin is not None and skin.texture is not None:
+        picture = png(_opaque(skin.texture))
+    write_textured(vertices, body.faces, path, albedo, body.mesh, picture)
+
+
+def _opaque(linear: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 4"]:
+    """Linear colours as bytes of sRGB with an opaque fourth channel."""
+    return np.dstack([srgb_bytes(linear), np.full(linear.shape[:2], 255, np.uint8)])
