@@ -28,12 +28,12 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_fitting import ModelStep
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.state import ModelState
-from habitus.io.models.priors import prior_of
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
 from habitus.population.held_out import FLESH, smooth_field

@@ -27,12 +27,12 @@ from pathlib import Path
 import numpy as np
 from common import machine, write_json
 
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.recipe import label_points
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.label import SURE, known_person
 from habitus.jobs.subjects import person
 

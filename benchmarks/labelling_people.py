@@ -16,10 +16,10 @@ import numpy as np
 from common import machine, write_json
 from labelling import corrected, read, spoilt
 
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.labels.recipe import label_people
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.label import SURE
 
 PAIRS = (

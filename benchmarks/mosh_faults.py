@@ -31,12 +31,12 @@ from rich.console import Console
 from rich.table import Table
 
 import habitus
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import person
 
 FEWEST_SECONDS = 1.0

@@ -34,6 +34,7 @@ from rich.table import Table
 import habitus
 from habitus.body.gender import said_of
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.surface_fit import Fit
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors
@@ -42,7 +43,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
-from habitus.io.models.priors import load_pose_prior, prior_of
+from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.selection import Selection, select_markers
 from habitus.jobs.subjects import leave_out, person
 from habitus.markers.placements import PlacementPrior

@@ -28,12 +28,12 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.markers.hold_out import merged
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.placements import learned
 from habitus.io.layouts.files import list_layouts, plain_layout
-from habitus.io.models.priors import prior_of
 from habitus.jobs.held_out import errors_of
 from habitus.jobs.subjects import leave_out, person
 from habitus.markers.layouts import MarkerLayout

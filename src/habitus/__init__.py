@@ -100,11 +100,6 @@ _MODULES = {
     "virtual_markers": "habitus.jobs.virtual_markers",
     "write_surface": "habitus.body.surface_files",
     "write_trc": "habitus.export.trc",
-    # what methods of results call, so that numerics import nothing that writes; not part of the
-    # public face
-    "guess": "habitus.fit.markers.uncertainty",
-    "judge": "habitus.fit.markers.judge",
-    "prior_of": "habitus.io.models.priors",
 }
 _WHOLE_MODULES = {"terms"}
 

@@ -5,13 +5,10 @@ from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissu
 from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.trc import write_trc as write_trc
-from habitus.fit.markers.judge import judge as judge
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
-from habitus.fit.markers.uncertainty import guess as guess
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
-from habitus.io.models.priors import prior_of as prior_of
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import habitus as hb
+from habitus.body.shipped_prior import prior_of
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import told_age
 from habitus.jobs.genders import of_sex
 from habitus.jobs.measuring import measure_file

@@ -10,11 +10,11 @@ import pytest
 
 import habitus as hb
 from habitus.body.gender import said_of
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.genders import choose, of_sex
 from habitus.population.captures import Faults, simulate_capture, smooth_motion
 

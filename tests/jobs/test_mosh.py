@@ -12,12 +12,13 @@ import pytest
 
 import habitus as hb
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import load_pose_prior, prior_of
+from habitus.io.models.priors import load_pose_prior
 from habitus.population.captures import Faults, simulate_capture, smooth_motion
 
 FRAMES = 60

@@ -25,6 +25,7 @@ from people import PEOPLE
 from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.files import write_text
 from habitus.fit.markers.hold_out import HeldMarkers
 from habitus.fit.markers.recipe import Recording, fit_subject
@@ -36,7 +37,6 @@ from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import list_layouts, plain_layout
 from habitus.io.layouts.placements import placements_text
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import Person, leave_out, person
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.placements import PlacementPrior

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.discover.recipe import discover
 from habitus.fit.discover.result import Discovery
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, shipped_layouts
-from habitus.io.models.priors import prior_of
 from habitus.markers.layouts import Marker
 from habitus.markers.matching import interpreted
 from habitus.types import PathLike, Progress

@@ -74,7 +74,7 @@ def evaluate_known(
         )
         errors = known_errors(bodies, data, report)
     others = {
-        one for one, where in zip(everything.subject, everything.set, strict=True) if where != which
+        one for one, where in zip(everything.subject, everything.set, strict=True) if where != split
     }
     known = np.array([one in others for one in data.subject])
     groups = {
@@ -96,7 +96,7 @@ def evaluate_known(
     evaluation = KnownEvaluation(found, len(data), errors)
     if out is not None:
         with atomic_write(writable_folder(Path(out)) / "known.json") as temporary:
-            told = {"registrations": len(data), "set": which, "metres": found}
+            told = {"registrations": len(data), "set": split, "metres": found}
             temporary.write_text(json.dumps(told, indent=1, ensure_ascii=False), encoding="utf-8")
     return evaluation
 

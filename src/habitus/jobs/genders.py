@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from habitus.body.gender import CANNOT_TELL, SURE, said_of
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import iterate_fits
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import at_age, told_age
 from habitus.jobs.subjects import Person
 from habitus.results.metrics import fit_female_probability

@@ -4,14 +4,15 @@ from collections.abc import Sequence
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
 from habitus.fit.markers.recipe import fit_markers
-from habitus.fit.markers.result import HeldOut, MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.solution import HeldOut
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
-from habitus.io.models.priors import prior_of
 from habitus.jobs.subjects import Person, leave_out
 from habitus.jobs.told_places import told_errors
 from habitus.markers.placements import PlacementPrior

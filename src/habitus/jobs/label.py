@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
 from habitus.files import write_text
@@ -27,7 +28,6 @@ from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.captures.unlabelled import UnlabelledCapture, read_unlabelled
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import prior_of
 from habitus.jobs.bodies import loaded
 from habitus.jobs.layout_choice import choose_layout
 from habitus.jobs.subjects import Person, person

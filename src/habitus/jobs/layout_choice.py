@@ -5,11 +5,11 @@ best.
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames
 from habitus.fit.labels.recipe import misfit
 from habitus.io.layouts.files import shipped_layouts
-from habitus.io.models.priors import prior_of
 from habitus.markers.layouts import MarkerLayout
 
 FRAMES = 4

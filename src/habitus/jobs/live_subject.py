@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.fit.markers.live import saved_subject, subject_of
 from habitus.fit.markers.recipe import warm_up
@@ -17,7 +18,6 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.subject import Subject
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import list_layouts
-from habitus.io.models.priors import prior_of
 from habitus.jobs.ages import told_age
 from habitus.jobs.bodies import with_fingers
 from habitus.jobs.genders import of_sex

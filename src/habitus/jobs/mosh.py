@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
 from habitus.files import locked
@@ -21,7 +22,6 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings, MoshWeights
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.found import found_layout_text
-from habitus.io.models.priors import prior_of
 from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded, with_fingers

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.state import ModelState
-from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in

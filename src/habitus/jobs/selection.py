@@ -13,6 +13,7 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.files import whole_folder, write_text
@@ -24,7 +25,6 @@ from habitus.fit.selection.poses import PoseChoice, choose_poses
 from habitus.fit.selection.problem import NOISE, linearised
 from habitus.io.layouts.files import save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
-from habitus.io.models.priors import prior_of
 from habitus.jobs.bodies import loaded
 from habitus.jobs.marker_pools import Pool, find_layout, find_pool
 from habitus.markers.layouts import MarkerLayout

@@ -16,8 +16,9 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError, listed
 from habitus.fit.markers.recipe import iterate_fits
-from habitus.fit.markers.result import HeldOut, MarkerFit
+from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.solution import HeldOut
 from habitus.io.captures.read import Capture
 from habitus.jobs.finding import Worn
 from habitus.jobs.subjects import Person, person, put_right

@@ -23,6 +23,7 @@ from jaxtyping import Float, Int
 from habitus.arrays import constant, flatten
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.observe.markers import MarkerAttachment, predict_markers
 from habitus.residuals.points import JointObservations, PointObservations, points_term
 from habitus.residuals.surface_terms import Depth, Joints, Points, Silhouette
@@ -87,9 +88,7 @@ class PosePrior:
     _whitening: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        import habitus
-
-        prior = habitus.prior_of(self.body)
+        prior = prior_of(self.body)
         prior = prior.for_joints(SMPL.joint_names if self.body is None else self.body.joint_names)
         object.__setattr__(self, "_mean", prior.mean)
         object.__setattr__(self, "_whitening", prior.whitening)

@@ -16,7 +16,8 @@ from jaxtyping import Float
 from habitus.body.gender import female_probability, said_of
 from habitus.body.measurement_names import DEFINITIONS
 from habitus.files import write_text
-from habitus.fit.markers.result import HeldOut, MarkerFit
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.fit.points.scan_result import ScanFit

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.fit.markers.result import GUESSED
+from habitus.fit.markers.solution import GUESSED
 
 
 @pytest.fixture(scope="module")

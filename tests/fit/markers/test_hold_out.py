@@ -9,7 +9,7 @@ import pytest
 from planted import attach, carried, fit, person, place_by_hand, plant, rest, settings
 
 from habitus.fit.markers.hold_out import held_out_errors, merged
-from habitus.fit.markers.result import HeldOut
+from habitus.fit.markers.solution import HeldOut
 
 HELD = ("RKNE", "STRN", "LELB")
 

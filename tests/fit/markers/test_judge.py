@@ -205,7 +205,9 @@ def test_spoilt_captures_are_never_good(clean, kind):
 def test_a_fit_of_nothing_is_not_tried_again(clean):
     found = p.fit(clean, which=HASTY)
     nothing = replace(found, observed_markers=np.full_like(found.observed_markers, np.nan))
-    assert nothing.verdict.level == "failed" and not may_improve(nothing) and not may_improve(found)
+    assert nothing.verdict.level == "failed"
+    assert not may_improve(nothing, nothing.verdict)
+    assert not may_improve(found, found.verdict)
 
 
 def test_limbs_without_markers_are_named(clean):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from habitus import load_body
+from habitus.body.shipped_prior import prior_of
 from habitus.fit.points.limbs import found_limbs, limbs_near
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_start import Candidate, _about_face
 from habitus.fit.points.scans import SINGLE, Registrar
 from habitus.fit.points.state import ModelState
-from habitus.io.models.priors import prior_of
 from habitus.mesh.normals import vertex_normals
 from habitus.population.coarse_bodies import coarse_body
 

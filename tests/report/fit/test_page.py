@@ -10,7 +10,7 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.errors import HabitusError, shown
-from habitus.fit.markers.result import HeldOut
+from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import write_report

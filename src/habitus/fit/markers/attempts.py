@@ -100,7 +100,7 @@ def attempted(
     """The fit of a recording, or a better one of it where that has failed; ``several``: it is one
     of a subject's.
     """
-    if not may_improve(fit):
+    if not may_improve(fit, fit.verdict):
         return fit
     progress(f"{recording.name}: again", 0.0)
     return _try_again(fit, _Case(body, prior, layout, recording, settings), several)

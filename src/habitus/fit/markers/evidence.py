@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from habitus.arrays import runs
 from habitus.body.kinematics import descends
-from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.solution import MarkerSolution
 from habitus.parallel.blocks import mapped
 
 MOST_FRAMES = 4000
@@ -70,7 +70,7 @@ class Evidence:
     doubts: tuple[str, ...] = ()
 
 
-def evidence(fit: MarkerFit) -> Evidence:
+def evidence(fit: MarkerSolution) -> Evidence:
     """The evidence on a fit; of a long capture some frames speak for all."""
     rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // MOST_FRAMES))
     observed = np.asarray(fit.observed_markers[rows])
@@ -117,13 +117,13 @@ def evidence(fit: MarkerFit) -> Evidence:
     )
 
 
-def limbs_of(fit: MarkerFit) -> Bool[np.ndarray, "M J"]:
+def limbs_of(fit: MarkerSolution) -> Bool[np.ndarray, "M J"]:
     """Whether a marker sits on a joint's part of the body or on what hangs from it."""
     corners = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1)
     return corners @ descends(fit.body.parents).T > HALF
 
 
-def _unseen(fit: MarkerFit, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
+def _unseen(fit: MarkerSolution, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
     told = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
     return {
         name: float(1.0 - share)
@@ -131,7 +131,7 @@ def _unseen(fit: MarkerFit, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float
     }
 
 
-def _motion(fit: MarkerFit) -> float:
+def _motion(fit: MarkerSolution) -> float:
     """At the median (m/s), how fast predicted markers move against their middle."""
     first = np.arange(0, max(1, fit.num_frames - 1), max(1, fit.num_frames // FEW_FRAMES))
     if fit.num_frames < 2:
@@ -143,7 +143,7 @@ def _motion(fit: MarkerFit) -> float:
     )
 
 
-def _speed(fit: MarkerFit) -> float:
+def _speed(fit: MarkerSolution) -> float:
     if fit.num_frames < 2:
         return 0.0
     return float(np.median(np.linalg.norm(np.diff(fit.trans, axis=0), axis=1))) * fit.rate_hz
@@ -154,7 +154,7 @@ def _longest(flags: Bool[np.ndarray, " T"]) -> int:
     return max((last - first for first, last in runs(flags)), default=0)
 
 
-def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
+def _tilt(fit: MarkerSolution) -> tuple[float | None, bool]:
     """Degrees between the capture's up and the way from the ankles to the neck; over straight
     bodies where there are.
 
@@ -183,7 +183,7 @@ def _tilt(fit: MarkerFit) -> tuple[float | None, bool]:
     return float(np.median(angle[straight] if standing else angle)), standing
 
 
-def _torn(fit: MarkerFit, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
+def _torn(fit: MarkerSolution, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
     """Share of the pairs close together on one part of the body that are seen far apart; how many
     of these level.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from habitus.fit.markers.evidence import Evidence, evidence
-from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (
     DOUBTFUL,
     FAILED,
@@ -154,7 +154,7 @@ LIMBS: Mapping[str, tuple[str, bool]] = MappingProxyType(
 TIPS = ("foot", "hand", "thumb", "index", "middle", "ring", "pinky", "jaw", "eye", "toe")
 
 
-def judge(fit: MarkerFit, limits: Limits = LIMITS) -> Verdict:
+def judge(fit: MarkerSolution, limits: Limits = LIMITS) -> Verdict:
     """The verdict on a fit."""
     return weigh(evidence(fit), limits)
 
@@ -170,9 +170,9 @@ def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
     return weigh_checks(checks, found, limits, SENTENCES)
 
 
-def may_improve(fit: MarkerFit, limits: Limits = LIMITS) -> bool:
-    """Whether a fit has failed in a way that another attempt may mend."""
-    if fit.verdict.level != FAILED or not fit.visible.any():
+def may_improve(fit: MarkerSolution, verdict: Verdict, limits: Limits = LIMITS) -> bool:
+    """Whether a fit with this verdict has failed in a way that another attempt may mend."""
+    if verdict.level != FAILED or not fit.visible.any():
         return False
     found = evidence(fit)
     if any(reason.level == FAILED for reason in _size(found, limits)):

@@ -6,7 +6,7 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.result import Guessed, MarkerFit
+from habitus.fit.markers.solution import Guessed, MarkerSolution
 from habitus.mesh.sampling import farthest_points
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_jacobian import marker_jacobian
@@ -20,7 +20,7 @@ _BATCH = 8
 TRUSTED = 0.5  # of a marker's full weight
 
 
-def guess(fit: MarkerFit, prior: PosePrior) -> Guessed:
+def guess(fit: MarkerSolution, prior: PosePrior) -> Guessed:
     """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the
     body's.
     """
@@ -32,7 +32,7 @@ def guess(fit: MarkerFit, prior: PosePrior) -> Guessed:
 
 
 def segment_spread(
-    fit: MarkerFit, prior: PosePrior, edges: Int[np.ndarray, " F"]
+    fit: MarkerSolution, prior: PosePrior, edges: Int[np.ndarray, " F"]
 ) -> Float[np.ndarray, "F J"]:
     """How well the skin of each joint's segment is known (m), in the spans of frames that begin at
     ``edges``.
@@ -61,7 +61,7 @@ def segment_spread(
     return found[which.reshape(-1)]
 
 
-def _told(fit: MarkerFit, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+def _told(fit: MarkerSolution, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
     """Which markers are seen and trusted in some frame of each span."""
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights
@@ -73,7 +73,7 @@ def _told(fit: MarkerFit, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
 
 
 def _moved(
-    fit: MarkerFit,
+    fit: MarkerSolution,
     pose: Float[np.ndarray, "f J 3"],
     trans: Float[np.ndarray, "f 3"],
     rows: Int[np.ndarray, " P"],
@@ -131,7 +131,7 @@ _FREE_POSE = (
 )
 
 
-def betas_covariance(fit: MarkerFit, place: float = PLACE) -> Float[np.ndarray, "B B"]:
+def betas_covariance(fit: MarkerSolution, place: float = PLACE) -> Float[np.ndarray, "B B"]:
     """The betas' posterior covariance (B, B): standard normal, seen through markers in one frame of
     free pose.
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
@@ -34,11 +33,6 @@ def load_pose_prior(path: str | Path | None = None) -> PosePrior:
         raise HabitusError(
             f"{source}: {error.strerror or error}; expected a pose prior (.npz)"
         ) from error
-
-
-def prior_of(body: BodyModel | None) -> PosePrior:
-    """A body's own pose prior where it has one, else the shipped one."""
-    return load_pose_prior() if body is None or body.pose_prior is None else body.pose_prior
 
 
 def save_pose_prior(prior: PosePrior, path: str | Path) -> None:

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.subject import ShapeFit, Subject
-from habitus.io.models.priors import prior_of
 from habitus.jobs.genders import Chosen
 from habitus.jobs.subjects import Agreed
 from habitus.markers.layouts import Marker, MarkerLayout

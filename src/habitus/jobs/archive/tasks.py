@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, shown
 from habitus.fit.markers.attempts import attempted
 from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.found import found_layout_text
-from habitus.io.models.priors import prior_of
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
     Done,

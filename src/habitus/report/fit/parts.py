@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from habitus.fit.markers.result import GUESSED
+from habitus.fit.markers.solution import GUESSED
 from habitus.report.fit.blob import Blob
 
 if TYPE_CHECKING:
