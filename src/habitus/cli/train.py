@@ -72,6 +72,10 @@ class Train:
     """Weight of the l1 penalty."""
     least_effect: Annotated[float, tyro.conf.arg(metavar="M")] = _OPTIONS.least_effect
     """What a joint must bring a vertex, in metres, for local pose blend shapes to keep it."""
+    rotation_prior: Annotated[float, tyro.conf.arg(metavar="μ")] = _OPTIONS.rotation_prior
+    """Weight of local pose blend shapes staying small at rotations by 0 to 90 degrees about every
+    axis, which keeps them from extrapolating; 0.003 suits.
+    """
     influences: Annotated[int, tyro.conf.arg(metavar="K")] = _OPTIONS.influences
     """Joints that move a vertex, at most."""
     num_betas: Annotated[int, tyro.conf.arg(metavar="B")] = _OPTIONS.num_betas

@@ -47,24 +47,20 @@ class TrainOptions:
     """Kind of model and stopping criteria. Raises HabitusError for values that do not make sense.
 
     skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that
-    move a vertex, S
-    5.2), "local" (by the joints near it that matter: a joint lets go of a vertex where that costs
-    people left out less
-    than ``least_effect``, m, root mean square over the registrations), "low_rank" (of ``rank``),
-    "l1" (with weight
-    ``l1`` in place of lambda_P), "none" (plain skinning).
+    move a vertex, S 5.2), "local" (by the joints near it that matter: a joint lets go of a vertex
+    where that costs people left out less than ``least_effect``, m, root mean square over the
+    registrations), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none"
+    (plain skinning). rotation_prior: weight mu of E_R, which keeps local pose blend shapes small at
+    rotations that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out,
+    .003 is what the default body's were damped with.
     pose_features: what drives them (``body.features``). shape_features: how many shape coefficients
-    they depend on
-    (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds: alternations at
-    most; they end
-    earlier when a round lowers the energy by less than ``tolerance`` of it. start: from the
-    template's "parts" (S 4.1),
-    or from the "body" that the template is of: its skinning weights, joint regressor and pose blend
-    shapes, and what is
-    known of the registrations. fixed: what of these stays as it is (some of `FIXED`). regressor:
-    "convex" (S 4.1),
-    "signed" (weights below zero allowed), "auto" (for the joints where these pay on people left
-    out).
+    they depend on (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds:
+    alternations at most; they end earlier when a round lowers the energy by less than ``tolerance``
+    of it. start: from the template's "parts" (S 4.1), or from the "body" that the template is of:
+    its skinning weights, joint regressor and pose blend shapes, and what is known of the
+    registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex"
+    (S 4.1), "signed" (weights below zero allowed), "auto" (for the joints where these pay on people
+    left out).
     """
 
     skinning: str = "lbs"
@@ -74,6 +70,7 @@ class TrainOptions:
     rank: int = 32
     l1: float = 0.05
     least_effect: float = 1e-4
+    rotation_prior: float = 0.0
     influences: int = 4
     num_betas: int = 10
     rounds: int = 20
@@ -99,7 +96,12 @@ class TrainOptions:
             self, "fixed", (self.fixed,) if isinstance(self.fixed, str) else tuple(self.fixed)
         )
         self._check_fixed()
-        _check_sizes({key: getattr(self, key) for key in ("l1", "least_effect", "tolerance")})
+        _check_sizes(
+            {
+                key: getattr(self, key)
+                for key in ("l1", "least_effect", "rotation_prior", "tolerance")
+            }
+        )
         if self.influences > CANDIDATES:
             raise HabitusError(
                 f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex"

@@ -1,6 +1,9 @@
 """The energy of training (S 4.1, eq. 14) as a dictionary of named terms of named unknowns.
 
-    E = E_D + lambda_Y E_Y + lambda_J E_J + lambda_P E_P + lambda_W E_W
+    E = E_D + lambda_Y E_Y + lambda_J E_J + lambda_P E_P + mu N E_R + lambda_W E_W
+
+E_R, the prior of local pose blend shapes at rotations that no registration shows, is not the
+paper's (`habitus.learn.posing.rotation_prior`); N is the number of registrations.
 
 A term costs 1/2 weight |residual|^2: weights here are twice the paper's lambdas, and the costs sum
 to E (m^2). Unknowns: ``templates`` (S,V,3; m) and ``joints`` (S,J,3; m), the subjects' rest
@@ -16,9 +19,11 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
+from habitus.body.pose_features import POSE_FEATURES
 from habitus.learn.estimate import Anatomy, Estimate, PosedTarget, Problem, posed_targets, weighted
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig, influences
+from habitus.learn.posing.rotation_prior import rotation_gram
 from habitus.learn.posing.surface import surface
 from habitus.solve.terms import Term
 
@@ -48,6 +53,11 @@ def regularizer_terms(problem: Problem, pose_shapes: bool = True) -> dict[str, T
         absolute = options.pose_shapes == "l1"
         weight = options.l1 if absolute else options.weights.pose_shapes
         terms["pose_shapes"] = pose_shape_term(weight, absolute=absolute)
+    if pose_shapes and options.rotation_prior and options.pose_shapes == "local":
+        weight = options.rotation_prior * len(problem.registrations)
+        terms["rotations"] = rotation_term(
+            weight, rotation_gram(POSE_FEATURES[options.pose_features])
+        )
     terms["skinning"] = skinning_term(options.weights.skinning, problem.initial_weights)
     return terms
 
@@ -209,6 +219,16 @@ def pose_shape_term(weight: float, *, absolute: bool = False) -> Term:
         return np.sqrt(np.abs(posedirs)) if absolute else posedirs
 
     return Term(residual, 2.0 * weight, name="pose_shapes")
+
+
+def rotation_term(weight: float, gram: Float[np.ndarray, "k k"]) -> Term:
+    """E_R: sum of tr(P_j G_w P_j') over the joints, G_w a ``gram`` of their features."""
+    factor = np.linalg.cholesky(gram)
+
+    def residual(posedirs: np.ndarray) -> np.ndarray:
+        return posedirs.reshape(-1, len(factor)) @ factor
+
+    return Term(residual, 2.0 * weight, name="rotations")
 
 
 def skinning_term(weight: float, initial: Float[np.ndarray, "V J"]) -> Term:

@@ -13,23 +13,23 @@ from jaxtyping import Float, Int
 def kept_groups(
     grams: Sequence[Float[np.ndarray, "C C"]],
     pulls: Sequence[Float[np.ndarray, " C"]],
-    ridge: float,
+    penalty: Float[np.ndarray, "C C"],
     groups: Int[np.ndarray, "G k"],
     limit: float,
 ) -> Int[np.ndarray, " g"]:
     """The groups of unknowns left when those are let go of, one by one, that cost least, as long as
     they cost less than ``limit``.
 
-    ``grams`` and ``pulls`` are the normal equations of the two halves of the data. A group's cost
-    is by how much the sums of squares of both halves rise together, each with the unknowns that the
-    other half gives (with half of the ``ridge``): the group's set to zero, the others solved for
-    again.
+    ``grams`` and ``pulls`` are the normal equations of the two halves of the data, ``penalty`` the
+    matrix of a quadratic one of all. A group's cost is by how much the sums of squares of both
+    halves rise together, each with the unknowns that the other half gives (with half of the
+    penalty): the group's set to zero, the others solved for again.
     """
     left = np.arange(len(groups))
     halves = []
     for (gram, pull), (other, away) in permutations(zip(grams, pulls, strict=True)):
         floor = 1e-10 * max(float(gram.trace()), 1e-3) / len(gram)
-        inverse = np.linalg.inv(gram + max(ridge / 2, floor) * np.eye(len(gram)))
+        inverse = np.linalg.inv(gram + penalty / 2 + floor * np.eye(len(gram)))
         halves.append(_Half(inverse, inverse @ pull, other, away))
     while len(left):
         moves = [half.without(groups) for half in halves]

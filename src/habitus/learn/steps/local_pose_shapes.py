@@ -4,19 +4,23 @@ the errors of S 3).
 With residuals y - A P f of a vertex in all registrations, A its blended rotation and f the features
 of the joints that may drive it, E_D + E_P is a quadratic in the few numbers of P: it is formed and
 solved exactly, in posed space, where the creases of linear blend skinning (A nearly singular) ask
-for little. Joints are let go of by what that costs people left out: those of one half of the
-people, with what the other half says.
+for little. So is E_R, the prior on rotations that no registration shows (`rotation_prior`). Joints
+are let go of by what that costs people left out: those of one half of the people, with what the
+other half says.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
+from habitus.body.pose_features import POSE_FEATURES
 from habitus.learn.estimate import Estimate, Problem, posed_targets, weighted
 from habitus.learn.posing.rig import RestPerson, kinship
+from habitus.learn.posing.rotation_prior import rotation_gram
 from habitus.learn.posing.surface import posed
 from habitus.learn.steps.letting_go import kept_groups
 from habitus.learn.steps.skeletons import subset_rig
@@ -44,6 +48,14 @@ class _Task:
     half: Int[np.ndarray, " N"]
     least: float | None
 
+    @cached_property
+    def penalty(self) -> Float[np.ndarray, "k k"]:
+        """Half the second derivative of E_P and E_R by one joint's row of blend shapes."""
+        options = self.problem.options
+        features = POSE_FEATURES[options.pose_features]
+        gram = options.rotation_prior * len(self.features) * rotation_gram(features)
+        return gram + options.weights.pose_shapes * np.eye(features.per_joint)
+
 
 def solve_local(
     problem: Problem,
@@ -53,8 +65,8 @@ def solve_local(
     *,
     choose: bool = False,
 ) -> Float[np.ndarray, "V 3 F"]:
-    """The local pose blend shapes (m) of least E_D + E_P; vertices that no registration shows keep
-    theirs.
+    """The local pose blend shapes (m) of least E_D + E_P + E_R; vertices that no registration
+    shows keep theirs.
 
     ``features`` are those of every registration, times what describes its person. With ``choose``
     joints are let go of where that costs people left out less than the options' ``least_effect``.
@@ -176,6 +188,7 @@ def _solved(
     equations = [_normal_equations(features[rows], square[rows], right[rows]) for rows in halves]
     size = features.shape[1]
     found = np.zeros((square.shape[1], 3, columns.size))
+    penalty = np.kron(np.eye(3 * size // len(task.penalty)), task.penalty)
     groups = (
         np.arange(3 * size).reshape(3, *columns.shape).transpose(1, 0, 2).reshape(len(columns), -1)
     )
@@ -185,11 +198,12 @@ def _solved(
         use = np.arange(3 * size)
         if task.least is not None:
             limit = task.least**2 * float(square[:, k, :3].sum()) / 3
-            use = np.sort(groups[kept_groups(grams, pulls, weight, groups, limit)].ravel())
+            use = np.sort(groups[kept_groups(grams, pulls, penalty, groups, limit)].ravel())
         gram = sum(grams)[np.ix_(use, use)]
         floor = 1e-10 * max(float(gram.trace()), 1e-3) / max(len(use), 1)
         if len(use):
-            factor = cho_factor(gram + max(weight, floor) * np.eye(len(use)))
+            ridge = penalty[np.ix_(use, use)] + max(floor - weight, 0.0) * np.eye(len(use))
+            factor = cho_factor(gram + ridge)
             found[k].reshape(-1)[use] = cho_solve(factor, sum(pulls)[use])
     return found
 
