@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from planted import RATE_HZ, attach, fit, plant, rest, settings
 
-from habitus.fit.markers.drift import PARTS, find_drifts, limb_axes, limb_of, trends
-from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.drift import find_drifts, limb_axes, limb_of, trends
+from habitus.fit.markers.settings import DRIFT, MoshSettings, sequence_settings
 from habitus.observe.marker_rig import marker_rig
 from habitus.population.marker_faults import drifting
 
@@ -52,7 +52,7 @@ def test_a_trend_is_measured_against_its_scatter():
     off[:, 2] += 0.03 * np.sin(np.linspace(0, 12, frames))[:, None]
     off[30:60, 1], off[5:, 3] = np.nan, np.nan
     way, steady = trends(off)
-    assert abs(way[1] - 0.06 * (1 - 1 / PARTS)) < 0.01 and steady[1] > 10.0
+    assert abs(way[1] - 0.06 * (1 - 1 / DRIFT.parts)) < 0.01 and steady[1] > 10.0
     assert way[0] < 0.005 and steady[2] < 5.0 and way[3] == 0.0
 
 
@@ -66,7 +66,7 @@ def test_a_marker_that_is_far_off_has_no_trend():
 def test_a_marker_that_is_seen_for_a_while_slides_as_far_as_it_would_in_all(seen):
     off = np.full((200, 1, 3), np.nan)
     off[seen, 0] = np.outer(np.linspace(0.0, 1.0, 200)[seen], [0.03, 0.0, -0.04])
-    np.testing.assert_allclose(trends(off)[0], 0.05 * (1 - 1 / PARTS), rtol=0.01)
+    np.testing.assert_allclose(trends(off)[0], 0.05 * (1 - 1 / DRIFT.parts), rtol=0.01)
 
 
 @pytest.mark.filterwarnings("error")
@@ -100,13 +100,13 @@ def test_a_short_capture_has_no_slow_drift(clean, attachment):
     assert named(few, attachment, observed[:29]) == set()
 
 
-@pytest.mark.parametrize("frames", [2 * PARTS - 1, 2 * PARTS])
+@pytest.mark.parametrize("frames", [2 * DRIFT.parts - 1, 2 * DRIFT.parts])
 def test_a_slow_capture_needs_a_few_frames(clean, attachment, frames):
     some = np.linspace(0, 59, frames).astype(int)
     observed = sliding(clean, attachment, clean.observed, "T10", (0.06, 0.0, 0.0))[some]
     few = replace(clean, pose=clean.pose[some], trans=clean.trans[some])
     assert named(few, attachment, observed, rate_hz=5.0) == (
-        {"T10"} if frames == 2 * PARTS else set()
+        {"T10"} if frames == 2 * DRIFT.parts else set()
     )
 
 

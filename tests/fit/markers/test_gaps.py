@@ -113,7 +113,7 @@ def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_cen
     lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)))
     wrist, elbow = (clean.body.joint_names.index(f"left_{name}") for name in ("wrist", "elbow"))
     assert (
-        lever.max() == gaps.LEVER**2
+        lever.max() == gaps.GAPS.max_lever**2
         and (lever[clean.columns("LWRA", "LWRB", "LFIN"), elbow] == 0.0225).all()
     )
     assert 1e-4 < lever[clean.column("LWRA"), wrist] < 0.0225

@@ -10,12 +10,14 @@ from planted import person, plant, prior_of_poses
 from habitus.export.npz import write_npz
 from habitus.fit.markers.causal import fit_causally
 from habitus.fit.markers.recipe import Recording, fit_markers
-from habitus.fit.markers.sequence import GRID, OVERLAP, fit_long, fit_sequence, windows
-from habitus.fit.markers.settings import MoshSettings, SequenceSettings
+from habitus.fit.markers.sequence import fit_long, fit_sequence, windows
+from habitus.fit.markers.settings import WINDOWS, MoshSettings, SequenceSettings
 from habitus.fit.markers.start import start_long, start_sequence
 from habitus.parallel import blocks
 from habitus.solve.sequence.solver import SequenceOptions
 
+GRID = WINDOWS.grid
+OVERLAP = WINDOWS.overlap
 LONGEST = 2 * OVERLAP + 5 * GRID
 
 

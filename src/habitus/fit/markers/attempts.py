@@ -21,9 +21,6 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.blocks import distances, mapped
 from habitus.types import Progress
 
-NEAR = 0.06  # metres from the layout's place: a marker that was left out and may come back
-MOST_LEFT_OUT = 0.4  # of the labels; where more are wrong the rest cannot be trusted either
-
 
 @dataclass(frozen=True)
 class _Case:
@@ -54,7 +51,9 @@ class _Case:
             for each in errors.T
         ]
         return tuple(
-            label for label, error in zip(held.layout.labels, middle, strict=True) if error < NEAR
+            label
+            for label, error in zip(held.layout.labels, middle, strict=True)
+            if error < self.settings.retry.near
         )
 
     def _only(self, labels: Sequence[str]) -> "_Case":
@@ -130,7 +129,9 @@ def _attempts(case: _Case, before: list[tuple[str, MarkerFit]]) -> Iterator[tupl
     for _ in range(2):
         best = min((fit for _, fit in before), key=_rank)
         gone = (*best.left_out, *worst_labels(best))
-        if not worst_labels(best) or len(gone) > MOST_LEFT_OUT * len(case.layout):
+        if not worst_labels(best) or len(gone) > case.settings.retry.max_left_out * len(
+            case.layout
+        ):
             return
         found = case.leaving_out(gone)
         gone = tuple(label for label in gone if label not in case.fitting(found, gone))

@@ -15,19 +15,10 @@ from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.recordings import FEWEST_MARKERS
 from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, shortened
-from habitus.fit.markers.settings import SequenceSettings
+from habitus.fit.markers.settings import LIVE, LiveSettings, SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import blocks, distances, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
-
-CLOSE = 3e-2
-"""A Gauss-Newton step this short (rad, root mean square) leaves an error near its square: no second
-is needed.
-"""
-LASTS = 0.95
-"""Share of the velocity that lasts from frame to frame while too few markers are seen to place a
-body.
-"""
 
 
 class CausalFrame(NamedTuple):
@@ -57,9 +48,11 @@ class CausalSolver:
         settings: SequenceSettings | None = None,
         scales: Float[np.ndarray, " M"] | None = None,
         iterations: int = 2,
+        live: LiveSettings = LIVE,
     ):
         self.settings = settings or SequenceSettings()
         self.iterations = iterations
+        self.live = live
         self.frames = 0
         nothing = np.full((1, marked.num_markers, 3), np.nan)
         self._problem = marker_sequence(marked, nothing, None, scales, prior, self.settings, 0)
@@ -90,13 +83,15 @@ class CausalSolver:
         problem.data.observed[0] = np.where(seen, observed, 0.0)
         problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
         blind = np.count_nonzero(problem.data.weights[0]) < FEWEST_MARKERS
-        self._advance(LASTS if blind else 1.0)
+        self._advance(self.live.velocity_decay if blind else 1.0)
         if blind and self.frames:
             level.costs[2] = problem.cost(level.frames[2:], level.states[2:])[0]
         else:
             level.damping[2] = 0.0 if self.frames else options.damping
             steps = self.iterations if self.frames else options.coarse_sweeps
-            problem.visit_again(level, 2, steps, CLOSE if self.frames else options.tolerance)
+            problem.visit_again(
+                level, 2, steps, self.live.close if self.frames else options.tolerance
+            )
         self.frames += 1
         pose, trans, _ = problem.unpack(level.states[2:])
         return CausalFrame(pose[0], trans[0], float(level.costs[2]))
@@ -134,12 +129,13 @@ def fit_causally(
     start: tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]],
     scale: Float[np.ndarray, " M"],
     settings: SequenceSettings,
+    live: LiveSettings = LIVE,
 ) -> SequenceResult:
     """Frame after frame, each from itself and the two before it, as the paper filters (M 6).
 
     start: pose and trans, of which the first frame's are used.
     """
-    solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale)
+    solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale, live=live)
     count = len(observed)
     pose = room((count, marked.num_joints, 3))
     trans = room((count, 3))

@@ -1,10 +1,10 @@
-"""Markers that slide over the skin through a capture: their latent places hold the mean of the way,
-and nobody sees it.
+"""Drift: markers that slide over the skin through a capture, while their latent places stay at the
+mean.
 
 A marker's residual in its limb's own axes has no trend while it stays where it is, except for what
-skin and pose do to it. A trend is called drift when it is long (`FAR`), steady against its own
-scatter (`STEADY`) and longer than other markers' (`ALONE`), measured where the marker itself had no
-say in the pose.
+skin and pose do to it. A trend is called drift when it is long (``far``), steady against its own
+scatter (``steady``) and longer than other markers' (``alone``), measured from poses that were
+fitted without the marker. The limits are `DriftSettings`.
 """
 
 import warnings
@@ -19,24 +19,10 @@ from habitus.body.kinematics import world_motions
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.sequence import SequenceResult, fit_sequence
-from habitus.fit.markers.settings import SequenceSettings
-from habitus.fit.markers.suspects import GROSS
+from habitus.fit.markers.settings import DRIFT, SUSPECTS, DriftSettings, SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.markers import MarkerAttachment
 from habitus.rotations import matrix_from_rotvec
-
-FRAMES, PARTS, FEWEST_PARTS = 120, 10, 6
-"""How many frames are looked at, in how many parts of time, and in how many of them a marker must
-be seen.
-"""
-LIKELY, FAR = 0.018, 0.035
-"""Metres: shorter trends are not looked into, or not called drift."""
-SHORTEST = 1.0
-STEADY, ALONE, COMPANY = 5.0, 1.3, 2
-"""Times its own scatter, times any other marker's trend but those of so many that may slide as
-well.
-"""
-TRIES = 8
 
 
 class Drift(NamedTuple):
@@ -56,15 +42,17 @@ def find_drifts(
     prior: PosePrior,
     posed: SequenceResult,
     settings: SequenceSettings,
+    limits: DriftSettings = DRIFT,
+    gross: float = SUSPECTS.gross,
 ) -> tuple[Drift, ...]:
     """Markers that slide, longest way first; observed in metres, NaN where missing; scale of the
     robust loss (m).
 
-    In captures of less than `SHORTEST` seconds nobody does.
+    In captures of less than ``min_seconds`` none does.
     """
-    if len(observed) < max(2 * PARTS, SHORTEST * rate_hz):
+    if len(observed) < max(2 * limits.parts, limits.min_seconds * rate_hz):
         return ()
-    some = np.unique(np.linspace(0, len(observed) - 1, FRAMES).astype(int))
+    some = np.unique(np.linspace(0, len(observed) - 1, limits.frames).astype(int))
     pose = posed.pose[some]
     trans = posed.trans[some]
     markers = np.ascontiguousarray(observed[some])
@@ -76,13 +64,16 @@ def find_drifts(
         weights[:, left_out] = 0.0
         found = fit_sequence(rig, markers, weights, scale, prior, pose, trans, apart)
         off = markers - predict(rig, found.pose, found.trans)
-        return trends(np.einsum("tmji,tmj->tmi", limb_axes(body, found.pose)[:, limbs], off))
+        in_limb = np.einsum("tmji,tmj->tmi", limb_axes(body, found.pose)[:, limbs], off)
+        return trends(in_limb, limits, gross)
 
-    return _one_by_one(trends_without, len(limbs))
+    return _one_by_one(trends_without, len(limbs), limits)
 
 
 def _one_by_one(
-    trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarray]], count: int
+    trends_without: Callable[[list[int]], tuple[np.ndarray, np.ndarray]],
+    count: int,
+    limits: DriftSettings,
 ) -> tuple[Drift, ...]:
     """Leave the most likely marker out; its trend then tells whether it slides or was pulled by one
     that does.
@@ -90,18 +81,18 @@ def _one_by_one(
     found: list[Drift] = []
     cleared = np.zeros(count, dtype=bool)
     way, steady = trends_without([])
-    for _ in range(TRIES):
+    for _ in range(limits.tries):
         out = [drift.marker for drift in found]
-        open_to_doubt = np.where((steady > 0.5 * STEADY) & ~cleared, way, 0.0)
+        open_to_doubt = np.where((steady > 0.5 * limits.steady) & ~cleared, way, 0.0)
         open_to_doubt[out] = 0.0
         worst = int(np.argmax(open_to_doubt))
-        if open_to_doubt[worst] < LIKELY:
+        if open_to_doubt[worst] < limits.likely:
             break
         alone, sure = trends_without([*out, worst])
         others = np.sort(np.delete(alone, [*out, worst]))[::-1]
         if (
-            alone[worst] > max(FAR, ALONE * others[COMPANY:].max(initial=0.0))
-            and sure[worst] > STEADY
+            alone[worst] > max(limits.far, limits.alone * others[limits.company :].max(initial=0.0))
+            and sure[worst] > limits.steady
         ):
             found.append(Drift(worst, float(alone[worst])))
             way = alone
@@ -113,19 +104,21 @@ def _one_by_one(
 
 def trends(
     off: Float[np.ndarray, "T M 3"],
+    limits: DriftSettings = DRIFT,
+    gross: float = SUSPECTS.gross,
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
     """How far each marker's residual (in its limb's axes, metres, NaN where missing) goes through
     all frames, and that in standard errors. 0 where a marker is far off in many frames, or hardly
     seen.
     """
-    parts = np.array_split(np.arange(len(off)), PARTS)
+    parts = np.array_split(np.arange(len(off)), limits.parts)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a part without samples is NaN
         middle = np.stack([np.nanmedian(off[part], axis=0) for part in parts])
-        rough = np.nanmean(np.linalg.norm(off, axis=2) > GROSS, axis=0)
+        rough = np.nanmean(np.linalg.norm(off, axis=2) > gross, axis=0)
     seen = np.isfinite(middle[..., 0])
     count = np.maximum(seen.sum(axis=0), 1)
-    time = np.where(seen, np.linspace(-0.5, 0.5, PARTS)[:, None], 0.0)
+    time = np.where(seen, np.linspace(-0.5, 0.5, limits.parts)[:, None], 0.0)
     time = np.where(seen, time - time.sum(axis=0) / count, 0.0)
     values = np.where(seen[..., None], middle, 0.0)
     values = np.where(seen[..., None], values - values.sum(axis=0) / count[:, None], 0.0)
@@ -134,7 +127,7 @@ def trends(
     left = np.sum((values - time[..., None] * slope) ** 2, axis=(0, 2)) / np.maximum(
         3 * (count - 2), 1
     )
-    way = np.where((count >= FEWEST_PARTS) & (rough < 0.3), np.linalg.norm(slope, axis=1), 0.0)
+    way = np.where((count >= limits.min_parts) & (rough < 0.3), np.linalg.norm(slope, axis=1), 0.0)
     return way, way / np.maximum(np.sqrt(left / spread), 1e-4)
 
 

@@ -20,26 +20,11 @@ from scipy.interpolate import Akima1DInterpolator
 
 from habitus.arrays import runs
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.suspects import GROSS
+from habitus.fit.markers.settings import GAPS, SUSPECTS, GapSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.observe.markers import MarkerAttachment, predict_markers, triangle_bases
 from habitus.parallel.blocks import by_column, mapped, with_columns
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-
-SHORT = 0.1
-"""Seconds: markers move on smoothly for so long."""
-REACH = (0.03, 0.6)
-"""Seconds for which a velocity lasts: at least, at most."""
-LOOK = 0.05
-"""Seconds over which a velocity at the edge of a gap is measured."""
-LONGEST_LOOK = 300
-"""Frames on either side of a gap that have a say in it."""
-FEWEST_SHARE = 0.2
-"""Of a joint's markers: with fewer its rotation is bridged."""
-LEVER = 0.15
-"""Metres: a marker that is further from a joint tells no more of its rotation."""
-TRUST = 0.25
-"""Weight of a marker that stands in for one that is not seen."""
 
 
 class MarkerTargets(NamedTuple):
@@ -57,14 +42,16 @@ def bridged(
     trans: Float[np.ndarray, "T 3"],
     observed: Float[np.ndarray, "T M 3"],
     rate_hz: float,
+    settings: GapSettings = GAPS,
 ) -> tuple[MarkerTargets, Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """Targets of every frame, and pose and trans to start from, from a fit of the seen markers."""
     if _seen(observed).all():
         return MarkerTargets(observed, None), pose, trans
-    filled = fill_short_gaps(observed, rate_hz)
+    filled = fill_short_gaps(observed, rate_hz, settings)
     seen = _seen(filled)
-    pose, trans = bridge_states(pose, trans, known_joints(rig, pose, seen), rate_hz)
-    hidden = np.where(seen.any(axis=0), TRUST, 0.0)
+    known = known_joints(rig, pose, seen, settings)
+    pose, trans = bridge_states(pose, trans, known, rate_hz, settings)
+    hidden = np.where(seen.any(axis=0), settings.weight, 0.0)
     weights = mapped(lambda part: np.where(part, 1.0, hidden), seen)
     return MarkerTargets(stand_ins(rig, pose, trans, filled), weights), pose, trans
 
@@ -83,14 +70,16 @@ def without(targets: MarkerTargets, markers: Sequence[int]) -> MarkerTargets:
 
 
 def fill_short_gaps(
-    observed: Float[np.ndarray, "T M 3"], rate_hz: float
+    observed: Float[np.ndarray, "T M 3"], rate_hz: float, settings: GapSettings = GAPS
 ) -> Float[np.ndarray, "T M 3"]:
-    """Markers with their gaps of up to `SHORT` seconds filled, by cubics through the samples on
+    """Markers with their gaps of up to ``short`` seconds filled, by cubics through the samples on
     both sides (Akima).
     """
     seen = _seen(observed)
     gappy = np.flatnonzero(~seen.all(axis=0) & (seen.sum(axis=0) > 1))
-    short = {int(marker): _short_gaps(seen[:, marker], SHORT * rate_hz) for marker in gappy}
+    short = {
+        int(marker): _short_gaps(seen[:, marker], settings.short * rate_hz) for marker in gappy
+    }
     chosen = [marker for marker, inside in short.items() if len(inside)]
     if not chosen:
         return observed
@@ -123,23 +112,28 @@ def _seen(markers: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
 
 
 def known_joints(
-    rig: MarkedBody, pose: Float[np.ndarray, "T J 3"], seen: Bool[np.ndarray, "T M"]
+    rig: MarkedBody,
+    pose: Float[np.ndarray, "T J 3"],
+    seen: Bool[np.ndarray, "T M"],
+    settings: GapSettings = GAPS,
 ) -> Bool[np.ndarray, "T J"]:
     """In which frames enough markers are seen that each joint moves, of those that ever are.
 
     A joint that moves none counts as known: nothing is to be bridged.
     """
     usual = by_column(lambda rotations: np.median(rotations, axis=0), pose)
-    moves = _leverage(rig, usual) * seen.any(axis=0)[:, None]
+    moves = _leverage(rig, usual, settings.max_lever) * seen.any(axis=0)[:, None]
     whole = moves.sum(axis=0)
-    return mapped(lambda part: (part @ moves >= FEWEST_SHARE * whole) | (whole < 1e-6), seen)
+    return mapped(
+        lambda part: (part @ moves >= settings.visible_share * whole) | (whole < 1e-6), seen
+    )
 
 
 def _leverage(
-    rig: MarkedBody, pose: Float[np.ndarray, "J 3"], step: float = 1e-3
+    rig: MarkedBody, pose: Float[np.ndarray, "J 3"], max_lever: float, step: float = 1e-3
 ) -> Float[np.ndarray, "M J"]:
     """How far each joint moves each marker, squared metres a squared radian, levers cut at
-    `LEVER`.
+    ``max_lever``.
     """
     joints = len(pose)
     tried = np.repeat(pose[None], 3 * joints + 1, axis=0)
@@ -151,7 +145,7 @@ def _leverage(
         np.sum((markers[:-1] - markers[-1]) ** 2, axis=2).reshape(joints, 3, -1).sum(axis=1)
         / step**2
     )
-    return np.minimum(way.T, LEVER**2)
+    return np.minimum(way.T, max_lever**2)
 
 
 def bridge_states(
@@ -159,17 +153,23 @@ def bridge_states(
     trans: Float[np.ndarray, "T 3"],
     known: Bool[np.ndarray, "T J"],
     rate_hz: float,
+    settings: GapSettings = GAPS,
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """Pose and trans with what is not known in them bridged; trans goes with the root."""
     unknown = np.flatnonzero(~known.all(axis=0)).tolist()
     turned = with_columns(
-        pose, unknown, lambda column, joint: bridge_rotations(column, known[:, joint], rate_hz)
+        pose,
+        unknown,
+        lambda column, joint: bridge_rotations(column, known[:, joint], rate_hz, settings),
     )
-    return turned, bridge(trans, known[:, 0], rate_hz)
+    return turned, bridge(trans, known[:, 0], rate_hz, settings)
 
 
 def bridge(
-    values: Float[np.ndarray, "T n"], known: Bool[np.ndarray, " T"], rate_hz: float = 0.0
+    values: Float[np.ndarray, "T n"],
+    known: Bool[np.ndarray, " T"],
+    rate_hz: float = 0.0,
+    settings: GapSettings = GAPS,
 ) -> Float[np.ndarray, "T n"]:
     """Values bridged where they are not known, in a straight line without a rate; held before the
     first known one and after the last.
@@ -177,10 +177,10 @@ def bridge(
     out = values.copy()
     for first, last in runs(~known):
         if first > 0 and last < len(values):
-            near = _near(known, first, last, rate_hz)
-            around = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
+            near = _near(known, first, last, rate_hz, settings)
+            around = slice(max(0, first - settings.look_frames), last + settings.look_frames)
             reach = (
-                _reach(values[around], known[around], (last - first) / rate_hz, rate_hz)
+                _reach(values[around], known[around], (last - first) / rate_hz, rate_hz, settings)
                 if rate_hz
                 else 0.0
             )
@@ -191,7 +191,10 @@ def bridge(
 
 
 def bridge_rotations(
-    rotvecs: Float[np.ndarray, "T 3"], known: Bool[np.ndarray, " T"], rate_hz: float = 0.0
+    rotvecs: Float[np.ndarray, "T 3"],
+    known: Bool[np.ndarray, " T"],
+    rate_hz: float = 0.0,
+    settings: GapSettings = GAPS,
 ) -> Float[np.ndarray, "T 3"]:
     """The same of rotation vectors, each gap as seen from the frame before it: the short way
     round.
@@ -200,10 +203,10 @@ def bridge_rotations(
     for first, last in runs(~known):
         origin = rotvecs[first - 1 if first else min(last, len(rotvecs) - 1)]
         start = matrix_from_rotvec(origin)
-        part = slice(max(0, first - LONGEST_LOOK), last + LONGEST_LOOK)
+        part = slice(max(0, first - settings.look_frames), last + settings.look_frames)
         relative = rotvec_from_matrix(start.T @ matrix_from_rotvec(rotvecs[part]))
         inside = slice(first - part.start, last - part.start)
-        bridged = bridge(relative, known[part], rate_hz)[inside]
+        bridged = bridge(relative, known[part], rate_hz, settings)[inside]
         out[first:last] = rotvec_from_matrix(start @ matrix_from_rotvec(bridged))
     return out
 
@@ -235,13 +238,15 @@ def stand_ins(
 def _plain_offsets(observed: np.ndarray, carried: np.ndarray) -> np.ndarray:
     """How far observed markers are off the body, 0 where they are missing or far off."""
     off = np.nan_to_num(observed - carried)
-    off[np.linalg.norm(off, axis=2) > GROSS] = 0.0
+    off[np.linalg.norm(off, axis=2) > SUSPECTS.gross] = 0.0
     return off
 
 
-def _near(known: Bool[np.ndarray, " T"], first: int, last: int, rate_hz: float) -> np.ndarray:
+def _near(
+    known: Bool[np.ndarray, " T"], first: int, last: int, rate_hz: float, settings: GapSettings
+) -> np.ndarray:
     """Frames on both sides of a gap, next to it and known throughout, to measure velocities by."""
-    look = min(max(2, round(LOOK * rate_hz)), LONGEST_LOOK)
+    look = min(max(2, round(settings.look * rate_hz)), settings.look_frames)
     before = known[max(0, first - look) : first][::-1]
     after = known[last : last + look]
     count = [len(side) if side.all() else int(np.argmin(side)) for side in (before, after)]
@@ -274,7 +279,11 @@ def _across(
 
 
 def _reach(
-    values: Float[np.ndarray, "F n"], known: Bool[np.ndarray, " F"], seconds: float, rate_hz: float
+    values: Float[np.ndarray, "F n"],
+    known: Bool[np.ndarray, " F"],
+    seconds: float,
+    rate_hz: float,
+    settings: GapSettings,
 ) -> float:
     """Frames for which a velocity lasts in a gap of so many seconds: spread over speed where values
     are known.
@@ -285,7 +294,7 @@ def _reach(
     steps = np.sum(np.diff(values, axis=0)[pairs] ** 2, axis=1)
     speed = rate_hz * np.sqrt(np.mean(steps)) if len(steps) else 0.0
     share = np.clip(1.0 / seconds**2, 0.0, 2.0)
-    return float(np.clip(share * spread / max(speed, 1e-9), *REACH)) * rate_hz
+    return float(np.clip(share * spread / max(speed, 1e-9), *settings.velocity_time)) * rate_hz
 
 
 def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " n"]:
@@ -295,11 +304,6 @@ def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " 
     time = np.arange(len(values))
     degree = 2 if len(values) > 3 else min(1, len(values) - 1)
     return np.polyfit(time - time[at], values, degree)[-2] if degree else np.zeros(values.shape[1])
-
-
-TRUSTED = 0.5
-"""Weight of the robust loss below which a sample beside a gap does not tell where the marker sits.
-"""
 
 
 @dataclass(frozen=True)
@@ -340,6 +344,7 @@ def fill_gaps(
     fit: MarkerFit,
     observed: Float[np.ndarray, "T M 3"],
     left_out: Mapping[str, str] = MappingProxyType({}),
+    settings: GapSettings = GAPS,
 ) -> Filling:
     """The gaps of ``observed``, in metres, the fit's frames and the order of its labels, filled
     where the fit knows.
@@ -361,7 +366,7 @@ def fill_gaps(
             gap = slice(first, stop)
             ends = [t for t in (first - 1, last + 1) if 0 <= t < len(observed)]
             near = int(np.median((~missing[gap][:, beside[marker]]).sum(1)))
-            why = refused.get(label) or _refusal(fit, marker, gap, ends)
+            why = refused.get(label) or _refusal(fit, marker, gap, ends, settings.fill_weight)
             if not why:
                 off = [
                     bases[t, marker].T @ (observed[t, marker] - predicted[t, marker]) for t in ends
@@ -383,10 +388,10 @@ def _suspicious(fit: MarkerFit) -> dict[str, str]:
     }
 
 
-def _refusal(fit: MarkerFit, marker: int, gap: slice, ends: list[int]) -> str:
+def _refusal(fit: MarkerFit, marker: int, gap: slice, ends: list[int], least: float) -> str:
     if not ends:
         return "never seen"
-    if fit.marker_weights[ends, marker].min() < TRUSTED:
+    if fit.marker_weights[ends, marker].min() < least:
         return "the samples beside it do not lie on the body"
     return "too few markers are seen" if fit.flagged_frames[gap].all() else ""
 

@@ -24,9 +24,9 @@ from habitus.fit.markers.recordings import (
     spread_frames,
 )
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.settings import SUSPECTS, MoshSettings, sequence_settings
 from habitus.fit.markers.start import start_frame
-from habitus.fit.markers.suspects import GROSS, exchange
+from habitus.fit.markers.suspects import exchange
 from habitus.fit.subject import ShapeFit, Subject
 from habitus.fit.verdict import (
     DOUBTFUL,
@@ -84,15 +84,6 @@ def saved_subject(
 
 
 State = Literal["nobody", "started", "tracked", "held"]
-GONE_S = 0.5
-"""Seconds without enough markers after which a person has left: motion is no longer carried on."""
-LOOK_S = 0.2
-"""Seconds for which more markers are waited for before a start, and for which a body may be astray.
-"""
-ASTRAY = 0.06
-"""Metres that half of the markers may be off the body before it is begun anew."""
-BETTER = 0.7
-"""A new beginning is taken where its cost is below this share of the old one's."""
 
 
 class LiveFrame(NamedTuple):
@@ -122,8 +113,8 @@ class Tracker:
         self._subject = subject
         self._prior = subject.prior
         self._settings = settings
-        self._gone = max(1, round(GONE_S * rate_hz))
-        self._look = max(1, round(LOOK_S * rate_hz))
+        self._gone = max(1, round(settings.live.gone * rate_hz))
+        self._look = max(1, round(settings.live.look * rate_hz))
         self._solver: CausalSolver | None = None
         self._blind = self._waited = self._astray = 0
 
@@ -144,7 +135,9 @@ class Tracker:
             return self._told(found, observed, "held")
         frame = self._told(found, observed, "tracked")
         self._astray = (
-            self._astray + 1 if 2 * np.count_nonzero(frame.distances > ASTRAY) > seen else 0
+            self._astray + 1
+            if 2 * np.count_nonzero(frame.distances > self._settings.live.astray) > seen
+            else 0
         )
         return (
             self._anew(observed, frame)
@@ -174,7 +167,7 @@ class Tracker:
         """The better one of the track and a new beginning."""
         other = self._started(observed)
         found = other.step(observed)
-        if found.cost > BETTER * frame.cost:
+        if found.cost > self._settings.live.better * frame.cost:
             return frame
         self._solver = other
         self._astray = 0
@@ -190,8 +183,9 @@ class Tracker:
         names = ("root", *self._prior.joint_names)
         pose, trans = start_frame(rig, self._subject.shape.pose, names, observed)
         scales = np.full(len(observed), self._settings.robust_scale[1])
+        settings = self._settings
         return CausalSolver(
-            rig, self._prior, pose, trans, sequence_settings(self._settings), scales
+            rig, self._prior, pose, trans, sequence_settings(settings), scales, live=settings.live
         )
 
 
@@ -259,7 +253,7 @@ class Quality:
         p95 = 1e3 * np.percentile(distances[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
         medians = _medians(distances)
-        far = np.flatnonzero(medians > GROSS)
+        far = np.flatnonzero(medians > SUSPECTS.gross)
         if not len(far):
             return Reason(level, "live errors", {"mean": mean})
         named = ", ".join(f"{self.labels[k]} {1e3 * medians[k]:.0f} mm" for k in far[:_NAMED])

@@ -128,7 +128,9 @@ def known_subject(
     the subject. Raises HabitusError when no frame holds enough markers.
     """
     check_space(body, settings.soft_space)
-    recordings = [within_reach(recording, layout.labels) for recording in recordings]
+    recordings = [
+        within_reach(recording, layout.labels, settings.outliers) for recording in recordings
+    ]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(
         layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s)
@@ -148,7 +150,9 @@ def fit_known(recording: Recording, subject: Subject, settings: MoshSettings) ->
     Raises HabitusError when no frame holds enough markers.
     """
     layout = subject.layout
-    (recording,) = _put_right([within_reach(recording, layout.labels)], layout, settings)
+    (recording,) = _put_right(
+        [within_reach(recording, layout.labels, settings.outliers)], layout, settings
+    )
     with threadpool_limits(1, user_api="blas"):
         return _fit_recording(recording, subject, settings)
 
@@ -162,7 +166,7 @@ def _put_right(
     check_recordings(recordings)
     if settings.causal:
         return recordings
-    return [labels_put_back(recording, layout.labels) for recording in recordings]
+    return [labels_put_back(recording, layout.labels, settings.flips) for recording in recordings]
 
 
 def fit_subject(
@@ -185,19 +189,21 @@ def fit_subject(
         np.zeros(body.num_betas),
         attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces),
     )
-    trunk = trunk_weights(body, placement.vertices)
+    trunk = trunk_weights(body, placement.vertices, settings.start)
     aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
-    pose, trans = start_frames(rig, body.joint_names, aligning, observed, prior)
+    pose, trans = start_frames(rig, body.joint_names, aligning, observed, prior, settings.start)
     shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
     start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-    exchanged = crossed_placements(shape.latent_markers, start)
+    exchanged = crossed_placements(shape.latent_markers, start, settings.suspects)
     if exchanged:
         observed = exchange(observed, exchanged)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
         start = default_markers(body, shape.betas, placement.vertices, placement.distance)
     rig = marked_body(body, shape.betas, shape.attachment)
     distance = np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
-    misplaced = far_placements(shape.latent_markers, start, placement.place_spread, distance)
+    misplaced = far_placements(
+        shape.latent_markers, start, placement.place_spread, distance, settings.suspects
+    )
     if misplaced:
         observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
         shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
@@ -235,30 +241,54 @@ def _pose_stage(
             ("root", *prior.joint_names),
             observed[first : first + 1],
         )
-        start = start_sequence(*known)
+        start = start_sequence(*known, settings.start)
         result = fit_causally(
-            subject.rig, observed, prior, start, scale, sequence_settings(settings)
+            subject.rig, observed, prior, start, scale, sequence_settings(settings), settings.live
         )
         return PoseStage(result, observed, MarkerTargets(observed, None), scale)
     longest = settings.longest
     lam = sequence_settings(settings)
-    first = without(MarkerTargets(fill_short_gaps(observed, rate_hz), None), subject.misplaced)
-    pose, trans = start_long(
-        subject.rig, subject.shape.pose, ("root", *prior.joint_names), first.markers, longest
+    first = without(
+        MarkerTargets(fill_short_gaps(observed, rate_hz, settings.gaps), None), subject.misplaced
     )
-    result = fit_long(subject.rig, *first, scale, prior, pose, trans, lam, longest=longest)
+    pose, trans = start_long(
+        subject.rig,
+        subject.shape.pose,
+        ("root", *prior.joint_names),
+        first.markers,
+        longest,
+        settings.start,
+        settings.windows,
+    )
+    result = fit_long(
+        subject.rig, *first, scale, prior, pose, trans, lam, longest=longest, cut=settings.windows
+    )
     predicted = predict(subject.rig, result.pose, result.trans)
-    swaps = find_swaps(observed, predicted)
+    swaps = find_swaps(observed, predicted, settings.suspects)
     observed = undo_swaps(observed, swaps)
-    noise = marker_noise(distances(observed, predicted))
+    noise = marker_noise(distances(observed, predicted), settings.suspects)
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
     lam = sequence_settings(settings, warm=True)
     drifts = find_drifts(
-        body, subject.shape.attachment, subject.rig, observed, scale, rate_hz, prior, result, lam
+        body,
+        subject.shape.attachment,
+        subject.rig,
+        observed,
+        scale,
+        rate_hz,
+        prior,
+        result,
+        lam,
+        settings.drift,
+        settings.suspects.gross,
     )
-    targets, pose, trans = bridged(subject.rig, result.pose, result.trans, observed, rate_hz)
+    targets, pose, trans = bridged(
+        subject.rig, result.pose, result.trans, observed, rate_hz, settings.gaps
+    )
     targets = without(targets, subject.misplaced)
-    result = fit_long(subject.rig, *targets, scale, prior, pose, trans, lam, longest=longest)
+    result = fit_long(
+        subject.rig, *targets, scale, prior, pose, trans, lam, longest=longest, cut=settings.windows
+    )
     return PoseStage(result, observed, targets, scale, swaps, drifts)
 
 
@@ -328,11 +358,18 @@ def assemble(
         predicted_pose_stage=predicted,
         predicted_soft_tissue=moved,
         marker_weights=mapped(_of_the_seen, observed, final.weights),
-        marker_noise=marker_noise(lengths(off)),
+        marker_noise=marker_noise(lengths(off), settings.suspects),
         flagged_frames=few,
         suspects=(
             *recording.suspects,
-            *suspects(layout.labels, off, found.scale, [*always, *found.swaps], found.drifts),
+            *suspects(
+                layout.labels,
+                off,
+                found.scale,
+                [*always, *found.swaps],
+                found.drifts,
+                settings.suspects,
+            ),
         ),
         costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
         stage_seconds=seconds,

@@ -10,14 +10,20 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
 from habitus.fit.markers.gaps import fill_short_gaps
-from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.settings import (
+    FLIPS,
+    FRAME_CHOICE,
+    OUTLIERS,
+    FlipSettings,
+    FrameSettings,
+    MoshSettings,
+    OutlierSettings,
+)
 from habitus.fit.markers.suspects import Suspect, find_flips, put_back, undo_swaps
 from habitus.mesh.sampling import farthest_points
 from habitus.parallel.blocks import blocks, joined, mapped
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
-REACH = 5.0
-REACHES = 6.0  # metres and usual distances from a frame's middle: nobody's marker is further away
 
 
 @dataclass(frozen=True)
@@ -51,11 +57,13 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
         )
 
 
-def labels_put_back(recording: Recording, labels: tuple[str, ...]) -> Recording:
+def labels_put_back(
+    recording: Recording, labels: tuple[str, ...], settings: FlipSettings = FLIPS
+) -> Recording:
     """The recording with labels that change places for a time put back, and the suspects that tell
     of it.
     """
-    flips = find_flips(recording.observed)
+    flips = find_flips(recording.observed, settings)
     if not flips:
         return recording
     told = (*recording.suspects, *put_back(labels, flips))
@@ -68,9 +76,12 @@ def shape_frames(
     """The frames of all captures that the shape stage looks at, and the captures, by number, that
     they are of.
     """
-    together = joined([fill_short_gaps(r.observed, r.rate_hz) for r in recordings])
-    choose = random_frames if settings.frame_choice == "random" else spread_frames
-    chosen = choose(together, settings.frames, settings.seed)
+    together = joined([fill_short_gaps(r.observed, r.rate_hz, settings.gaps) for r in recordings])
+    chosen = (
+        random_frames(together, settings.frames, settings.seed)
+        if settings.frame_choice == "random"
+        else spread_frames(together, settings.frames, settings.seed, settings.spread_frames)
+    )
     ends = np.cumsum([len(r.observed) for r in recordings])
     return together[chosen], tuple(np.unique(np.searchsorted(ends, chosen, side="right")).tolist())
 
@@ -114,7 +125,9 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     )
 
 
-def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
+def within_reach(
+    recording: Recording, labels: Sequence[str], settings: OutlierSettings = OUTLIERS
+) -> Recording:
     """The recording without samples that lie further from a frame's other markers than anybody
     reaches.
 
@@ -122,7 +135,7 @@ def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
     says how many.
     """
     observed = recording.observed
-    far = mapped(_out_of_reach, observed)
+    far = mapped(lambda part: _out_of_reach(part, settings), observed)
     frames = far.sum(axis=0)
     if not frames.any():
         return recording
@@ -142,7 +155,9 @@ def within_reach(recording: Recording, labels: Sequence[str]) -> Recording:
     )
 
 
-def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+def _out_of_reach(
+    observed: Float[np.ndarray, "T M 3"], settings: OutlierSettings
+) -> Bool[np.ndarray, "T M"]:
     far = np.zeros(observed.shape[:2], bool)
     some = np.isfinite(observed[..., 0]).any(axis=1)
     if not some.any():
@@ -151,12 +166,10 @@ def _out_of_reach(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M
         observed[some] - np.nanmedian(observed[some], axis=1, keepdims=True), axis=2
     )
     usual = np.nanmedian(distance, axis=1, keepdims=True)
-    far[some] = distance > np.maximum(REACH, REACHES * usual)  # NaN compares false
+    far[some] = distance > np.maximum(
+        settings.distance, settings.ratio * usual
+    )  # NaN compares false
     return far
-
-
-PAIRS = 150
-CANDIDATES = 600
 
 
 def random_frames(
@@ -169,7 +182,10 @@ def random_frames(
 
 
 def spread_frames(
-    observed: Float[np.ndarray, "T M 3"], count: int, seed: int
+    observed: Float[np.ndarray, "T M 3"],
+    count: int,
+    seed: int,
+    settings: FrameSettings = FRAME_CHOICE,
 ) -> Int[np.ndarray, " F"]:
     """``count`` frames whose poses differ most among the most complete ones, each marker seen where
     it can be.
@@ -180,25 +196,25 @@ def spread_frames(
     seen = np.isfinite(observed[..., 0])
     usable = np.flatnonzero(seen.any(axis=1))
     complete = seen[usable].mean(axis=1)
-    best = usable[complete >= np.quantile(complete, 0.5)]
-    best = best[np.linspace(0, len(best) - 1, min(CANDIDATES, len(best))).astype(int)]
-    features = _pair_distances(observed[best], seed)
+    best = usable[complete >= np.quantile(complete, settings.completeness)]
+    best = best[np.linspace(0, len(best) - 1, min(settings.candidates, len(best))).astype(int)]
+    features = _pair_distances(observed[best], seed, settings.pairs)
     middle = np.linalg.norm(features - np.median(features, axis=0), axis=1)
     chosen = farthest_points(features, count, first=int(middle.argmin()))
-    return np.sort(np.array(_cover(list(best[chosen]), seen), dtype=np.int64))
+    return np.sort(np.array(_cover(list(best[chosen]), seen, settings.views), dtype=np.int64))
 
 
-def _pair_distances(observed: np.ndarray, seed: int) -> np.ndarray:
-    """(N, PAIRS) distances between random pairs of markers, unseen ones at their median."""
-    pairs = np.random.default_rng(seed).integers(observed.shape[1], size=(PAIRS, 2))
+def _pair_distances(observed: np.ndarray, seed: int, count: int) -> np.ndarray:
+    """(N, count) distances between random pairs of markers, unseen ones at their median."""
+    pairs = np.random.default_rng(seed).integers(observed.shape[1], size=(count, 2))
     distance = np.linalg.norm(observed[:, pairs[:, 0]] - observed[:, pairs[:, 1]], axis=2)
     known = np.isfinite(distance).any(axis=0)
-    middle = np.zeros(PAIRS)
+    middle = np.zeros(count)
     middle[known] = np.nanmedian(distance[:, known], axis=0)
     return np.where(np.isfinite(distance), distance, middle)
 
 
-def _cover(frames: list[int], seen: np.ndarray, times: int = 3) -> list[int]:
+def _cover(frames: list[int], seen: np.ndarray, times: int) -> list[int]:
     """Frames added until each marker that is ever seen is seen ``times`` times, as far as it can
     be.
     """

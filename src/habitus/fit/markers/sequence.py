@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.recordings import few_markers
-from habitus.fit.markers.settings import SequenceSettings
+from habitus.fit.markers.settings import WINDOWS, SequenceSettings, WindowSettings
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.parallel.blocks import release, room, taken
 from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
@@ -89,14 +89,7 @@ def fit_sequence(
     )
 
 
-OVERLAP = 240
-"""Frames solved with a window beyond those that are kept: a multiple of GRID."""
-GRID = 48
-"""Windows begin at multiples of it: the solver's three colours on its coarsest stride of 16."""
 WORST_FIRST = ("not finite", "iterations", "converged")
-LOOK = 20
-"""In so many steps of GRID to either side a place is sought where markers are seen, to cut there.
-"""
 
 
 @dataclass(frozen=True)
@@ -112,20 +105,24 @@ class Window:
         return slice(self.kept.start - self.solved.start, self.kept.stop - self.solved.start)
 
 
-def windows(few: Bool[np.ndarray, " T"], longest: int, overlap: int = OVERLAP) -> list[Window]:
+def windows(
+    few: Bool[np.ndarray, " T"], longest: int, settings: WindowSettings = WINDOWS
+) -> list[Window]:
     """How a capture is cut; few: frames with too few markers, near which no window should begin or
     end.
 
     longest: about how many frames are solved together, those of the overlap included.
     """
     frames = len(few)
+    overlap = settings.overlap
+    grid = settings.grid
     edges = [0]
     if frames <= longest:
         return [Window(slice(0, frames), slice(0, frames))]
     bad = np.concatenate([[0], np.cumsum(few)])
-    step = max((longest - 2 * overlap) // GRID, 1) * GRID
+    step = max((longest - 2 * overlap) // grid, 1) * grid
     while frames - edges[-1] > step + overlap:
-        edges.append(_cut(bad, edges[-1] + step, edges[-1] + GRID, overlap))
+        edges.append(_cut(bad, edges[-1] + step, edges[-1] + grid, settings))
     edges.append(frames)
     parts = [slice(first, last) for first, last in pairwise(edges)]
     return [
@@ -134,9 +131,11 @@ def windows(few: Bool[np.ndarray, " T"], longest: int, overlap: int = OVERLAP) -
     ]
 
 
-def _cut(bad: np.ndarray, wanted: int, first: int, overlap: int) -> int:
+def _cut(bad: np.ndarray, wanted: int, first: int, settings: WindowSettings) -> int:
     """The latest place up to ``wanted`` around which the fewest frames lack markers."""
-    places = np.arange(wanted, max(first, wanted - LOOK * GRID) - 1, -GRID)
+    overlap = settings.overlap
+    lowest = max(first, wanted - settings.look * settings.grid)
+    places = np.arange(wanted, lowest - 1, -settings.grid)
     missing = bad[np.minimum(places + overlap, len(bad) - 1)] - bad[np.maximum(places - overlap, 0)]
     return int(places[np.argmin(missing)])
 
@@ -153,6 +152,7 @@ def fit_long(
     soft_tissue: Float[np.ndarray, "T B"] | None = None,
     *,
     longest: int,
+    cut: WindowSettings = WINDOWS,
 ) -> SequenceResult:
     """`fit_sequence` of a capture of any length; of long ones the result's arrays may lie over
     files.
@@ -160,7 +160,7 @@ def fit_long(
     There, status is that of the worst window, iterations the most of any, and history holds the
     first and the last total cost, nearly.
     """
-    parts = windows(few_markers(observed), longest)
+    parts = windows(few_markers(observed), longest, cut)
     if len(parts) == 1:
         return fit_sequence(
             marked,

@@ -13,14 +13,18 @@ from habitus.body.prior import PosePrior
 from habitus.fit.markers.gaps import bridge, bridge_rotations
 from habitus.fit.markers.recordings import few_markers
 from habitus.fit.markers.sequence import fit_sequence, windows
-from habitus.fit.markers.settings import SequenceSettings
+from habitus.fit.markers.settings import (
+    START,
+    WINDOWS,
+    SequenceSettings,
+    StartSettings,
+    WindowSettings,
+)
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import release, room
 from habitus.rotations import procrustes, rotvec_from_matrix
 from habitus.solve.sequence.solver import SequenceOptions
 
-LOOK_STEP = 16
-ROUGH = SequenceOptions(strides=(1,), sweeps=12, tolerance=1e-2)
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar")
 # joint: rotation vector (rad) of the left side; the right side mirrors y and z
 PLAIN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
@@ -62,6 +66,7 @@ def start_frames(
     trunk: Float[np.ndarray, " M"],
     observed: Float[np.ndarray, "F M 3"],
     prior: PosePrior,
+    settings: StartSettings = START,
 ) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
     """Pose and trans of single frames, each solved by itself from every plain pose; the cheapest is
     kept.
@@ -69,12 +74,13 @@ def start_frames(
     trunk: (M,) weight of each marker in the alignment of the root (1 on the trunk, small
     elsewhere).
     """
+    rough = SequenceOptions(strides=(1,), sweeps=settings.sweeps, tolerance=settings.tolerance)
     tries = []
     for angles in PLAIN_POSES:
         pose = np.repeat(plain_pose(joint_names, angles)[None], len(observed), axis=0)
         pose, trans = align_root(rig, pose, observed, trunk)
-        for firmness in (20.0, 1.0):
-            apart = SequenceSettings(pose=firmness, acceleration=0.0, options=ROUGH)
+        for firmness in settings.pose_weights:
+            apart = SequenceSettings(pose=firmness, acceleration=0.0, options=rough)
             result = fit_sequence(rig, observed, None, None, prior, pose, trans, apart)
             pose = result.pose
             trans = result.trans
@@ -91,6 +97,7 @@ def start_sequence(
     known_poses: Float[np.ndarray, "N J 3"],
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "T M 3"],
+    settings: StartSettings = START,
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """A start for every frame: the known or plain pose that fits best every few frames, the root
     aligned in all.
@@ -102,7 +109,7 @@ def start_sequence(
     enough = ~few_markers(observed)
     bank = _bank(known_poses, joint_names)
     everywhere = np.ones(observed.shape[1])
-    looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), LOOK_STEP))
+    looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), settings.look_step))
     misfit = []
     for known in bank:
         pose = np.repeat(known[None], len(looked_at), axis=0)
@@ -112,7 +119,7 @@ def start_sequence(
             )
         )
     nearest = np.argmin(misfit, axis=0)
-    pose = np.repeat(bank[nearest], LOOK_STEP, axis=0)[: len(observed)]
+    pose = np.repeat(bank[nearest], settings.look_step, axis=0)[: len(observed)]
     pose, trans = align_root(rig, pose, observed, everywhere)
     pose[:, 0] = bridge_rotations(pose[:, 0], enough)
     return pose, bridge(trans, enough)
@@ -124,15 +131,17 @@ def start_long(
     joint_names: tuple[str, ...],
     observed: Float[np.ndarray, "T M 3"],
     longest: int,
+    settings: StartSettings = START,
+    cut: WindowSettings = WINDOWS,
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """`start_sequence` of a capture of any length."""
-    parts = windows(few_markers(observed), longest)
+    parts = windows(few_markers(observed), longest, cut)
     if len(parts) == 1:
-        return start_sequence(rig, known_poses, joint_names, observed)
+        return start_sequence(rig, known_poses, joint_names, observed, settings)
     pose = room((len(observed), rig.num_joints, 3))
     trans = room((len(observed), 3))
     for window in parts:
-        found = start_sequence(rig, known_poses, joint_names, observed[window.solved])
+        found = start_sequence(rig, known_poses, joint_names, observed[window.solved], settings)
         pose[window.kept], trans[window.kept] = (each[window.inside] for each in found)
         release(pose, trans, observed)
     return pose, trans
@@ -197,10 +206,9 @@ def align_root(
     return np.concatenate([rotvec_from_matrix(matrix)[:, None], pose[:, 1:]], axis=1), trans
 
 
-def trunk_weights(body: BodyModel, vertices: Int[np.ndarray, " M"]) -> np.ndarray:
-    """(M,) weight of each marker when the root is aligned: markers on the trunk count."""
-    strongest = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[
-        :, 0
-    ]
-    on_trunk = [body.joint_names[joint] in TRUNK for joint in strongest[vertices]]
-    return np.where(on_trunk, 1.0, 0.02)
+def trunk_weights(
+    body: BodyModel, vertices: Int[np.ndarray, " M"], settings: StartSettings = START
+) -> Float[np.ndarray, " M"]:
+    """Weights (M,) of the markers in the alignment of the root: 1 on the trunk."""
+    on_trunk = [body.joint_names[joint] in TRUNK for joint in body.strongest_joint[vertices]]
+    return np.where(on_trunk, 1.0, settings.off_trunk)

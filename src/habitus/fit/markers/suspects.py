@@ -11,19 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.arrays import runs
+from habitus.fit.markers.settings import FLIPS, SUSPECTS, FlipSettings, SuspectSettings
 from habitus.parallel.blocks import blocks, by_column, columns, mapped, release, room
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
 QUARTER_TO_SD = 1.0 / np.sqrt(1.2125)  # and its lower quartile
-SMALLEST_NOISE = 2e-3
-FEWEST_FRAMES = 3
-FEWEST_SHARE = 0.01  # a marker that errs in fewer is no suspect
-FRAMES = 1024  # are looked at together for pairs that are exchanged
-GROSS = 0.06  # metres: further than skin moves and models err
-
-UNLIKE = 4.0  # times the usual residual
-FAR_PLACE = 5.5  # in spreads of the layout's place: further than technicians and bodies differ
+_BLOCK = 1024  # frames of pairs at once: bounds memory, changes no result
 
 
 @dataclass(frozen=True)
@@ -38,16 +32,16 @@ class Suspect:
     corrected: bool = False
 
 
-def marker_noise(distance: np.ndarray) -> np.ndarray:
+def marker_noise(distance: np.ndarray, settings: SuspectSettings = SUSPECTS) -> np.ndarray:
     """(M,) robust noise sd per axis, metres, from residual lengths (T, M) with NaN where missing.
 
-    The median tells it; of a marker that is far off for most of the time, the better quarter does.
+    From the median; of a marker that is far off for most of the time, from the lower quartile.
     """
-    out = np.full(distance.shape[1], SMALLEST_NOISE)
+    out = np.full(distance.shape[1], settings.min_noise)
     seen = np.isfinite(distance).any(axis=0)
     quarter, middle = by_column(_quarter_and_half, distance)[seen].T
-    noise = np.where(middle > GROSS, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
-    out[seen] = np.maximum(noise, SMALLEST_NOISE)
+    noise = np.where(middle > settings.gross, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
+    out[seen] = np.maximum(noise, settings.min_noise)
     return out
 
 
@@ -63,45 +57,50 @@ def lengths(off: np.ndarray) -> np.ndarray:
 
 
 def find_swaps(
-    observed: np.ndarray, predicted: np.ndarray, reach: float = 0.5
+    observed: np.ndarray, predicted: np.ndarray, settings: SuspectSettings = SUSPECTS
 ) -> list[tuple[int, int, np.ndarray]]:
     """Pairs of markers that fit far better with their labels exchanged: (i, j, frames (T,) bool),
     worst first.
 
     observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the
-    summed distance by more than GROSS/2 and to less than half. Pairs that are further apart than
-    ``reach`` are not looked at.
+    summed distance by more than half of ``gross`` and to less than half. Pairs further apart than
+    ``swap_distance`` are not examined.
     """
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
-    first, second = np.nonzero(np.triu(apart < reach, 1))
+    first, second = np.nonzero(np.triu(apart < settings.swap_distance, 1))
     better = room((len(observed), len(first)), bool)
     counts = np.zeros(len(first), dtype=np.int64)
-    for part in blocks(len(observed), FRAMES):
-        better[part] = _crossed(observed[part], predicted[part], first, second)
+    for part in blocks(len(observed), _BLOCK):
+        better[part] = _crossed(observed[part], predicted[part], first, second, settings.gross)
         counts += better[part].sum(axis=0)
         release(better, observed, predicted)
     found = [
-        (int(first[k]), int(second[k]), better[:, k].copy()) for k in np.flatnonzero(counts >= 3)
+        (int(first[k]), int(second[k]), better[:, k].copy())
+        for k in np.flatnonzero(counts >= settings.min_frames)
     ]
     return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
 
 
 def _crossed(
-    observed: np.ndarray, predicted: np.ndarray, first: np.ndarray, second: np.ndarray
+    observed: np.ndarray,
+    predicted: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    gross: float,
 ) -> np.ndarray:
     """(T, P) where the markers of each pair fit far better exchanged."""
     own = np.linalg.norm(observed - predicted, axis=2)
     better = np.zeros((len(observed), len(first)), bool)
     frames, pairs = np.nonzero(
-        own[:, first] + own[:, second] > GROSS / 2
+        own[:, first] + own[:, second] > gross / 2
     )  # NaN compares false; most pairs fit well
     i = first[pairs]
     j = second[pairs]
     crossed = np.linalg.norm(observed[frames, i] - predicted[frames, j], axis=1)
     crossed += np.linalg.norm(observed[frames, j] - predicted[frames, i], axis=1)
     straight = own[frames, i] + own[frames, j]
-    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > GROSS / 2)
+    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > gross / 2)
     return better
 
 
@@ -140,6 +139,7 @@ def suspects(
     scale: np.ndarray,
     swaps: list,
     drifts: Sequence[tuple[int, float]] = (),
+    settings: SuspectSettings = SUSPECTS,
 ) -> tuple[Suspect, ...]:
     """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back
     (`find_swaps`), and markers that slide, with how far (m).
@@ -150,20 +150,21 @@ def suspects(
         reason = f"drift: slid {1e3 * way:.0f} mm over the skin through the capture"
         found.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
     sliding = {marker for marker, _ in drifts}
-    typical = np.nanmedian(distance)
     for k, (label, away, size) in enumerate(
         zip(labels, columns(off), columns(distance), strict=True)
     ):
         seen = np.isfinite(size)
         rejected = geman_mcclure_weight(size, scale[k]) < 0.25
-        bad = _beyond_doubt(away, size, rejected & seen)
-        if k in sliding or bad.sum() < max(FEWEST_FRAMES, FEWEST_SHARE * seen.sum()):
+        bad = _beyond_doubt(away, size, rejected & seen, settings.gross)
+        if k in sliding or bad.sum() < max(settings.min_frames, settings.min_share * seen.sum()):
             continue
-        found.append(Suspect(label, _reason(size, bad, seen, typical), int(bad.sum())))
+        found.append(Suspect(label, _reason(size, bad, seen, settings.gross), int(bad.sum())))
     return tuple(found)
 
 
-def _beyond_doubt(off: np.ndarray, distance: np.ndarray, bad: np.ndarray) -> np.ndarray:
+def _beyond_doubt(
+    off: np.ndarray, distance: np.ndarray, bad: np.ndarray, gross: float
+) -> np.ndarray:
     """Of the frames in which a marker lies far off those that its own movement does not explain.
 
     A run of frames stays if the marker is very far off in it, or came or went at a jump, or for
@@ -179,11 +180,11 @@ def _beyond_doubt(off: np.ndarray, distance: np.ndarray, bad: np.ndarray) -> np.
         ends = [off[frames[k]] - off[frames[k - 1]] for k in (first, last) if 0 < k < len(frames)]
         jump = max((np.linalg.norm(end) for end in ends), default=np.inf)
         size = np.median(distance[run])
-        out[run] = size > 2 * GROSS or jump > max(GROSS / 2, size / 2)
+        out[run] = size > 2 * gross or jump > max(gross / 2, size / 2)
     return out
 
 
-def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: float) -> str:
+def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, gross: float) -> str:
     share = bad.sum() / seen.sum()
     size = f"{1e3 * np.median(distance[bad]):.0f} mm off in {share:.0%} of its frames"
     if share > 0.8:
@@ -194,7 +195,7 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
     if bad[after].mean() > 0.8 and share > 0.05:
         last = distance[seen][-max(3, seen.sum() // 10) :]
         early = distance[bad][: max(3, bad.sum() // 10)]
-        growing = np.median(distance[bad]) < 3 * GROSS and np.nanmedian(last) > 2 * np.nanmedian(
+        growing = np.median(distance[bad]) < 3 * gross and np.nanmedian(last) > 2 * np.nanmedian(
             early
         )
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
@@ -202,7 +203,11 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, typical: fl
 
 
 def far_placements(
-    latent: np.ndarray, start: np.ndarray, spread: np.ndarray, distance: np.ndarray
+    latent: np.ndarray,
+    start: np.ndarray,
+    spread: np.ndarray,
+    distance: np.ndarray,
+    settings: SuspectSettings = SUSPECTS,
 ) -> tuple[int, ...]:
     """Markers whose latent places (M, 3) are too far from the layout's ``start`` (M, 3) to be the
     ones it means.
@@ -213,27 +218,30 @@ def far_placements(
     away = np.linalg.norm(latent - start, axis=1)
     seen = np.isfinite(distance)
     mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    rough = (mean > GROSS / 4) & (mean > UNLIKE * np.median(mean))
+    rough = (mean > settings.gross / 4) & (mean > settings.rough_ratio * np.median(mean))
     limit = np.where(rough, 0.5, 1.0)
     return tuple(
-        np.flatnonzero((away > limit * 2 * GROSS) & (away > limit * FAR_PLACE * spread)).tolist()
+        np.flatnonzero(
+            (away > limit * 2 * settings.gross)
+            & (away > limit * settings.placement_spreads * spread)
+        ).tolist()
     )
 
 
 def crossed_placements(
-    latent: np.ndarray, start: np.ndarray, shift: float = 0.04
+    latent: np.ndarray, start: np.ndarray, settings: SuspectSettings = SUSPECTS
 ) -> tuple[tuple[int, int], ...]:
     """Pairs of labels exchanged throughout: their latent markers (M, 3) sit at each other's places
     ``start`` (M, 3).
 
     A pair counts when exchanging it shortens the summed way from the layout's places by more than
-    ``shift`` and to less than half.
+    ``crossed_shift`` and to less than half.
     """
     own = np.linalg.norm(latent - start, axis=1)
     way = np.linalg.norm(latent[:, None] - start[None], axis=2)
     straight = own[:, None] + own[None]
     crossed = way + way.T
-    better = np.triu((crossed < 0.5 * straight) & (straight - crossed > shift), 1)
+    better = np.triu((crossed < 0.5 * straight) & (straight - crossed > settings.crossed_shift), 1)
     pairs = sorted(zip(*np.nonzero(better), strict=True), key=lambda p: crossed[p] - straight[p])
     chosen: list[tuple[int, int]] = []
     for i, j in pairs:
@@ -250,18 +258,6 @@ def exchange(observed: np.ndarray, pairs: Sequence[tuple[int, int]]) -> np.ndarr
     return mapped(lambda part: part[:, order], observed)
 
 
-JUMP = 0.03
-"""Metres off the straight way on, at least."""
-ALIKE = 0.35
-"""How near the other's way they come, as a share of how far both are off their own."""
-LONGEST = 6
-"""Frames that a marker may be unseen before it jumps, and by which two jumps may differ."""
-ENOUGH = 1000
-"""Frames of either kind that are looked at."""
-SMOOTH = 5e-3
-"""Metres by which distances between markers differ in any case."""
-
-
 class _Jump(NamedTuple):
     marker: int
     frame: int
@@ -271,7 +267,7 @@ class _Jump(NamedTuple):
 
 
 def find_flips(
-    observed: Float[np.ndarray, "T M 3"],
+    observed: Float[np.ndarray, "T M 3"], settings: FlipSettings = FLIPS
 ) -> list[tuple[int, int, Bool[np.ndarray, " T"]]]:
     """Pairs that carry each other's label for the smaller part of the capture: (i, j, frames (T,)
     bool).
@@ -279,29 +275,31 @@ def find_flips(
     observed (T, M, 3), metres, NaN where missing.
     """
     turns: dict[tuple[int, int], list[int]] = {}
-    for first, second in _crossings(_jumps(observed)):
+    for first, second in _crossings(_jumps(observed, settings), settings):
         pair = (min(first.marker, second.marker), max(first.marker, second.marker))
         turns.setdefault(pair, []).append(max(first.frame, second.frame))
-    parts = ((*pair, _smaller_part(len(observed), at)) for pair, at in turns.items())
+    parts = (
+        (*pair, _smaller_part(len(observed), at, settings.min_frames)) for pair, at in turns.items()
+    )
     return [
         (i, j, frames)
         for i, j, frames in parts
-        if frames.any() and _confirmed(observed, i, j, frames)
+        if frames.any() and _confirmed(observed, i, j, frames, settings)
     ]
 
 
-def _crossings(jumps: list[_Jump]) -> list[tuple[_Jump, _Jump]]:
+def _crossings(jumps: list[_Jump], settings: FlipSettings) -> list[tuple[_Jump, _Jump]]:
     """Pairs of jumps that cross, each jump in one pair at most, the surest first."""
     jumps = sorted(jumps, key=lambda jump: jump.frame)
     likely = []
     for k, first in enumerate(jumps):
         for n in range(k + 1, len(jumps)):
             second = jumps[n]
-            if second.frame - first.frame > LONGEST:
+            if second.frame - first.frame > settings.max_gap:
                 break
             if (
                 first.marker != second.marker
-                and (share := _off_the_others_way(first, second)) < ALIKE
+                and (share := _relative_misfit(first, second)) < settings.ratio
             ):
                 likely.append((share, k, n))
     used: set[int] = set()
@@ -312,7 +310,7 @@ def _crossings(jumps: list[_Jump]) -> list[tuple[_Jump, _Jump]]:
     ]
 
 
-def _jumps(observed: np.ndarray) -> list[_Jump]:
+def _jumps(observed: np.ndarray, settings: FlipSettings) -> list[_Jump]:
     found = []
     for marker, column in enumerate(columns(observed)):
         frames = np.flatnonzero(np.isfinite(column[:, 0]))
@@ -321,16 +319,16 @@ def _jumps(observed: np.ndarray) -> list[_Jump]:
         places = column[frames]
         steps = np.diff(frames)
         speed = np.diff(places, axis=0) / steps[:, None]
-        speed[steps > LONGEST] = 0.0
+        speed[steps > settings.max_gap] = 0.0
         expected = places[1:-1] + speed[:-1] * steps[1:, None]
         off = np.linalg.norm(places[2:] - expected, axis=1)
-        at = np.flatnonzero((off > JUMP) & (steps[1:] <= LONGEST))
+        at = np.flatnonzero((off > settings.jump) & (steps[1:] <= settings.max_gap))
         rows = zip(frames[at + 2].tolist(), places[at + 2], expected[at], speed[at], strict=True)
         found += [_Jump(marker, *row) for row in rows]
     return found
 
 
-def _off_the_others_way(first: _Jump, second: _Jump) -> float:
+def _relative_misfit(first: _Jump, second: _Jump) -> float:
     """How far each is from where the other would have been, as a share of how far both are off
     their own way.
     """
@@ -343,13 +341,15 @@ def _off_the_others_way(first: _Jump, second: _Jump) -> float:
     return float((there + back) / own)
 
 
-def _confirmed(observed: np.ndarray, i: int, j: int, frames: np.ndarray) -> bool:
+def _confirmed(
+    observed: np.ndarray, i: int, j: int, frames: np.ndarray, settings: FlipSettings
+) -> bool:
     """Whether the pair's distances from what goes with it are in these frames far more the usual
     ones if exchanged.
     """
     others = np.delete(np.arange(observed.shape[1]), [i, j])
     sides = [np.flatnonzero(frames == side) for side in (True, False)]
-    some = np.sort(np.concatenate([side[:: -(-len(side) // ENOUGH)] for side in sides]))
+    some = np.sort(np.concatenate([side[:: -(-len(side) // settings.samples)] for side in sides]))
     whole = observed
     observed = observed[some]
     frames = frames[some]
@@ -360,15 +360,15 @@ def _confirmed(observed: np.ndarray, i: int, j: int, frames: np.ndarray) -> bool
             "ignore", RuntimeWarning
         )  # a marker that is never seen beside the pair
         usual = np.nanmedian(way[~frames], axis=0)
-        spread = np.nanmedian(np.abs(way[~frames] - usual), axis=0) + SMOOTH
+        spread = np.nanmedian(np.abs(way[~frames] - usual), axis=0) + settings.tolerance
         rigid = np.argsort(spread.sum(axis=0))[: max(4, len(others) // 6)]
         off = [((way[frames][:, order] - usual) / spread)[..., rigid] for order in ([0, 1], [1, 0])]
         own, crossed = (np.nanmedian(each**2) for each in off)
     return bool(crossed < 0.5 * own)
 
 
-def _smaller_part(frames: int, turns: list[int]) -> np.ndarray:
+def _smaller_part(frames: int, turns: list[int], min_frames: int) -> np.ndarray:
     """Frames between every other turn, those that are fewer."""
     chosen = np.cumsum(np.bincount(turns, minlength=frames)) % 2 == 1
     chosen = chosen if 2 * chosen.sum() <= frames else ~chosen
-    return chosen if chosen.sum() >= FEWEST_FRAMES else np.zeros(frames, dtype=bool)
+    return chosen if chosen.sum() >= min_frames else np.zeros(frames, dtype=bool)
