@@ -110,7 +110,7 @@ def test_a_joint_is_known_where_its_markers_are_seen(clean, rig):
 def test_a_marker_tells_more_of_a_joint_the_further_it_is_away_up_to_fifteen_centimetres(
     clean, rig
 ):
-    lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)))
+    lever = gaps._leverage(rig, np.zeros((clean.body.num_joints, 3)), gaps.GAPS.max_lever)
     wrist, elbow = (clean.body.joint_names.index(f"left_{name}") for name in ("wrist", "elbow"))
     assert (
         lever.max() == gaps.GAPS.max_lever**2
