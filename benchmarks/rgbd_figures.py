@@ -19,7 +19,7 @@ from rgbd_people import MEASURES
 from habitus.io.models.bodies import load_body
 from habitus.jobs.rgbd import fit_rgbd
 from habitus.population.rgbd_people import rgbd_scene
-from habitus.report.rgbd.pictures import view_pictures
+from habitus.report.rgbd import view_pictures
 
 SHOWN = (
     "Depth observed",

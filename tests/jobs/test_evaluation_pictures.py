@@ -10,7 +10,7 @@ from habitus.evaluate.neck_twist import neck_vertices, turned_head, twist_axis
 from habitus.io.models.bodies import load_body
 from habitus.jobs.evaluation_pictures import head_view
 from habitus.population.coarse_bodies import coarse_body
-from habitus.report.evaluation import pictures as draw
+from habitus.report import drawing
 
 
 def test_a_neck_is_seen_from_across_whatever_way_it_points():
@@ -28,7 +28,8 @@ def test_a_neck_is_seen_from_across_whatever_way_it_points():
         assert abs(twist_axis(body) @ towards) < 0.5 * np.linalg.norm(towards)
         colours = np.zeros((len(surface), 3))
         colours[rows, 0] = 1.0
-        image = draw.picture(surface, body.faces, colours, towards, frame=frame).astype(float)
+        axes = drawing.axes_from(towards)
+        image = drawing.picture(surface, body.faces, colours, axes, frame=frame).astype(float)
         covered = image[..., 3] > 128
         assert 0.15 < covered.mean() < 0.9  # neither nothing nor a slab
         assert (

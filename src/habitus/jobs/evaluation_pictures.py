@@ -13,7 +13,7 @@ from habitus.evaluate.neck_twist import head_and_neck, neck_vertices, turned_hea
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
 from habitus.export.png import png
-from habitus.report.evaluation import pictures as draw
+from habitus.report import drawing
 from habitus.report.evaluation.page import Picture
 from habitus.rotations import matrix_from_rotvec
 
@@ -47,7 +47,7 @@ def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
     standing = _standing(evaluation)
     for (entry, curve), errors in zip(curves, maps, strict=True):
         faces = evaluation.registrations.faces
-        colours = draw.error_colours(errors, limit)
+        colours = drawing.ramp_colours(errors, limit)
         pose = (
             standing
             if len(standing) == len(entry.model.parents)
@@ -59,7 +59,7 @@ def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
             file=f"error_map_{curve.measure}_{slug(entry.name)}.png",
             caption=f"mean {1e3 * errors.mean():.2f} mm, worst vertex {1e3 * errors.max():.1f} mm",
             content=png(
-                draw.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)
+                drawing.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)
             ),
             scale=(0.0, 1e3 * limit),
         )
@@ -125,7 +125,7 @@ def _necks(evaluation: Evaluation) -> Iterator[Picture]:
             file=f"neck_{slug(entry.name)}.png",
             caption=f"girth {_percent(right)} at {HEAD_TURN}° right, {_percent(left)} at "
             f"{HEAD_TURN}° left",
-            content=png(draw.side_by_side(views)),
+            content=png(drawing.side_by_side(views)),
             scale=(-100 * limit, 100 * limit),
         )
 
@@ -136,12 +136,12 @@ def _percent(change: float) -> str:
 
 def _head(
     body: BodyModel, surface: np.ndarray, rows: np.ndarray, change: np.ndarray, limit: float
-) -> draw.Rgba:
+) -> drawing.Rgba:
     changes = np.zeros(len(surface))
     changes[rows] = change
-    colours = draw.error_colours(changes, limit, draw.CHANGE_RAMP, -limit)
+    colours = drawing.ramp_colours(changes, limit, drawing.CHANGE_RAMP, -limit)
     towards, frame = head_view(body, rows)
-    return draw.picture(surface, body.faces, colours, towards, frame=frame)
+    return drawing.picture(surface, body.faces, colours, drawing.axes_from(towards), frame=frame)
 
 
 def head_view(
@@ -183,10 +183,11 @@ def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
         name = fit.entry.name
         errors = fit.distances
         ranks[name] = ranks.get(name, 0) + 1
-        colours = (draw.plain_colours(len(errors)), draw.error_colours(errors, limit))
+        colours = (drawing.plain_colours(len(errors)), drawing.ramp_colours(errors, limit))
         frame = np.concatenate([fit.target, fit.fitted])
+        axes = drawing.axes_from(fit.facing)
         views = [
-            draw.picture(surface, faces, colour, fit.facing, height=360, frame=frame)
+            drawing.picture(surface, faces, colour, axes, height=360, frame=frame)
             for surface, colour in zip((fit.target, fit.fitted), colours, strict=True)
         ]
         yield Picture(
@@ -195,7 +196,7 @@ def _worst_fits(evaluation: Evaluation) -> Iterator[Picture]:
             file=f"worst_{slug(name)}_{ranks[name]}.png",
             caption=f"{fit.name}: mean {1e3 * errors.mean():.2f} mm, furthest "
             f"{1e3 * errors.max():.1f} mm",
-            content=png(draw.side_by_side(views, 4)),
+            content=png(drawing.side_by_side(views, 4)),
             scale=(0.0, 1e3 * limit),
         )
 

@@ -12,8 +12,7 @@ from habitus.fit.markers.recordings import Recording
 from habitus.fit.subject import Subject
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now
-from habitus.report.live.board import Board, Shown
-from habitus.report.live.viewer import HOST, NEEDED, serve
+from habitus.report.live import HOST, NEEDED, Board, Shown, serve
 
 _TEXT_EVERY = 10
 _ENDING_S = 2.0

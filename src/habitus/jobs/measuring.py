@@ -18,7 +18,7 @@ from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
 from habitus.io.people import read_shape
-from habitus.report.body.picture import tape_picture
+from habitus.report.diagrams import tape_picture
 from habitus.results.metrics import measurements_csv
 from habitus.types import PathLike
 

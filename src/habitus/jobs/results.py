@@ -19,7 +19,7 @@ from habitus.io.captures.read import Capture
 from habitus.io.names import file_name
 from habitus.io.people import BodyLike, read_fit, read_motion
 from habitus.report.fit.page import report_page
-from habitus.report.registration.page import scan_page
+from habitus.report.registration import scan_page
 from habitus.results.save import save_markers, save_scan
 from habitus.types import PathLike
 

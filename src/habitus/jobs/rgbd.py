@@ -12,7 +12,7 @@ from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.jobs.results import Exportable, with_methods
 from habitus.observe.depth_views import RgbdCapture
-from habitus.report.rgbd.page import rgbd_page
+from habitus.report.rgbd import rgbd_page
 from habitus.results.depth import DEPTH_FILES, save_depth
 from habitus.results.save import result_lock
 from habitus.types import PathLike

@@ -30,7 +30,7 @@ from habitus.jobs.marker_pools import Pool, find_layout, find_pool
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.population.held_out import held_out_people
-from habitus.report.selection import curve_picture, marker_picture
+from habitus.report.diagrams import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 
 SAMPLE = 500  # vertices at which the best state of a held-out surface is fitted

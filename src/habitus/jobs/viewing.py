@@ -19,8 +19,8 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.io.scans import ENDINGS, read_scan
-from habitus.report.live.viewer import HOST
-from habitus.report.view.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
+from habitus.report.live import HOST
+from habitus.report.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
 from habitus.types import PathLike
 
 SPACING = 1.2  # metres between neighbours on the page

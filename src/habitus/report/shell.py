@@ -1,23 +1,27 @@
-"""What all pages share: one HTML file that opens offline, its head and foot, its styles and
-scripts; and the player.
+"""The HTML that all pages share: one file that opens offline, with its head, foot, styles and
+scripts, and the parts from which contents are made (banner, tiles, cards, tables, the player).
+
+Every text that comes from outside is escaped here.
 """
 
+import base64
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
 from string import Template
 from types import MappingProxyType
 from typing import Any
+from urllib.parse import quote
 
 from habitus import __version__
+from habitus.body.measurement_names import DEFINITIONS
+from habitus.errors import shown
 
 THEME = "page_theme.js"
 """Light and dark, for pages whose scripts need nothing else."""
-ALONE = "Everything is in this file; it loads nothing and sends nothing."
-WITHOUT_SCRIPT = "The player and the plots need JavaScript; the numbers above and below do not."
 VIEWER = (
     THEME,
     "viewer_math.js",
@@ -36,6 +40,34 @@ VIEWER = (
     "page_angles.js",
     "page_parts.js",
 )
+"""Scripts of pages with the player."""
+OFFLINE = "Everything is in this file; it loads nothing and sends nothing."
+NO_SCRIPT = "The player and the plots need JavaScript; the numbers above and below do not."
+NO_SCRIPT_STILL = "The body in 3D needs JavaScript; pictures and numbers do not."
+VERDICTS = {
+    "good": "This fit is good.",
+    "doubtful": "This fit is doubtful: check it before use.",
+    "failed": "This fit has failed: do not use it.",
+}
+STATUSES = {
+    "converged": "converged",
+    "iterations": "stopped at the limit of iterations",
+    "stalled": "stopped: no step lowers the cost further",
+    "stopped": "stopped by the caller",
+}
+"""The words for a solver's status."""
+COSTS_LEAD = (
+    "Half of the weighted sum of squares of each term at the solution. The costs have no unit; "
+    "compare them between fits of one input."
+)
+MAX_NAME = 120
+"""Characters of a name out of a file that a page shows."""
+MAX_REASON = 300
+"""Characters of a reason of a verdict that a page shows."""
+MAX_NOTE = 400
+"""Characters of a note or a warning that a page shows."""
+Tile = tuple[str, str, str, str]
+"""Name of a number, the number, its unit, and a remark."""
 
 
 def shell(
@@ -46,55 +78,53 @@ def shell(
     arrays: Mapping[str, str] = MappingProxyType({}),
     scripts: Sequence[str] = (THEME,),
     styles: Sequence[str] = (),
-    foot: str = ALONE,
+    foot: str = OFFLINE,
     without_script: str = "",
 ) -> str:
-    """The page as text. ``content`` is HTML; ``data``, as JSON, and arrays in base64 by id, are the
-    scripts'.
+    """The whole page as text.
 
-    ``foot`` is the last sentence; ``without_script`` says what a reader lacks whose browser runs
-    none.
+    ``content`` is HTML; the scripts read ``data``, as JSON, and ``arrays``, base64 text by element
+    id. ``foot`` is the page's last sentence; ``without_script`` tells readers whose browser runs no
+    scripts what is missing.
     """
     elements = [
         f'<script type="text/plain" id="{name}">{packed}</script>'
         for name, packed in arrays.items()
     ]
     if data is not None:
-        elements.insert(
-            0, f'<script type="application/json" id="report-data">{json_for_script(data)}</script>'
-        )
+        json_text = json_for_script(data)
+        elements.insert(0, f'<script type="application/json" id="report-data">{json_text}</script>')
+    missing = f'<noscript><p class="card">{escape(without_script)}</p></noscript>'
     return Template(asset("shell.html")).substitute(
         title=escape(title),
         version=__version__,
         css=_styles(tuple(styles)),
         content=content,
         footer=escape(f"Written by habitus {__version__}. {foot}"),
-        lacking=f'<noscript><p class="card">{escape(without_script)}</p></noscript>'
-        if without_script
-        else "",
+        noscript=missing if without_script else "",
         data="\n".join(elements),
         script=_script(tuple(scripts)),
     )
 
 
-def player(told: str, layers: str, last: int, keys: str = "", hint: str = "") -> str:
-    """The 3D player's HTML: what it shows, in a sentence; its buttons for layers, ``last`` of them
-    with keys.
+def player(description: str, layers: str, last: int, keys: str = "", hint: str = "") -> str:
+    """The HTML of the 3D player: a sentence on what it shows, its buttons for layers, and how many
+    of them (``last``) have keys.
     """
     return Template(asset("player.html")).substitute(
-        told=escape(told), layers=layers, last=last, keys=keys, hint=hint
+        description=escape(description), layers=layers, last=last, keys=keys, hint=hint
     )
 
 
 def json_for_script(value: Any) -> str:
-    """JSON that may stand inside a <script> element whatever its strings hold."""
+    """JSON that is safe inside a <script> element whatever its strings hold."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return re.sub("[<>&\u2028\u2029]", lambda found: f"\\u{ord(found[0]):04x}", text)
+    return re.sub("[<>&\u2028\u2029]", lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
 @cache
 def asset(name: str) -> str:
-    """A file of the pages."""
+    """A file of the folder ``web``."""
     return files("habitus.report.web").joinpath(name).read_text("utf-8")
 
 
@@ -108,5 +138,157 @@ def _styles(more: tuple[str, ...]) -> str:
 def _script(names: tuple[str, ...]) -> str:
     text = "\n".join(map(asset, names))
     if re.search(r"</script", text, re.IGNORECASE):
-        raise ValueError("a page's script must not hold a closing script tag")
+        raise ValueError("a page's script contains a closing script tag")
     return text
+
+
+def heading(title: object, facts: Iterable[str]) -> str:
+    """Title of the page, and under it facts in one line."""
+    return (
+        f"<h1>{escape(shown(title, MAX_NAME))}</h1>\n"
+        f"<p class='facts'>{escape(' · '.join(facts))}</p>\n"
+    )
+
+
+def banner(verdict: Mapping[str, Any]) -> str:
+    """A verdict and its reasons, in its colour."""
+    level = verdict["level"]
+    items = "".join(
+        f"<li>{escape(shown(reason, MAX_REASON))}</li>" for reason in verdict["reasons"]
+    )
+    role = "status" if level == "good" else "alert"
+    return (
+        f"<div class='banner {level}' role='{role}'>"
+        f"<strong>{VERDICTS[level]}</strong><ul>{items}</ul></div>\n"
+    )
+
+
+def tiles(rows: Iterable[Tile]) -> str:
+    """The most important numbers."""
+    form = "<div><dt>{}</dt><dd>{} <small>{}</small></dd><dd>{}</dd></div>"
+    return f"<dl class='tiles'>{''.join(form.format(*map(escape, row)) for row in rows)}</dl>"
+
+
+def measurement_tiles(
+    measurements: Mapping[str, float], labels: Mapping[str, str]
+) -> Iterable[Tile]:
+    """A tile for each length of ``labels`` (name -> label) that was measured."""
+    for name, label in labels.items():
+        if name in measurements:
+            yield label, f"{100 * measurements[name]:.1f}", "cm", DEFINITIONS[name].says
+
+
+def card(title: str, inside: str, lead: str = "") -> str:
+    """A section with a heading, a sentence under it, and ``inside``, which is HTML."""
+    sentence = f"<p class='lead'>{escape(lead)}</p>" if lead else ""
+    return f"<section class='card'><h2>{escape(title)}</h2>{sentence}{inside}</section>"
+
+
+def columns(*cards: str) -> str:
+    """Cards beside each other where the window is wide enough."""
+    return f"<div class='columns'>{''.join(cards)}</div>"
+
+
+def numbers_table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
+    """A table whose first column names the row and whose other columns are numbers."""
+    top = "".join(
+        f"<th scope='col'{_column_class(k)}>{escape(head)}</th>" for k, head in enumerate(heads)
+    )
+    lines = (
+        f"<tr><th scope='row'>{escape(row[0])}</th>"
+        + "".join(f"<td class='number'>{escape(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    head = f"<thead><tr>{top}</tr></thead>" if heads else ""
+    return f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
+
+
+def _column_class(column: int) -> str:
+    return " class='number'" if column else ""
+
+
+def measurements_table(measurements: Mapping[str, float]) -> str:
+    """Measurements of a person, with their names in ISO standards."""
+    rows = "".join(
+        f"<tr><td>{escape(DEFINITIONS[name].says)}</td><td>{escape(DEFINITIONS[name].iso)}</td>"
+        f"<td class='number'>{measurement_text(name, value)}</td></tr>"
+        for name, value in measurements.items()
+    )
+    head = (
+        "<tr><th scope='col'>Measurement</th><th scope='col'>ISO</th>"
+        "<th scope='col' class='number'>Value</th></tr>"
+    )
+    return f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>"
+
+
+def measurement_name(key: str) -> str:
+    """ "waist_circumference_m" as "Waist circumference"."""
+    for unit in ("_m", "_kg", "_l", "_years"):
+        key = key.removesuffix(unit)
+    return key.replace("_", " ").capitalize()
+
+
+def measurement_text(key: str, value: Any) -> str:
+    """A measurement with its unit, which its name ends in; lengths in cm."""
+    if not isinstance(value, (int, float)):
+        return str(value)
+    if key.endswith("_m"):
+        return f"{100 * value:.1f} cm"
+    if key.endswith("_years"):
+        return f"{value:g} years"
+    return f"{value:.1f} kg" if key.endswith("_kg") else f"{value:.3g}"
+
+
+def solution_card(
+    status: str,
+    costs: Mapping[str, float],
+    names: Mapping[str, str],
+    stages: Mapping[str, str] = MappingProxyType({}),
+    rows: Iterable[Sequence[str]] = (),
+) -> str:
+    """The solver's status and the final cost of each term of the energy, and other ``rows`` between
+    them. ``names`` are the terms' names in words, ``stages`` the words for prefixes of the terms.
+    """
+    found = [("Status", STATUSES.get(status, status))] if status else []
+    table = numbers_table([*found, *rows])
+    terms = [(_term(key, names, stages), f"{value:,.4g}") for key, value in costs.items()]
+    sums = f"<h3>Cost of each term</h3><p class='lead'>{COSTS_LEAD}</p>{numbers_table(terms)}"
+    return card("Solution", table + (sums if terms else ""))
+
+
+def _term(key: str, names: Mapping[str, str], stages: Mapping[str, str]) -> str:
+    prefix = next((start for start in stages if key.startswith(start)), "")
+    name = key.removeprefix(prefix)
+    text = names.get(name, shown(name, MAX_NAME).replace("_", " "))
+    return f"{stages[prefix]}: {text[:1].lower()}{text[1:]}" if prefix else text
+
+
+def notes_list(notes: Iterable[str]) -> str:
+    """Notes, a sentence each."""
+    items = "".join(f"<li>{escape(shown(text, MAX_NOTE))}</li>" for text in notes)
+    return f"<ul>{items or '<li>Nothing.</li>'}</ul>"
+
+
+def file_links(descriptions: Mapping[str, str]) -> str:
+    """Links to the files beside the page, each with a description; empty where there are none."""
+    items = "".join(
+        f"<li><a href='{escape(quote(name))}'{'' if name == 'obj' else ' download'}>"
+        f"{escape(name)}</a> <span>{escape(text)}</span></li>"
+        for name, text in descriptions.items()
+    )
+    return f"<ul class='files' aria-label='Files beside this page'>{items}</ul>" if items else ""
+
+
+def image_uri(content: bytes) -> str:
+    """A PNG file's content as part of a page."""
+    return "data:image/png;base64," + base64.b64encode(content).decode("ascii")
+
+
+def figure(caption: str, *contents: bytes, bold: str = "", alt: str = "") -> str:
+    """Pictures (contents of PNG files) with a caption that may begin with a bold name."""
+    images = "".join(
+        f"<img alt='{escape(alt or caption)}' src='{image_uri(content)}'>" for content in contents
+    )
+    name = f"<b>{escape(bold)}</b>" if bold else ""
+    return f"<figure>{images}<figcaption>{name}{escape(caption)}</figcaption></figure>"

@@ -1,7 +1,7 @@
-"""A body that stands still, turned in 3D: a few looks at it, surfaces and points, of which a page
-shows one at a time.
+"""The viewer of still bodies: surfaces and clouds of points in 3D, of which a page shows one at a
+time, and can lay one more over it.
 
-`Look` is what is seen, `still` the HTML around it; `SCRIPTS` draw it.
+`Look` is one of them, `still_page` the page around them; `SCRIPTS` draw them.
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from habitus.report.fit.blob import Blob
-from habitus.report.shell import THEME
+from habitus.export.png import png
+from habitus.report import drawing
+from habitus.report.blob import Blob
+from habitus.report.shell import NO_SCRIPT_STILL, THEME, card, figure, shell
 
 SCRIPTS = (THEME, "viewer_inflate.js", "viewer_data.js", "still_viewer.js")
 STYLE = "still.css"
-MOST_POINTS = 30_000
+MAX_POINTS = 30_000
 """Points of a cloud that a page holds: some 10 bytes each."""
+SKIN_AREA = 2.0
+"""Square metres that the points of a person's cloud cover, roughly: gives their spacing."""
+SHALLOW = 0.6
+"""Height over width below which the width determines the scale of the viewer."""
+PICTURE_HEIGHT = 480
+"""Pixels of a still picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +34,13 @@ class Look:
     """Points (N, 3; m, y up) of a surface with ``faces`` (F, 3), or of a cloud with ``normals`` (N,
     3).
 
-    ``name`` stands on its button, ``told`` under the picture; ``colours`` (N, 3) are sRGB, grey
-    where None; ``ramp`` are the colours of a scale, the first for ``ends[0]``, the last for
-    ``ends[1]``.
+    ``name`` is the text of its button, ``caption`` stands under it; ``colours`` (N, 3) are sRGB,
+    grey where None; ``ramp`` are the colours of a scale whose first is for ``ends[0]`` and whose
+    last for ``ends[1]``.
     """
 
     name: str
-    told: str
+    caption: str
     points: Float[np.ndarray, "N 3"]
     faces: Int[np.ndarray, "F 3"] | None = None
     normals: Float[np.ndarray, "N 3"] | None = None
@@ -41,75 +49,115 @@ class Look:
     ends: tuple[str, str] = ("", "")
 
 
-def still_data(
-    looks: Sequence[Look], blob: Blob, over: Look | None = None, facing: float = 0.0
-) -> dict[str, Any]:
-    """What the script is told; arrays go into ``blob``. ``over``: points that can be laid over any
-    look.
+def still_page(
+    title: str,
+    sections: tuple[str, str],
+    looks: Sequence[Look],
+    name: str,
+    over: Look | None = None,
+    facing: float = 0.0,
+    styles: Sequence[str] = (),
+) -> str:
+    """A page with the viewer between two sections of HTML.
 
-    ``facing`` (radians about the vertical) is where the body looks: it is seen from there at first.
+    ``name`` describes what is viewed; ``over`` can be laid over any look; ``facing`` (radians about
+    the vertical, from +z) is the direction in which the person faces, from where it is seen first.
     """
-    every = np.concatenate([look.points for look in looks])
-    low = every.min(0)
-    high = every.max(0)
+    blob = Blob()
+    data = _still_data(looks, blob, over, facing)
+    above, below = sections
+    return shell(
+        title,
+        "\n".join((above, _still_html(looks, name, over), below)),
+        data=data | {"arrays": blob.contents, "bytes": blob.size},
+        arrays={"report-arrays": blob.base64()},
+        scripts=SCRIPTS,
+        styles=[STYLE, *styles],
+        without_script=NO_SCRIPT_STILL,
+    )
+
+
+def still_pictures(looks: Sequence[Look], root: Float[np.ndarray, "3 3"]) -> str:
+    """A card with pictures of all looks from the front and the back, for readers and printers
+    without a 3D viewer; ``root`` is the rotation of the person's pelvis.
+    """
+    views = drawing.facing_views(root).values()
+    figures = []
+    for look in looks:
+        contents = [png(_picture(look, axes)) for axes in views]
+        scale = f", {look.ends[0]} to {look.ends[1]}" if look.ramp else ""
+        figures.append(figure(look.name + scale, *contents, alt=look.name))
+    return card("Front and back", f"<div class='shots pairs'>{''.join(figures)}</div>")
+
+
+def _picture(look: Look, axes: Float[np.ndarray, "3 3"]) -> drawing.Rgba:
+    count = len(look.points)
+    colours = drawing.plain_colours(count) if look.colours is None else look.colours / 255.0
+    if look.faces is not None:
+        return drawing.picture(look.points, look.faces, colours, axes, height=PICTURE_HEIGHT)
+    assert look.normals is not None
+    return drawing.point_picture(look.points, look.normals, colours, axes, height=PICTURE_HEIGHT)
+
+
+def _still_data(
+    looks: Sequence[Look], blob: Blob, over: Look | None, facing: float
+) -> dict[str, Any]:
+    """What the script reads; arrays go into ``blob``."""
+    points = np.concatenate([look.points for look in looks])
+    low = points.min(0)
+    high = points.max(0)
     known: dict[int, str] = {}
     return {
         "looks": [_packed(look, blob, known, (low, high)) for look in looks],
         "over": None if over is None else _packed(over, blob, known, (low, high)),
         "middle": ((low + high) / 2).tolist(),
-        "size": float(max(high[1] - low[1], 0.6 * np.hypot(*(high - low)[[0, 2]]))),
+        "size": float(max(high[1] - low[1], SHALLOW * np.hypot(*(high - low)[[0, 2]]))),
         "facing": facing,
     }
 
 
-def still(looks: Sequence[Look], title: str, over: str = "") -> str:
-    """The HTML: a button for each look, for what is laid over it, and for turning."""
+def _still_html(looks: Sequence[Look], title: str, over: Look | None) -> str:
+    """A button for each look, one for what is laid over it, and one for turning."""
     buttons = "".join(
         f"<button type='button' data-look='{k}' "
         f"aria-pressed='{str(k == 0).lower()}'>{escape(look.name)}</button>"
         for k, look in enumerate(looks)
     )
-    more = (
-        f"<button type='button' id='over' aria-pressed='false'>{escape(over)}</button>"
+    overlay = (
+        f"<button type='button' id='over' aria-pressed='false'>{escape(over.name)}</button>"
         if over
         else ""
     )
-    told = "".join(
-        f"<p class='told'{' hidden' if k else ''} "
-        f"data-told='{k}'>{escape(look.told)}{_scale(look)}</p>"
+    captions = "".join(
+        f"<p class='caption'{' hidden' if k else ''} data-caption='{k}'>"
+        f"{escape(look.caption)}{_scale(look)}</p>"
         for k, look in enumerate(looks)
     )
     return (
-        f"<section class='card still' id='still' aria-label='{escape(title)}'><div "
-        "class='over'><div class='segments' "
-        f"role='group' aria-label='What is shown'>{buttons}</div>{more}<button type='button' "
-        "id='spin' "
-        "aria-pressed='true'>Turn</button></div><canvas id='body' tabindex='0' role='img' "
-        f"aria-label='{escape(title)}. Drag to turn it, use the wheel to come nearer.'></canvas>"
-        "<p class='hint' id='hint'>Drag to turn, wheel to come nearer, twice to begin "
-        f"anew.</p>{told}</section>"
+        f"<section class='card still' id='still' aria-label='{escape(title)}'><div class='over'>"
+        "<div class='segments' role='group' aria-label='What is shown'>"
+        f"{buttons}</div>{overlay}<button type='button' id='spin' aria-pressed='true'>Rotate"
+        "</button></div><canvas id='body' tabindex='0' role='img' "
+        f"aria-label='{escape(title)}. Drag to rotate, use the wheel to zoom.'></canvas>"
+        "<p class='hint' id='hint'>Drag to rotate, wheel to zoom, double click to reset.</p>"
+        f"{captions}</section>"
     )
 
 
 def _packed(
     look: Look, blob: Blob, known: dict[int, str], box: tuple[np.ndarray, np.ndarray]
 ) -> dict[str, Any]:
-    """A look by the names of its arrays in the blob; ``known`` are those that are there already, by
-    identity.
+    """A look by the names of its arrays in the blob; ``known`` are the names of arrays that are
+    there already, by identity.
     """
-    count = len(look.points)
-    some = (
-        slice(None)
-        if look.faces is not None
-        else slice(None, None, max(1, -(-count // MOST_POINTS)))
-    )
+    stride = max(1, -(-len(look.points) // MAX_POINTS)) if look.faces is None else 1
 
-    def name(array: np.ndarray | None, what: str) -> str | None:
+    def name(array: np.ndarray | None, kind: str) -> str | None:
         if array is None:
             return None
         if id(array) not in known:
-            known[id(array)] = found = f"{what}{len(known)}"
-            _add(blob, found, what, array if what == "faces" else array[some], box)
+            known[id(array)] = f"{kind}{len(known)}"
+            _add(blob, known[id(array)], kind, array if kind == "faces" else array[::stride], box)
         return known[id(array)]
 
     parts = {
@@ -118,29 +166,21 @@ def _packed(
         "normals": look.normals,
         "colours": look.colours,
     }
-    return {what: name(array, what) for what, array in parts.items()} | {
-        "spacing": _spacing(look.points[some])
-    }
+    spacing = float(np.sqrt(SKIN_AREA / max(len(look.points[::stride]), 1)))
+    return {kind: name(array, kind) for kind, array in parts.items()} | {"spacing": spacing}
 
 
 def _add(
-    blob: Blob, name: str, what: str, array: np.ndarray, box: tuple[np.ndarray, np.ndarray]
+    blob: Blob, name: str, kind: str, array: np.ndarray, box: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    if what == "points":
+    if kind == "points":
         blob.add_points(name, array, *box)
-    elif what == "faces":
+    elif kind == "faces":
         blob.add(name, array.astype("u2" if array.max() < 65536 else "u4"))
-    elif what == "normals":
+    elif kind == "normals":
         blob.add(name, np.round(127 * np.pad(array, ((0, 0), (0, 1)))).astype("i1"))
     else:
         blob.add(name, np.pad(array, ((0, 0), (0, 1)), constant_values=255).astype("u1"))
-
-
-def _spacing(points: np.ndarray) -> float:
-    """How far points of a cloud of a person lie apart, roughly (m): they cover some 2 square
-    metres.
-    """
-    return float(np.sqrt(2.0 / max(len(points), 1)))
 
 
 def _scale(look: Look) -> str:

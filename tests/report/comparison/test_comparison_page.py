@@ -36,7 +36,7 @@ def test_strings_from_outside_stay_strings():
 
 PROBE = """
 <script>(async () => {
-const { player, apart, angles } = habitusReport, found = {}, rest = ms => new Promise(r => setTimeout(r, ms));
+const { player, distances, angles } = habitusReport, found = {}, rest = ms => new Promise(r => setTimeout(r, ms));
 const bones = (pose, j) => [...pose.bones.slice(16 * j + 12, 16 * j + 15)];
 player.seekTime(0.5); player.draw();
 found.knees = [bones(player.pose, 4), bones(player.other.pose, 4)];
@@ -46,7 +46,7 @@ player.otherView(); player.draw(); found.mode = player.state.mode; found.over = 
 player.toggle('difference'); player.draw();
 found.marked = [4, 5].map(j => player.pose.bones[16 * j + 15]);
 document.querySelector('.moments .go').click(); await rest(50); found.time = player.time;
-found.curves = apart.series.length; found.angles = angles.series.length;
+found.curves = distances.series.length; found.angles = angles.series.length;
 found.wide = document.documentElement.scrollWidth - innerWidth;
 document.body.dataset.probe = JSON.stringify(found);
 })().catch(e => { document.body.dataset.errors = e.message; })</script></body>

@@ -250,7 +250,7 @@ def test_the_parts_of_the_page_do_what_they_say(folder):
         const box = gaps.canvas.getBoundingClientRect(), x = box.left + (box.width + gaps.left) / 2, y = box.top + 5;
         gaps.canvas.dispatchEvent(new MouseEvent('click', { bubbles: true, clientX: x, clientY: y }));
         found.time = player.time; found.selected = player.state.selected; found.first = gaps.order[0];
-        const told = (m, u) => gaps.tell(m, Math.floor(u * gaps.bins));
+        const told = (m, u) => gaps.describe(m, Math.floor(u * gaps.bins));
         found.states = [told(1, 0.1), told(1, 0.42), told(2, 0.55)];
 
         const queue = [], tick = now => queue.splice(0).forEach(f => f(now));
@@ -334,7 +334,7 @@ def test_what_was_put_right_is_painted_apart(folder):
     assert "errors" not in body_tag(dom)
     bars = re.findall(r'<button class="bar (\w+)"[^>]*><span class="label">(M\d\d)<', dom)
     assert dict(bars) == {"corrected": "M03", "suspect": "M05"}
-    assert "(9 frames; put right)" in dom and '<li class="bad">\u2068M05' in dom
+    assert "(9 frames; corrected" in dom and '<li class="bad">\u2068M05' in dom
 
 
 # Composes a picture with names, then films a turn by a clock of its own, and writes down what came

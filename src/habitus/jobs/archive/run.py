@@ -26,8 +26,7 @@ from habitus.jobs.discovering import check_layout
 from habitus.jobs.finding import Found, find_captures
 from habitus.jobs.mosh import Mosh
 from habitus.parallel.queue import Lost, Queue, open_queue
-from habitus.report.archive.page import write_archive_page
-from habitus.report.archive.table import write_table
+from habitus.report.archive import write_archive_page, write_table
 from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike
 

@@ -41,7 +41,7 @@ from habitus.jobs.held_out import silent
 from habitus.jobs.results import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
 from habitus.kernels.threads import one_thread
-from habitus.report.archive.pictures import motion_picture, shape_picture
+from habitus.report.archive import motion_picture, shape_picture
 
 MOST_FRAMES = 200_000
 """Frames of a subject's captures that its shape stage looks at: more are left out, capture by

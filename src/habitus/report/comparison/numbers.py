@@ -9,37 +9,40 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison.differences import Differences, notes
 from habitus.results.metrics import error_summary
 
-WORST = 8
-_APART_S = 0.5  # between two of the worst moments
-_WITHIN = 0.3  # of the worst moment: what is nearer is not worth a look
+MAX_MOMENTS = 8
+"""Worst moments that are listed."""
+MIN_GAP_S = 0.5
+"""Seconds between two of the worst moments."""
+MIN_SHARE = 0.3
+"""Of the distance at the worst moment, below which a moment is not listed."""
 
 
-def numbers(found: Differences, names: tuple[str, str]) -> dict[str, Any]:
-    """Distances in mm, angles in degrees, lengths in m, None where there is no such number."""
-    pairing = found.pairing
+def numbers(result: Differences, names: tuple[str, str]) -> dict[str, Any]:
+    """Distances in mm, angles in degrees, lengths in m; None where there is no number."""
+    pairing = result.pairing
     return {
-        "a": _side(found.a, names[0]),
-        "b": _side(found.b, names[1]),
+        "a": _side(result.a, names[0]),
+        "b": _side(result.b, names[1]),
         "compared": {
             "moments": len(pairing.times),
             "rate_hz": pairing.rate_hz,
             "seconds": len(pairing.times) / pairing.rate_hz,
-            "skin": found.skin is not None,
-            "same_moments": found.same_moments,
-            "b_turned_degrees": found.place.degrees,
-            "b_moved_m": found.place.translation.tolist(),
+            "skin": result.skin is not None,
+            "same_moments": result.same_moments,
+            "b_rotation_degrees": result.alignment.degrees,
+            "b_translation_m": result.alignment.translation.tolist(),
         },
-        "skin_mm": _skin(found),
-        "joints_mm": _each(found.joints, found.joint_names),
-        "joints_root_aligned_mm": _each(found.centred, found.joint_names),
+        "skin_mm": _skin(result),
+        "joints_mm": _each(result.joints, result.joint_names),
+        "joints_root_aligned_mm": _each(result.root_aligned, result.joint_names),
         "joint_rotations_degrees": None
-        if found.turned is None
-        else _each(found.turned, found.joint_names),
-        "markers": _markers(found),
-        "shape_at_rest_mm": None if found.at_rest is None else _summary(found.at_rest),
-        "measurements": measurements(found),
-        "worst_moments": worst_moments(found),
-        "notes": list(notes(found)),
+        if result.rotations is None
+        else _each(result.rotations, result.joint_names),
+        "markers": _markers(result),
+        "shape_at_rest_mm": None if result.at_rest is None else _summary(result.at_rest),
+        "measurements": measurements(result),
+        "worst_moments": worst_moments(result),
+        "notes": list(notes(result)),
     }
 
 
@@ -84,14 +87,14 @@ def _summary(values: np.ndarray) -> dict[str, float | None]:
     }
 
 
-def _skin(found: Differences) -> dict[str, float | None] | None:
-    """Over all vertices of all moments; ``p95`` is the mean over the moments of what 95 % of the
-    vertices are below.
+def _skin(result: Differences) -> dict[str, float | None] | None:
+    """Over all vertices of all moments; ``p95`` is the mean over moments of the vertices' 95th
+    percentile.
     """
-    if found.skin is None:
+    if result.skin is None:
         return None
-    mean, high, most = found.skin.T
-    return {"mean": float(mean.mean()), "p95": float(high.mean()), "max": float(most.max())}
+    mean, high, largest = result.skin.T
+    return {"mean": float(mean.mean()), "p95": float(high.mean()), "max": float(largest.max())}
 
 
 def _each(values: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
@@ -99,27 +102,27 @@ def _each(values: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
     return _summary(values) | {"per_joint": per}
 
 
-def _markers(found: Differences) -> dict[str, Any] | None:
-    markers = found.markers
+def _markers(result: Differences) -> dict[str, Any] | None:
+    markers = result.markers
     if markers is None:
         return None
     columns = zip(
-        markers.labels, markers.apart.T, *(error.T for error in markers.errors), strict=True
+        markers.labels, markers.predicted.T, *(error.T for error in markers.errors), strict=True
     )
     per = {
         label: {
-            "apart": _summary(apart)["mean"],
+            "distance": _summary(distance)["mean"],
             "a": _summary(ours)["mean"],
             "b": _summary(theirs)["mean"],
         }
-        for label, apart, ours, theirs in columns
+        for label, distance, ours, theirs in columns
     }
-    return {"apart_mm": _summary(markers.apart), "errors_mm": per}
+    return {"distance_mm": _summary(markers.predicted), "errors_mm": per}
 
 
-def measurements(found: Differences) -> dict[str, dict[str, float]]:
-    """What both bodies measure at rest (m, kg), by name."""
-    ours, theirs = (m.body.measure(m.betas) for m in (found.a, found.b))
+def measurements(result: Differences) -> dict[str, dict[str, float]]:
+    """Measurements of both bodies at rest (m, kg), by name."""
+    ours, theirs = (m.body.measure(m.betas) for m in (result.a, result.b))
     return {
         name: {
             "a": float(ours[name]),
@@ -131,31 +134,31 @@ def measurements(found: Differences) -> dict[str, dict[str, float]]:
     }
 
 
-def worst_moments(found: Differences) -> list[dict[str, Any]]:
-    """The moments at which the bodies are furthest apart, half a second or more between two, the
+def worst_moments(result: Differences) -> list[dict[str, Any]]:
+    """The moments with the largest distances of the bodies, MIN_GAP_S or more between two, the
     worst first.
     """
-    apart = found.apart
-    pairing = found.pairing
-    left = np.array(apart)
+    distance = result.distance
+    pairing = result.pairing
+    left = np.array(distance)
     moments: list[dict[str, Any]] = []
-    while len(moments) < WORST and np.isfinite(left).any():
+    while len(moments) < MAX_MOMENTS and np.isfinite(left).any():
         k = int(np.nanargmax(left))
-        if moments and apart[k] < _WITHIN * moments[0]["mean_mm"]:
+        if moments and distance[k] < MIN_SHARE * moments[0]["mean_mm"]:
             break
-        moments.append(_moment(found, k))
-        left[np.abs(pairing.times - pairing.times[k]) < _APART_S] = np.nan
+        moments.append(_moment(result, k))
+        left[np.abs(pairing.times - pairing.times[k]) < MIN_GAP_S] = np.nan
     return moments
 
 
-def _moment(found: Differences, k: int) -> dict[str, Any]:
-    frames = (near[k] for near in found.pairing.nearest)
-    joint = int(found.joints[k].argmax())
+def _moment(result: Differences, k: int) -> dict[str, Any]:
+    frames = (near[k] for near in result.pairing.nearest)
+    joint = int(result.joints[k].argmax())
     return {
-        "time_s": float(found.pairing.times[k]),
+        "time_s": float(result.pairing.times[k]),
         **{f"frame_{name}": int(frame) for name, frame in zip("ab", frames, strict=True)},
-        "mean_mm": float(found.apart[k]),
-        "worst_joint": found.joint_names[joint],
-        "worst_joint_mm": float(found.joints[k, joint]),
-        "worst_vertex": None if found.vertex is None else int(found.vertex[k]),
+        "mean_mm": float(result.distance[k]),
+        "worst_joint": result.joint_names[joint],
+        "worst_joint_mm": float(result.joints[k, joint]),
+        "worst_vertex": None if result.worst_vertex is None else int(result.worst_vertex[k]),
     }

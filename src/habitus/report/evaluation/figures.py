@@ -1,8 +1,7 @@
-"""Figures of the evaluation report, as those of S 5: errors, variance, run time and necks of
-several models, as SVG.
+"""Figures of the evaluation report as SVG, like those of S 5: errors, variance, run time and girth
+of the neck of several models.
 
-They are drawn with matplotlib in the colours of the light page; `inline` makes them follow the
-page's own.
+matplotlib draws them in the colours of the light page; `inline` makes them follow the page's theme.
 """
 
 import io
@@ -13,7 +12,7 @@ from typing import Any
 from habitus.errors import require_extra
 
 SERIES = ("#0b6e7f", "#d9480f", "#6741d9", "#2f9e44", "#c2255c", "#1971c2", "#a07800", "#7a5c4d")
-"""Colours of models on a light page; `training.css` has them again, and those of a dark page."""
+"""Colours of models on a light page; `page.css` has them again, and those of a dark page."""
 INK = "#17212b"
 MUTED = "#566472"
 GRID = "#dfe4e9"

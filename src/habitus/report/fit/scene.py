@@ -1,5 +1,6 @@
-"""What the report's player needs of a fit: mesh, skin, motion and markers, thinned and
-quantised.
+"""The arrays and facts that the report's scripts read: mesh, skinning, motion and markers for the
+player, thinned and quantised; unobserved segments and tapes; error curves, maps and joint angles,
+binned so that the page of a long capture stays small.
 """
 
 from collections.abc import Sequence
@@ -8,41 +9,68 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from habitus.body.joint_angles import joint_angles
 from habitus.body.up import up_rotation
 from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.export.obj import fitted_vertices
 from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.signed_distance import signed_distance
-from habitus.parallel.blocks import thinned
-from habitus.report.fit.blob import Blob
-from habitus.report.fit.parts import add_guessed, add_tapes
+from habitus.parallel.blocks import mapped, thinned
+from habitus.report.blob import Blob
+from habitus.results.metrics import marker_means
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
 
-PLAYER_HZ = 62.0  # faster captures are thinned to at most this
-PLAYER_BYTES = 5_000_000  # longer ones to what fits here, before base64
+PLAYER_HZ = 62.0
+"""Frames a second that the player holds at most: a little more than screens show."""
+PLAYER_BYTES = 5_000_000
+"""Bytes of motion before compression and base64; longer captures are thinned to it."""
 MORPHS = 16
-FLOOR_TOLERANCE = 0.10  # metres: soles within this of zero mean that the capture's floor is zero
+"""Shapes that carry soft tissue and pose blend shapes in the player."""
+MORPH_TOLERANCE = 2e-4
+"""Metres (RMS) to which fewer morphs suffice."""
+FLOOR_TOLERANCE = 0.10
+"""Metres: soles within this of height zero mean that the capture's floor is zero."""
 FLOOR_FRAMES = 24
+"""Frames from which the height of the floor is estimated."""
+PLAYER_MARGIN = 2.5
+"""Metres around the root's path that marker positions are quantised in: a ghost marker a hundred
+metres away must not cost all others their digits."""
+PLOT_BINS = 3000
+"""Points of a curve: some two a pixel on a wide screen."""
+MAP_BINS = 800
+"""Columns of the maps of markers over time."""
+ANGLE_FRAMES = 1500
+"""Frames of the joint angles' curves."""
+SEEN, PARTLY_MISSING, MISSING, DISTRUSTED = range(4)
+TRUSTED_WEIGHT = 0.5
+"""A sample with less of a marker's full weight counts as down-weighted."""
+MAP_STEP_MM = 0.4
+"""One step of the 8-bit map: 254 steps reach 101.6 mm."""
+GUESSED_RANGE = (0.75, 1.5)
+"""In units of GUESSED: the spread at which the stripes begin to show, and are full."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the script is told besides the arrays."""
+    """What the scripts read besides the arrays: ``facts``, and how many frames of the capture make
+    one of the player's.
+    """
 
     facts: dict[str, Any]
     stride: int
 
 
 def add_scene(fit: "Moving", blob: Blob, last_stage: bool = False) -> Scene:
-    """Pack the moving body, all its stages or the last one, and of a fit its markers; +y up,
-    metres.
+    """Pack the moving body, in all stages or in the last one, and the markers of a marker fit; +y
+    up, metres.
     """
     stages = STAGES if fit.soft_tissue is not None else STAGES[:1]
     stages = stages[-1:] if last_stage else stages
     stride = player_stride(fit, len(stages))
-    animation = animate(fit, stages, max_morphs=MORPHS, tolerance=2e-4, stride=stride)
+    animation = animate(fit, stages, max_morphs=MORPHS, tolerance=MORPH_TOLERANCE, stride=stride)
     _add_mesh(animation, blob)
     for stage, track in zip(stages, animation.tracks, strict=True):
         _add_track(stage, track, blob)
@@ -122,20 +150,20 @@ def _add_markers(fit: MarkerFit, stages: Sequence[str], stride: int, blob: Blob)
     turn = up_rotation(fit.up_axis).T
     root = fit.trans @ turn + fit.body.rest_joints(fit.betas)[0]
     low, high = (edge(axis=0) for edge in (root.min, root.max))
-    low = low - 2.5
-    high = high + 2.5  # a ghost a hundred metres away must not cost everyone else their digits
+    low = low - PLAYER_MARGIN
+    high = high + PLAYER_MARGIN
     predicted = {"pose": fit.predicted_pose_stage, "soft_tissue": fit.predicted_soft_tissue}
     points = {"observed": fit.observed_markers} | {
         f"{stage}/predicted": predicted[stage] for stage in stages
     }
-    for name, places in points.items():
-        blob.add_points(name, thinned(np.asarray(places), stride) @ turn, low, high, True)
+    for name, positions in points.items():
+        blob.add_points(name, thinned(np.asarray(positions), stride) @ turn, low, high, True)
     weights = np.nan_to_num(thinned(np.asarray(fit.marker_weights), stride))
     blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"), True)
 
 
 def _parts(fit: "Moving | None", animation: Animation, blob: Blob) -> dict[str, Any]:
-    """What is guessed and where tapes lie, of a fit."""
+    """Facts on unobserved segments and on tapes, which marker fits have."""
     if not isinstance(fit, MarkerFit):
         return {"guessed": False, "tapes": []}
     return {
@@ -153,25 +181,167 @@ def _add_no_markers(stages: Sequence[str], blob: Blob) -> None:
 
 
 def _add_placement(fit: MarkerFit, animation: Animation, blob: Blob) -> None:
-    """Latent markers on the rest surface, the nearest skin points, and the signed distances between
-    them (m).
+    """Latent markers on the rest surface, their closest points on the skin, and the signed
+    distances between the two (m).
     """
     latent = np.ascontiguousarray(fit.latent_markers, np.float64)
     faces = animation.body.faces
-    near = signed_distance(latent, animation.rest_vertices, faces)
-    skin = np.einsum("mk,mkc->mc", near.barycentric, animation.rest_vertices[faces[near.triangle]])
+    closest = signed_distance(latent, animation.rest_vertices, faces)
+    corners = animation.rest_vertices[faces[closest.triangle]]
+    skin = np.einsum("mk,mkc->mc", closest.barycentric, corners)
     blob.add("latent", latent.astype("f4"))
     blob.add("skin", skin.astype("f4"))
-    blob.add("skinDistance", near.distance.astype("f4"))
+    blob.add("skinDistance", closest.distance.astype("f4"))
 
 
 def _floor(fit: "Moving") -> float:
-    """Height of the floor: zero where the capture's own zero is plausible, else where the body
-    usually stands.
+    """Height of the floor: zero where the soles are usually near zero, else the height at which
+    they usually are.
     """
     frames = np.unique(np.linspace(0, len(fit.pose) - 1, FLOOR_FRAMES).astype(int))
     up = up_rotation(fit.up_axis)[1]
     some = np.arange(0, fit.body.num_vertices, 3)
     lows = [float((vertices @ up).min()) for vertices in fitted_vertices(fit, frames, some)]
-    usual = float(np.quantile(lows, 0.25))  # above it: jumps; below it: a bad frame or two
+    # above the quantile: jumps; below it: a bad frame or two
+    usual = float(np.quantile(lows, 0.25))
     return 0.0 if abs(usual) <= FLOOR_TOLERANCE else usual
+
+
+def add_guessed(fit: MarkerFit, blob: Blob) -> bool:
+    """Pack how uncertain each joint's segment is over time, 0 to 255; True where any segment is
+    ever unobserved (its spread exceeds GUESSED).
+    """
+    edges, spread = fit.guessed
+    low, high = (share * GUESSED for share in GUESSED_RANGE)
+    blob.add("guessed", np.round(255 * np.clip((spread - low) / (high - low), 0, 1)).astype("u1"))
+    blob.add("guessedFrames", edges.astype("u4"))
+    return bool((spread > GUESSED).any())
+
+
+def add_tapes(fit: MarkerFit, rest: np.ndarray, blob: Blob) -> list[dict[str, Any]]:
+    """Pack the points (m) of the measuring tapes on the body at rest (V, 3); gives each tape's name
+    and number of points, in their order. A body without tapes has none.
+    """
+    kit = fit.body.measuring_kit
+    tapes = kit.tapes if kit else ()
+    rings = [(tape.name, ring.tape(rest)) for tape in tapes for ring in tape.rings]
+    points = np.concatenate([np.zeros((0, 3)), *(ring for _, ring in rings)])
+    blob.add("tapes", points.astype("f4"))
+    return [{"name": f"{name}_circumference_m", "points": len(ring)} for name, ring in rings]
+
+
+def add_plots(fit: MarkerFit, blob: Blob) -> dict[str, Any]:
+    """Pack error curves (mm) and the maps of markers over time; gives the facts to read them."""
+    frames = len(fit.pose)
+    stages = [s for s in ("pose", "soft_tissue") if fit.errors(s) is not None]
+    edges = bin_edges(frames, PLOT_BINS)
+    for stage in stages:
+        mean, worst = mapped(_frame_errors, np.asarray(fit.errors(stage))).T
+        blob.add(f"{stage}/meanError", bin_means(mean, edges).astype("f4"))
+        blob.add(f"{stage}/worstError", _reduce(np.fmax, worst, edges).astype("f4"))
+    blob.add(
+        "visible",
+        np.add.reduceat(fit.visible.sum(axis=1), edges).astype("f4") / _lengths(edges, frames),
+    )
+    blob.add("flagged", np.maximum.reduceat(np.asarray(fit.flagged_frames, "u1"), edges))
+    map_edges = bin_edges(frames, MAP_BINS)
+    worst = 1e3 * _reduce(np.fmax, np.asarray(fit.errors(stages[-1])), map_edges)
+    steps = np.clip(np.round(np.nan_to_num(worst) / MAP_STEP_MM), 0, 254)
+    blob.add("errorMap", np.where(np.isfinite(worst), steps, 255).astype("u1").T)
+    blob.add("gapMap", _packed(gap_states(fit, map_edges).T))
+    return {
+        "plotFrames": edges.tolist() if len(edges) < frames else None,
+        "mapBins": len(map_edges),
+        "mapStep": MAP_STEP_MM,
+        "markerMeans": {
+            stage: _tenths(marker_means(np.asarray(fit.errors(stage)))) for stage in stages
+        },
+        "downWeighted": _down_weighted(fit),
+        "missing": [round(float(share), 4) for share in 1 - fit.visible.mean(axis=0)],
+    }
+
+
+def gap_states(fit: MarkerFit, edges: np.ndarray) -> np.ndarray:
+    """(bins, M) in the bins that begin at the frames ``edges``: SEEN, PARTLY_MISSING, MISSING
+    throughout, or DISTRUSTED in some frame.
+    """
+    visible = fit.visible
+    low = _distrusted(fit) & visible
+    seen = np.logical_or.reduceat(visible, edges)
+    distrusted = np.logical_or.reduceat(low, edges)
+    whole = np.logical_and.reduceat(visible, edges)
+    return np.select(
+        [~seen, distrusted, ~whole], [MISSING, DISTRUSTED, PARTLY_MISSING], SEEN
+    ).astype("u1")
+
+
+def _packed(states: np.ndarray) -> np.ndarray:
+    """Numbers 0 to 3, row by row, four to a byte, the first in its lowest bits."""
+    flat = np.pad(states.ravel(), (0, -states.size % 4)).reshape(-1, 4)
+    return (flat << np.arange(0, 8, 2, dtype="u1")).sum(axis=1).astype("u1")
+
+
+def add_angles(fit: MarkerFit, blob: Blob) -> list[dict[str, Any]]:
+    """Pack joint angles of at most ANGLE_FRAMES frames, in tenths of degrees; gives the name and
+    side of each row. A body with none of the joints has no rows.
+    """
+    frames = bin_edges(len(fit.pose), ANGLE_FRAMES)
+    angles = joint_angles(fit.body, fit.betas, fit.pose[frames])
+    rows = [
+        (name, side, values) for name, sides in angles.items() for side, values in sides.items()
+    ]
+    if rows:
+        tenths = 10 * np.column_stack([values for *_, values in rows])
+        blob.add("angles", np.round(np.clip(tenths, -32768, 32767)).astype("i2"), True)
+        blob.add("angleFrames", frames.astype("u4"))
+    return [{"name": name, "side": side} for name, side, _ in rows]
+
+
+def _distrusted(fit: MarkerFit) -> np.ndarray:
+    return mapped(lambda part: part < TRUSTED_WEIGHT, np.asarray(fit.marker_weights))
+
+
+def _down_weighted(fit: MarkerFit) -> list[float]:
+    """Share of each marker's visible frames in which it was down-weighted."""
+    visible = fit.visible
+    low = _distrusted(fit) & visible
+    return [
+        round(float(share), 4) for share in low.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
+    ]
+
+
+def _frame_errors(metres: np.ndarray) -> np.ndarray:
+    """(T, 2): mean and largest error (mm) over the visible markers of each frame, NaN where none is
+    visible.
+    """
+    errors = 1e3 * metres
+    seen = np.isfinite(errors)
+    count = seen.sum(axis=1)
+    mean = np.where(seen, errors, 0).sum(axis=1) / np.maximum(count, 1)
+    worst = np.where(seen, errors, -1).max(axis=1, initial=-1)
+    return np.where(count[:, None] > 0, np.stack([mean, worst], axis=1), np.nan)
+
+
+def bin_edges(frames: int, bins: int) -> np.ndarray:
+    """First frame of each of at most ``bins`` bins."""
+    return np.unique(np.linspace(0, frames, min(frames, bins), endpoint=False).astype(np.int64))
+
+
+def _lengths(edges: np.ndarray, frames: int) -> np.ndarray:
+    return np.diff(np.append(edges, frames)).astype("f4")
+
+
+def bin_means(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Mean of the finite values in each bin, NaN where a bin holds none."""
+    known = np.isfinite(values)
+    count = np.add.reduceat(known.astype(np.int64), edges)
+    total = np.add.reduceat(np.where(known, values, 0), edges)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _reduce(ufunc: np.ufunc, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return values if len(edges) == len(values) else ufunc.reduceat(values, edges, axis=0)
+
+
+def _tenths(metres: np.ndarray) -> list[float | None]:
+    return [round(1e3 * float(m), 2) if np.isfinite(m) else None for m in metres]

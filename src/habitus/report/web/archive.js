@@ -88,8 +88,8 @@ function parsed() {
 
 function change(what) {
   state = { ...state, ...what };
-  const told = Object.entries(state).filter(([key, value]) => value !== START[key]);
-  history.replaceState(null, '', '#' + new URLSearchParams(told));
+  const changed = Object.entries(state).filter(([key, value]) => value !== START[key]);
+  history.replaceState(null, '', '#' + new URLSearchParams(changed));
   show();
 }
 

@@ -24,15 +24,15 @@ function start() {
   const byId = id => document.getElementById(id);
   let player = null, keepInSight = () => {};
   const seek = t => { player?.seekTime(t); keepInSight(); };
-  const apart = curves(byId('apart-plot'), report, arrays, [
-    { array: 'apart/skin', name: 'Skin, mean', on: true, style: 'final' }, { array: 'apart/joints', name: 'Joints, mean', on: true, style: 'before' },
-    { array: 'apart/centred', name: 'Joints, pelvis on pelvis', on: false, style: 'right' }, { array: 'apart/worst', name: 'Furthest point', on: false, style: 'worst' },
+  const distances = curves(byId('distance-plot'), report, arrays, [
+    { array: 'distance/skin', name: 'Skin, mean', on: true, style: 'final' }, { array: 'distance/joints', name: 'Joints, mean', on: true, style: 'before' },
+    { array: 'distance/aligned', name: 'Joints, root-aligned', on: false, style: 'right' }, { array: 'distance/worst', name: 'Largest distance', on: false, style: 'worst' },
   ], 'mm', seek);
   const errors = curves(byId('error-plot'), report, arrays, [
     { array: 'error/a', name: 'A', on: true, style: 'side-a' }, { array: 'error/b', name: 'B', on: true, style: 'side-b' },
   ], 'mm', seek);
   const angles = anglePlot(byId('angle-plot'), report, arrays, seek);
-  const values = arrays.get(arrays.has('apart/skin') ? 'apart/skin' : 'apart/joints'), times = arrays.get('times');
+  const values = arrays.get(arrays.has('distance/skin') ? 'distance/skin' : 'distance/joints'), times = arrays.get('times');
   const timeline = () => strip(root.querySelector('#strip'), { values, at: times.map(t => t * report.rate), frames: report.frames });
   try {
     player = new PairPlayer(report, arrays, other, root);
@@ -46,7 +46,7 @@ function start() {
     root.querySelector('#broken').textContent = `The 3D player could not start (${problem.message}). Everything below works without it.`;
     player = null;
   }
-  const timed = [apart, errors, angles];
+  const timed = [distances, errors, angles];
   player?.addEventListener('time', () => { for (const part of timed) part?.moveTo(player.time); });
   player?.addEventListener('state', () => { root.dataset.mode = player.state.mode; });
   for (const b of document.querySelectorAll('[data-time]')) {
@@ -55,7 +55,7 @@ function start() {
   const repaint = () => { timeline(); if (player) { player.colors = sideColors(); player.redraw(); } };
   document.addEventListener('theme', repaint);
   whenResized(root.querySelector('#strip'), timeline);
-  window.habitusReport = { report, arrays, player, apart, errors, angles };
+  window.habitusReport = { report, arrays, player, distances, errors, angles };
   const follow = () => {
     const wish = new URLSearchParams(location.hash.slice(1));
     if (!player) return;

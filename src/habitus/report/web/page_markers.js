@@ -1,5 +1,5 @@
 // The markers one by one: bars of mean error, and a map of error over time.
-const KINDS = { wrong: 'suspect', doubted: 'doubted', corrected: 'corrected' };
+const KINDS = { wrong: 'suspect', doubted: 'briefly suspect', corrected: 'corrected' };
 
 class MarkerBars {
   constructor(root, report, onSelect) {
@@ -32,14 +32,14 @@ class MarkerBars {
     row.addEventListener('click', () => this.onSelect(m));
     this.rows[m] = row;
     item.append(row);
-    if (suspect && suspect.kind !== 'doubted') item.append(make('span', `why ${suspect.kind}`, suspect.reasons.join('; ') + (suspect.kind === 'corrected' ? '; put right' : '')));
+    if (suspect && suspect.kind !== 'doubted') item.append(make('span', `why ${suspect.kind}`, suspect.reasons.join('; ') + (suspect.kind === 'corrected' ? '; corrected by the fit' : '')));
     return item;
   }
   select(m) { this.rows.forEach((row, k) => row.setAttribute('aria-pressed', k === m)); }
 }
 
 // Rows of cells over time, a row a marker, tied to the player's clock. paint(m, bin) gives a cell's colour as [r, g, b]
-// in 0..255, tell(m, bin) its words.
+// in 0..255, describe(m, bin) its words.
 class MarkerMap {
   constructor(root, report, what, onPick) {
     Object.assign(this, { root, report, onPick, now: 0, row: 13 }, what);
@@ -106,7 +106,7 @@ class MarkerMap {
     this.tip.hidden = !at;
     if (!at) return;
     const bin = Math.min(this.bins - 1, Math.floor(at.time / this.end * this.bins));
-    const lines = [this.report.labels[at.m], `${at.time.toFixed(2)} s`, this.tell(at.m, bin)];
+    const lines = [this.report.labels[at.m], `${at.time.toFixed(2)} s`, this.describe(at.m, bin)];
     this.tip.replaceChildren(...lines.map((text, k) => Object.assign(document.createElement(k ? 'span' : 'b'), { textContent: text })));
     const wide = this.tip.offsetWidth, room = this.root.clientWidth;
     Object.assign(this.tip.style, { left: `${at.x + 14 + wide > room ? at.x - 14 - wide : at.x + 14}px`, top: `${at.y + 12}px` });
@@ -128,11 +128,11 @@ function errorMap(root, report, arrays, order, onPick) {
     });
     return (m, b) => table[values[m * bins + b]] || none;
   };
-  const tell = (m, b) => values[m * bins + b] === 255 ? 'not seen' : `${(values[m * bins + b] * step).toFixed(1)} mm`;
-  return new MarkerMap(root, report, { order, paint, tell }, onPick);
+  const describe = (m, b) => values[m * bins + b] === 255 ? 'not visible' : `${(values[m * bins + b] * step).toFixed(1)} mm`;
+  return new MarkerMap(root, report, { order, paint, describe }, onPick);
 }
 
-// Which marker is missing or distrusted when; only markers that ever are, the least seen first.
+// When each marker is missing or down-weighted; only markers that ever are, those with the longest gaps first.
 function gapMap(section, report, arrays, onPick) {
   const packed = arrays.get('gapMap'), { mapBins: bins, missing, downWeighted } = report.plots;
   const state = (m, b) => packed[(m * bins + b) >> 2] >> 2 * ((m * bins + b) & 3) & 3;
@@ -147,7 +147,7 @@ function gapMap(section, report, arrays, onPick) {
     return (m, b) => state(m, b) === 3 && kinds[report.suspects[m]?.kind] || colors[state(m, b)];
   };
   const words = ['seen', 'missing in some frames', 'missing', 'far from the body, so down-weighted'];
-  return new MarkerMap(root, report, { order, paint, tell: (m, b) => words[state(m, b)] }, onPick);
+  return new MarkerMap(root, report, { order, paint, describe: (m, b) => words[state(m, b)] }, onPick);
 }
 
 // The length of a whole bar: the largest value, unless a few dwarf the rest; those are drawn broken.

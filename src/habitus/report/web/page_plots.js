@@ -35,7 +35,7 @@ function errorPlot(root, report, arrays, onSeek) {
   const flagged = arrays.get('flagged'), visible = arrays.get('visible');
   return new TimePlot(root, {
     times: frames.map(f => f / report.rate), end: Math.max(report.frames - 1, 1) / report.rate, series: errorSeries(report, arrays), flagged,
-    unit: 'mm', axis: 'error (mm)', label: 'Marker error over time, in millimetres', missing: 'no marker seen',
+    unit: 'mm', axis: 'error (mm)', label: 'Marker error over time, in millimetres', missing: 'no visible marker',
     tail: i => `${Math.round(visible[i])} of ${report.labels.length} markers seen${flagged[i] ? ', flagged' : ''}`,
   }, onSeek);
 }

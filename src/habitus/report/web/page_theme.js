@@ -1,5 +1,5 @@
 // Light or dark: as the reader's system has it, as the address wishes (#theme=dark), or as the button says. Scripts that
-// paint with colours of their own hear of it by the event 'theme' of the document. Errors are told in data-errors.
+// paint with colours of their own listen to the event 'theme' of the document. Errors are listed in data-errors.
 const body = document.body;
 window.addEventListener('error', e => { body.dataset.errors = `${body.dataset.errors || ''}${e.message}; `; });
 {

@@ -56,8 +56,8 @@ function normals(points, faces) {
 }
 
 // A look as the graphics card holds it.
-function loaded(shader, told) {
-  const points = arrays.points(told.points), faces = told.faces && arrays.get(told.faces);
+function loaded(shader, look) {
+  const points = arrays.points(look.points), faces = look.faces && arrays.get(look.faces);
   const state = gl.createVertexArray();
   gl.bindVertexArray(state);
   const feed = (name, data, size, type, norm) => {
@@ -68,23 +68,23 @@ function loaded(shader, told) {
     gl.vertexAttribPointer(at, size, type, norm, size === 4 ? 4 : 0, 0);
   };
   feed('place', points, 3, gl.FLOAT, false);
-  if (told.normals) feed('normal', arrays.get(told.normals), 4, gl.BYTE, true);
+  if (look.normals) feed('normal', arrays.get(look.normals), 4, gl.BYTE, true);
   else feed('normal', normals(points, faces), 3, gl.FLOAT, false);
-  const tinted = Boolean(told.colours);
-  if (tinted) feed('colour', arrays.get(told.colours), 4, gl.UNSIGNED_BYTE, true);
+  const tinted = Boolean(look.colours);
+  if (tinted) feed('colour', arrays.get(look.colours), 4, gl.UNSIGNED_BYTE, true);
   if (faces) {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
   }
   const type = faces instanceof Uint32Array ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT;
-  return { state, tinted, type, faces: faces && faces.length, points: points.length / 3, spacing: told.spacing };
+  return { state, tinted, type, faces: faces && faces.length, points: points.length / 3, spacing: look.spacing };
 }
 
 function scene() {
   const shader = compiled(), place = Object.fromEntries(['turn', 'middle', 'fit', 'skin', 'tinted', 'wide', 'lift', 'sided'].map(n => [n, gl.getUniformLocation(shader, n)]));
   gl.enable(gl.DEPTH_TEST);
   gl.uniform3fv(place.middle, report.middle);
-  return { place, looks: report.looks.map(told => loaded(shader, told)), over: report.over && loaded(shader, report.over) };
+  return { place, looks: report.looks.map(look => loaded(shader, look)), over: report.over && loaded(shader, report.over) };
 }
 
 function show({ place }, one, skin, scale, lift) {
@@ -120,7 +120,7 @@ function zoom(e) {
 function choose(k) {
   view.look = k;
   for (const b of document.querySelectorAll('[data-look]')) b.setAttribute('aria-pressed', Number(b.dataset.look) === k);
-  for (const p of document.querySelectorAll('[data-told]')) p.hidden = Number(p.dataset.told) !== k;
+  for (const p of document.querySelectorAll('[data-caption]')) p.hidden = Number(p.dataset.caption) !== k;
 }
 
 function listen(redraw) {

@@ -121,7 +121,7 @@ class Player extends EventTarget {
     const { report, layers, state } = this, label = report.labels[item.m];
     if (which === 'latent') return [label, `${(1000 * layers.skinDistance[item.m]).toFixed(1)} mm from the skin`];
     const mean = report.plots.markerMeans[state.stage][item.m], lines = [label, which];
-    lines.push(item.error === null ? 'not seen in this frame' : `${item.error.toFixed(1)} mm apart now`);
+    lines.push(item.error === null ? 'not visible in this frame' : `${item.error.toFixed(1)} mm error now`);
     if (mean !== null) lines.push(`${mean.toFixed(1)} mm on average`);
     const trust = layers.weightAt(state.frame, item.m);
     if (item.error !== null && trust < 0.9) lines.push(`counts for ${Math.round(100 * trust)} %`);

@@ -11,8 +11,7 @@ import pytest
 from browser import visit
 
 from habitus.export.png import small_png
-from habitus.report.archive.page import MOST_PICTURES, write_archive_page
-from habitus.report.archive.pictures import palette
+from habitus.report.archive import MAX_PICTURES, palette, write_archive_page
 
 COUNT = 3000
 NASTY = "</script><script>alert(1)</script><b>&'\u202e"
@@ -128,5 +127,5 @@ def test_nothing_is_fetched_and_pictures_end_where_a_page_would_be_too_large(pag
     text = page.read_text("utf-8")
     assert not re.search(r"https?://(?!www\.w3\.org)", text) and text.count("<script") == 3
     assert text.count("iVBOR") == COUNT - 30 + 40
-    write_archive_page(tmp_path / "index.html", "x", [capture(1)], [], MOST_PICTURES + 1)
+    write_archive_page(tmp_path / "index.html", "x", [capture(1)], [], MAX_PICTURES + 1)
     assert "iVBOR" not in (tmp_path / "index.html").read_text("utf-8")

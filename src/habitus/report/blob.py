@@ -1,6 +1,4 @@
-"""Arrays packed into one compressed base64 text with a small table of contents, for the script of
-the report.
-"""
+"""Arrays packed into one compressed base64 text with a table of contents, for a page's scripts."""
 
 import base64
 import zlib
@@ -9,21 +7,22 @@ from typing import Any
 import numpy as np
 
 MISSING = 65535
+"""The 16-bit value of a coordinate that is not known."""
 
 
 class Blob:
-    """Collects named arrays; ``contents`` tells the script how to read each one back."""
+    """Collects named arrays; ``contents`` says how to read each of them back."""
 
     def __init__(self) -> None:
         self.contents: dict[str, dict[str, Any]] = {}
         self._chunks: list[bytes] = []
         self.size = 0
 
-    def add(self, name: str, array: np.ndarray, steps: bool = False, **how: Any) -> None:
-        """An array as it is (little-endian u1, i1, u2, i2, u4 or f4).
+    def add(self, name: str, array: np.ndarray, steps: bool = False, **facts: Any) -> None:
+        """Add an array of u1, i1, u2, i2, u4 or f4.
 
-        ``steps`` packs integers of one or two bytes whose neighbouring rows are alike by the rows'
-        differences.
+        ``steps`` stores integers of one or two bytes as the differences of neighbouring rows, which
+        compress better where these are similar; ``facts`` are added to the table of contents.
         """
         data = np.ascontiguousarray(array)
         kind = data.dtype.newbyteorder("<").str[1:]
@@ -31,8 +30,8 @@ class Blob:
             raise TypeError(
                 f"{name} is {data.dtype}; the report's script reads u1, i1, u2, i2, u4 and f4"
             )
-        told = {"type": kind, "shape": list(data.shape), "start": self.size}
-        self.contents[name] = told | ({"steps": True} if steps else {}) | how
+        entry = {"type": kind, "shape": list(data.shape), "start": self.size}
+        self.contents[name] = entry | ({"steps": True} if steps else {}) | facts
         padded = (
             _row_steps(data)
             if steps
@@ -45,16 +44,16 @@ class Blob:
     def add_points(
         self, name: str, points: np.ndarray, low: np.ndarray, high: np.ndarray, steps: bool = False
     ) -> None:
-        """Points (…, 3) in 16 bits an axis between ``low`` and ``high`` (clipped there); NaN
-        becomes MISSING.
+        """Add points (…, 3), quantised to 16 bits an axis between ``low`` and ``high`` (3,) and
+        clipped there; points with NaN become MISSING.
         """
         step = np.maximum(high - low, 1e-6) / (MISSING - 1)
         with np.errstate(invalid="ignore"):
-            places = np.clip(np.round((points - low) / step), 0, MISSING - 1)
+            levels = np.clip(np.round((points - low) / step), 0, MISSING - 1)
         missing = ~np.isfinite(points).all(axis=-1, keepdims=True)
         self.add(
             name,
-            np.where(missing, MISSING, places).astype("u2"),
+            np.where(missing, MISSING, levels).astype("u2"),
             steps,
             low=low.tolist(),
             step=step.tolist(),
@@ -66,8 +65,8 @@ class Blob:
 
 
 def _row_steps(data: np.ndarray) -> bytes:
-    """Differences of rows (modulo the type's range), the low bytes of all before the high ones:
-    these compress well.
+    """Differences of rows (modulo the type's range), the low bytes of all before the high bytes,
+    which compresses well.
     """
     whole = data.view(f"u{data.itemsize}").reshape(len(data), -1)
     steps = np.diff(whole, axis=0, prepend=np.zeros_like(whole[:1])).astype(f"<u{data.itemsize}")

@@ -7,8 +7,7 @@ import duckdb
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.report.archive.page import write_archive_page
-from habitus.report.archive.table import write_table
+from habitus.report.archive import write_archive_page, write_table
 from habitus.results.metrics import finite, marker_metrics
 
 

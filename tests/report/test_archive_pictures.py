@@ -11,10 +11,10 @@ from planted import person
 from synthetic_fit import synthetic_fit
 
 from habitus.export.png import png, small_png
-from habitus.report.archive.pictures import (
+from habitus.report.archive import (
     HEIGHT,
+    METRES,
     MOMENTS,
-    TALL,
     motion_picture,
     palette,
     shape_picture,
@@ -41,7 +41,7 @@ def test_a_person_is_as_tall_as_the_body_and_stands_on_the_floor():
     seen = opened(shape_picture(body, betas))[..., 3] > 0
     rows = np.flatnonzero(seen.any(axis=1))
     tall = np.ptp(np.asarray(body.rest_vertices(betas))[:, 1])
-    assert rows[-1] >= HEIGHT - 2 and np.ptp(rows) == pytest.approx(HEIGHT * tall / TALL, abs=2)
+    assert rows[-1] >= HEIGHT - 2 and np.ptp(rows) == pytest.approx(HEIGHT * tall / METRES, abs=2)
     inside = seen[rows[0] : rows[-1]]  # no holes along the middle of the trunk
     assert inside[HEIGHT // 5 : HEIGHT // 2, HEIGHT // 2].all()
 

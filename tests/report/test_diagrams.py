@@ -10,7 +10,7 @@ from synthetic import synthetic_body
 
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
-from habitus.report.body.picture import tape_picture
+from habitus.report.diagrams import tape_picture
 
 
 def test_every_tape_is_drawn_and_every_measurement_told():

@@ -1,8 +1,8 @@
-"""What `habitus view` shows in the browser, by viser: a body under sliders, a motion, a mesh or a
+"""The panels of `habitus view` in the browser, by viser: a body with sliders, a motion, a mesh or a
 cloud of points.
 
-A panel owns its part of the page: it adds shapes below a node of the scene and sliders to a folder
-of the panel at the side, and draws anew what a slider changes.
+A panel owns its part of the page: it adds shapes below a node of the scene and controls to a folder
+of the side bar, and redraws what a control changes.
 """
 
 import threading
@@ -16,17 +16,20 @@ from jaxtyping import Float, Int
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.up import up_rotation
+from habitus.report.shell import measurement_text
 
-BETAS, LARGEST, DEGREES = 10, 4.0, 180.0
-"""How many shape coefficients have a slider, how far these go, and how far the sliders of joints
-do.
-"""
+MAX_BETAS = 10
+"""Shape coefficients that have a slider."""
+MAX_BETA = 4.0
+"""Range of these, in standard deviations."""
+MAX_DEGREES = 180.0
+"""Range of the sliders of a joint's rotation vector."""
 SKIN = (199, 148, 120)
 SCAN = (150, 160, 172)
 JOINT = (40, 110, 200)
 LANDMARK = (220, 90, 30)
 NAMED = (20, 20, 20)
-TOLD = {
+MEASURED = {
     "height": "height_m",
     "mass": "mass_kg",
     "chest": "chest_circumference_m",
@@ -39,7 +42,7 @@ _FPS = 30.0
 
 
 class BodyPanel:
-    """A body model under sliders: shape, the rotation of any joint, names of joints and landmarks,
+    """A body model with sliders: shape, the rotation of any joint, names of joints and landmarks,
     measurements.
     """
 
@@ -50,13 +53,15 @@ class BodyPanel:
         self._drawing = threading.Lock()
         self._pose = np.zeros((body.num_joints, 3))
         with server.gui.add_folder(body.name):
-            self._told = server.gui.add_markdown("")
+            self._text = server.gui.add_markdown("")
             self.betas = [
-                server.gui.add_slider(f"beta {k + 1}", -LARGEST, LARGEST, 0.05, 0.0)
-                for k in range(min(BETAS, body.num_betas))
+                server.gui.add_slider(f"beta {k + 1}", -MAX_BETA, MAX_BETA, 0.05, 0.0)
+                for k in range(min(MAX_BETAS, body.num_betas))
             ]
             self.joint = server.gui.add_dropdown("joint", tuple(body.joint_names))
-            self.turn = [server.gui.add_slider(axis, -DEGREES, DEGREES, 1.0, 0.0) for axis in "xyz"]
+            self.turn = [
+                server.gui.add_slider(axis, -MAX_DEGREES, MAX_DEGREES, 1.0, 0.0) for axis in "xyz"
+            ]
             self.joints = server.gui.add_checkbox("joints", False)
             self.landmarks = server.gui.add_checkbox(
                 "landmarks", False, disabled=not body.landmarks
@@ -68,9 +73,9 @@ class BodyPanel:
         for slider in (*self.betas, self.joints, self.landmarks, self.named):
             slider.on_update(lambda _: self.draw())
         for slider in self.turn:
-            slider.on_update(lambda _: self._turned())
-        self.joint.on_update(lambda _: self._chosen())
-        self.rest.on_click(lambda _: self._rested())
+            slider.on_update(lambda _: self._on_turn())
+        self.joint.on_update(lambda _: self._on_joint())
+        self.rest.on_click(lambda _: self._on_rest())
         self._skin = server.scene.add_mesh_simple(
             f"{node}/skin", self._surface().vertices, body.faces, color=SKIN
         )
@@ -82,15 +87,16 @@ class BodyPanel:
         return self._pose.copy()
 
     def draw(self) -> None:
-        """Surface, names and measurements for the sliders as they stand."""
+        """Redraw surface, names and measurements for the values of the sliders."""
         with self._drawing, self._server.atomic():
             surface = self._surface()
             self._skin.vertices = surface.vertices.astype(np.float32)
-            found = self._body.measure(self._betas())
-            said = [
-                f"{word} {_said(name, found[name])}" for word, name in TOLD.items() if name in found
-            ]
-            self._told.content = "  \n".join(said)
+            values = self._body.measure(self._betas())
+            self._text.content = "  \n".join(
+                f"{word} {measurement_text(name, values[name])}"
+                for word, name in MEASURED.items()
+                if name in values
+            )
             marks = self._body.landmarks or {}
             landmarks = (
                 surface.vertices[np.array([*marks.values()], int)] if marks else np.zeros((0, 3))
@@ -112,47 +118,47 @@ class BodyPanel:
     def _surface(self) -> Any:
         return self._body(self._betas(), self._pose)
 
-    def _turned(self) -> None:
+    def _on_turn(self) -> None:
         joint = self._body.joint_names.index(self.joint.value)
         self._pose[joint] = np.deg2rad([slider.value for slider in self.turn])
         self.draw()
 
-    def _chosen(self) -> None:
-        """The sliders show the joint's own rotation."""
+    def _on_joint(self) -> None:
+        """Move the sliders to the rotation of the selected joint."""
         joint = self._body.joint_names.index(self.joint.value)
         for slider, radians in zip(self.turn, self._pose[joint].copy(), strict=True):
             slider.value = float(np.round(np.rad2deg(radians), 3))
 
-    def _rested(self) -> None:
+    def _on_rest(self) -> None:
         self._pose[:] = 0.0
         for slider in (*self.betas, *self.turn):
             slider.value = 0.0
         self.draw()
 
     def _dots(
-        self, kind: str, places: Float[np.ndarray, "N 3"], colour: tuple, wanted: bool
+        self, kind: str, points: Float[np.ndarray, "N 3"], colour: tuple, visible: bool
     ) -> None:
         _cloud(
-            self._server, f"{self._node}/{kind}", places if wanted else places[:0], colour, 0.012
+            self._server, f"{self._node}/{kind}", points if visible else points[:0], colour, 0.012
         )
 
-    def _name(self, places: Mapping[str, Float[np.ndarray, " 3"]]) -> None:
-        """The chosen place alone has its name beside it: all of them would hide the body."""
-        place = places.get(self.named.value)
+    def _name(self, points: Mapping[str, Float[np.ndarray, " 3"]]) -> None:
+        """Show the name of the selected point; all names at once would hide the body."""
+        point = points.get(self.named.value)
         self._server.scene.add_label(
             f"{self._node}/name",
-            "" if place is None else self.named.value,
-            position=(0, 0, 0) if place is None else tuple(place),
-            visible=place is not None,
+            "" if point is None else self.named.value,
+            position=(0, 0, 0) if point is None else tuple(point),
+            visible=point is not None,
         )
-        if place is not None:
-            _cloud(self._server, f"{self._node}/named", place[None], NAMED, 0.02)
+        if point is not None:
+            _cloud(self._server, f"{self._node}/named", point[None], NAMED, 0.02)
         else:
             self._server.scene.remove_by_name(f"{self._node}/named")
 
 
 class MotionPanel:
-    """A body in motion: a moment on a slider, or played at the pace it was recorded."""
+    """A body in motion: a frame on a slider, or playback at the recorded rate."""
 
     def __init__(
         self,
@@ -166,7 +172,7 @@ class MotionPanel:
         self._node = node
         self._turn = up_rotation(motion.up_axis)
         self._markers = markers
-        self._begin = self._turn @ motion.joints(0)[0] * [1.0, 0.0, 1.0]
+        self._origin = self._turn @ motion.joints(0)[0] * [1.0, 0.0, 1.0]
         self._share = 0.0
         with server.gui.add_folder(motion.capture_name):
             self.frame = server.gui.add_slider("frame", 0, max(1, motion.num_frames - 1), 1, 0)
@@ -184,7 +190,7 @@ class MotionPanel:
         self.draw()
 
     def draw(self) -> None:
-        """The body at the slider's frame."""
+        """Redraw the body at the slider's frame."""
         with self._server.atomic():
             self._skin.vertices = self._at(self.frame.value)
             if self._markers is None:
@@ -194,7 +200,7 @@ class MotionPanel:
             _cloud(self._server, f"{self._node}/markers", self._placed(seen), LANDMARK, 0.02)
 
     def tick(self) -> None:
-        """The next moment, where it plays: frames are left out, never slowed."""
+        """Advance playback by the time that has passed; frames are skipped rather than delayed."""
         now = time.perf_counter()
         passed = now - self._last
         self._last = now
@@ -207,12 +213,12 @@ class MotionPanel:
         return self._placed(self._motion.vertices(int(frame))).astype(np.float32)
 
     def _placed(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-        """y up, and the motion's first place on the node's own."""
-        return points @ self._turn.T - self._begin
+        """Points with y up, and the motion's first position at the node's origin."""
+        return points @ self._turn.T - self._origin
 
 
 class MeshPanel:
-    """A mesh, or a cloud of points where it has no triangles; y up, metres."""
+    """A mesh, or a cloud of points where there are no triangles; y up, metres."""
 
     def __init__(
         self,
@@ -252,10 +258,6 @@ def _cloud(
     )
 
 
-def _said(name: str, value: float) -> str:
-    return f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
-
-
 def studio(server: Any) -> None:
     """A floor, y up, and a camera in front."""
     server.scene.set_up_direction("+y")
@@ -268,7 +270,7 @@ def studio(server: Any) -> None:
 
 
 def play(panels: list[Any], stop: threading.Event) -> None:
-    """Let motions run until told to stop."""
+    """Advance the motions until ``stop`` is set."""
     while not stop.wait(1.0 / _FPS):
         for panel in panels:
             if isinstance(panel, MotionPanel):

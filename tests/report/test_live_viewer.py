@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from synthetic import synthetic_body
 
-from habitus.report.live.board import Board, Shown
-from habitus.report.live.viewer import NEEDED, serve
+from habitus.report.live import NEEDED, Board, Shown, serve
 
 CONTEXT = multiprocessing.get_context("spawn")
 

@@ -12,11 +12,11 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanFit
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
-from habitus.report.registration.page import scan_page
+from habitus.report.registration import scan_page
 from habitus.results.metrics import scan_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&'"
-LOOKS = ("Surface", "Scan", "Distances", "Model", "Off the model", "Weights")
+LOOKS = ("Surface", "Scan", "Distances", "Model", "Offset", "Weights")
 PROBE = """
 <script>
 const told = [], canvas = document.getElementById('body'), gl = canvas.getContext('webgl2');
@@ -29,7 +29,7 @@ const seen = () => {
 document.getElementById('spin').click();
 for (const b of document.querySelectorAll('[data-look]')) {
   b.click();
-  const shown = [...document.querySelectorAll('[data-told]')].filter(p => !p.hidden);
+  const shown = [...document.querySelectorAll('[data-caption]')].filter(p => !p.hidden);
   told.push([b.textContent, ...seen(), shown.length, shown[0].textContent]);
 }
 document.querySelector('[data-look]').click();
