@@ -24,9 +24,9 @@ from read_fbx import Fbx
 from read_glb import Glb
 
 import habitus
-from habitus.body.up import up_rotation
 from habitus.export.motion import export_motion
 from habitus.export.seams import seams_of
+from habitus.rotations import up_rotation
 
 
 def main() -> None:

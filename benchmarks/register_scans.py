@@ -37,7 +37,6 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.scan import Scan
@@ -46,7 +45,7 @@ from habitus.fit.points.scans import UP, Registrar
 from habitus.jobs.register import made_ready
 from habitus.mesh.intersections import intersecting_pairs
 from habitus.population.scans import STANCES, Scanner, person, scanned, stance
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import matrix_from_rotvec, up_rotation
 
 GOALS = {
     "mean_mm": 2.0,

@@ -13,52 +13,23 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from pathlib import Path
 
 import pytest
-from jaxtyping import install_import_hook
+from jaxtyping import config, install_import_hook
+from shape_checks import checked_modules
 
-# Shapes in signatures are checked while tests run. Not in modules with compiled kernels, which the
-# hook would wrap, nor in those that say themselves what is wrong with a shape.
-RENDER = (
-    "triangles",
-    "clipping",
-    "edge_fragments",
-    "frame",
-    "filters",
-    "visibility",
-    "rasterize",
-    "operators",
-    "derivatives",
-    "reference",
-)
-BODY = (
-    "ages",
-    "blend_shapes",
-    "body_arrays",
-    "detail",
-    "fast",
-    "inputs",
-    "jacobians",
-    "joint_sets",
-    "keypoints",
-    "kinematics",
-    "measured",
-    "measurements",
-    "mesh",
-    "model",
-    "pose_features",
-    "pose_shapes",
-    "prepared",
-    "prior",
-    "rings",
-    "skinning",
-    "standing",
-    "state",
-    "views",
-)
-CHECKED = (
-    "rotations", "mesh.normals", "mesh.shapes",
-    *(f"body.{name}" for name in BODY), *(f"render.{name}" for name in RENDER),
-)  # fmt: skip
-install_import_hook([f"habitus.{name}" for name in CHECKED], "beartype.beartype")
+# Shapes in signatures are checked while tests run, in every module without compiled kernels.
+ROOMS = ("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel")
+for room in ROOMS:
+    install_import_hook(checked_modules(f"habitus.{room}"), "shape_checks.shapes_only")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item):
+    """A test marked ``wrong_shapes`` gives wrong shapes on purpose, to read the HabitusError."""
+    config.update("jaxtyping_disable", item.get_closest_marker("wrong_shapes") is not None)
+    try:
+        return (yield)
+    finally:
+        config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

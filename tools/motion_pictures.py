@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 import habitus as hb
 from habitus.body.motion import BodyMotion
-from habitus.body.up import up_rotation
+from habitus.rotations import up_rotation
 
 SCALE = 150.0
 TWICE = 2  # pixels a metre; drawn larger and made smaller again

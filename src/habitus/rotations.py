@@ -9,6 +9,7 @@ A rotation vector is axis times angle in radians (S 3, eq. 1). Quaternions are (
 motions map ``x`` to ``R x + t``.
 """
 
+import numpy as np
 from jaxtyping import Float
 
 from habitus.arrays import cast, eye, namespace, take_along, unbind
@@ -244,3 +245,21 @@ def procrustes(
     u = xp.concatenate([u[..., :2], u[..., 2:] * sign[..., None, None]], -1)
     matrix = u @ vh
     return matrix, target_mean - (matrix @ source_mean[..., None])[..., 0]
+
+
+UP_AXES = {
+    "+x": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    "-x": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+    "+y": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-y": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "+z": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "-z": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+}
+
+
+def up_rotation(up_axis: str) -> Float[np.ndarray, "3 3"]:
+    """The rotation that takes a capture's own world to one whose +y is up; ``up_axis`` is "+z",
+    "y", "-x", …
+    """
+    signed = up_axis if up_axis[:1] in "+-" else f"+{up_axis}"
+    return np.array(UP_AXES[signed.lower()], dtype=np.float64)

@@ -15,9 +15,9 @@ from read_blender import PROGRAMS
 from synthetic_fit import tube_body
 
 import habitus as hb
-from habitus.body.up import up_rotation
 from habitus.io.models.bodies import save_body
 from habitus.jobs.results import Motion
+from habitus.rotations import up_rotation
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """

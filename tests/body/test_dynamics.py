@@ -9,9 +9,8 @@ from soft_tubes import RATE, planted_regressor, shaken, soft_tubes
 from tube_body import random_pose, tube_body
 
 import habitus
-from habitus.body.dynamics import at_rest_in_time, companion
+from habitus.body.dynamics import CONTROLS, at_rest_in_time, companion, motion_controls, resampled
 from habitus.body.jacobians import surface_jacobian
-from habitus.body.motion_controls import CONTROLS, motion_controls, resampled
 from habitus.body.soft_tissue import controls_of
 from habitus.errors import HabitusError
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -153,7 +152,7 @@ def test_long_motions_are_gone_through_in_pieces(monkeypatch):
     body, (pose, trans) = tube_body(), shaken(50)
     given = ("joints", [0, 5], body.parents, body.rest_joints(), pose, trans, 60.0)
     whole = motion_controls(*given)
-    monkeypatch.setattr("habitus.body.motion_controls._BLOCK", 7)
+    monkeypatch.setattr("habitus.body.dynamics._BLOCK", 7)
     np.testing.assert_allclose(motion_controls(*given), whole, atol=1e-9)
 
 

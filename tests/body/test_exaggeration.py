@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.body.exaggeration import exaggerated, skin_motion
 from habitus.body.motion import BodyMotion
+from habitus.body.soft_tissue import exaggerated, skin_motion
 from habitus.errors import HabitusError
 
 

@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from habitus.body.kinematics import ancestors, descends, skinning_motions, world_motions
+from habitus.body.skinning import ancestors, descends, skinning_motions, world_motions
 from habitus.rotations import matrix_from_rotvec
 
 trees = st.lists(st.floats(0, 0.999), min_size=0, max_size=12).map(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-import habitus.body.views as views
-from habitus.body.local_shapes import local_shapes
+import habitus.body.body_arrays as views
+from habitus.body.kernels import local_shapes
 from habitus.io.models.bodies import load_body
 
 SOME = np.arange(0, 1200, 3)

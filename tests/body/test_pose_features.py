@@ -12,8 +12,8 @@ from habitus.body.pose_features import (
     check_driven_by_rotations,
     extended,
     find_pose_features,
+    of_joints,
 )
-from habitus.body.pose_shapes import of_joints
 from habitus.errors import HabitusError
 from habitus.rotations import left_jacobian, matrix_from_rotvec, rotvec_from_matrix
 

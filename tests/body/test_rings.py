@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from habitus.body.rings import cut
+from habitus.body.tapes import cut
 
 TUBE = trimesh.creation.cylinder(0.1, 1, sections=128)
 HERE = np.array([0, 0, 0.013])

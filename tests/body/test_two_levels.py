@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from two_levels import DRIVERS, YEARS, write_two_levels
 
-from habitus.body.joint_layouts import LAYOUTS, SMPL
-from habitus.body.joint_sets import folded_weights
+from habitus.body.joint_layouts import LAYOUTS, SMPL, folded_weights
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body

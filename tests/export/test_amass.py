@@ -11,10 +11,10 @@ from synthetic_fit import reference_vertices, synthetic_fit, tube_body
 
 import habitus
 from habitus.body.joint_layouts import SMPLH
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.cli.mosh import Mosh, run
 from habitus.errors import HabitusError
 from habitus.export import write_amass
+from habitus.rotations import UP_AXES, up_rotation
 
 
 def amass_loader(path) -> dict[str, np.ndarray]:

@@ -3,8 +3,8 @@ import pytest
 from read_bvh import Bvh
 from synthetic_fit import synthetic_fit
 
-from habitus.body.up import up_rotation
 from habitus.export.bvh import write_bvh
+from habitus.rotations import up_rotation
 
 
 @pytest.mark.parametrize(("soft", "up"), [(True, "+z"), (False, "-x")])

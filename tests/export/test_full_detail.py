@@ -12,12 +12,12 @@ from synthetic_fit import synthetic_fit
 from two_levels import write_two_levels
 
 from habitus.body.surface_files import write_surface
-from habitus.body.up import up_rotation
 from habitus.export import write_glb, write_obj_sequence
 from habitus.export.obj import fitted_vertices
 from habitus.io.models.bodies import load_body
 from habitus.report import write_report
 from habitus.results.metrics import marker_metrics
+from habitus.rotations import up_rotation
 
 
 @pytest.fixture(scope="module")

@@ -14,13 +14,13 @@ from synthetic import with_features
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.dynamics import Dynamics
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.export import glb as writer
 from habitus.export import write_glb
 from habitus.export.correctives import WORST
 from habitus.export.obj import fitted_vertices
 from habitus.io.people import read_fit
+from habitus.rotations import UP_AXES, up_rotation
 
 FRAMES = (0, 17, 44, 89)
 

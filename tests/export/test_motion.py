@@ -7,11 +7,11 @@ from read_glb import Glb
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.motion import BodyMotion
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.motion import export_motion
 from habitus.io.people import read_fit, read_motion
 from habitus.jobs.results import Motion
+from habitus.rotations import up_rotation
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@ import numpy as np
 from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
-from habitus.body.up import up_rotation
 from habitus.export.points import write_points
 from habitus.io.captures.read import read_capture
+from habitus.rotations import up_rotation
 
 
 def test_joints_and_markers_come_back(tmp_path):

@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic import synthetic_body
 
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.export.osc import Bundles, Message, Sender
 from habitus.export.posing import UNITY_BONES, OscPoses, VmcPoses
+from habitus.rotations import UP_AXES, up_rotation
 
 osc = pytest.importorskip("pythonosc.osc_packet")
 

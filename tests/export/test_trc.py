@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import habitus
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.io.captures.read import Capture
 from habitus.io.captures.trc import parse_trc
+from habitus.rotations import UP_AXES, up_rotation
 
 
 def capture(

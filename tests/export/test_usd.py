@@ -9,11 +9,11 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 from two_levels import write_two_levels
 
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.obj import fitted_vertices
 from habitus.export.usd import write_usd
 from habitus.io.models.bodies import load_body
+from habitus.rotations import up_rotation
 
 pytest.importorskip("pxr", reason="no usd-core here: pip install 'habitus[usd]'")
 from pxr import Usd, UsdGeom, UsdValidation

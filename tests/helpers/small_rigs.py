@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from habitus.body.kinematics import skinning_motions, world_motions
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import POSE_FEATURES, extended
-from habitus.body.skinning import Influences, skin
+from habitus.body.skinning import Influences, skin, skinning_motions, world_motions
 from habitus.learn.estimate import Anatomy, Estimate, Problem
 from habitus.learn.options import TrainOptions
 from habitus.learn.posing.rig import RestPerson, Rig, influences

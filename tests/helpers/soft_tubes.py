@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 from tube_body import tube_body
 
-from habitus.body.dynamics import Dynamics, DynamicsRegressor
+from habitus.body.dynamics import CONTROLS, Dynamics, DynamicsRegressor
 from habitus.body.model import BodyModel
-from habitus.body.motion_controls import CONTROLS
 
 RATE = 60.0
 JOINTS = ("joint_0", "joint_1", "joint_6")

@@ -13,11 +13,11 @@ from synthetic_fit import synthetic_fit, tube_body
 
 import habitus as hb
 from habitus.body.motion import BodyMotion
-from habitus.body.up import up_rotation
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 from habitus.jobs.results import Motion
+from habitus.rotations import up_rotation
 
 
 @pytest.fixture

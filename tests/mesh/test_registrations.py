@@ -89,6 +89,7 @@ def test_reading_gives_a_copy_in_double_precision():
     assert np.array_equal(whole.read(1), whole.vertices[1])
 
 
+@pytest.mark.wrong_shapes
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -131,6 +132,7 @@ def test_joints_without_vertices_are_told():
     )
 
 
+@pytest.mark.wrong_shapes
 @pytest.mark.parametrize(
     ("changed", "message"),
     [

@@ -287,6 +287,7 @@ def test_look_at_puts_the_target_in_the_middle_and_up_upwards(seed):
 GOOD = {"width": 64, "height": 48, "focal_length": 50.0}
 
 
+@pytest.mark.wrong_shapes
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -311,6 +312,7 @@ def test_bad_cameras_are_one_clear_line(changes, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.wrong_shapes
 def test_bad_use_is_one_clear_line():
     camera = Camera.of(**GOOD)
     points = torch.zeros(5, 3, dtype=torch.float64)

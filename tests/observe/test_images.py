@@ -241,6 +241,7 @@ def test_squares_of_robust_differences_are_the_named_losses():
     torch.testing.assert_close(im.power_law(d, s, 2.0), d)
 
 
+@pytest.mark.wrong_shapes
 def test_bad_images_are_one_clear_line():
     image = some_image(4, 5, 3)
     mask = torch.ones(4, 5, dtype=torch.bool)

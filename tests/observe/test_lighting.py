@@ -186,6 +186,7 @@ def test_derivatives_reach_vertices_lights_and_albedo():
         torch.testing.assert_close(a, b)
 
 
+@pytest.mark.wrong_shapes
 def test_bad_light_is_one_clear_line():
     normals = directions(5)
     lamp = torch.zeros(3).double()

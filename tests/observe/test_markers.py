@@ -59,6 +59,7 @@ def test_gradients_pass_through():
     assert torch.autograd.gradcheck(lambda v: predict_markers(v, attachment), start)
 
 
+@pytest.mark.wrong_shapes
 def test_bad_input_is_refused_in_one_line():
     rng = np.random.default_rng(4)
     vertices, faces = sheet(rng)

@@ -1,10 +1,13 @@
-"""What a body is made of, checked, and copies of it in the kinds (library, dtype, device) that were
-asked for.
+"""The arrays that a body is made of, checked, and copies of them in the kinds (library, dtype,
+device) that were asked for, laid out for speed.
+
+Bases of blend shapes (S 3, eqs. 8 and 9) are rows of flattened surfaces, (directions, 3N) with
+coordinates before vertices, so that one matrix product gives a batch of surfaces.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -12,17 +15,128 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import Kind, to_numpy
+from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
 from habitus.body.ages import Ages
 from habitus.body.dynamics import Dynamics
+from habitus.body.kernels import LocalShapes, local_shapes
 from habitus.body.mesh import BodyMesh
-from habitus.body.pose_features import PoseFeatures, find_pose_features
-from habitus.body.pose_shapes import check_pose_shapes, of_joints
+from habitus.body.pose_features import (
+    PoseFeatures,
+    check_pose_shapes,
+    find_pose_features,
+    of_joints,
+)
 from habitus.body.prior import PosePrior
-from habitus.body.skinning import SKINNING
-from habitus.body.views import RestSkeleton, VertexRows, vertex_rows
+from habitus.body.skinning import SKINNING, Influences
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
+from habitus.types import Array
+
+
+def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:
+    """Directions (N, 3, K) as K rows of 3N numbers: x of all vertices, then y, then z."""
+    return np.ascontiguousarray(directions.transpose(2, 1, 0)).reshape(
+        directions.shape[-1], 3 * len(directions)
+    )
+
+
+def add_blend_shapes(
+    base: Float[Array, "*base M"], coefficients: Float[Array, "*batch K"], rows: Float[Array, "K M"]
+) -> Float[Array, "*batch M"]:
+    """``base + coefficients @ rows``; ``base`` is one surface or one for each of the batch."""
+    xp = namespace(coefficients)
+    if xp is np:
+        return coefficients @ rows + base
+    if not coefficients.shape[:-1]:
+        return xp.addmv(base, rows.T, coefficients)
+    batch = coefficients.shape[:-1]
+    base = base if base.ndim == 1 else flatten(base.expand(*batch, base.shape[-1]), 0, -2)
+    return unflatten(xp.addmm(base, flatten(coefficients, 0, -2), rows), 0, batch)
+
+
+@dataclass(frozen=True)
+class RestSkeleton:
+    """The template's joints and how shape moves them, and the body's faces, in one kind."""
+
+    template: Float[Array, "J 3"]
+    directions: Float[Array, "J 3 C"]
+    """By shape coefficients, then by those of the expression; by those of the dynamics not at all.
+    """
+    faces: Int[Array, "T 3"]
+
+    def rest_joints(self, coefficients: Float[Array, "*batch C"]) -> Float[Array, "*batch J 3"]:
+        """Joints (m) of shaped rest surfaces (S 3, eq. 10); the last coefficients may be left
+        out.
+        """
+        directions = self.directions[..., : coefficients.shape[-1]]
+        return self.template + (directions @ coefficients[..., None, :, None])[..., 0]
+
+
+@dataclass(frozen=True)
+class VertexRows:
+    """The arrays of some vertices, laid out for speed: bases as rows (K, 3N), coordinates before
+    vertices.
+    """
+
+    template: Float[Array, " M"]
+    blend_shapes: Float[Array, "K M"]
+    """The directions of shape, then, if asked for, those of expression and dynamics, then those of
+    the pose.
+    """
+    num_shapes: int
+    """How many there are before those of the pose."""
+    influences: Influences
+    local: LocalShapes | None = None
+    """Those of the pose once more, without their zeros, where it pays to leave these out."""
+
+    @property
+    def shapedirs(self) -> Float[Array, "C M"]:
+        """What the coefficients of shape, expression and dynamics add."""
+        return self.blend_shapes[: self.num_shapes]
+
+    @property
+    def posedirs(self) -> Float[Array, "F M"] | None:
+        """What pose features add, where the body has pose blend shapes."""
+        return (
+            self.blend_shapes[self.num_shapes :]
+            if len(self.blend_shapes) > self.num_shapes
+            else None
+        )
+
+
+def vertex_rows(
+    kind: Kind,
+    ids: Int[np.ndarray, " N"] | slice,
+    v_template: Float[np.ndarray, "V 3"],
+    directions: Sequence[Float[np.ndarray, "V 3 _"]],
+    posedirs: Float[np.ndarray, "V 3 F"] | None,
+    skinning_weights: Float[np.ndarray, "V J"],
+    skinning_index: Int[np.ndarray, "V K"],
+    skinning_value: Float[np.ndarray, "V K"],
+    driven: tuple[int, int] = (0, 1),
+) -> VertexRows:
+    """A body's arrays for some of its vertices; ``directions`` are those of shape and, if they
+    count, others.
+
+    ``driven``: how many features a joint has, and in how many blocks.
+    """
+    dense = np.ascontiguousarray(skinning_weights[ids].T)
+    bases = np.concatenate(
+        [base[ids] for base in (*directions, posedirs) if base is not None], axis=2
+    )
+    local = local_shapes(None if posedirs is None else posedirs[ids], *driven)
+    if local is not None:
+        local = replace(local, value=local.value.astype(kind.compiled))
+    return VertexRows(
+        template=kind.array(v_template[ids].T.flatten()),
+        blend_shapes=kind.array(flat_rows(bases)),
+        num_shapes=sum(base.shape[2] for base in directions),
+        influences=Influences(
+            kind.array(dense), kind.index(skinning_index[ids]), kind.array(skinning_value[ids])
+        ),
+        local=local,
+    )
+
 
 _NUMBERS = (
     "v_template",

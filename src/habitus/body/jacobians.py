@@ -27,12 +27,17 @@ from habitus.arrays import (
     unbind,
     unflatten,
 )
-from habitus.body.blend_shapes import add_blend_shapes
-from habitus.body.kinematics import descends, skinning_motions, world_motions
+from habitus.body.body_arrays import add_blend_shapes
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import extended
 from habitus.body.prepared import PreparedBody
-from habitus.body.skinning import move_points, signed_weights
+from habitus.body.skinning import (
+    descends,
+    move_points,
+    signed_weights,
+    skinning_motions,
+    world_motions,
+)
 from habitus.body.state import BodySurface
 from habitus.rotations import (
     cross_matrix,

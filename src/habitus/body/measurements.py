@@ -2,7 +2,7 @@
 
 The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders,
 chest and hips are measured with hanging arms and heels together (`habitus.body.standing`). A
-circumference is a tape's length around a material ring (`habitus.body.rings`), heights are along y
+circumference is a tape's length around a material ring (`habitus.body.tapes`), heights are along y
 from the lowest point of the sole, limbs are measured on both sides and averaged. Everything is laid
 out once on the body's template and then goes along with its vertices, so that measurements change
 continuously with the shape.
@@ -10,16 +10,18 @@ continuously with the shape.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
-from habitus.body.rings import cut
 from habitus.body.standing import STANDING_TAPES, Standing, stand
-from habitus.body.tapes import ARMS, SIDES, LaidTape, lay_tapes
-from habitus.types import Array
+from habitus.body.state import BodySurface
+from habitus.body.tapes import ARMS, SIDES, LaidTape, cut, lay_tapes
+from habitus.errors import HabitusError
+from habitus.types import Array, ArrayLike
 
 # kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey
 # with
@@ -281,3 +283,33 @@ def is_closed(faces: Int[np.ndarray, "T 3"]) -> bool:
     sides = np.concatenate([faces, np.roll(faces, -1, axis=1)], 0).reshape(2, -1)
     size = int(faces.max()) + 1
     return np.array_equal(np.sort(sides[0] * size + sides[1]), np.sort(sides[1] * size + sides[0]))
+
+
+class Measured:
+    """Of a `habitus.body.model.BodyModel`: how tall, how heavy, how wide."""
+
+    @cached_property
+    def measuring_kit(self) -> MeasuringKit | None:
+        """Tapes and yardsticks laid on the template; None for hands and animals."""
+        return lay_out(self)  # type: ignore[arg-type]
+
+    def measure(self, surface: BodySurface | ArrayLike | None = None) -> dict[str, float]:
+        """Measurements of a person at rest (`habitus.body.measurements`), in metres and kilograms.
+
+        Of the template, of shape coefficients (B,), or of the person whose surface is given,
+        whatever its pose: a surface knows its betas. Raises HabitusError for several people.
+        """
+        betas = () if surface is None else getattr(surface, "betas", surface)
+        rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
+        if rest.ndim != 2:
+            raise HabitusError(f"{rest.shape[:-2]} people to measure; give the betas of one, (B,)")
+        return measure(self, rest, self.measuring_kit)  # type: ignore[arg-type]
+
+    def measure_rest(self, rest_vertices: np.ndarray) -> dict[str, float]:
+        """Measurements of a person whose surface at rest (V, 3) is given, whatever shape it has."""
+        return measure(self, rest_vertices, self.measuring_kit)  # type: ignore[arg-type]
+
+    def measure_people(self, betas: ArrayLike) -> dict[str, np.ndarray]:
+        """Measurements (N,) of N people at once, of betas (N, B)."""
+        rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
+        return measure_many(self, rest, self.measuring_kit)  # type: ignore[arg-type]

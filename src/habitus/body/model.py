@@ -2,24 +2,22 @@
 5 to 12).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from difflib import get_close_matches
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
+from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.ages import ADULT
-from habitus.body.blend_shapes import add_blend_shapes
-from habitus.body.body_arrays import BodyArrays
-from habitus.body.detail import in_step, then
-from habitus.body.female import of_fewer
-from habitus.body.inputs import read_betas, read_dynamics, read_pose, read_vertices
-from habitus.body.joint_sets import fold, folded_weights
+from habitus.body.body_arrays import BodyArrays, add_blend_shapes
+from habitus.body.joint_layouts import fold, folded_weights
 from habitus.body.keypoints import keypoints
-from habitus.body.measured import Measured
-from habitus.body.pose_shapes import of_joints
+from habitus.body.measurements import Measured
+from habitus.body.pose_features import of_joints
 from habitus.body.prepared import PreparedBody
 from habitus.body.state import BodyState, BodySurface
 from habitus.errors import HabitusError
@@ -83,7 +81,7 @@ class BodyModel(BodyArrays, Measured):
                 "on the first "
                 f"{self.shape_features}; ask for {self.shape_features} to {self.num_betas}"
             )
-        female, rows = of_fewer(self.female_direction, self.female_rows, count)
+        female, rows = _sex_classifiers(self.female_direction, self.female_rows, count)
         return replace(
             self,
             shapedirs=np.ascontiguousarray(self.shapedirs[..., :count]),
@@ -251,7 +249,183 @@ class BodyModel(BodyArrays, Measured):
         """
         return read_pose(values, kind, self.joint_names, self.name)
 
+    def full_trans(self, values: ArrayLike | None, kind: Kind) -> Float[Array, "*batch 3"]:
+        """A translation as it may be given in a call, (m) in one kind; zero where it is None."""
+        return (
+            kind.zeros(3)
+            if values is None
+            else read_vectors(values, kind, (3,), "trans", self.name)
+        )
+
     def _betas(
         self, values: ArrayLike, kind: Kind, name: str = "betas"
     ) -> Float[Array, "*batch B"]:
         return read_betas(values, kind, self.num_betas, name, self.name)
+
+
+def read_betas(
+    values: ArrayLike, kind: Kind, count: int, name: str, body: str
+) -> Float[Array, "*batch B"]:
+    """``count`` shape coefficients, with zeros for those that are not given; HabitusError where
+    there are more.
+    """
+    betas = kind.array(values)
+    missing = count - betas.shape[-1] if betas.ndim else -1
+    if missing < 0:
+        raise HabitusError(
+            f"{name} has shape {tuple(betas.shape)}; expected (*batch, {count}) or fewer for {body}"
+        )
+    return (
+        kind.xp.concatenate([betas, kind.zeros(*betas.shape[:-1], missing)], -1)
+        if missing
+        else betas
+    )
+
+
+def read_dynamics(values: ArrayLike, kind: Kind, count: int, body: str) -> Float[Array, "*batch D"]:
+    """As `read_betas`, of dynamic blend shapes; HabitusError that says so where the body has
+    none.
+    """
+    given = kind.array(values)
+    if not count and given.shape[-1:] != (0,):
+        raise HabitusError(
+            f"dynamics of shape {tuple(given.shape)} given to {body}, which has no dynamic blend "
+            "shapes; take a body "
+            "that has some, or learn them: habitus train-dynamics"
+        )
+    return read_betas(given, kind, count, "dynamics", body)
+
+
+def read_pose(
+    values: ArrayLike | Mapping[str, ArrayLike] | None,
+    kind: Kind,
+    joint_names: tuple[str, ...],
+    body: str,
+) -> Float[Array, "*batch J 3"]:
+    """Rotation vectors (rad) of all joints, from those of all or those of some by name; the others
+    are zero.
+    """
+    if values is None:
+        return kind.zeros(len(joint_names), 3)
+    if not isinstance(values, Mapping):
+        return read_vectors(values, kind, (len(joint_names), 3), "pose", body)
+    if unknown := [name for name in values if name not in joint_names]:
+        near = get_close_matches(str(unknown[0]), joint_names, cutoff=0.4) or joint_names
+        raise HabitusError(f"{body} has no joint {unknown[0]!r}; did you mean {', '.join(near)}?")
+    named = {
+        name: read_vectors(value, kind, (3,), f"pose[{name!r}]", body)
+        for name, value in values.items()
+    }
+    batch = broadcast_shapes(*(value.shape[:-1] for value in named.values()))
+    rest = kind.zeros(3)
+    return kind.xp.stack(
+        [kind.xp.broadcast_to(named.get(name, rest), (*batch, 3)) for name in joint_names], -2
+    )
+
+
+def read_vectors(
+    values: ArrayLike, kind: Kind, last: tuple[int, ...], name: str, body: str
+) -> Array:
+    """Numbers whose last axes are ``last``; HabitusError where they are not."""
+    array = kind.array(values)
+    if tuple(array.shape[-len(last) :]) != last:
+        expected = ", ".join(map(str, last))
+        raise HabitusError(
+            f"{name} has shape {tuple(array.shape)}; expected (*batch, {expected}) for {body}"
+        )
+    return array
+
+
+def read_vertices(values: ArrayLike, count: int, body: str) -> Int[np.ndarray, " N"]:
+    """Vertex numbers of a body with ``count``; HabitusError where they are none of its."""
+    ids = to_numpy(values)
+    if ids.ndim != 1 or (len(ids) and ids.dtype.kind not in "iu"):
+        raise HabitusError(
+            f"vertices are {ids.dtype} of shape {ids.shape}; expected vertex numbers (N,); of a "
+            "mask, its nonzero()"
+        )
+    if len(ids) and not (ids.min() >= 0 and ids.max() < count):
+        raise HabitusError(
+            f"vertices run from {ids.min()} to {ids.max()}; {body} has vertices 0 to {count - 1}"
+        )
+    return ids.astype(np.int64)
+
+
+_SAMPLES = 64
+_ALIKE = (
+    "parents",
+    "joint_names",
+    "skinning",
+    "pose_features",
+    "shape_features",
+    "pose_joints",
+    "num_betas",
+)
+_ARRAYS = ("shapedirs", "posedirs", "expressiondirs", "skinning_value")
+
+
+def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
+    """Whether a body and its full level are one: vertex k of the coarse is vertex ``rows[k]`` of
+    the full.
+
+    The template is compared whole, what moves it at a sample of the vertices.
+    """
+    if (
+        rows is None
+        or len(rows) != len(coarse.v_template)
+        or rows.max(initial=-1) >= len(full.v_template)
+    ):
+        return False
+    if any(getattr(coarse, name) != getattr(full, name) for name in _ALIKE):
+        return False
+    if not np.array_equal(coarse.v_template, full.v_template[rows]):
+        return False
+    some = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).astype(np.int64)
+    for name in _ARRAYS:
+        ours = getattr(coarse, name)
+        theirs = getattr(full, name)
+        if (ours is None) != (theirs is None):
+            return False
+        if ours is not None and not np.array_equal(ours[some], theirs[rows[some]]):
+            return False
+    return _same_dynamics(coarse.dynamics, full.dynamics, some, rows)
+
+
+def _same_dynamics(coarse: Any, full: Any, some: np.ndarray, rows: np.ndarray) -> bool:
+    if coarse is None or full is None:
+        return coarse is full
+    if not np.array_equal(coarse.directions[some], full.directions[rows[some]]):
+        return False
+    return np.array_equal(coarse.regressor.drive, full.regressor.drive)
+
+
+def then(finer: Callable[[], Any] | None, change: str, *arguments: Any) -> Callable[[], Any] | None:
+    """What makes the full level, followed by one of its methods that gives another body."""
+    return None if finer is None else partial(_then, finer, change, arguments)
+
+
+def _then(finer: Callable[[], Any], change: str, arguments: tuple[Any, ...]) -> Any:
+    return getattr(finer(), change)(*arguments)
+
+
+def _sex_classifiers(
+    direction: tuple[Float[np.ndarray, " B"], float] | None,
+    rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None,
+    count: int,
+) -> tuple[
+    tuple[Float[np.ndarray, " n"], float] | None,
+    tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"]] | None,
+]:
+    """The classifier of sex (log odds of a woman, weights . betas + bias) of the first ``count``
+    betas, and those of fewer.
+
+    Where none was fitted to this number of betas, the weights of the others are left out, which
+    makes the classifier less accurate and overconfident.
+    """
+    if rows is None:
+        return (None, None) if direction is None else ((direction[0][:count], direction[1]), None)
+    weights, bias = rows
+    return (weights[count - 1, :count], float(bias[count - 1])), (
+        weights[:count, :count],
+        bias[:count],
+    )

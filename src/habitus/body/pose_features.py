@@ -1,4 +1,5 @@
-"""What drives pose blend shapes: functions of each joint's rotation that are zero at rest.
+"""What drives pose blend shapes: functions of each joint's rotation that are zero at rest, of all
+joints but the root, as in SMPL, or of some, such as those that limbs twist about.
 
 SMPL takes the entries of R - I (S 3, eq. 9). The others are those that thesis 5.6 reports as tried
 (raw rotation vectors, low polynomials of them, sines and cosines) or leaves open (unit
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 
 from habitus.arrays import cross, eye, flatten, namespace, unbind
@@ -193,3 +195,59 @@ either side and grow without bound towards an angle of 2 pi, so keep vectors wra
 (`habitus.rotations.rotvec_from_matrix`). "quaternions", with a real part that is not negative, are
 the same for both vectors of a rotation, and change sign at an angle of pi.
 """
+
+
+def check_pose_shapes(
+    posedirs: np.ndarray | None,
+    features: PoseFeatures,
+    joints: int,
+    betas: int,
+    shape_features: int,
+    pose_joints: tuple[int, ...] | None = None,
+) -> None:
+    """HabitusError where pose blend shapes do not fit the joints and shape coefficients that drive
+    them.
+    """
+    if not 0 <= shape_features <= betas:
+        raise HabitusError(
+            f"shape_features is {shape_features}; expected 0 to {betas} shape coefficients"
+        )
+    if pose_joints is not None and not (
+        set(pose_joints) <= set(range(1, joints)) and _differ(pose_joints)
+    ):
+        raise HabitusError(
+            f"pose_joints are {pose_joints}; expected different joints from 1 to {joints - 1}"
+        )
+    drivers = joints - 1 if pose_joints is None else len(pose_joints)
+    count = features.count(1 + drivers, shape_features)
+    if posedirs is not None and posedirs.shape[-1] != count:
+        raise HabitusError(
+            f"posedirs has {posedirs.shape[-1]} directions; expected {count}: {features.name!r} "
+            f"of {drivers} "
+            f"joints, with {shape_features} shape_features"
+        )
+
+
+def _differ(numbers: tuple[int, ...]) -> bool:
+    return len(set(numbers)) == len(numbers)
+
+
+def of_joints(
+    posedirs: Float[np.ndarray, "N 3 F"],
+    per_joint: int,
+    drivers: tuple[int, ...],
+    wanted: tuple[int, ...],
+    shape_features: int = 0,
+) -> Float[np.ndarray, "N 3 G"]:
+    """The same pose blend shapes for other driving joints: zeros for joints that had none, left out
+    for others' own.
+    """
+    if drivers == wanted:
+        return posedirs
+    blocks = posedirs.reshape(*posedirs.shape[:2], 1 + shape_features, len(drivers), per_joint)
+    found = np.zeros((*blocks.shape[:3], len(wanted), per_joint), posedirs.dtype)
+    both = [(wanted.index(joint), k) for k, joint in enumerate(drivers) if joint in wanted]
+    if both:
+        there, here = map(list, zip(*both, strict=True))
+        found[..., there, :] = blocks[..., here, :]
+    return found.reshape(*posedirs.shape[:2], -1)

@@ -1,5 +1,8 @@
-"""A body whose shape is fixed, for many poses (S 3, eqs. 1 to 12)."""
+"""A body whose shape is fixed, for many poses (S 3, eqs. 1 to 12): by compiled code for NumPy
+arrays and for tensors on the CPU that need no gradient, by array operations for all others.
+"""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,16 +11,13 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import Kind, broadcast_shapes, kind_of, unflatten
-from habitus.body.blend_shapes import add_blend_shapes
-from habitus.body.fast import are_plain, posed_surface
-from habitus.body.inputs import read_vectors
-from habitus.body.kinematics import skinning_motions, world_motions
+from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
+from habitus.body.body_arrays import RestSkeleton, VertexRows, add_blend_shapes
+from habitus.body.kernels import joint_motions, posed_vertices
 from habitus.body.mesh import BodyMesh
 from habitus.body.pose_features import PoseFeatures, extended
-from habitus.body.skinning import skin
+from habitus.body.skinning import skin, skinning_motions, world_motions
 from habitus.body.state import BodySurface
-from habitus.body.views import RestSkeleton, VertexRows
 from habitus.rotations import matrix_from_rotvec
 from habitus.types import Array, ArrayLike
 
@@ -37,13 +37,22 @@ class Preparable(Protocol):
     @property
     def num_betas(self) -> int: ...  # noqa: D102
     @property
+    def num_expressions(self) -> int: ...  # noqa: D102
+    @property
     def num_joints(self) -> int: ...  # noqa: D102
     @property
     def drivers(self) -> list[int]: ...  # noqa: D102
     @property
     def features(self) -> PoseFeatures: ...  # noqa: D102
     def full_pose(self, values: Any, kind: Kind) -> Array: ...  # noqa: D102
-    def prepare(self, betas: ArrayLike, vertices: Any, expression: Any) -> "PreparedBody": ...  # noqa: D102
+    def full_trans(self, values: Any, kind: Kind) -> Array: ...  # noqa: D102
+    def prepare(  # noqa: D102
+        self,
+        betas: ArrayLike = (),
+        vertices: Any = None,
+        expression: Any = None,
+        dynamics: Any = None,
+    ) -> "PreparedBody": ...
     def _in(self, kind: Kind) -> RestSkeleton: ...
 
 
@@ -107,9 +116,7 @@ class PreparedBody:
             )
             return model.prepare(kind.array(self.betas), self.vertices, *given)(pose, trans)
         pose = model.full_pose(pose, kind)
-        place = (
-            kind.zeros(3) if trans is None else read_vectors(trans, kind, (3,), "trans", model.name)
-        )
+        place = model.full_trans(trans, kind)
         batch = broadcast_shapes(pose.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
         if are_plain(kind, pose, place, self.rest_joints, self.coefficients):
             return self._surface(*self._compiled(pose, place, batch))
@@ -191,3 +198,92 @@ class PreparedBody:
             model.skinning, unflatten(rest, -1, (3, -1)), motions, place, self.rows.influences
         )
         return vertices, world[..., 3] + place[..., None, :]
+
+
+def are_plain(kind: Kind, *arrays: Array | None) -> bool:
+    """Whether these are only numbers: no gradient is asked for, no transform of torch wraps
+    them.
+    """
+    if kind.xp is np:
+        return True
+    torch = sys.modules["torch"]
+    if (
+        kind.device.type != "cpu"
+        or kind.dtype not in (torch.float32, torch.float64)
+        or torch.compiler.is_compiling()
+    ):
+        return False
+    given = [array for array in arrays if array is not None]
+    if torch.is_grad_enabled() and any(array.requires_grad for array in given):
+        return False
+    return torch.autograd.forward_ad._current_level < 0 and not any(map(_is_wrapped, given))
+
+
+def _is_wrapped(array: Any) -> bool:
+    torch = sys.modules["torch"]
+    return type(array) is not torch.Tensor or torch._C._functorch.is_functorch_wrapped_tensor(array)
+
+
+def posed_surface(
+    rows: VertexRows,
+    shaped: Float[Array, " M"] | None,
+    rest_joints: Float[Array, "*#batch J 3"],
+    parents: tuple[int, ...],
+    driven: tuple[PoseFeatures, Float[Array, "*#batch C"], int, list[int]],
+    skinning: str,
+    pose: Float[Array, "*#batch J 3"],
+    trans: Float[Array, "*#batch 3"],
+    batch: tuple[int, ...],
+    kind: Kind,
+) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
+    """Posed vertices and joints (m) in the kind given, as `PreparedBody` says.
+
+    ``shaped`` is the rest surface where all share one. ``driven``: the kind of pose features, the
+    coefficients of shape and expression, how many of these the features are multiplied with, and
+    the joints whose features count.
+    """
+    count = int(np.prod(batch, dtype=int))
+    pose = _stacked(pose, 2, batch, count, whole=True)
+    joints = _stacked(rest_joints, 2, batch, count)
+    places = _stacked(trans, 1, batch, count, whole=True)
+    motions, posed, entries = joint_motions(pose, joints, np.array(parents))
+    features, betas, shape_features, drivers = driven
+    coefficients = [] if shaped is not None else [_stacked(betas, 1, batch, count, whole=True)]
+    local = None
+    if rows.posedirs is not None:
+        feature = features.of_pose(
+            pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype), drivers
+        )
+        shapes = _stacked(betas[..., :shape_features], 1, batch, count)
+        local = None if rows.local is None else (rows.local, np.ascontiguousarray(feature))
+        coefficients += [] if local else [extended(feature, shapes, shape_features)]
+    base = to_numpy(rows.template if shaped is None else shaped)
+    bases = to_numpy(rows.blend_shapes)
+    bases = bases[0 if shaped is None else rows.num_shapes : rows.num_shapes if local else None]
+    together = (
+        np.concatenate(coefficients, axis=-1) if coefficients else np.zeros((count, 0), pose.dtype)
+    )
+    index = to_numpy(rows.influences.index)
+    value = to_numpy(rows.influences.value)
+    vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning, local)
+    posed += places[:, None]
+    return tuple(
+        _in_kind(found.reshape(*batch, found.shape[1], 3), kind) for found in (vertices, posed)
+    )  # pyright: ignore
+
+
+def _stacked(
+    array: Array, axes: int, batch: tuple[int, ...], count: int, whole: bool = False
+) -> np.ndarray:
+    """The batch axes as one: of length 1 where all of a batch share the values (unless ``whole``),
+    else ``count``.
+    """
+    plain = to_numpy(array)
+    last = array.shape[array.ndim - axes :]
+    if not whole and plain.size == np.prod(last, dtype=int):
+        return plain.reshape(1, *last)
+    return np.ascontiguousarray(np.broadcast_to(plain, (*batch, *last))).reshape(count, *last)
+
+
+def _in_kind(array: np.ndarray, kind: Kind) -> Array:
+    return array if kind.xp is np else kind.xp.from_numpy(array)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.body.prepared import PreparedBody
-from habitus.body.rings import Ring
+from habitus.body.tapes import Ring
 
 HANGING = np.deg2rad(83.0)
 """Of the arms below the level."""

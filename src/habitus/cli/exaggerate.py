@@ -40,7 +40,7 @@ NEEDS = ("habitus.jobs.motions",)
 
 def run(options: Exaggerate, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
-    from habitus.body.exaggeration import USUAL, skin_motion
+    from habitus.body.soft_tissue import USUAL, skin_motion
     from habitus.jobs.motions import exaggerate
 
     console = console or screen()

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.kinematics import descends
 from habitus.body.model import BodyModel
+from habitus.body.skinning import descends
 from habitus.errors import HabitusError
 
 ANGLES = tuple(range(-90, 91, 10))

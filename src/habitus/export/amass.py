@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from habitus import __version__
 from habitus.body.joint_layouts import SMPLH
 from habitus.body.model import BodyModel
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.npz import write_arrays
 from habitus.parallel.blocks import mapped
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.fit.markers.result import MarkerFit

@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.body.soft_tissue import dynamics_of
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.correctives import (
     Block,
@@ -34,6 +33,7 @@ from habitus.export.correctives import (
 )
 from habitus.export.usual_poses import sampled_rotations
 from habitus.parallel.blocks import thinned
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.body.up import up_rotation
 from habitus.export.animation import Animation, animate
 from habitus.export.euler import continuous_angles
 from habitus.files import atomic_write
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -11,10 +11,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from habitus.body.joint_angles import Chains, joint_angles
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, shown
 from habitus.export.euler import continuous_angles
 from habitus.files import atomic_write
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -10,7 +10,6 @@ import numpy as np
 from habitus.body.motion import BodyMotion, Moving
 from habitus.body.recentred import recentred_arrays
 from habitus.body.surface_files import write_surface
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.animation import Animation, body_at
 from habitus.export.bvh import write_bvh
@@ -25,6 +24,7 @@ from habitus.export.points import write_points
 from habitus.export.rates import at_rate
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.fit.markers.result import MarkerFit
+from habitus.rotations import up_rotation
 
 
 @dataclass(frozen=True)

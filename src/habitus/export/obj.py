@@ -9,8 +9,8 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.surface_files import face_lines, obj_lines
-from habitus.body.up import up_rotation
 from habitus.files import atomic_write
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

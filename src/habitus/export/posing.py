@@ -7,9 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.up import up_rotation
 from habitus.export.osc import Bundles, Message
-from habitus.rotations import quaternion_from_matrix, quaternion_from_rotvec, quaternion_multiply
+from habitus.rotations import (
+    quaternion_from_matrix,
+    quaternion_from_rotvec,
+    quaternion_multiply,
+    up_rotation,
+)
 
 VMC_PORT = 39539
 OSC_PORT = 9000

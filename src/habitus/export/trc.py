@@ -9,10 +9,10 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
+from habitus.rotations import up_rotation
 
 Unit = Literal["mm", "m"]
 _PER_METRE: dict[str, tuple[float, int]] = {

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.surface_files import SKIN_COLOUR
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.seams import polygons_of
 from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from habitus.body.exaggeration import exaggerated
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion, Moving
+from habitus.body.soft_tissue import exaggerated
 from habitus.export.motion import check_motion_path, export_motion
 from habitus.fit.retarget.recipe import Retargeting, retargeted
 from habitus.io.people import read_motion

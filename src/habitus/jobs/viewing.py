@@ -11,7 +11,6 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError, require_extra
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.points.scan import Scan
@@ -21,6 +20,7 @@ from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.io.scans import ENDINGS, read_scan
 from habitus.report.live import HOST
 from habitus.report.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
+from habitus.rotations import UP_AXES, up_rotation
 from habitus.types import PathLike
 
 SPACING = 1.2  # metres between neighbours on the page

@@ -3,7 +3,9 @@ when first called.
 """
 
 import gc
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from numba import njit
 from numba.core import event
@@ -18,7 +20,6 @@ FILES = (
     "mesh/normal_kernels.py",
     "mesh/intersection_kernels.py",
     "body/kernels.py",
-    "body/local_shapes.py",
     "observe/marker_slots.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
@@ -77,14 +78,14 @@ class _Undisturbed(event.Listener):
 event.register("numba:compile", _Undisturbed())
 
 
-def jit(function, **options):
+def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile `function` at its first call and keep the result on disk until one of `FILES`
     changes.
 
     numba itself watches only the file of the function, not those of the functions that were
     compiled into it. A wrapper for C, which nothing here calls, would take a tenth of the time.
     """
-    dispatcher = njit(
+    dispatcher: Any = njit(
         cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
     )(function)
     cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
@@ -96,7 +97,7 @@ def jit(function, **options):
     return dispatcher
 
 
-def jit_noalloc(function):
+def jit_noalloc(function: Callable[..., Any]) -> Callable[..., Any]:
     """`jit` for functions that allocate no arrays: numba's reference counting is left out.
 
     In the short SIMD functions the counting would cost more than the work.
@@ -104,7 +105,7 @@ def jit_noalloc(function):
     return jit(function, _nrt=False)
 
 
-def jit_inline(function):
+def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
     """`jit_noalloc` for device functions that only kernels call: not callable from Python, and not
     cached.
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.body.pose_shapes import of_joints
+from habitus.body.pose_features import of_joints
 from habitus.learn.posing.rig import Rig
 from habitus.learn.shape.shape_space import ShapeSpace
 from habitus.mesh.template import Template

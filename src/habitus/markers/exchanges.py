@@ -202,8 +202,8 @@ def _verdict(evidence: Cosines, fewest: int, surely: float) -> float:
 
 
 def _runs(
-    first: Points, second: Points, order: Points, gaps: Int[np.ndarray, " S"]
-) -> tuple[Int[np.ndarray, " S"], Cosines]:
+    first: Points, second: Points, order: Points, gaps: Int[np.ndarray, " T-1"]
+) -> tuple[Int[np.ndarray, " T"], Cosines]:
     """Run number of each seen frame, and +1 or -1: how its order relates to the start of its
     run.
     """

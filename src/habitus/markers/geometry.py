@@ -80,7 +80,7 @@ def toward(start: Points | None, end: Points | None) -> Points | None:
     return None if start is None or end is None else unit(end - start)
 
 
-def along(first: Points | None, second: Points | None) -> Cosines:
+def along(first: Points | None, second: Points | None) -> Float[np.ndarray, " _"]:
     """(T,) cosine between directions; an empty array where one lacks."""
     return np.empty(0) if first is None or second is None else np.sum(first * second, axis=-1)
 

@@ -22,7 +22,7 @@ Key = tuple[str, int]
 
 
 def match_together(
-    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]],
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "_ _ 3"]]],
     candidates: Sequence[MarkerLayout],
 ) -> tuple[LayoutMatch, ...]:
     """One match for each of several captures of the same person in the same session: same places

@@ -172,7 +172,7 @@ class Camera:
         return Camera.of(width, height, k.diagonal()[:2], k[:2, 2] + 0.5, r, t, d, near, dtype)
 
     @property
-    def batch_shape(self) -> torch.Size:
+    def batch_shape(self) -> tuple[int, ...]:
         """The leading axes of all fields together."""
         fields = (getattr(self, name) for name in _SIZES)
         return broadcast_shapes(*(value.shape[:-1] for value in fields if value is not None))

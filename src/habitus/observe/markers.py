@@ -91,12 +91,12 @@ def predict_markers(
 def attach(
     latent_markers: Float[np.ndarray, "M 3"],
     rest_vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
+    faces: Int[np.ndarray, "F 3"] | None,
     *,
     triangles: Int[np.ndarray, "M 3"] | None = None,
 ) -> MarkerAttachment:
     """Express latent markers (rest pose, metres) in the bases of their closest triangles or of
-    given ones (vertex ids).
+    given ones (vertex ids), for which ``faces`` may be None.
 
     Raises HabitusError where a marker is not finite or its triangle has no area.
     """
@@ -107,6 +107,8 @@ def attach(
             f"latent markers must be finite and (M, 3), got {points.shape}; drop the missing ones"
         )
     if triangles is None:
+        if faces is None:
+            raise HabitusError("faces are None; expected faces (F, 3) or triangles (M, 3)")
         triangles = closest_triangles(points, vertices, faces)
     origin, basis = triangle_bases(vertices, triangles)
     unit = np.linalg.det(basis)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.kinematics import ancestors
 from habitus.body.model import BodyModel
+from habitus.body.skinning import ancestors
 from habitus.errors import HabitusError
 from habitus.learn.start.segmentation import ring_regressor
 from habitus.mesh.normals import vertex_normals

@@ -19,14 +19,13 @@ from jaxtyping import Float, Int, UInt8
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.body.up import up_rotation
 from habitus.errors import require_extra, shown
 from habitus.export.png import small_png
 from habitus.files import atomic_write
 from habitus.report.drawing import axes_from, draw_surface, shade_palette, shades
 from habitus.report.index import LEVELS, Facts, facts_of
 from habitus.report.shell import MAX_NAME, MAX_REASON, THEME, asset, shell
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import matrix_from_rotvec, up_rotation
 
 MAX_PICTURES = 20_000
 """Captures up to which the page shows pictures of them: it holds some 3 kB for each."""

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.body.up import up_rotation
 from habitus.report.shell import measurement_text
+from habitus.rotations import up_rotation
 
 MAX_BETAS = 10
 """Shape coefficients that have a slider."""

@@ -22,9 +22,9 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.jacobians import posed_skeleton, surface_jacobian
-from habitus.body.kinematics import descends
-from habitus.body.local_shapes import without_zeros
+from habitus.body.kernels import without_zeros
 from habitus.body.model import BodyModel
+from habitus.body.skinning import descends
 from habitus.errors import HabitusError
 from habitus.residuals.point_kernels import (
     mark_corners,

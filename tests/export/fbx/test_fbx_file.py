@@ -10,11 +10,11 @@ from read_fbx import TICKS, Fbx
 from synthetic_fit import synthetic_fit, tube_body
 from two_levels import write_two_levels
 
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.export.fbx.write import write_fbx
 from habitus.export.obj import fitted_vertices
 from habitus.io.models.bodies import load_body
+from habitus.rotations import up_rotation
 
 FRAMES = (0, 7, 19)
 

@@ -10,14 +10,13 @@ from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import recentred
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.retarget import recipe
 from habitus.fit.retarget.contacts import find_soles, ground_height, standing
 from habitus.fit.retarget.feet import corrections
 from habitus.fit.retarget.legs import legs_of, reach, skeleton_of
 from habitus.fit.retarget.recipe import retargeted
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import matrix_from_rotvec, up_rotation
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,9 @@ from browser import chromium, visit
 from PIL import Image
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.body.up import up_rotation
 from habitus.observe.markers import MarkerAttachment
 from habitus.report.fit.page import report_page
+from habitus.rotations import up_rotation
 
 # Draws the body alone, white on black, and writes down its silhouette, camera, and joints.
 PROBE = """

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from habitus.body.kinematics import skinning_motions, world_motions
+from habitus.body.skinning import skinning_motions, world_motions
 from habitus.rotations import matrix_from_rotvec, quaternion_from_rotvec
 
 SIDES = ("left", "right")

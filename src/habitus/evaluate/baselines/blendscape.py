@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import flatten
-from habitus.body.kinematics import descends
+from habitus.body.skinning import descends
 from habitus.evaluate.baselines.triangle_frames import Stitching, stitching
 from habitus.evaluate.surface_fit import Columns, FittedToSurfaces
 from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec

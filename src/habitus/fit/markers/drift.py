@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.kinematics import world_motions
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.skinning import world_motions
 from habitus.fit.markers.sequence import SequenceResult, fit_sequence
 from habitus.fit.markers.settings import DRIFT, SUSPECTS, DriftSettings, SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.arrays import runs
-from habitus.body.kinematics import descends
+from habitus.body.skinning import descends
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.parallel.blocks import mapped
 

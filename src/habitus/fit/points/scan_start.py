@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from habitus.body.kinematics import descends
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
 from habitus.body.prior import PosePrior
+from habitus.body.skinning import descends
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.points.correspondences import TURN
 from habitus.fit.points.scan import Cloud

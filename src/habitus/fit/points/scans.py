@@ -27,7 +27,6 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.body.up import UP_AXES, up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology, hidden_vertices, nearest, vertex_weights
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
@@ -47,7 +46,7 @@ from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
-from habitus.rotations import matrix_from_rotvec
+from habitus.rotations import UP_AXES, matrix_from_rotvec, up_rotation
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 FREE_POINTS = 20_000

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.kinematics import world_motions
 from habitus.body.motion import BodyMotion
+from habitus.body.skinning import world_motions
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SOFT = np.deg2rad(8.0)

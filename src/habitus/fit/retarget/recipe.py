@@ -15,12 +15,11 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import FROM
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.retarget.contacts import Soles, find_soles, ground_height, standing
 from habitus.fit.retarget.feet import corrections
 from habitus.fit.retarget.legs import Leg, Skeleton, bones, legs_of, reach, skeleton_of
-from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix, up_rotation
 
 STRAIGHT = 0.998
 """Share of its length to which a leg may be stretched where the source's was less."""

@@ -18,8 +18,7 @@ import numpy as np
 
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
-from habitus.body.pose_features import find_pose_features
-from habitus.body.pose_shapes import of_joints
+from habitus.body.pose_features import find_pose_features, of_joints
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.files import atomic_write

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from habitus.body.motion_controls import CONTROLS
+from habitus.body.dynamics import CONTROLS
 from habitus.errors import HabitusError
 
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.dynamics import Dynamics, companion
+from habitus.body.dynamics import Dynamics, companion, motion_controls
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
-from habitus.body.motion_controls import motion_controls
 from habitus.learn.dynamics.components import Components, principal_components
 from habitus.learn.dynamics.options import DynamicsOptions
 from habitus.learn.dynamics.regression import Choice, Example, learn_regressor

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.kinematics import ancestors
+from habitus.body.skinning import ancestors
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
-from habitus.body.kinematics import world_motions
+from habitus.body.skinning import world_motions
 from habitus.learn.estimate import PosedTarget, Problem, weighted
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.poses import surface_jacobians

@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.body.up import up_rotation
 from habitus.errors import HabitusError
 from habitus.fit.markers.result import MarkerFit
+from habitus.rotations import up_rotation
 
 M = TypeVar("M", bound=Moving)
 ALIGN = ("auto", "none", "rigid")

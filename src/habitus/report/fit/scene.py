@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from habitus.body.joint_angles import joint_angles
-from habitus.body.up import up_rotation
 from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.export.obj import fitted_vertices
 from habitus.fit.markers.result import MarkerFit
@@ -19,6 +18,7 @@ from habitus.mesh.signed_distance import signed_distance
 from habitus.parallel.blocks import mapped, thinned
 from habitus.report.blob import Blob
 from habitus.results.metrics import marker_means
+from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
