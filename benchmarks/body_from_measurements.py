@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 import habitus
-from habitus.body.from_measurements import PRECISION, estimate_body
+from habitus.fit.from_measurements import PRECISION, estimate_body
 
 sys.path.insert(0, str(ROOT))
 from tools.default_body.soldiers import Soldiers, measured, read_soldiers, slopes

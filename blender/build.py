@@ -13,9 +13,9 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 import habitus
-from habitus.body.from_measurements import MOST_SD
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.measurements import volume
+from habitus.fit.from_measurements import MOST_SD
 
 HERE = Path(__file__).resolve().parent
 NEAR = 0.06

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from habitus.body.from_measurements import BodyEstimate, Given, estimate_body
 from habitus.body.model import BodyModel
 from habitus.body.surface_files import write_surface
 from habitus.errors import HabitusError
 from habitus.export.npz import shape_arrays, write_arrays
+from habitus.fit.from_measurements import BodyEstimate, Given, estimate_body
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 

@@ -10,7 +10,7 @@ from synthetic_fit import tube_body
 
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.selection.full import best_states, fit_surface, full_error
+from habitus.fit.selection.full import best_states, fit_surface, full_error, surface_terms
 from habitus.fit.selection.greedy import ADD, REMOVE, additions, removals, set_error, step_errors
 from habitus.fit.selection.problem import (
     GOALS,
@@ -102,13 +102,30 @@ def test_a_surface_of_the_body_is_found_again(scene):
     surface = scene.body(one.betas, one.pose, one.trans).vertices
     every = np.arange(scene.body.num_vertices)
     start = replace(one, pose=one.pose + 0.05, surface=surface)
-    found = fit_surface(scene.body, scene.prior, start, every, surface, 1e-4)
+    found, status = fit_surface(scene.body, scene.prior, start, every, surface, 1e-4)
+    assert status == "converged"
     assert (
         np.linalg.norm(
             scene.body(found.betas, found.pose, found.trans).vertices - surface, axis=1
         ).max()
         < 2e-4
     )
+
+
+def test_derivatives_of_the_surface_terms_are_those_of_their_residuals(scene):
+    one = scene.people[0]
+    chosen = np.arange(0, scene.body.num_vertices, 40)
+    terms = surface_terms(scene.body, scene.prior, chosen, one.surface[chosen], 0.004)
+    values = {"betas": one.betas, "pose": one.pose, "trans": one.trans}
+    for term in terms.values():
+        found = term(values)
+        jacobians = found.jacobians() if callable(found.jacobians) else found.jacobians
+        for name, value in values.items():
+            step = 1e-6
+            moved = value.copy()
+            moved.flat[-1] += step
+            slope = (term(values | {name: moved}).value - found.value) / step
+            np.testing.assert_allclose(jacobians[name][:, -1], slope, atol=1e-4)
 
 
 @pytest.mark.parametrize("goal", GOALS)

@@ -1,8 +1,7 @@
-"""The fits themselves (M eq. 12): state from some vertices of a surface, by Gauss-Newton with
-MoSh's priors.
-"""
+"""The fits themselves (M eq. 12): state from some vertices of a surface with MoSh's priors."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,9 +9,19 @@ from jaxtyping import Float, Int
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.selection.problem import NOISE, Posed, by_state, precision
+from habitus.solve.least_squares import Tolerances
+from habitus.solve.minimize import minimize
+from habitus.solve.terms import Term
 
-STEPS = 12
-_ENOUGH = 1e-5  # change of the state at which it is the best
+_STEPS = 40  # accepted and refused
+_TOLERANCES = Tolerances(cost=1e-10, step=1e-8)
+
+
+class SurfaceFit(NamedTuple):
+    """The likeliest state, and how the solve ended (`habitus.solve.least_squares.SolveResult`)."""
+
+    person: Posed
+    status: str
 
 
 def fit_surface(
@@ -22,23 +31,50 @@ def fit_surface(
     vertices: Int[np.ndarray, " n"],
     points: Float[np.ndarray, "n 3"],
     noise: float = NOISE,
-) -> Posed:
-    """The likeliest state of a body of whose ``vertices`` the places ``points`` (m) are known,
-    begun at ``start``.
+) -> SurfaceFit:
+    """The likeliest state of a body whose ``vertices`` are observed at ``points`` (m), begun at
+    ``start``.
+    """
+    found = minimize(
+        surface_terms(body, prior, vertices, points, noise),
+        {"betas": start.betas, "pose": start.pose, "trans": start.trans},
+        "dogleg",
+        max_iterations=_STEPS,
+        tolerances=_TOLERANCES,
+    )
+    return SurfaceFit(Posed(**found.values, surface=start.surface), found.status)
+
+
+def surface_terms(
+    body: BodyModel,
+    prior: PosePrior,
+    vertices: Int[np.ndarray, " n"],
+    points: Float[np.ndarray, "n 3"],
+    noise: float = NOISE,
+) -> dict[str, Term]:
+    """The energy of betas (B,), pose (J, 3) and trans (3,): vertices against points with the
+    standard deviation ``noise`` (m), and MoSh's priors (`habitus.fit.selection.problem.precision`).
     """
     trust = precision(body, prior)
+    root = np.linalg.cholesky(trust).T
     mean = _mean(body, prior)
-    state = _vector(start)
-    for _ in range(STEPS):
-        now = _posed(body, state, start.surface)
-        moved = by_state(body, now, vertices).reshape(3 * len(vertices), -1) / noise
-        here = body(now.betas, now.pose, now.trans, vertices=vertices).vertices
-        left = (points - here).ravel() / noise
-        step = np.linalg.solve(moved.T @ moved + trust, moved.T @ left + trust @ (mean - state))
-        state = state + step
-        if np.abs(step).max() < _ENOUGH:
-            break
-    return _posed(body, state, start.surface)
+    split = [body.num_betas, len(mean) - 3]
+
+    def by_name(jacobian: np.ndarray) -> dict[str, np.ndarray]:
+        return dict(zip(("betas", "pose", "trans"), np.split(jacobian, split, axis=1), strict=True))
+
+    def data(betas, pose, trans):
+        def jacobians():
+            moved = by_state(body, Posed(betas, pose, trans, points), vertices)
+            return by_name(moved.reshape(3 * len(vertices), -1))
+
+        return body(betas, pose, trans, vertices=vertices).vertices - points, jacobians
+
+    def priors(betas, pose, trans):
+        state = np.concatenate([betas, pose.ravel(), trans])
+        return root @ (state - mean), by_name(root)
+
+    return {"data": Term(data, 1.0 / noise**2), "priors": Term(priors)}
 
 
 def best_states(
@@ -50,7 +86,8 @@ def best_states(
 ) -> tuple[Posed, ...]:
     """Each person at the state that fits many ``vertices`` of their surface best."""
     return tuple(
-        fit_surface(body, prior, one, vertices, one.surface[vertices], noise) for one in people
+        fit_surface(body, prior, one, vertices, one.surface[vertices], noise).person
+        for one in people
     )
 
 
@@ -70,7 +107,9 @@ def full_error(
     """
     squares = []
     for one, off in zip(people, offsets, strict=True):
-        found = fit_surface(body, prior, one, chosen, one.surface[chosen] + off[chosen], noise)
+        found = fit_surface(
+            body, prior, one, chosen, one.surface[chosen] + off[chosen], noise
+        ).person
         here = body(found.betas, found.pose, found.trans, vertices=judged).vertices
         squares.append(((here - one.surface[judged]) ** 2).sum(-1).mean())
     return float(np.sqrt(np.mean(squares)))
@@ -80,12 +119,3 @@ def _mean(body: BodyModel, prior: PosePrior) -> np.ndarray:
     pose = np.zeros(3 * body.num_joints)
     pose[3:] = prior.for_joints(body.joint_names).mean
     return np.concatenate([np.zeros(body.num_betas), pose, np.zeros(3)])
-
-
-def _vector(person: Posed) -> np.ndarray:
-    return np.concatenate([person.betas, person.pose.ravel(), person.trans])
-
-
-def _posed(body: BodyModel, state: np.ndarray, surface: np.ndarray) -> Posed:
-    count = body.num_betas
-    return Posed(state[:count], state[count:-3].reshape(-1, 3), state[-3:], surface)

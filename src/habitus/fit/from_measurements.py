@@ -2,9 +2,12 @@
 open.
 
 Shape coefficients are normal of unit variance about those of the mean person that a survey measured
-(zero, where the body knows of none); a measurement m(betas) is known to a standard deviation: the
-likeliest betas are a Gaussian's conditional mean where m is linear, and are found by Gauss-Newton
-steps of it where it bends.
+(zero, where the body knows of none); a measurement m(betas) is known to a standard deviation. The
+likeliest betas are the minimum of
+
+    |betas - mean|^2 + sum over given measurements k of (m_k(betas) - value_k)^2 / sd_k^2,
+
+by `habitus.solve`. Their covariance is that of the problem linearised there.
 """
 
 from collections.abc import Mapping
@@ -17,6 +20,9 @@ from scipy.special import chdtrc, ndtri
 from habitus.body.measurement_names import find_measurement
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.solve.least_squares import Tolerances
+from habitus.solve.minimize import minimize
+from habitus.solve.terms import Term
 
 Given = float | tuple[float, float]
 PRECISION = 0.002
@@ -25,10 +31,10 @@ m.
 """
 MOST_SD = 6.0
 """Nobody is further from the mean person than this."""
-_STEPS = 30
-_SMALL = 1e-3
-_STEP = 0.05
-_LONGEST = 2.0
+_STEPS = 60  # accepted and refused; people within 6 sd take fewer than ten
+_SMALL = 1e-5  # of the betas' length: the step after it would be its square
+_STEP = 0.05  # sd: difference quotient of the measurements by the betas
+_LONGEST = 2.0  # sd: longest step of a coefficient; measurements are linear within it
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +45,8 @@ class BodyEstimate:
     person's, all of them (m, kg), and ``spread`` how far each is left open by what was given: a
     standard deviation. ``given`` is what was asked for. ``sd_from_mean`` says how rare such a
     person is: as a normal variable so many sd from its mean. ``space`` and ``age`` (years) say
-    which body it is, where it was made for an age.
+    which body it is, where it was made for an age. ``status``: how the solve ended
+    (`habitus.solve.least_squares.SolveResult`).
     """
 
     body: BodyModel
@@ -51,6 +58,7 @@ class BodyEstimate:
     sd_from_mean: float
     space: str = ""
     age: float | None = None
+    status: str = "converged"
 
     @property
     def betas_sd(self) -> Float[np.ndarray, " B"]:
@@ -75,7 +83,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
     names = list(wanted)
     rows = [every.index(name) for name in names]
     values, noise = np.array([*wanted.values()]).reshape(-1, 2).T
-    betas = _likeliest(body, rows, values, noise)
+    betas, status = _likeliest(body, rows, values, noise)
     found, slopes = _linear(body, betas)
     energy = float(
         np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2)
@@ -98,6 +106,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
         dict(zip(names, values.tolist(), strict=True)),
         rare,
         body.name,
+        status=status,
     )
 
 
@@ -130,19 +139,47 @@ def _read(
 
 def _likeliest(
     body: BodyModel, rows: list[int], values: np.ndarray, noise: np.ndarray
-) -> np.ndarray:
-    """Betas (B,) at which the conditional mean of the measurements, linear there, stays where it
-    is.
+) -> tuple[Float[np.ndarray, " B"], str]:
+    """Betas at the minimum of `measurement_terms`, and how the solve ended."""
+    mean = _typical(body)
+    if not rows:
+        return mean, "converged"
+
+    def too_far(iteration: int, now: dict[str, np.ndarray], cost: float) -> bool:
+        return bool(np.linalg.norm(now["betas"]) > 3 * MOST_SD)
+
+    found = minimize(
+        measurement_terms(body, rows, values, noise),
+        {"betas": mean},
+        "dogleg",
+        max_iterations=_STEPS,
+        max_step={"betas": _LONGEST},
+        tolerances=Tolerances(step=_SMALL),
+        callback=too_far,
+    )
+    return found.values["betas"], found.status
+
+
+def measurement_terms(
+    body: BodyModel,
+    rows: list[int],
+    values: Float[np.ndarray, " K"],
+    noise: Float[np.ndarray, " K"],
+) -> dict[str, Term]:
+    """The energy of betas (B,): |betas - mean person|^2 and the given measurements (``rows`` of all
+    that the body has) against ``values`` in units of ``noise`` (m, kg).
     """
-    mean = betas = _typical(body)
-    for _ in range(_STEPS if rows else 0):
-        found, slopes = (each[rows] for each in _linear(body, betas))
-        step = mean + _gain(slopes, noise) @ (values - found + slopes @ (betas - mean)) - betas
-        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
-        betas = betas + step
-        if np.abs(step).max() < _SMALL or np.linalg.norm(betas) > 3 * MOST_SD:
-            break
-    return betas
+    mean = _typical(body)
+
+    def given(betas):
+        def jacobians():
+            return {"betas": _linear(body, betas)[1][rows] / noise[:, None]}
+
+        here = np.array([each[0] for each in body.measure_people(betas[None]).values()])
+        return (here[rows] - values) / noise, jacobians
+
+    prior = Term(lambda betas: (betas - mean, {"betas": np.eye(len(mean))}))
+    return {"measurements": Term(given), "betas": prior}
 
 
 def _typical(body: BodyModel) -> np.ndarray:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from habitus.body.from_measurements import MOST_SD, estimate_body
 from habitus.errors import HabitusError
+from habitus.fit.from_measurements import MOST_SD, PRECISION, estimate_body, measurement_terms
 from habitus.io.models.bodies import load_body, save_body
 
 
@@ -127,3 +127,20 @@ def test_people_of_mean_height_and_mass_have_the_waists_of_the_survey(sex, heigh
     """Means of civilians drawn from ANSUR II (`tools/default_body/population.py`)."""
     found = estimate_body(load_body(sex), {"height": height, "weight": mass})
     assert found.measurements["waist_circumference_m"] == pytest.approx(waist, abs=0.01)
+
+
+def test_the_solve_says_how_it_ended_and_no_step_away_is_cheaper():
+    body = load_body("neutral")
+    found = estimate_body(body, {"height": 1.82, "waist": 0.95})
+    assert found.status == "converged"
+    names = list(found.measurements)
+    rows = [names.index(name) for name in found.given]
+    values = np.array([*found.given.values()])
+    terms = measurement_terms(body, rows, values, PRECISION * values)
+
+    def cost(betas):
+        return sum(term({"betas": betas}).cost for term in terms.values())
+
+    best = cost(found.betas)
+    for step in 0.02 * np.eye(len(found.betas))[:4]:
+        assert cost(found.betas + step) > best and cost(found.betas - step) > best
