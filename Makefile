@@ -12,8 +12,8 @@ $(USE): pyproject.toml constraints.txt
 	$(PIP) .
 	touch $(USE)
 
-$(STAMP): $(USE)
-	$(PIP) '.[test]'
+$(STAMP): $(USE) lab/pyproject.toml
+	$(PIP) '.[test]' --editable lab
 	touch $(STAMP)
 
 demo: $(USE)

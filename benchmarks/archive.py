@@ -43,7 +43,7 @@ from habitus.body.motion import BodyMotion
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.models.priors import load_pose_prior
-from habitus.population.captures import Faults, smooth_motion
+from habitus.observe.simulated_markers import Faults, smooth_motion
 
 WHOLE = 722
 SUBJECTS = 39

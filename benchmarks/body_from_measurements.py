@@ -26,7 +26,7 @@ import habitus
 from habitus.fit.from_measurements import PRECISION, estimate_body
 
 sys.path.insert(0, str(ROOT))
-from tools.default_body.soldiers import Soldiers, measured, read_soldiers, slopes
+from habitus_lab.default_body.soldiers import Soldiers, measured, read_soldiers, slopes
 
 GIVEN = (
     ("height_m", "mass_kg"),

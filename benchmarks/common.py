@@ -17,7 +17,7 @@ from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.priors import load_pose_prior
-from habitus.population.captures import Faults, simulate_capture, smooth_motion
+from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 ROOT = Path(__file__).resolve().parents[1]
 CAPTURES = ROOT.parent / "shared" / "mocap"

@@ -34,10 +34,10 @@ from habitus.fit.points.scan_fitting import ModelStep
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.state import ModelState
+from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
-from habitus.population.held_out import FLESH, smooth_field
-from habitus.population.scans import BONY, Scanner, scanned, stance
+from habitus_lab.population.scans import BONY, Scanner, scanned, stance
 
 POSES = ("A", "elbows bent", "step")
 UNSEEN = "arms forward"

@@ -2,7 +2,7 @@
 does it come to rest?
 
 Smooth blend shapes of the default body's coarse level swing as damped oscillators that its joints
-drive. People of other shapes move (`habitus.population.captures.smooth_motion`), and the training
+drive. People of other shapes move (`habitus.observe.simulated_markers.smooth_motion`), and the training
 sees their surfaces, with noise.
 """
 
@@ -29,8 +29,8 @@ from habitus.learn.dynamics.options import DynamicsOptions
 from habitus.learn.dynamics.sequences import MovingSurface
 from habitus.learn.dynamics.train import learn_dynamics, swinging
 from habitus.mesh.registrations import Registrations
+from habitus.observe.simulated_markers import smooth_motion
 from habitus.parallel.workers import Threads
-from habitus.population.captures import smooth_motion
 
 RATE = 60.0
 COUNT = 8

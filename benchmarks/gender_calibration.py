@@ -5,7 +5,7 @@ trials of one subject.
     ../shared/mocap]
 
 SURVEY_FOLDER holds the two public tables of ANSUR II. Soldiers are held out five-fold: for each
-number of betas the machine is fitted to the others (`tools/default_body/gender.py`) and judged on
+number of betas the machine is fitted to the others (`lab/src/habitus_lab/default_body/gender.py`) and judged on
 them: accuracy, expected calibration error (ten bins), and how often it says that it cannot tell.
 The same with betas that a fit to markers would leave (``--error`` each), told so and not told so.
 Then pairs of captures of one subject are fitted with the neutral body, each by itself, and
@@ -31,8 +31,8 @@ from habitus.body.gender import female_probability, said_of
 from habitus.results.metrics import fit_female_probability
 
 sys.path.insert(0, str(ROOT))
-from tools.default_body.gender import calibrated, expected_calibration_error, judged
-from tools.default_body.soldiers import read_soldiers, soldiers_betas
+from habitus_lab.default_body.gender import calibrated, expected_calibration_error, judged
+from habitus_lab.default_body.soldiers import read_soldiers, soldiers_betas
 
 COUNTS = (5, 10, 15, 20, 24)
 FOLDS = 5

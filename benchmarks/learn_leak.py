@@ -43,9 +43,9 @@ from habitus.learn.start.first_estimate import edge_poses
 from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import joints_near_rings, planted_truth
-from habitus.population.registrations import Planted, planted_registrations
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import joints_near_rings, planted_truth
+from habitus_lab.population.registrations import Planted, planted_registrations
 
 BETAS = 5
 ALONE = Threads(1)

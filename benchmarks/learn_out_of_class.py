@@ -6,7 +6,7 @@ BlendSCAPE on the same data.
 
 Registrations come from dual quaternion skinning plus bulges that follow joint angles in a way that
 rotation matrices do
-not span, and that grow with a person's girth (`habitus.population.bulging_flesh`), with noise of 1
+not span, and that grow with a person's girth (`habitus_lab.population.bulging_flesh`), with noise of 1
 mm RMS. Every
 model is trained on the same registrations, held-out poses of held-out people are fitted (S 5.1).
 Errors are mean
@@ -50,10 +50,10 @@ from habitus.io.registrations.templates import body_template
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.train import TrainedBody, poses_of, train_body
 from habitus.parallel.workers import Threads
-from habitus.population.bulging_flesh import out_of_class_surface
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import joints_near_rings
-from habitus.population.registrations import PAPERS_SIZE, Planted, planted_registrations
+from habitus_lab.population.bulging_flesh import out_of_class_surface
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import joints_near_rings
+from habitus_lab.population.registrations import PAPERS_SIZE, Planted, planted_registrations
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "SMPL-LBS": {},

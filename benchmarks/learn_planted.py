@@ -43,9 +43,9 @@ from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.posing.surface import skeleton
 from habitus.learn.train import TrainedBody, train_body
 from habitus.parallel.workers import Threads
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import joints_near_rings, planted_truth
-from habitus.population.registrations import PAPERS_SIZE, Planted, planted_registrations
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import joints_near_rings, planted_truth
+from habitus_lab.population.registrations import PAPERS_SIZE, Planted, planted_registrations
 
 GOALS = {"noisy": 1.3, "clean": 0.8, "joints": 5.0, "hours": 3.0, "gigabytes": 8.0}
 SIZES: dict[str, dict[str, Any]] = {

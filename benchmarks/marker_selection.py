@@ -18,6 +18,7 @@ from scipy.stats import spearmanr
 
 from habitus.fit.selection.full import best_states, full_error
 from habitus.fit.selection.greedy import removals, set_error
+from habitus.fit.selection.held_out import held_out_people
 from habitus.fit.selection.problem import (
     NOISE,
     Candidates,
@@ -28,7 +29,6 @@ from habitus.fit.selection.problem import (
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
-from habitus.population.held_out import held_out_people
 
 SIZES = (8, 12, 16, 20, 25, 35, 47, 60, 80)
 SETS = 3

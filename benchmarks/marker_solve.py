@@ -38,7 +38,7 @@ from habitus.io.models.priors import load_pose_prior
 from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import attach, default_markers
-from habitus.population.captures import smooth_motion
+from habitus.observe.simulated_markers import smooth_motion
 from habitus.solve.sequence.solver import SequenceOptions
 
 TIGHT = SequenceOptions(tolerance=1e-7, cost_tolerance=0.0, sweeps=400)

@@ -14,7 +14,7 @@ import numpy as np
 from habitus.fit.markers.drift import limb_axes, limb_of
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
-from habitus.population import marker_faults as faults
+from habitus_lab.population import marker_faults as faults
 
 Spoilt = tuple[np.ndarray, list[int]]
 

@@ -41,6 +41,7 @@ from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
 from habitus.io.models.priors import load_pose_prior
@@ -48,8 +49,7 @@ from habitus.jobs.selection import Selection, select_markers
 from habitus.jobs.subjects import leave_out, person
 from habitus.markers.placements import PlacementPrior
 from habitus.observe.markers import attach, triangle_bases
-from habitus.population.captures import misplace, smooth_motion
-from habitus.population.held_out import FLESH, smooth_field
+from habitus.observe.simulated_markers import misplace, smooth_motion
 from habitus.results.metrics import fit_female_probability
 
 COUNTS = (5, 10, 25, 47, 67)

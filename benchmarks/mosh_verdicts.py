@@ -5,7 +5,7 @@ fitted and judged.
     people" clean]
 
 Every capture is cut to some frames in its middle and fitted as it is, and again after each way of
-spoiling it (`habitus.population.spoilt`, and another layout than its own). Goals: no spoilt copy is
+spoiling it (`habitus_lab.population.spoilt`, and another layout than its own). Goals: no spoilt copy is
 called good, no clean capture failed. A spoilt copy that is refused with an error counts as not
 called good. JSON holds verdicts, reasons and the numbers they stand on; `--resume` goes on with
 what it holds already.
@@ -34,7 +34,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.evidence import Evidence, evidence
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout, shipped_layouts
-from habitus.population.spoilt import SPOILINGS
+from habitus_lab.population.spoilt import SPOILINGS
 
 CLEAN = "clean"
 WRONG_LAYOUT = "wrong layout"

@@ -10,7 +10,7 @@ over some 8 cm, a quarter of that on hands, feet and head; 100,000 points withou
 triangles are drawn from the body's full level of detail, with 0.5 mm of noise along each axis and
 holes in 8 % of them. Errors are distances of all vertices that can be seen from outside from where
 they truly are, those in holes too. ``--people`` takes people at rest whom no body made
-(`tools/default_body/new_people.py`) and poses them as the default body bends; ``--flesh`` surfaces
+(`lab/src/habitus_lab/default_body/new_people.py`) and poses them as the default body bends; ``--flesh`` surfaces
 of simulated flesh instead, registrations with ``set`` "test" in the topology of the full level.
 Then the same scans from the front alone, in other axes and units, a chair, and non-rigid ICP of
 trimesh, begun from our model. Results are kept one by one beside ``--out`` and taken from there by
@@ -44,8 +44,8 @@ from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import UP, Registrar
 from habitus.jobs.register import made_ready
 from habitus.mesh.intersections import intersecting_pairs
-from habitus.population.scans import STANCES, Scanner, person, scanned, stance
 from habitus.rotations import matrix_from_rotvec, up_rotation
+from habitus_lab.population.scans import STANCES, Scanner, person, scanned, stance
 
 GOALS = {
     "mean_mm": 2.0,
@@ -397,7 +397,9 @@ def main() -> None:
     parser.add_argument("--space", default="neutral", choices=("neutral", "female", "male"))
     parser.add_argument("--flesh", type=Path, nargs="*", default=[])
     parser.add_argument(
-        "--people", type=Path, help="people whom no body made, of tools/default_body/new_people.py"
+        "--people",
+        type=Path,
+        help="people whom no body made, of lab/src/habitus_lab/default_body/new_people.py",
     )
     parser.add_argument(
         "--quick", action="store_true", help="three scans, one of each other kind, 30,000 points"

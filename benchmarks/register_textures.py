@@ -31,10 +31,10 @@ from rich.table import Table
 from habitus.body.jacobians import posed_skeleton
 from habitus.fit.points.scan_colours import with_colours
 from habitus.fit.points.scan_result import ScanFit
+from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.mesh.normals import vertex_normals
-from habitus.population.held_out import FLESH, smooth_field
-from habitus.population.painted_skin import PaintedSkin
-from habitus.population.scans import BONY, Scanner, scanned, stance
+from habitus_lab.population.painted_skin import PaintedSkin
+from habitus_lab.population.scans import BONY, Scanner, scanned, stance
 
 SCANNER = Scanner(points=60_000)
 

@@ -18,8 +18,8 @@ from rgbd_people import MEASURES
 
 from habitus.io.models.bodies import load_body
 from habitus.jobs.rgbd import fit_rgbd
-from habitus.population.rgbd_people import rgbd_scene
 from habitus.report.rgbd import view_pictures
+from habitus_lab.population.rgbd_people import rgbd_scene
 
 SHOWN = (
     "Depth observed",

@@ -6,7 +6,7 @@ sensors? (T 4.6.1)
 Each person is seen in two views 45 degrees apart and fitted, nothing being told of pose, place,
 turn and sex; the table holds surfaces, measurements beside "guess the mean" and the best body of
 the person's sex ("registered scan"), convergence, time. people.npz comes from
-`tools/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth
+`lab/src/habitus_lab/default_body/new_people.py`; without it people are bodies of the model with 4 mm of smooth
 skin off it, which is easier. --cases measures what is lost without colour, without the empty room,
 with one view, with the neutral body and without the steps with colour, at a third of the
 resolution, with forearms folded before the belly, and a start that is a metre and 30 degrees off in
@@ -32,7 +32,7 @@ from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import along_normals
 from habitus.io.models.bodies import load_body
 from habitus.observe.depth_views import RgbdCapture
-from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene
+from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
 
 MEASURES = {
     "height_m": 1.0,
@@ -291,7 +291,7 @@ def _options() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--people", type=Path, help="people.npz of tools/default_body/new_people.py"
+        "--people", type=Path, help="people.npz of lab/src/habitus_lab/default_body/new_people.py"
     )
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])

@@ -18,7 +18,12 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
-from habitus.population.captures import Faults, SyntheticCapture, simulate_capture, smooth_motion
+from habitus.observe.simulated_markers import (
+    Faults,
+    SyntheticCapture,
+    simulate_capture,
+    smooth_motion,
+)
 
 RATE_HZ = 120.0
 SWAPPED = ("LWRA", "LWRB")

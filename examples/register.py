@@ -6,7 +6,7 @@ import numpy as np
 
 import habitus as hb
 from habitus.fit.points.scan import Scan
-from habitus.population.scans import Scanner, person, scanned, stance
+from habitus_lab.population.scans import Scanner, person, scanned, stance
 
 
 def main() -> None:

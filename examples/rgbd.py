@@ -11,7 +11,7 @@ import numpy as np
 
 import habitus as hb
 from habitus.io.rgbd.write import write_views
-from habitus.population.rgbd_people import planted_rest, rgbd_scene
+from habitus_lab.population.rgbd_people import planted_rest, rgbd_scene
 
 
 def main(folder: str = "rgbd-example", scale: float = 0.5) -> None:

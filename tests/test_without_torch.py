@@ -52,7 +52,7 @@ def test_a_capture_becomes_files_without_torch(tmp_path):
         from habitus.io.captures.c3d_write import write_c3d
         from habitus.io.captures.read import Capture
         from habitus.io.models.priors import load_pose_prior
-        from habitus.population.captures import Faults, simulate_capture, smooth_motion
+        from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
         body, layout = habitus.load_body("default"), habitus.load_layout("cmu-41")
         prior, rng = load_pose_prior().for_joints(body.joint_names), np.random.default_rng(0)

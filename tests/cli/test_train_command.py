@@ -14,7 +14,7 @@ from habitus.io.registrations.open import write_registrations
 from habitus.io.registrations.templates import save_template
 from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
-from habitus.population.faults import spoil
+from habitus_lab.population.faults import spoil
 
 QUICK = ("--rounds", "1", "--pose-shapes", "none")
 

@@ -10,8 +10,8 @@ import pytest
 from habitus.errors import HabitusError
 from habitus.evaluate.neck_twist import neck_twist, neck_vertices, twist_joints, twist_pose
 from habitus.io.models.bodies import load_body
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import planted_truth
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import planted_truth
 
 BULGE = 0.02  # m
 

@@ -124,7 +124,7 @@ def test_the_mean_person_goes_with_the_body(body, tmp_path):
     [("female", 1.629, 67.7, 0.862), ("male", 1.756, 81.0, 0.905)],
 )
 def test_people_of_mean_height_and_mass_have_the_waists_of_the_survey(sex, height, mass, waist):
-    """Means of civilians drawn from ANSUR II (`tools/default_body/population.py`)."""
+    """Means of civilians drawn from ANSUR II (`lab/src/habitus_lab/default_body/population.py`)."""
     found = estimate_body(load_body(sex), {"height": height, "weight": mass})
     assert found.measurements["waist_circumference_m"] == pytest.approx(waist, abs=0.01)
 

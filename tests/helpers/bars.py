@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from habitus.population.flesh.cage import Cage, Embedding, positive_cage
-from habitus.population.flesh.flesh import Flesh, held_last, make_flesh
-from habitus.population.flesh.newton import Goal
-from habitus.population.flesh.skin import make_skin
 from habitus.rotations import matrix_from_rotvec
+from habitus_lab.population.flesh.cage import Cage, Embedding, positive_cage
+from habitus_lab.population.flesh.flesh import Flesh, held_last, make_flesh
+from habitus_lab.population.flesh.newton import Goal
+from habitus_lab.population.flesh.skin import make_skin
 
 CUBE = np.array(
     [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]]

@@ -22,7 +22,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.markers import attach
-from habitus.population.captures import misplace, smooth_motion
+from habitus.observe.simulated_markers import misplace, smooth_motion
 
 BETAS = 4
 RATE_HZ = 30.0

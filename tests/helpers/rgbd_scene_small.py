@@ -6,7 +6,7 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.io.models.bodies import load_body
-from habitus.population.rgbd_people import Scene, planted_rest, rgbd_scene
+from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
 
 SCALE = 0.35
 

@@ -6,9 +6,9 @@ from habitus.io.models.bodies import load_body
 from habitus.io.registrations.templates import body_template
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.mesh.template import Template
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import joints_near_rings, planted_truth
-from habitus.population.registrations import Planted, planted_registrations
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import joints_near_rings, planted_truth
+from habitus_lab.population.registrations import Planted, planted_registrations
 
 OPTIONS = TrainOptions(
     rounds=2, tolerance=0.0, num_betas=4, weights=EnergyWeights(joints=5.0, pose_shapes=1.0)

@@ -21,7 +21,7 @@ from habitus.io.layouts.files import load_layout
 from habitus.jobs.ages import told_age
 from habitus.jobs.genders import of_sex
 from habitus.jobs.measuring import measure_file
-from habitus.population.captures import Faults, simulate_capture, smooth_motion
+from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 AGE = 8.0
 

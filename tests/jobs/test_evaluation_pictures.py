@@ -9,8 +9,8 @@ import numpy as np
 from habitus.evaluate.neck_twist import neck_vertices, turned_head, twist_axis
 from habitus.io.models.bodies import load_body
 from habitus.jobs.evaluation_pictures import head_view
-from habitus.population.coarse_bodies import coarse_body
 from habitus.report import drawing
+from habitus_lab.population.coarse_bodies import coarse_body
 
 
 def test_a_neck_is_seen_from_across_whatever_way_it_points():

@@ -16,7 +16,7 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.jobs.genders import choose, of_sex
-from habitus.population.captures import Faults, simulate_capture, smooth_motion
+from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 QUICK = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=False)
 

@@ -15,7 +15,7 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.priors import load_pose_prior
 from habitus.io.streams.source import Frame, heading
-from habitus.population.captures import Faults, simulate_capture, smooth_motion
+from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 RATE = 30.0
 FRAMES = 90

@@ -15,8 +15,8 @@ from habitus.fit.points.skin_colours import SkinGrid
 from habitus.io.scans import read_scan
 from habitus.jobs.results import ScanResult
 from habitus.mesh.normals import vertex_normals
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.painted_skin import PaintedSkin
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.painted_skin import PaintedSkin
 
 
 @pytest.fixture(scope="module")

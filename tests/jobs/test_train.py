@@ -29,8 +29,8 @@ from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.registrations import Planted
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.registrations import Planted
 
 QUICK = replace(OPTIONS, rounds=1, pose_shapes="none")
 FILES = {"model.npz", "model.pkl", "poses.npz", "training.json", "checkpoint"}

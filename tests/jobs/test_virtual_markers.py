@@ -18,7 +18,7 @@ from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.jobs.virtual_markers import fill_capture, virtual_markers
 from habitus.observe.markers import default_markers
-from habitus.population.captures import Faults
+from habitus.observe.simulated_markers import Faults
 from habitus.rotations import matrix_from_rotvec
 
 

@@ -25,9 +25,9 @@ from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads
-from habitus.population.coarse_bodies import coarse_body
-from habitus.population.planted_body import joints_near_rings, planted_truth
-from habitus.population.registrations import Planted, planted_registrations
+from habitus_lab.population.coarse_bodies import coarse_body
+from habitus_lab.population.planted_body import joints_near_rings, planted_truth
+from habitus_lab.population.registrations import Planted, planted_registrations
 
 BETAS = 3
 WEIGHTS = EnergyWeights(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from habitus.jobs.virtual_markers import FilledCapture
-    from habitus.population.captures import Faults
+    from habitus.observe.simulated_markers import Faults
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def run(options: Markers, console: "Console | None" = None) -> None:
 
 
 def _faults(options: Markers) -> "Faults":
-    from habitus.population.captures import Faults
+    from habitus.observe.simulated_markers import Faults
 
     for name in ("noise", "placement", "missing"):
         most = 1.0 if name == "missing" else 1e3

@@ -21,6 +21,7 @@ from habitus.fit.markers.shape import place
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
+from habitus.fit.selection.held_out import held_out_people
 from habitus.fit.selection.poses import PoseChoice, choose_poses
 from habitus.fit.selection.problem import NOISE, linearised
 from habitus.io.layouts.files import save_layout
@@ -29,7 +30,6 @@ from habitus.jobs.bodies import loaded
 from habitus.jobs.marker_pools import Pool, find_layout, find_pool
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.choose import WorkersLike, open_workers
-from habitus.population.held_out import held_out_people
 from habitus.report.diagrams import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 

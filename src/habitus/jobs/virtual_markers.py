@@ -26,8 +26,13 @@ from habitus.io.layouts.files import load_layout
 from habitus.io.people import read_fit, read_motion
 from habitus.io.units import METRES
 from habitus.markers.columns import same_columns
-from habitus.population.captures import Faults
-from habitus.population.virtual_markers import CLEAN, carried_markers, layout_attachment, recorded
+from habitus.observe.simulated_markers import (
+    CLEAN,
+    Faults,
+    carried_markers,
+    layout_attachment,
+    recorded,
+)
 from habitus.types import PathLike
 
 ENDINGS = (".c3d", ".trc")

@@ -45,9 +45,6 @@ FILES = (
     "learn/posing/quaternions.py",
     "learn/posing/kernels.py",
     "learn/steps/weights_kernels.py",
-    "population/flesh/elastic_kernels.py",
-    "population/flesh/assembly_kernels.py",
-    "population/flesh/contact_kernels.py",
 )
 """Files with compiled kernels."""
 
@@ -80,7 +77,7 @@ event.register("numba:compile", _Undisturbed())
 
 def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile `function` at its first call and keep the result on disk until one of `FILES`
-    changes.
+    changes; of another package, until one of the ``*_kernels.py`` beside the function does.
 
     numba itself watches only the file of the function, not those of the functions that were
     compiled into it. A wrapper for C, which nothing here calls, would take a tenth of the time.
@@ -92,7 +89,7 @@ def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     if cache_file is not None and hasattr(cache_file, "_version"):
         cache_file._version = (
             cache_file._version,
-            _stamp(),
+            _stamp(Path(function.__code__.co_filename)),
         )  # compared before anything of an index is unpickled
     return dispatcher
 
@@ -117,6 +114,9 @@ def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
 
 
-def _stamp() -> tuple:
-    found = ((HERE / name).stat() for name in FILES if (HERE / name).exists())
+def _stamp(own: Path) -> tuple:
+    files = [HERE / name for name in FILES]
+    if HERE not in own.parents:
+        files += sorted(own.parent.glob("*_kernels.py"))
+    found = (path.stat() for path in files if path.exists())
     return tuple((entry.st_mtime_ns, entry.st_size) for entry in found)

@@ -10,7 +10,7 @@ from planted import RATE_HZ, attach, fit, plant, rest, settings
 from habitus.fit.markers.drift import find_drifts, limb_axes, limb_of, trends
 from habitus.fit.markers.settings import DRIFT, MoshSettings, sequence_settings
 from habitus.observe.marker_rig import marker_rig
-from habitus.population.marker_faults import drifting
+from habitus_lab.population.marker_faults import drifting
 
 QUICK = settings(annealing=(10.0, 1.0), soft_tissue=False)
 SCALE = 0.05  # metres

@@ -14,7 +14,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.markers.layouts import Marker
 from habitus.observe.markers import attach, default_markers, predict_markers
-from habitus.population.captures import smooth_motion
+from habitus.observe.simulated_markers import smooth_motion
 
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 RATE_HZ = 30.0

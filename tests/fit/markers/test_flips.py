@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.fit.markers.suspects import find_flips, undo_swaps
-from habitus.population.marker_faults import lost, swapped
+from habitus_lab.population.marker_faults import lost, swapped
 
 T = 200
 

@@ -10,7 +10,7 @@ import pytest
 from habitus.fit.markers.evidence import Evidence
 from habitus.fit.markers.judge import judge, may_improve, weigh
 from habitus.fit.verdict import LEVELS
-from habitus.population.spoilt import SPOILINGS
+from habitus_lab.population.spoilt import SPOILINGS
 
 SOUND = Evidence(
     mean_mm=5.0,

@@ -14,8 +14,8 @@ from habitus.fit.points.scan_fitting import ModelFitter, ModelStep, fit_with_off
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
-from habitus.population.coarse_bodies import coarse_body
 from habitus.residuals.points import PointSolver
+from habitus_lab.population.coarse_bodies import coarse_body
 
 PEOPLE = 2
 POSES = 2

@@ -9,7 +9,7 @@ from rgbd_scene_small import small_scene
 from habitus.errors import HabitusError
 from habitus.fit.points.floor import Floor, find_floor, level_frame
 from habitus.fit.points.prepared_views import segment
-from habitus.population.rgbd_people import _TILT, CAMERA_HEIGHT
+from habitus_lab.population.rgbd_people import _TILT, CAMERA_HEIGHT
 
 
 def test_the_floor_is_where_it_was_made():

@@ -22,8 +22,8 @@ from habitus.fit.points.scan_fitting import (
 )
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
-from habitus.population.coarse_bodies import coarse_body
 from habitus.residuals.points import PointSolver
+from habitus_lab.population.coarse_bodies import coarse_body
 
 STEP = ModelStep(4, 3000, 0.05, 0.002, 0.0, 1000)
 

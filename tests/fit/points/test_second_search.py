@@ -15,7 +15,7 @@ from habitus.fit.points.scan_start import Candidate, _about_face
 from habitus.fit.points.scans import SINGLE, Registrar
 from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
-from habitus.population.coarse_bodies import coarse_body
+from habitus_lab.population.coarse_bodies import coarse_body
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.selection.full import best_states, fit_surface, full_error, surface_terms
 from habitus.fit.selection.greedy import ADD, REMOVE, additions, removals, set_error, step_errors
+from habitus.fit.selection.held_out import held_out_people, smooth_field
 from habitus.fit.selection.problem import (
     GOALS,
     REGIONS,
@@ -21,7 +22,6 @@ from habitus.fit.selection.problem import (
     region_vertices,
 )
 from habitus.parallel.workers import Threads
-from habitus.population.held_out import held_out_people, smooth_field
 
 
 @pytest.fixture(scope="module")
