@@ -18,6 +18,7 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,11 @@ from rich.table import Table
 import habitus
 from habitus.body.model import BodyModel
 from habitus.body.shipped_prior import prior_of
+from habitus.body.state import BodyState
 from habitus.fit.points.scan import Cloud, Scan
-from habitus.fit.points.scan_fitting import ModelStep
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.settings import ScanStage
 from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
@@ -42,7 +43,7 @@ from habitus_lab.population.scans import BONY, Scanner, scanned, stance
 POSES = ("A", "elbows bent", "step")
 UNSEEN = "arms forward"
 HELD = ("skinning_weights", "posedirs", "joint_regressor")
-EXACT = (ModelStep(12, 100_000, 0.1, 0.005, 1.0, 1000),)
+EXACT = (ScanStage(12, points=100_000, scale=0.1, noise=0.005, slide=1.0),)
 
 
 def people(options: argparse.Namespace) -> list[dict]:
@@ -106,10 +107,10 @@ def in_a_new_pose(
             true[registrar.body.full_vertices] if len(true) != registrar.body.num_vertices else true
         )
         cloud = Cloud(true, vertex_normals(true, registrar.body.faces))
-        state = ModelState(each[0].betas, each[0].pose[None], each[0].trans[None])
+        state = BodyState(each[0].betas, each[0].pose[None], each[0].trans[None])
         (fit,) = registrar.register([Scan("new", true, cloud.normals)], up="+y")
-        state = ModelState(each[0].betas, fit.pose[None], fit.trans[None])
-        state = registrar.fitter.fit(state, [cloud], (ModelStep(12, 100_000, 0.1, 0.005, 1.0, 0),))
+        state = BodyState(each[0].betas, fit.pose[None], fit.trans[None])
+        state = registrar.fitter.fit(state, [cloud], (replace(EXACT[0], betas=0),))
         found.append(registrar.fitter.vertices(state))
     return distances(found, truths)
 
@@ -191,9 +192,9 @@ def main() -> None:
     write_json(options.out, {"machine": where, "rounds": rounds})
 
 
-def before(fits: list[ScanFit], body: BodyModel) -> ModelState:
+def before(fits: list[ScanFit], body: BodyModel) -> BodyState:
     """Where the round before left a person's scans, with the mean shape of the body."""
-    return ModelState(
+    return BodyState(
         np.zeros(body.num_betas),
         np.stack([fit.pose for fit in fits]),
         np.stack([fit.trans for fit in fits]),

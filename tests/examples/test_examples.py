@@ -4,12 +4,15 @@ import importlib.util
 import re
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from read_bvh import Bvh
 from read_fbx import Fbx
+
+from habitus.fit.points.settings import SCANS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
@@ -92,8 +95,8 @@ def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
 
 
 def test_a_scan_is_registered(run, monkeypatch):
-    monkeypatch.setattr("habitus.fit.points.scan_start.KEPT", 4)  # an A-pose needs no more
-    monkeypatch.setattr("habitus.fit.points.scan_start.REFINED", 1)
+    few = replace(SCANS, search=replace(SCANS.search, kept=4, refined=1))
+    monkeypatch.setattr("habitus.jobs.register.SCANS", few)  # an A-pose needs no more
     found = run("register")
     assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
     assert found["truth"][0] < 6.0

@@ -9,12 +9,13 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.shipped_prior import prior_of
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
@@ -43,6 +44,7 @@ def register_scans(
     sex: str = "",
     texture: bool = False,
     seed: int = 0,
+    settings: ScanSettings | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> list[ScanResult]:
     """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T
@@ -53,11 +55,11 @@ def register_scans(
     beginning where the one before ended. body: a model, a file, "neutral", "female", "male", or
     "default": the best of these three. unit: auto, m, cm, mm, in, ft. up: auto, or the axis that
     points up ("+z"). age in years, for children. texture: colours of two scans or more of one
-    person make their correspondences sharper. out: a folder that receives ``SCAN/`` with body.npz,
-    surface.ply, surface.glb, model.ply, rest.ply, metrics.json and report.html, and
-    registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female", "male" or "" for not
-    told). Raises HabitusError for what is no scan of a person, where that can be known before a
-    fit; after it, the verdict tells.
+    person make their correspondences sharper. settings: constants of the recipe. out: a folder that
+    receives ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply, rest.ply, metrics.json
+    and report.html, and registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female",
+    "male" or "" for unknown). Raises HabitusError for what is no scan of a person, where that can
+    be known before a fit; after it, see the verdict and ``status``.
     """
     if sex not in ("", *SEXES):
         raise HabitusError(f"sex is {sex!r}; expected {' or '.join(SEXES)}, or nothing")
@@ -74,7 +76,7 @@ def register_scans(
                 )
             check_colours(read)
         names = _folders(read) if out is not None else []
-        registrar = made_ready(body, age)
+        registrar = made_ready(body, age, settings or SCANS)
         asked = {"unit": unit, "up": up, "seed": seed}
         with one_blas_thread():
             if sequence:
@@ -100,13 +102,17 @@ def register_scans(
         return results
 
 
-def made_ready(body: BodyModel | PathLike = "default", age: float | None = None) -> Registrar:
-    """A body to be registered to scans; of "default" women's and men's, too, whichever explains
-    them best.
+def made_ready(
+    body: BodyModel | PathLike = "default",
+    age: float | None = None,
+    settings: ScanSettings = SCANS,
+) -> Registrar:
+    """A body prepared for registration; of "default" women's and men's, too, whichever explains
+    scans best.
     """
     model = loaded(body, age=age)
     sexes = SEXES if isinstance(body, str) and body == "default" else ()
-    return Registrar.of(model, prior_of(model), [loaded(sex, age=age) for sex in sexes])
+    return Registrar.of(model, prior_of(model), [loaded(sex, age=age) for sex in sexes], settings)
 
 
 def _read(one: Scan | PathLike) -> list[Scan]:
@@ -136,7 +142,7 @@ def _in_time(
         here = dict(asked)
         if fits:
             last = fits[-1]
-            previous = ModelState(last.betas, last.pose[None], last.trans[None])
+            previous = BodyState(last.betas, last.pose[None], last.trans[None])
             here["up"], registrar = last.up_axis, registrar.settled(last).after(last)
         fits += registrar.register([scan], **here, previous=previous)
         progress("sequence", k / len(scans))

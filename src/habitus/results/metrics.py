@@ -212,6 +212,8 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "points": len(fit.cloud.points),
         "scan_to_surface_mm": _spread(fit.to_surface),
         "scan_to_model_mm": _spread(fit.to_model),
+        "status": fit.status,
+        "costs": dict(fit.costs),
         "matched": fit.matched,
         "lost": fit.lost,
         "self_cuts": fit.cuts,

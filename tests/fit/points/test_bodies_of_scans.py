@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
-from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scans import carried
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.scan import Cloud, Scan
+from habitus.fit.points.scan_start import Candidate
+from habitus.fit.points.scans import Registered, Start, carried
 from habitus.io.models.bodies import load_body
 from habitus.jobs.register import made_ready
 from habitus.mesh.normals import vertex_normals
@@ -21,7 +22,7 @@ def registrar():
 
 def someone(body, rng, poses=1):
     pose = 0.15 * rng.normal(size=(poses, body.num_joints, 3))
-    return ModelState(rng.normal(size=body.num_betas), pose, rng.normal(size=(poses, 3)))
+    return BodyState(rng.normal(size=body.num_betas), pose, rng.normal(size=(poses, 3)))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -46,10 +47,14 @@ def test_a_scan_finds_its_body(registrar, name):
     seen = rng.permutation(np.flatnonzero(~hidden_vertices(body)))
     points = surface[seen] + 0.0005 * rng.normal(size=(len(seen), 3))
     cloud = Cloud(points, vertex_normals(surface, body.faces)[seen])
-    best, state, (found,) = registrar._fitted_best(carried(body, registrar.body, true), [cloud])
+    begin = carried(body, registrar.body, true)
+    start = Start(Candidate(begin, np.eye(3), 0.0), "+y", None)
+    scan = Scan("somebody", points)
+    given = Registered(scan, cloud, start, begin, registrar.fitter.vertices(begin), True)
+    best, (fitted,) = registrar._fitted_best([given])
     assert best.body.name == (name if name != "neutral" else registrar.body.name)
-    assert np.linalg.norm(found - surface, axis=1)[seen].mean() < 0.001
-    assert np.abs(best.fitter.vertices(state) - surface)[seen].mean() < 0.003
+    assert np.linalg.norm(fitted.surface - surface, axis=1)[seen].mean() < 0.001
+    assert np.abs(best.fitter.vertices(fitted.state) - surface)[seen].mean() < 0.003
 
 
 def test_a_body_that_is_told_has_no_others():

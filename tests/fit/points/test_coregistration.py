@@ -7,11 +7,12 @@ import numpy as np
 from habitus import Trainer, load_body
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import Topology, vertex_weights
 from habitus.fit.points.free_surface import free_surface
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_fitting import ModelFitter, ModelStep, fit_with_offsets
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.settings import ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
 from habitus.residuals.points import PointSolver
@@ -19,13 +20,13 @@ from habitus_lab.population.coarse_bodies import coarse_body
 
 PEOPLE = 2
 POSES = 2
-STEPS = (ModelStep(4, 2000, 0.05, 0.0025, 0.0, 1000),)
+STEPS = (ScanStage(4, points=2000, scale=0.05, noise=0.0025),)
 
 
-def fitter_of(body: BodyModel) -> ModelFitter:
+def fitter_of(body: BodyModel) -> ScanFitter:
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
+    return ScanFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
 
 
 def test_a_body_trained_on_registered_scans_knows_these_people_better():
@@ -45,19 +46,19 @@ def test_a_body_trained_on_registered_scans_knows_these_people_better():
     for _ in range(PEOPLE):
         pose = 0.2 * rng.normal(size=(POSES, body.num_joints, 3))
         trans = np.zeros((POSES, 3))
-        states.append(ModelState(0.5 * rng.normal(size=body.num_betas), pose, trans))
+        states.append(BodyState(0.5 * rng.normal(size=body.num_betas), pose, trans))
         truths.append([np.asarray(other(states[-1].betas, one).vertices) for one in pose])
         clouds.append([scanned(one, body.faces, rng) for one in truths[-1]])
     first = fitter_of(body)
     before = [
-        fit_with_offsets(first, state, each, STEPS)
+        first.fit_with_offsets(state, each, STEPS)
         for state, each in zip(states, clouds, strict=True)
     ]
     surfaces = np.array(
         [
-            free_surface(first.topology, first.vertices(state, k), clouds[p][k], start=start)
-            for p, (state, starts) in enumerate(before)
-            for k, start in enumerate(starts)
+            free_surface(first.topology, first.vertices(fit.state, k), clouds[p][k], start=start)
+            for p, fit in enumerate(before)
+            for k, start in enumerate(fit.surfaces)
         ]
     )
     every = [cloud for each in clouds for cloud in each]
@@ -76,25 +77,27 @@ def test_a_body_trained_on_registered_scans_knows_these_people_better():
     )
     second = fitter_of(trained)
     begin = [
-        ModelState(np.zeros(trained.num_betas), state.pose, state.trans) for state, _ in before
+        BodyState(np.zeros(trained.num_betas), fit.state.pose, fit.state.trans) for fit in before
     ]
     after = [
-        fit_with_offsets(second, state, each, STEPS)
+        second.fit_with_offsets(state, each, STEPS)
         for state, each in zip(begin, clouds, strict=True)
     ]
 
     def wrong(
-        fitter: ModelFitter, found: list
+        fitter: ScanFitter, found: list
     ) -> float:  # of all models, from where each vertex truly is
         pairs = [
-            (fitter.vertices(s, k), truths[p][k])
-            for p, (s, _) in enumerate(found)
+            (fitter.vertices(fit.state, k), truths[p][k])
+            for p, fit in enumerate(found)
             for k in range(POSES)
         ]
         return float(np.mean([np.linalg.norm(model - true, axis=1) for model, true in pairs]))
 
-    def off(fitter: ModelFitter, found: list) -> float:  # what the model leaves to the offset
-        pairs = [(fitter.vertices(s, k), x[k]) for s, x in found for k in range(POSES)]
+    def off(fitter: ScanFitter, found: list) -> float:  # what the model leaves to the offset
+        pairs = [
+            (fitter.vertices(fit.state, k), fit.surfaces[k]) for fit in found for k in range(POSES)
+        ]
         return float(np.mean([np.linalg.norm(model - surface, axis=1) for model, surface in pairs]))
 
     error, away = (

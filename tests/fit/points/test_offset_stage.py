@@ -9,31 +9,26 @@ import trimesh
 from habitus import load_body
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.prior import PosePrior
-from habitus.fit.points.correspondences import Topology
+from habitus.body.state import BodyState
+from habitus.fit.offsets import field_precision, motion_along, offset_spread
+from habitus.fit.points.correspondences import Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_fitting import (
-    FrameBefore,
-    ModelFitter,
-    ModelStep,
-    _pull,
-    field_precision,
-    fit_with_offsets,
-    offset_spread,
-)
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, ScanFitter
+from habitus.fit.points.settings import ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
+from habitus.residuals.robust import geman_mcclure_weight
 from habitus_lab.population.coarse_bodies import coarse_body
 
-STEP = ModelStep(4, 3000, 0.05, 0.002, 0.0, 1000)
+STEP = ScanStage(4, points=3000, scale=0.05, noise=0.002)
 
 
 @pytest.fixture(scope="module")
-def fitter() -> ModelFitter:
+def fitter() -> ScanFitter:
     body = coarse_body(load_body("default"), 700)
     size = 3 * (body.num_joints - 1)
     prior = PosePrior(body.joint_names[1:], np.zeros(size), 0.04 * np.eye(size))
-    return ModelFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
+    return ScanFitter(PointSolver.of(body), Topology.of(body.faces, body.num_vertices), prior)
 
 
 def sampled(surface: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Cloud:
@@ -47,19 +42,17 @@ def sampled(surface: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Cl
     return Cloud(places, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def a_state(fitter: ModelFitter, seed: int) -> ModelState:
+def a_state(fitter: ScanFitter, seed: int) -> BodyState:
     rng = np.random.default_rng(seed)
     body = fitter.body
     pose = 0.1 * rng.normal(size=(1, body.num_joints, 3))
-    return ModelState(0.5 * rng.normal(size=body.num_betas), pose, 0.02 * rng.normal(size=(1, 3)))
+    return BodyState(0.5 * rng.normal(size=body.num_betas), pose, 0.02 * rng.normal(size=(1, 3)))
 
 
 def test_a_field_has_the_spread_and_the_range_it_is_asked_for():
     ball = trimesh.creation.icosphere(3, 0.4)
     vertices = np.asarray(ball.vertices)
-    precision = field_precision(
-        Topology.of(np.asarray(ball.faces), len(vertices)), vertices, np.full(642, 0.004), 0.3
-    )
+    precision = field_precision(np.asarray(ball.faces), vertices, np.full(642, 0.004), 0.3)
     covariance = np.linalg.inv(precision.toarray())
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 0.004, rtol=0.1)
     apart = np.linalg.norm(vertices - vertices[0], axis=1)
@@ -70,47 +63,46 @@ def test_a_field_has_the_spread_and_the_range_it_is_asked_for():
     )
 
 
-def test_a_step_is_that_of_state_and_offset_together(fitter):
+def test_costs_and_derivatives_are_those_of_the_best_offset(fitter):
+    """Cost, gradient and matrix with offsets eliminated are those of state and offset together."""
     state = a_state(fitter, 1)
     body = fitter.body
     cloud = sampled(fitter.vertices(a_state(fitter, 2)), body.faces, 300, 0)
-    held = field_precision(fitter.topology, fitter.vertices(state), offset_spread(body))
-    pull = _pull(
-        fitter, state, cloud, held, np.zeros(body.num_vertices), np.zeros(body.num_vertices), STEP
-    )
+    precision = field_precision(body.faces, fitter.vertices(state), offset_spread(body))
+    mean = 0.001 * np.ones(body.num_vertices)
+    scan = OffsetEquations.of(fitter, state, cloud, precision, mean, STEP)
+    rows, weight, missing = point_rows(fitter, scan.model, cloud, mean)
+    lumped = rows.T @ (weight[:, None] * rows)
+
+    def energy(displaced: np.ndarray) -> float:  # least over all offsets
+        pull = rows.T @ (weight * missing) - lumped @ displaced
+        offset = np.linalg.solve(lumped + precision.toarray(), pull)
+        residual = rows @ (displaced + offset) - missing
+        return 0.5 * weight @ residual**2 + 0.5 * offset @ (precision @ offset)
+
     slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
-    model = np.asarray(slopes.surface.vertices)
-    count = body.num_vertices
-    normal = vertex_normals(model, body.faces)
-    still = np.broadcast_to(np.eye(3), (count, 3, 3))
-    moves = [x.reshape(count, 3, -1) for x in (slopes.vertices_betas, still, slopes.vertices_pose)]
-    along = np.einsum("vc,vcn->vn", normal, np.concatenate(moves, 2))
+    along = motion_along(vertex_normals(scan.model, body.faces), slopes)
     change = 0.01 * np.random.default_rng(4).normal(size=along.shape[1])
-    lumped, wanted = _lumped(fitter, model, cloud)
-
-    def energy(change: np.ndarray) -> float:  # least over all offsets
-        offset = np.linalg.solve(lumped + held.toarray(), wanted - lumped @ along @ change)
-        there = offset + along @ change
-        return 0.5 * there @ lumped @ there - wanted @ there + 0.5 * offset @ (held @ offset)
-
-    expected = pull.gradient @ change + 0.5 * change @ pull.matrix @ change
-    assert energy(change) - energy(0 * change) == pytest.approx(expected, rel=1e-6)
-    offset = np.linalg.solve(lumped + held.toarray(), wanted - lumped @ along @ change)
-    np.testing.assert_allclose(pull.offset - pull.slope @ change, offset, atol=1e-9)
+    gradient, matrix = scan.equations(state.betas, state.pose[0], state.trans[0])
+    here = scan.cost(scan.model)
+    np.testing.assert_allclose(here, energy(np.zeros(body.num_vertices)), rtol=1e-9)
+    expected = here + gradient @ change + 0.5 * change @ matrix @ change
+    np.testing.assert_allclose(expected, energy(along @ change), rtol=1e-8)
+    moved = scan.model + (along @ change)[:, None] * scan.normal
+    np.testing.assert_allclose(scan.cost(moved), energy(along @ change), rtol=1e-9)
 
 
-def _lumped(fitter: ModelFitter, model: np.ndarray, cloud: Cloud) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right-hand side of offsets alone, from points and planes one by one."""
-    from habitus.fit.points.correspondences import nearest
-    from habitus.residuals.robust import geman_mcclure_weight
-
-    found = nearest(fitter.topology, model, cloud.points, cloud.normals)
-    apart = np.linalg.norm(cloud.points - found.place, axis=1)
-    weight = geman_mcclure_weight(apart, STEP.reach) * (found.cosine > 0.5) / STEP.noise**2
+def point_rows(
+    fitter: ScanFitter, model: np.ndarray, cloud: Cloud, mean: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points by vertices, their weights, and what is missing to their planes, one by one."""
+    surface = model + mean[:, None] * vertex_normals(model, fitter.topology.faces)
+    found = find_correspondences(fitter.topology, surface, cloud.points, cloud.normals)
+    distance = np.linalg.norm(cloud.points - found.closest, axis=1)
+    weight = geman_mcclure_weight(distance, STEP.scale) * (found.cosine > 0.5) / STEP.noise**2
     rows = np.zeros((len(weight), len(model)))
     np.put_along_axis(rows, fitter.topology.faces[found.face], found.barycentric, axis=1)
-    missing = ((cloud.points - rows @ model) * found.normal).sum(1)
-    return rows.T @ (weight[:, None] * rows), rows.T @ (weight * missing)
+    return rows, weight, ((cloud.points - rows @ model) * found.normal).sum(1) - rows @ mean
 
 
 def test_skin_that_swells_moves_the_model_less_than_without_an_offset(fitter):
@@ -122,10 +114,11 @@ def test_skin_that_swells_moves_the_model_less_than_without_an_offset(fitter):
         sampled(model + swell[:, None] * vertex_normals(model, body.faces), body.faces, 3000, 6)
     ]
     begin = replace(truth, trans=truth.trans + 0.005)
-    state, (surface,) = fit_with_offsets(fitter, begin, clouds, (STEP,))
+    fit = fitter.fit_with_offsets(begin, clouds, (STEP,))
+    (surface,) = fit.surfaces
     without = fitter.fit(begin, clouds, (replace(STEP, noise=0.005),))
     error = [
-        np.linalg.norm(fitter.vertices(one) - model, axis=1).mean() for one in (state, without)
+        np.linalg.norm(fitter.vertices(one) - model, axis=1).mean() for one in (fit.state, without)
     ]
     assert error[0] < 0.7 * error[1]
     true = model + swell[:, None] * vertex_normals(model, body.faces)
@@ -135,15 +128,15 @@ def test_skin_that_swells_moves_the_model_less_than_without_an_offset(fitter):
 def test_several_scans_share_their_shape_and_a_true_start_stays(fitter):
     one = a_state(fitter, 7)
     other = a_state(fitter, 8)
-    truth = ModelState(
+    truth = BodyState(
         one.betas, np.concatenate([one.pose, other.pose]), np.concatenate([one.trans, other.trans])
     )
     clouds = [sampled(fitter.vertices(truth, k), fitter.body.faces, 3000, k) for k in range(2)]
     loose = replace(STEP, pose=1e-6, shape=1e-6)
-    state, surfaces = fit_with_offsets(fitter, truth, clouds, (loose,))
-    for k, surface in enumerate(surfaces):
+    fit = fitter.fit_with_offsets(truth, clouds, (loose,))
+    for k, surface in enumerate(fit.surfaces):
         true = fitter.vertices(truth, k)
-        for found in (fitter.vertices(state, k), surface):
+        for found in (fitter.vertices(fit.state, k), surface):
             assert np.linalg.norm(found - true, axis=1).mean() < 5e-4
 
 
@@ -159,9 +152,9 @@ def test_a_frame_gains_by_the_one_before(fitter):
     )
     cloud = sampled(surface, body.faces, 150, 9)
     start = replace(true, betas=np.zeros(body.num_betas))
-    coupled = replace(fitter, before=FrameBefore(true.betas, true.pose[0], swell))
+    coupled = replace(fitter, previous=PreviousFrame(true.betas, true.pose[0], swell))
     off = []
     for one in (fitter, coupled):
-        _, (found,) = fit_with_offsets(one, start, [cloud], (STEP,))
+        (found,) = one.fit_with_offsets(start, [cloud], (STEP,)).surfaces
         off.append(np.linalg.norm(found - surface, axis=1).mean())
     assert off[1] < 0.6 * off[0]

@@ -7,12 +7,13 @@ import pytest
 import trimesh
 from synthetic import synthetic_body
 
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
-from habitus.fit.points.correspondences import Topology, nearest, vertex_weights
-from habitus.fit.points.free_surface import FreeStep, free_surface, stretched_surface
+from habitus.fit.points.correspondences import Topology, find_correspondences, vertex_weights
+from habitus.fit.points.free_surface import free_surface, stretched_surface
 from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
 from habitus.fit.points.scan_result import at_rest, judge_scan, lost_share
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.settings import SurfaceStage
 from habitus.mesh.closest import closest_points
 from habitus.mesh.normals import vertex_normals
 
@@ -43,16 +44,16 @@ def test_a_patch_that_looks_the_wrong_way_is_turned_over():
     assert ((found * cloud.normals).sum(1) > 0.0).mean() > 0.97
 
 
-def test_the_nearest_place_is_on_the_nearest_face_that_looks_the_same_way():
+def test_the_closest_point_is_on_the_nearest_face_that_looks_the_same_way():
     topology = Topology.of(np.asarray(BALL.faces), len(BALL.vertices))
     cloud = on_ball(200, 0.41)
-    found = nearest(topology, np.asarray(BALL.vertices), cloud.points, cloud.normals)
+    found = find_correspondences(topology, np.asarray(BALL.vertices), cloud.points, cloud.normals)
     _, place = closest_points(cloud.points, np.asarray(BALL.vertices), np.asarray(BALL.faces))
-    np.testing.assert_allclose(found.place, place, atol=1e-9)
+    np.testing.assert_allclose(found.closest, place, atol=1e-9)
     assert (found.cosine > 0.97).all()
     corners = BALL.vertices[BALL.faces[found.face]]
     np.testing.assert_allclose(
-        np.einsum("pk,pkc->pc", found.barycentric, corners), found.place, atol=1e-9
+        np.einsum("pk,pkc->pc", found.barycentric, corners), found.closest, atol=1e-9
     )
 
 
@@ -61,8 +62,8 @@ def test_a_free_surface_reaches_the_scan_and_goes_on_over_a_hole():
     cloud = on_ball(6000, 0.42)
     seen = cloud.points[:, 1] < 0.33
     cloud = Cloud(cloud.points[seen], cloud.normals[seen])
-    steps = (FreeStep(0.1, 0.05), FreeStep(0.01, 0.02))
-    surface = free_surface(topology, np.asarray(BALL.vertices), cloud, steps)
+    stages = (SurfaceStage(0.1, 0.05), SurfaceStage(0.01, 0.02))
+    surface = free_surface(topology, np.asarray(BALL.vertices), cloud, stages=stages)
     radius = np.linalg.norm(surface, axis=1)
     weights = vertex_weights(topology, surface, cloud)
     assert np.abs(radius[weights > 0.9] - 0.421).max() < 0.0015  # faces lie below their corners
@@ -129,7 +130,7 @@ def test_what_is_no_person_is_said_before_a_fit(scan, unit, said):
 def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
     body = synthetic_body("smpl", 120)
     rng = np.random.default_rng(2)
-    state = ModelState(
+    state = BodyState(
         rng.normal(size=body.num_betas),
         0.4 * rng.normal(size=(1, body.num_joints, 3)),
         np.zeros((1, 3)),
@@ -137,7 +138,7 @@ def test_an_offset_carried_back_to_rest_is_the_one_that_was_posed():
     rest = body.rest_vertices(state.betas)
     np.testing.assert_allclose(at_rest(body, state, np.zeros_like(rest)), rest, atol=1e-12)
     offset = 0.01 * rng.normal(size=rest.shape)
-    still = ModelState(state.betas, 0 * state.pose, state.trans)
+    still = BodyState(state.betas, 0 * state.pose, state.trans)
     np.testing.assert_allclose(at_rest(body, still, offset), rest + offset, atol=1e-12)
 
 

@@ -1,7 +1,8 @@
-"""Which point of a posed surface a scanned point belongs to: the nearest whose normal looks the
-same way.
+"""Correspondences: for each scanned point the closest point of a surface with a similar normal.
 
-Where a scan tells of a registered surface, and the surface carried back to rest.
+    argmin over the surface  |t - q|^2 + c^2 |n_t - n_q|^2,    c = `NORMAL_DISTANCE`
+
+and how well a scan covers each vertex of a registered surface.
 """
 
 from dataclasses import dataclass
@@ -13,25 +14,37 @@ from scipy.spatial import cKDTree
 from habitus.body.model import BodyModel
 from habitus.fit.points.correspondence_kernels import nearest_around
 from habitus.fit.points.scan import Cloud
-from habitus.mesh.normals import face_normals, vertex_normals
+from habitus.mesh.normals import vertex_normals
+from habitus.residuals.robust import geman_mcclure_weight
 
-TURN = 0.06
-"""Metres: how far apart two places count whose normals are 60 degrees apart, in choosing the
-nearest.
+NORMAL_DISTANCE = 0.06
+"""c, metres: two points count as so far apart whose normals differ by 60 degrees. The metric of all
+searches for correspondences, chosen by hand.
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Nearest:
-    """Of N points the face (N,), the weights of its corners (N, 3), the place (N, 3), the face's
-    normal (N, 3), and the cosine (N,) of that with the point's own normal.
+class Correspondences:
+    """Of N points: the face (N,) of the closest point, the weights of its corners (N, 3), the
+    closest point itself (N, 3; m), the surface's normal there (N, 3), and the cosine (N,) between
+    that and the point's own normal.
     """
 
     face: Int[np.ndarray, " N"]
     barycentric: Float[np.ndarray, "N 3"]
-    place: Float[np.ndarray, "N 3"]
+    closest: Float[np.ndarray, "N 3"]
     normal: Float[np.ndarray, "N 3"]
     cosine: Float[np.ndarray, " N"]
+
+    def distances(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
+        """From the points to the surface (m)."""
+        return np.linalg.norm(points - self.closest, axis=1)
+
+    def weights(
+        self, points: Float[np.ndarray, "N 3"], scale: float, min_cosine: float
+    ) -> Float[np.ndarray, " N"]:
+        """Robust weights: Geman-McClure of the distance, 0 where normals disagree."""
+        return geman_mcclure_weight(self.distances(points), scale) * (self.cosine > min_cosine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,32 +73,37 @@ class Topology:
         return Topology(np.ascontiguousarray(faces), start, order // 3, seen[used[seen]])
 
 
-def nearest(
+def find_correspondences(
     topology: Topology,
     vertices: Float[np.ndarray, "V 3"],
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
-) -> Nearest:
-    """The nearest places on a surface in metres and, through `TURN`, in direction."""
+) -> Correspondences:
+    """The correspondences of points on a surface: by the two closest vertices, then on the faces
+    around them.
+    """
     pointing = vertex_normals(vertices, topology.faces)
     some = topology.whole
-    tree = cKDTree(np.concatenate([vertices[some], TURN * pointing[some]], 1))
-    close = tree.query(np.concatenate([points, TURN * normals], 1), k=2)[1]
-    unit = face_normals(vertices, topology.faces)
-    unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-12)
-    found = np.empty(len(points), np.int64)
+    tree = cKDTree(with_normals(vertices[some], pointing[some]))
+    close = tree.query(with_normals(points, normals), k=2)[1]
+    face = np.empty(len(points), np.int64)
     share = np.empty((len(points), 3))
-    place = np.empty((len(points), 3))
+    closest = np.empty((len(points), 3))
     mesh = (np.ascontiguousarray(vertices), topology.faces, topology.start, topology.around)
-    nearest_around(*mesh, np.ascontiguousarray(points), some[close], found, share, place)
-    smooth = np.einsum("pk,pkc->pc", share, pointing[topology.faces[found]])
+    nearest_around(*mesh, np.ascontiguousarray(points), some[close], face, share, closest)
+    smooth = np.einsum("pk,pkc->pc", share, pointing[topology.faces[face]])
     smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-12)
-    return Nearest(found, share, place, smooth, (smooth * normals).sum(1))
+    return Correspondences(face, share, closest, smooth, (smooth * normals).sum(1))
 
 
-LEAST_REACH = 0.004
+def with_normals(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "*batch 6"]:
+    """Points and normals in one space, whose distances are those that correspondences minimise."""
+    return np.concatenate([points, NORMAL_DISTANCE * normals], -1)
+
+
+MIN_COVERING = 0.004
 """Metres from a vertex within which there has to be a point of the scan, however dense it is."""
-SPACINGS = 2.0
+COVERING_SPACINGS = 2.0
 """The same in mean distances of the scan's points."""
 
 
@@ -96,12 +114,12 @@ def vertex_weights(
     straight in between.
     """
     pointing = vertex_normals(surface, topology.faces)
-    tree = cKDTree(np.concatenate([cloud.points, TURN * cloud.normals], 1))
-    own = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
-    reach = max(LEAST_REACH, SPACINGS * float(np.median(own)))
-    away = tree.query(np.concatenate([surface, TURN * pointing], 1))[0]
+    tree = cKDTree(with_normals(cloud.points, cloud.normals))
+    spacing = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
+    covering = max(MIN_COVERING, COVERING_SPACINGS * float(np.median(spacing)))
+    distance = tree.query(with_normals(surface, pointing))[0]
     weights = np.zeros(len(surface))
-    weights[topology.whole] = np.clip(2.0 - 0.5 * away[topology.whole] / reach, 0.0, 1.0)
+    weights[topology.whole] = np.clip(2.0 - 0.5 * distance[topology.whole] / covering, 0.0, 1.0)
     return weights
 
 

@@ -1,15 +1,10 @@
-"""Hands and feet turned the wrong way: from where a fit has them each is tried in other ways, and
-the best stays.
+"""Hands, feet and limbs in a wrong local minimum: other poses of each are tried, the best stays.
 
 A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns
-it over.
-
-A limb that was lost, looked for again: where a piece of the scan lies off the surface, the limbs
-near it are tried.
-
-What is found counts only where it leaves less of the scan off a quick surface, the model with an
-offset of few steps, so that nothing more is spent on what no limb explains: spread fingers, of
-which the default body knows nothing.
+it over. Where a piece of the scan lies off the registered surface, the limbs near it are searched
+again as all poses of the bank have them. They count only where they leave less of the scan off a
+quick surface, the model with skin offsets of few steps, so that no time is spent on what no limb
+explains: spread fingers, which the default body does not have.
 """
 
 from collections.abc import Mapping
@@ -19,23 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.prior import PosePrior
-from habitus.fit.points.correspondences import TURN, nearest
+from habitus.body.state import BodyState
+from habitus.fit.points.correspondences import NORMAL_DISTANCE, Topology, find_correspondences
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_fitting import EVERYTHING, ModelFitter, ModelStep, fit_with_offsets
+from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.scan_result import lost_piece, lost_share
 from habitus.fit.points.scan_start import Guesser, Limb
-from habitus.fit.points.state import ModelState
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-REACH = 0.13
-"""Metres from the middle of a hand or foot within which points are looked at."""
-FEWEST = 40
-MOST = 500
-OTHERS = 500
-FAR = 0.03
-LOOSE, FIRM = 0.6, 0.03
-"""Radians (sd): how far wrists, ankles and other joints may go from where they begin."""
-_WAYS = np.array(
+_TURNS = np.array(
     [
         [0, 0, 0],
         [1, 0, 0],
@@ -47,54 +34,55 @@ _WAYS = np.array(
         [3, 0, 0],
     ]
 )
-TRIES = {
-    "left_wrist": _WAYS,
-    "right_wrist": _WAYS,
-    "left_ankle": 0.4 * _WAYS[:7],
-    "right_ankle": 0.4 * _WAYS[:7],
+EXTREMITIES = {
+    "left_wrist": _TURNS,
+    "right_wrist": _TURNS,
+    "left_ankle": 0.4 * _TURNS[:7],
+    "right_ankle": 0.4 * _TURNS[:7],
 }
 """Turns of hands and feet in their own axes (of a body in the T-pose), rad: x is about the forearm.
 """
 _TWISTS = np.array([[0, 0, 0], [0.8, 0, 0], [-0.8, 0, 0], [1.6, 0, 0], [-1.6, 0, 0]])
 ARMS = {f"{side}_{joint}": _TWISTS for joint in ("shoulder", "elbow") for side in ("left", "right")}
 """Turns of arms about themselves: the skin of an arm is much the same all around it."""
-STEPS = (
-    ModelStep(5, MOST + OTHERS, 0.05, 0.005, 0.2, 0),
-    ModelStep(3, MOST + OTHERS, 0.02, 0.005, 0.1, 0),
-)
-PER_NAT = 0.0003
-"""Metres of mean distance of a hand's points that one unit of the prior's energy is worth."""
 
 
 def with_extremities(
-    fitter: ModelFitter, state: ModelState, cloud: Cloud, tries: Mapping[str, np.ndarray] = TRIES
-) -> ModelState:
+    fitter: ScanFitter,
+    state: BodyState,
+    cloud: Cloud,
+    tries: Mapping[str, np.ndarray] = EXTREMITIES,
+) -> BodyState:
     """The state of one scan with each hand and foot (or ``ARMS``), of which it shows enough, turned
     the best way.
     """
+    settings = fitter.settings.limbs
     names = fitter.body.joint_names
-    for name, ways in tries.items():
+    for name, turns in tries.items():
         if name not in names:
             continue
         joint = names.index(name)
-        hand = fitter.vertices(state)[_hand(fitter, joint)]
-        reach = max(REACH, float(np.linalg.norm(hand - hand.mean(0), axis=1).max()))
-        near = np.linalg.norm(cloud.points - hand.mean(0), axis=1) < reach
-        if near.sum() < FEWEST:
+        vertices = fitter.vertices(state)[_hand(fitter, joint)]
+        radius = max(
+            settings.radius, float(np.linalg.norm(vertices - vertices.mean(0), axis=1).max())
+        )
+        near = np.linalg.norm(cloud.points - vertices.mean(0), axis=1) < radius
+        if near.sum() < settings.min_points:
             continue
-        there = np.flatnonzero(near)[:MOST]
-        rows = np.concatenate([there, np.arange(min(OTHERS, len(cloud.points)))])
+        there = np.flatnonzero(near)[: settings.max_points]
+        rows = np.concatenate([there, np.arange(min(settings.other_points, len(cloud.points)))])
         few = Cloud(cloud.points[rows], cloud.normals[rows])
-        looked = Cloud(cloud.points[there], cloud.normals[there])
-        held = replace(fitter, prior=_held(state, names, joint))
-        tried = [held.fit(_turned(state, joint, turn), [few], STEPS[:1]) for turn in ways]
-        tried = sorted(tried, key=lambda one: _misfit(fitter, one, looked))[:2]
-        tried = [held.fit(one, [few], STEPS[1:]) for one in tried]
-        state = min(tried, key=lambda one: _misfit(fitter, one, looked))
+        hand = Cloud(cloud.points[there], cloud.normals[there])
+        held = replace(fitter, prior=_held(fitter, state, joint))
+        first, *rest = settings.stages
+        tried = [held.fit(_turned(state, joint, turn), [few], [first]) for turn in turns]
+        tried = sorted(tried, key=lambda one: _misfit(fitter, one, hand))[:2]
+        tried = [held.fit(one, [few], rest) for one in tried]
+        state = min(tried, key=lambda one: _misfit(fitter, one, hand))
     return state
 
 
-def _hand(fitter: ModelFitter, joint: int) -> np.ndarray:
+def _hand(fitter: ScanFitter, joint: int) -> np.ndarray:
     """Vertices that ride on a joint or on what hangs on it."""
     parents = fitter.body.parents
     mine = [joint]
@@ -104,14 +92,15 @@ def _hand(fitter: ModelFitter, joint: int) -> np.ndarray:
     return fitter.body.skinning_weights[:, mine].sum(1) > 0.5
 
 
-def _held(state: ModelState, names: tuple[str, ...], joint: int) -> PosePrior:
+def _held(fitter: ScanFitter, state: BodyState, joint: int) -> PosePrior:
     """A prior that keeps all joints but one where they are."""
-    spread = np.full((len(names), 3), FIRM)
-    spread[joint] = LOOSE
+    names = fitter.body.joint_names
+    spread = np.full((len(names), 3), fitter.settings.limbs.held_sd)
+    spread[joint] = fitter.settings.limbs.free_sd
     return PosePrior(names[1:], state.pose[0, 1:].ravel(), np.diag(spread[1:].ravel() ** 2))
 
 
-def _turned(state: ModelState, joint: int, turn: Float[np.ndarray, " 3"]) -> ModelState:
+def _turned(state: BodyState, joint: int, turn: Float[np.ndarray, " 3"]) -> BodyState:
     pose = state.pose.copy()
     pose[0, joint] = rotvec_from_matrix(
         matrix_from_rotvec(pose[0, joint]) @ matrix_from_rotvec(turn)
@@ -119,85 +108,77 @@ def _turned(state: ModelState, joint: int, turn: Float[np.ndarray, " 3"]) -> Mod
     return replace(state, pose=pose)
 
 
-def _misfit(fitter: ModelFitter, state: ModelState, hand: Cloud) -> float:
-    """Mean capped distance (m) of a hand's points, directions counted, and what the prior says."""
+def _misfit(fitter: ScanFitter, state: BodyState, hand: Cloud) -> float:
+    """Mean capped distance (m) of a hand's points, normals counted, and the pose prior."""
+    settings = fitter.settings.limbs
     found = fitter.matched(state, 0, hand)
-    apart = ((hand.points - found.place) ** 2).sum(1) + TURN**2 * 2.0 * (
-        1.0 - np.clip(found.cosine, -1.0, 1.0)
-    )
-    off = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
-    return float(np.minimum(np.sqrt(apart), FAR).mean() + PER_NAT * 0.5 * (off @ off))
+    square = found.distances(hand.points) ** 2
+    square += NORMAL_DISTANCE**2 * 2.0 * (1.0 - np.clip(found.cosine, -1.0, 1.0))
+    deviation = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
+    distance = np.minimum(np.sqrt(square), settings.max_distance).mean()
+    return float(distance + settings.per_nat * 0.5 * (deviation @ deviation))
 
 
-WHOLE = 5
-"""Arms, legs and head are the first of the guesser's limbs."""
-NEAR = 0.1
-"""Metres: a limb so much further from the lost piece than the nearest one is tried, too."""
-QUICK = (ModelStep(2, 6000, 0.03, 0.004, 0.0, EVERYTHING),)
-LOOKED_AT = 20_000
-LESS = 0.7
-"""Of what is off the surface so much may be left for a limb to count as found."""
-
-
-def away_from(
-    guesser: Guesser, cloud: Cloud, surface: Float[np.ndarray, "V 3"]
+def scan_distances(
+    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud
 ) -> Float[np.ndarray, " N"]:
-    """How far (m) each point of a scan is from a surface."""
-    place = nearest(guesser.fitter.topology, surface, cloud.points, cloud.normals).place
-    return np.linalg.norm(cloud.points - place, axis=1)
+    """Distances (m) of a scan's points from a surface."""
+    return find_correspondences(topology, surface, cloud.points, cloud.normals).distances(
+        cloud.points
+    )
 
 
-def found_limbs(
+def limbs_searched_again(
     guesser: Guesser,
-    state: ModelState,
+    state: BodyState,
     cloud: Cloud,
     surface: Float[np.ndarray, "V 3"],
-    schedule: tuple[ModelStep, ...],
-) -> ModelState | None:
+) -> BodyState | None:
     """The state of one scan with the limbs near its lost piece placed anew; None where that is no
     better.
     """
-    few = cloud.first(LOOKED_AT)
-    _, place = lost_piece(few.points, away_from(guesser, few, surface))
+    settings = guesser.fitter.settings.limbs
+    few = cloud.first(settings.checked_points)
+    distances = scan_distances(guesser.fitter.topology, surface, few)
+    _, place = lost_piece(few.points, distances)
     tried = state
     for limb in limbs_near(guesser, surface, place):
-        tried = _anew(guesser, tried, cloud, limb, schedule)
+        tried = _anew(guesser, tried, cloud, limb)
     before, after = (_quickly_lost(guesser, one, few) for one in (state, tried))
-    return tried if after < LESS * before else None
+    return tried if after < settings.improvement * before else None
 
 
 def limbs_near(
     guesser: Guesser, surface: Float[np.ndarray, "V 3"], place: Float[np.ndarray, " 3"]
 ) -> list[Limb]:
-    """The arm, leg or head nearest a place (m), and those hardly further off."""
+    """The arm, leg or head closest to a point (m), and those hardly further off."""
+    settings = guesser.fitter.settings.limbs
     weights = guesser.fitter.body.skinning_weights
-    limbs = guesser.limbs[:WHOLE]
+    limbs = guesser.limbs[: settings.whole_limbs]
     mine = [weights[:, limb.joints].sum(1) > 0.5 for limb in limbs]
-    away = np.array([np.linalg.norm(surface[rows] - place, axis=1).min() for rows in mine])
-    return [limb for limb, far in zip(limbs, away, strict=True) if far <= away.min() + NEAR]
+    distances = np.array([np.linalg.norm(surface[rows] - place, axis=1).min() for rows in mine])
+    most = distances.min() + settings.margin
+    return [limb for limb, each in zip(limbs, distances, strict=True) if each <= most]
 
 
-def _anew(
-    guesser: Guesser, state: ModelState, cloud: Cloud, limb: Limb, schedule: tuple[ModelStep, ...]
-) -> ModelState:
-    """A whole limb and its parts in the ways of the bank, then turned about itself, then hand or
-    foot.
-    """
+def _anew(guesser: Guesser, state: BodyState, cloud: Cloud, limb: Limb) -> BodyState:
+    """A limb and its parts as the bank has them, then turned about itself, then hand or foot."""
     fitter = guesser.fitter
     names = guesser.fitter.body.joint_names
     parts = [one for one in guesser.limbs if np.isin(one.joints, limb.joints).all()]
-    state = fitter.fit(guesser.scene(cloud).limbs(state, parts), [cloud], schedule)
-    for tries in (ARMS, TRIES):
+    state = fitter.fit(guesser.scene(cloud).limbs(state, parts), [cloud], fitter.settings.stages)
+    for tries in (ARMS, EXTREMITIES):
         own = {
-            name: ways
-            for name, ways in tries.items()
+            name: turns
+            for name, turns in tries.items()
             if name in names and names.index(name) in limb.joints
         }
         state = with_extremities(fitter, state, cloud, own)
     return state
 
 
-def _quickly_lost(guesser: Guesser, state: ModelState, cloud: Cloud) -> float:
+def _quickly_lost(guesser: Guesser, state: BodyState, cloud: Cloud) -> float:
     """The share of a scan that lies together off the model and a quick offset."""
-    _, (surface,) = fit_with_offsets(guesser.fitter, state, [cloud], QUICK)
-    return lost_share(cloud.points, away_from(guesser, cloud, surface))
+    fitter = guesser.fitter
+    (surface,) = fitter.fit_with_offsets(state, [cloud], fitter.settings.limbs.quick).surfaces
+    return lost_share(cloud.points, scan_distances(fitter.topology, surface, cloud))

@@ -1,13 +1,10 @@
-"""A scan: points of a person's surface, with or without triangles, and what was done to it since it
-was read.
-
-A scan as it comes made ready: metres, without floor and islands, with outward normals, in random
-order.
-
-Normals of clouds of points, and which way they point.
+"""A scan: points of a person's surface, and how they are prepared for fits: metres, no floor and
+islands, outward normals, random order.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +13,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from scipy.spatial import cKDTree
 
 from habitus.errors import HabitusError
+from habitus.fit.points.settings import SCANS, CleaningSettings
 from habitus.mesh.normals import vertex_normals
 
 
@@ -56,24 +54,15 @@ class Cloud:
         return Cloud(self.points[:count], self.normals[:count])
 
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-LEAST, MOST = 0.5, 2.7
-"""Metres: extents that a person may have."""
-FEWEST = 1000
-KEPT = 40_000
-"""Points that are fitted."""
-FLOOR_SHARE, FLOOR_BAND, FLOOR_TRIES = 0.08, 0.006, 200
-"""Of the points at least so many lie in a floor, which is so thick (of the scan's extent)."""
-ISLAND_LINK, ISLAND_NEAR, ISLAND_SHARE = 0.03, 0.06, 0.004
-"""Of the extent: points so near are of one piece, and pieces so near the largest are of the person,
-if they have at least that share of its points.
-"""
+UNITS: Mapping[str, float] = MappingProxyType(
+    {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
-    """A scan in metres, in its own axes, what of it is fitted, and whither the floor's normal
-    points, if there is one.
+    """A scan prepared for fits: in its own axes, the cloud of its points in metres, the factor from
+    its unit to metres, and the direction of the floor's normal, if there is a floor.
 
     ``kept`` are the rows of ``scan.points`` that are of the person.
     """
@@ -86,8 +75,10 @@ class Cleaned:
     notes: tuple[str, ...]
 
 
-def cleaned(scan: Scan, unit: str = "auto", seed: int = 0) -> Cleaned:
-    """The scan made ready to be fitted.
+def cleaned(
+    scan: Scan, unit: str = "auto", seed: int = 0, settings: CleaningSettings = SCANS.cleaning
+) -> Cleaned:
+    """The scan prepared for fits: metres, without floor and islands, with outward normals.
 
     Raises HabitusError for too few points, numbers that are not finite, and sizes that no person
     has in any unit.
@@ -95,42 +86,50 @@ def cleaned(scan: Scan, unit: str = "auto", seed: int = 0) -> Cleaned:
     if unit != "auto" and unit not in UNITS:
         raise HabitusError(f"unit is {unit!r}; expected auto, {', '.join(UNITS)}")
     finite = np.isfinite(scan.points).all(1)
-    if finite.sum() < FEWEST:
+    if finite.sum() < settings.min_points:
         raise HabitusError(
-            f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, {FEWEST} at "
-            "least"
+            f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, "
+            f"{settings.min_points} at least"
         )
     rng = np.random.default_rng(seed)
     notes = []
     kept = finite.copy()
     some = np.flatnonzero(finite)
     some = some[rng.permutation(len(some))[:20_000]]
-    floor = find_floor(scan.points[some], rng)
+    floor = find_floor(scan.points[some], rng, settings)
     if floor is not None:
         normal, height, band = floor
         kept &= scan.points @ normal > height + band
-        if kept.sum() < FEWEST:
+        if kept.sum() < settings.min_points:
             raise HabitusError(
                 f"{scan.name}: a plane and nothing else; expected the scan of a person"
             )
         notes.append(
             f"a floor with {(finite & ~kept).sum() / finite.sum():.0%} of the points was left out"
         )
-    islands = _off(scan.points, kept, rng)
+    islands = _islands(scan.points, kept, rng, settings)
     if islands.any():
         notes.append(
             f"islands with {islands.sum() / max(kept.sum(), 1):.1%} of the points were left out"
         )
         kept &= ~islands
-    scale, said = _scale(scan, kept, unit)
-    cloud = _cloud(scan, kept, scale, rng)
+    scale, unit_notes = _scale(scan, kept, unit, settings)
+    cloud = _cloud(scan, kept, scale, rng, settings.max_points)
     return Cleaned(
-        scan, cloud, kept, scale, None if floor is None else floor[0], (*scan.notes, *said, *notes)
+        scan,
+        cloud,
+        kept,
+        scale,
+        None if floor is None else floor[0],
+        (*scan.notes, *unit_notes, *notes),
     )
 
 
-def _scale(scan: Scan, kept: np.ndarray, unit: str) -> tuple[float, list[str]]:
-    """Metres of one of the scan's units, and what is said of it."""
+def _scale(
+    scan: Scan, kept: np.ndarray, unit: str, settings: CleaningSettings
+) -> tuple[float, list[str]]:
+    """The factor from the scan's unit to metres, and a note on it."""
+    least, most = settings.min_extent, settings.max_extent
     points = scan.points[kept]
     points = points[:: max(1, len(points) // 20_000)]
     axes = np.linalg.eigh(np.cov(points.T))[1]
@@ -138,29 +137,31 @@ def _scale(scan: Scan, kept: np.ndarray, unit: str) -> tuple[float, list[str]]:
     extent = float((high - low).max())
     if unit != "auto":
         size = extent * UNITS[unit]
-        if not LEAST <= size <= MOST:
+        if not least <= size <= most:
             raise HabitusError(
-                f"{scan.name}: {size:.3g} m large in {unit}; expected a person, {LEAST} to {MOST} m"
+                f"{scan.name}: {size:.3g} m large in {unit}; expected a person, {least} to {most} m"
             )
         return UNITS[unit], []
     for name in ("m", "cm", "mm"):
-        if LEAST <= extent * UNITS[name] <= MOST:
-            said = (
+        if least <= extent * UNITS[name] <= most:
+            notes = (
                 []
                 if name == "m"
                 else [f"its numbers are read as {name}: {extent * UNITS[name]:.2f} m large"]
             )
-            return UNITS[name], said
+            return UNITS[name], notes
     raise HabitusError(
-        f"{scan.name}: {extent:.4g} large; expected a person of {LEAST} to {MOST} m in m, cm or "
+        f"{scan.name}: {extent:.4g} large; expected a person of {least} to {most} m in m, cm or "
         "mm; "
         "say the unit, and cut away what is not the person"
     )
 
 
-def _cloud(scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator) -> Cloud:
+def _cloud(
+    scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator, max_points: int
+) -> Cloud:
     rows = np.flatnonzero(kept)
-    rows = rows[rng.permutation(len(rows))[:KEPT]]
+    rows = rows[rng.permutation(len(rows))[:max_points]]
     points = scale * scan.points[rows]
     normals = None if scan.normals is None else scan.normals[rows]
     if normals is None and scan.faces is not None:
@@ -177,16 +178,18 @@ def _cloud(scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator)
 
 
 def find_floor(
-    points: Float[np.ndarray, "N 3"], rng: np.random.Generator
+    points: Float[np.ndarray, "N 3"],
+    rng: np.random.Generator,
+    settings: CleaningSettings = SCANS.cleaning,
 ) -> tuple[Float[np.ndarray, " 3"], float, float] | None:
-    """Normal (towards the person), place along it and thickness of a plane that bounds the scan;
+    """Normal (towards the person), position along it and thickness of a plane that bounds the scan;
     None without one.
     """
     extent = float(np.ptp(points, axis=0).max())
-    band = FLOOR_BAND * extent
+    band = settings.floor_thickness * extent
     best = 0
     found = None
-    for _ in range(FLOOR_TRIES):
+    for _ in range(settings.floor_tries):
         a, b, c = points[rng.integers(0, len(points), 3)]
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
@@ -195,7 +198,7 @@ def find_floor(
         normal = normal / length
         along = points @ normal
         inside = np.abs(along - a @ normal) < 0.5 * band
-        if inside.sum() > max(best, FLOOR_SHARE * len(points)):
+        if inside.sum() > max(best, settings.floor_share * len(points)):
             above = (along > a @ normal + band).mean()
             below = (along < a @ normal - band).mean()
             if min(above, below) < 0.01 < max(above, below) and _wide(points[inside], extent):
@@ -211,7 +214,9 @@ def _wide(points: np.ndarray, extent: float) -> bool:
     return bool(spread[1] > 0.1 * extent)
 
 
-def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool[np.ndarray, " N"]:
+def _islands(
+    points: np.ndarray, kept: np.ndarray, rng: np.random.Generator, settings: CleaningSettings
+) -> Bool[np.ndarray, " N"]:
     """Points of islands: pieces that are far from the largest, or hardly more than dust."""
     rows = np.flatnonzero(kept)
     few = rows[rng.permutation(len(rows))[:8000]]
@@ -219,7 +224,7 @@ def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool
     size = float((np.percentile(some, 99, axis=0) - np.percentile(some, 1, axis=0)).max())
     tree = cKDTree(some)
     spacing = float(np.percentile(tree.query(some, k=2)[0][:, 1], 90))
-    pairs = tree.query_pairs(max(ISLAND_LINK * size, 2.5 * spacing), output_type="ndarray")
+    pairs = tree.query_pairs(max(settings.island_link * size, 2.5 * spacing), output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(some),) * 2)
     piece = connected_components(graph, directed=False)[1]
     count = np.bincount(piece)
@@ -227,8 +232,8 @@ def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool
     apart = main.query(some)[0]
     gone = np.zeros(len(count), dtype=bool)
     for k in range(len(count)):
-        near = apart[piece == k].min() < ISLAND_NEAR * size
-        gone[k] = not near or count[k] < ISLAND_SHARE * len(some)
+        near = apart[piece == k].min() < settings.island_reach * size
+        gone[k] = not near or count[k] < settings.island_share * len(some)
     gone[count.argmax()] = False
     off = np.zeros(len(points), dtype=bool)
     if gone.any():
@@ -236,31 +241,33 @@ def _off(points: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Bool
     return off
 
 
-def turned(one: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Cloud]:
+def turned(cleaned: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Cloud]:
     """The scan with ``turn`` (3, 3) made upright, in metres: what of it is of the person, and what
     is fitted.
     """
     motion = np.eye(4)
-    motion[:3, :3] = one.scale * turn
-    scan = one.scan
-    kept = one.kept
-    points = one.scale * scan.points[kept] @ turn.T
+    motion[:3, :3] = cleaned.scale * turn
+    scan = cleaned.scan
+    kept = cleaned.kept
+    points = cleaned.scale * scan.points[kept] @ turn.T
     whole = replace(
         scan,
         points=points,
         normals=None,
         faces=None,
         to_body=motion @ scan.to_body,
-        notes=one.notes,
+        notes=cleaned.notes,
     )
-    return whole, Cloud(one.cloud.points @ turn.T, one.cloud.normals @ turn.T)
+    return whole, Cloud(cleaned.cloud.points @ turn.T, cleaned.cloud.normals @ turn.T)
 
 
 NEIGHBOURS = 16
-LINKED = 8
-AT_ONCE = 20_000
-COARSE, AROUND = 3000, 24
-"""Points that tell out from in, and how many neighbours each is held against."""
+"""Of a point, through which its plane is fitted."""
+LINKS = 8
+"""Neighbours to which a sign may be carried."""
+CHUNK = 20_000
+COARSE_POINTS, COARSE_NEIGHBOURS = 3000, 24
+"""Points that decide which side is outside, and the neighbours each is compared with."""
 
 
 def plane_normals(
@@ -269,10 +276,10 @@ def plane_normals(
     """The normal (unit, of either sign) of the plane through each point's neighbours, and these."""
     near = cKDTree(points).query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)
     normals = np.empty_like(points)
-    for begin in range(0, len(points), AT_ONCE):
-        some = points[near[begin : begin + AT_ONCE]]
+    for begin in range(0, len(points), CHUNK):
+        some = points[near[begin : begin + CHUNK]]
         some = some - some.mean(1, keepdims=True)
-        normals[begin : begin + AT_ONCE] = np.linalg.eigh(some.transpose(0, 2, 1) @ some)[1][..., 0]
+        normals[begin : begin + CHUNK] = np.linalg.eigh(some.transpose(0, 2, 1) @ some)[1][..., 0]
     return normals, near
 
 
@@ -292,7 +299,7 @@ def outward(
     if not carry:
         return normals * (1.0 if _roundness(points, normals) >= 0.0 else -1.0)
     count = len(points)
-    others = near[:, 1 : LINKED + 1]
+    others = near[:, 1 : LINKS + 1]
     rows = np.repeat(np.arange(count), others.shape[1])
     bend = 1.0 - np.abs((normals[rows] * normals[others.ravel()]).sum(1)) + 1e-3
     tree = minimum_spanning_tree(
@@ -327,9 +334,11 @@ def agreed(
 
 def _roundness(points: np.ndarray, normals: np.ndarray) -> float:
     """How far points stand out, along their normals, from the middles of what is around them."""
-    some = slice(None, None, max(1, len(points) // COARSE))
+    some = slice(None, None, max(1, len(points) // COARSE_POINTS))
     few = points[some]
-    around = few[cKDTree(few).query(few, k=min(AROUND, len(few)))[1].reshape(len(few), -1)].mean(1)
+    around = few[
+        cKDTree(few).query(few, k=min(COARSE_NEIGHBOURS, len(few)))[1].reshape(len(few), -1)
+    ].mean(1)
     return float(((few - around) * normals[some]).sum())
 
 

@@ -19,32 +19,27 @@ from jaxtyping import Float
 from scipy.sparse import bsr_array, csc_array, csr_array, eye_array, kron
 from scipy.spatial import cKDTree
 
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
-from habitus.fit.points.correspondences import Topology, nearest, vertex_weights
-from habitus.fit.points.free_surface import STEPS as FREE_STEPS
-from habitus.fit.points.free_surface import factored, free_surface, new_cuts, uncut
+from habitus.fit.offsets import factored, field_precision
+from habitus.fit.points.correspondences import Topology, vertex_weights
+from habitus.fit.points.free_surface import free_surface, new_cuts, uncut
 from habitus.fit.points.scan import Cloud, Scan
-from habitus.fit.points.scan_fitting import OFFSET_STEPS as STEPS
-from habitus.fit.points.scan_fitting import ModelFitter, field_precision, fit_with_offsets
-from habitus.fit.points.scan_result import ScanColours, ScanFit, at_rest, lost_share
-from habitus.fit.points.scans import MATCHED, Registrar
+from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.scan_result import ScanColours, ScanFit, at_rest
+from habitus.fit.points.scans import Registrar, compared
+from habitus.fit.points.settings import SCANS, ScanColourSettings, ScanSettings
 from habitus.fit.points.skin_colours import (
     ColourCloud,
+    ColourMatch,
     Places,
     SharedSkin,
-    Sight,
     SkinGrid,
     colour_matches,
     find_skin,
 )
-from habitus.fit.points.state import ModelState
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations
-
-MOST = 200_000
-"""Coloured points of a scan that are used."""
-PIECES = 4
-"""Pieces an edge that the texture is handed out with."""
 
 
 def with_colours(
@@ -71,14 +66,15 @@ def with_colours(
 
 def _agreed(registrar: Registrar, fits: Sequence[ScanFit], scans: Sequence[Scan]) -> list[ScanFit]:
     """The fits of two scans of people or more."""
-    clouds = [_coloured(fit, scan) for fit, scan in zip(fits, scans, strict=True)]
     fitter = registrar.fitter
+    settings = fitter.settings.colours
+    clouds = [_coloured(fit, scan, settings) for fit, scan in zip(fits, scans, strict=True)]
     poses = np.stack([fit.pose for fit in fits])
     trans = np.stack([fit.trans for fit in fits])
-    state = ModelState(np.mean([fit.betas for fit in fits], axis=0), poses, trans)
+    state = BodyState(np.mean([fit.betas for fit in fits], axis=0), poses, trans)
     before = [fit.vertices for fit in fits]
     state, after = agreeing(fitter, state, [fit.cloud for fit in fits], before, clouds)
-    grid = SkinGrid.of(fitter.topology.faces, PIECES)
+    grid = SkinGrid.of(fitter.topology.faces, fitter.settings.colours.pieces)
     skins = [shared_skin(fitter.topology, grid, surfaces, clouds) for surfaces in (before, after)]
     told = [[colour_difference(skin, k) for k in range(len(fits))] for skin in skins]
     found = []
@@ -87,7 +83,7 @@ def _agreed(registrar: Registrar, fits: Sequence[ScanFit], scans: Sequence[Scan]
             grid, np.exp(skins[1].tones), skins[1].apart(k), told[0][k], told[1][k]
         )
         if told[1][k] < told[0][k]:
-            found.append(_moved(registrar, fit, state.one(k), after[k], colours))
+            found.append(_moved(registrar, fit, state[k : k + 1], after[k], colours))
         else:
             said = (
                 f"its colours differ from the other scans' by {told[0][k]:.3f} and would by "
@@ -114,21 +110,21 @@ def check_colours(scans: Sequence[Scan]) -> None:
         )
 
 
-def _coloured(fit: ScanFit, scan: Scan) -> ColourCloud:
+def _coloured(fit: ScanFit, scan: Scan, settings: ScanColourSettings) -> ColourCloud:
     """Coloured points in the body's frame; normals are those of the fitted points beside them."""
     assert scan.colours is not None
     places = scan.points if scan.colour_places is None else scan.colour_places
     rows = np.flatnonzero(np.isfinite(places).all(1) & np.isfinite(scan.colours).all(1))
-    rows = rows[np.random.default_rng(0).permutation(len(rows))[:MOST]]
+    rows = rows[np.random.default_rng(0).permutation(len(rows))[: settings.max_points]]
     points = places[rows] @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
     near = cKDTree(fit.cloud.points).query(points)[1]
-    return ColourCloud.of(points, fit.cloud.normals[near], scan.colours[rows])
+    return ColourCloud.of(points, fit.cloud.normals[near], scan.colours[rows], settings)
 
 
 def _moved(
     registrar: Registrar,
     fit: ScanFit,
-    state: ModelState,
+    state: BodyState,
     surface: Float[np.ndarray, "V 3"],
     colours: ScanColours,
 ) -> ScanFit:
@@ -136,13 +132,6 @@ def _moved(
     topology = registrar.fitter.topology
     cloud = fit.cloud
     model = registrar.fitter.vertices(state)
-    there, near = (
-        nearest(topology, each, cloud.points, cloud.normals) for each in (surface, model)
-    )
-    to_surface, to_model = (
-        np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near)
-    )
-    counted = (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3)
     return replace(
         fit,
         betas=state.betas,
@@ -152,60 +141,55 @@ def _moved(
         model_vertices=model,
         rest_vertices=at_rest(fit.body, state, surface - model),
         weights=vertex_weights(topology, surface, cloud),
-        to_surface=to_surface[counted],
-        to_model=to_model[counted],
-        far_from_surface=to_surface,
-        matched=float(((to_model < MATCHED) & (near.cosine > 0.3)).mean()),
-        lost=lost_share(cloud.points, to_surface),
+        **compared(registrar.fitter, cloud, surface, model),
         cuts=new_cuts(topology, model, surface),
         colours=replace(colours, slid=float(np.linalg.norm(surface - fit.vertices, axis=1).mean())),
     )
 
 
-SLIDE, ALIKE = 0.001, 0.12
-"""Metres (sd): how far a surface slides beside the model's; and over what distance alike."""
-LOOSE = 0.002
-"""Metres (sd) that the model's skin slides on the person's, whatever its pose."""
-WORTH = 1500.0
-"""Coloured points that all of a scan count as for the model."""
-FREE = FREE_STEPS[-1:]
-FREE_POINTS = 20_000
-MODEL_POINTS = 15_000
-SURFACE_POINTS = 60_000
-COARSE, FINE = (2, 4), (4, 4)
-"""Pieces an edge of the grids that pose and shape, and that surfaces are solved with."""
-
-
 def agreeing(
-    fitter: ModelFitter,
-    state: ModelState,
+    fitter: ScanFitter,
+    state: BodyState,
     clouds: Sequence[Cloud],
     surfaces: Sequence[Float[np.ndarray, "V 3"]],
     coloured: Sequence[ColourCloud],
-) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
+) -> tuple[BodyState, list[Float[np.ndarray, "V 3"]]]:
     """Pose and shape, then surfaces (m), of two scans or more whose colours agree, from where
     geometry has them.
     """
     now = list(surfaces)
+    settings = fitter.settings.colours
     topology = fitter.topology
-    places = Places.of(now[0], topology.faces, SURFACE_POINTS)
-    some = Places.of(now[0], topology.faces, MODEL_POINTS)
-    for n in COARSE:
-        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
+    places = Places.of(now[0], topology.faces, settings.surface_points)
+    some = Places.of(now[0], topology.faces, settings.model_points)
+    for n in settings.coarse:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured, settings)
         models = [fitter.vertices(state, k) for k in range(len(clouds))]
         matches = [_for_model(skin, k, some, models[k]) for k in range(len(clouds))]
-        state, now = fit_with_offsets(fitter, state, clouds, STEPS[1:], matches)
+        fit = fitter.fit_with_offsets(state, clouds, fitter.settings.offset_stages[1:], matches)
+        state = fit.state
+        now = list(fit.surfaces)
     base = [
         free_surface(
-            topology, fitter.vertices(state, k), clouds[k].first(FREE_POINTS), start=now[k]
+            topology,
+            fitter.vertices(state, k),
+            clouds[k].first(fitter.settings.surface.points),
+            fitter.settings.surface,
+            start=now[k],
         )
         for k in range(len(clouds))
     ]
     now = base
-    for n in FINE:
-        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured)
-        matches = [colour_matches(skin, k, places, now[k], LOOSE) for k in range(len(clouds))]
-        now = [slid(topology, base[k], clouds[k], matches[k]) for k in range(len(clouds))]
+    for n in settings.fine:
+        skin = shared_skin(topology, SkinGrid.of(topology.faces, n), now, coloured, settings)
+        matches = [
+            colour_matches(skin, k, places, now[k], settings.skin_slide_sd)
+            for k in range(len(clouds))
+        ]
+        now = [
+            slid(topology, base[k], clouds[k], matches[k], fitter.settings)
+            for k in range(len(clouds))
+        ]
     return state, [
         uncut(topology, fitter.vertices(state, k), surface) for k, surface in enumerate(now)
     ]
@@ -222,22 +206,29 @@ def shared_skin(
     grid: SkinGrid,
     surfaces: Sequence[Float[np.ndarray, "V 3"]],
     coloured: Sequence[ColourCloud],
+    settings: ScanColourSettings = SCANS.colours,
 ) -> SharedSkin:
     """The texture of all scans where their surfaces are now."""
-    sights = [Sight.of(topology, *each) for each in zip(surfaces, coloured, strict=True)]
-    return find_skin(grid, coloured, sights)
+    matches = [
+        ColourMatch.of(topology, *each, settings) for each in zip(surfaces, coloured, strict=True)
+    ]
+    return find_skin(grid, coloured, matches, settings)
 
 
 def _for_model(skin: SharedSkin, k: int, places: Places, model: np.ndarray) -> PointObservations:
-    matches = colour_matches(skin, k, places, model, LOOSE)
-    share = np.sqrt(min(1.0, WORTH / len(places.face)))
+    matches = colour_matches(skin, k, places, model, skin.settings.skin_slide_sd)
+    share = np.sqrt(min(1.0, skin.settings.effective_points / len(places.face)))
     return PointObservations(
         matches.face, matches.barycentric, matches.target, share * matches.directions
     )
 
 
 def slid(
-    topology: Topology, base: Float[np.ndarray, "V 3"], cloud: Cloud, along: PointObservations
+    topology: Topology,
+    base: Float[np.ndarray, "V 3"],
+    cloud: Cloud,
+    along: PointObservations,
+    settings: ScanSettings = SCANS,
 ) -> Float[np.ndarray, "V 3"]:
     """A surface slid along itself to where colours would have it, then put on the scan again along
     its normals.
@@ -246,12 +237,15 @@ def slid(
     own place must not be made good by sliding.
     """
     across = _across(topology, base)
-    field = field_precision(topology, base, np.full(len(base), SLIDE), ALIKE)
+    colours = settings.colours
+    spread = np.full(len(base), colours.slide_sd)
+    field = field_precision(topology.faces, base, spread, colours.slide_range)
     rows, apart = _rows(topology, along, base)
     rows = csr_array(rows @ across)
     matrix = rows.T @ rows + across.T @ kron(field, eye_array(3), format="csc") @ across
     moved = base + (across @ factored(csc_array(matrix)).solve(rows.T @ apart)).reshape(-1, 3)
-    return free_surface(topology, moved, cloud.first(FREE_POINTS), FREE)
+    surface = settings.surface
+    return free_surface(topology, moved, cloud.first(surface.points), surface, surface.stages[-1:])
 
 
 def _across(topology: Topology, base: np.ndarray) -> csr_array:

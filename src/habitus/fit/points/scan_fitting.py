@@ -1,85 +1,58 @@
-"""The model fitted to scans: pose and place of each, one shape for all, by Gauss-Newton (T 5.4).
+"""The body model fitted to scans: shape of the person, pose and translation of each scan (T 5.4).
 
-    1/2 sum_p w_p ((n_p . (q_p - t_p))^2 + s |q_p - t_p|^2) + 1/2 l |betas|^2 + 1/2 m (theta -
-    mean)^T P (theta - mean)
+    "points"  1/2 c sum_p w_p ((n_p . (q_p - t_p))^2 + s |q_p - t_p|^2)
+    "offset"  min over h of  1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 (h - m)^T Q (h - m)
+    "colour"  1/2 sum_p |D_p (q_p - t_p)|^2,    places along the skin from colours (`skin_colours`)
+    "shape"   1/2 l |betas - b|^2
+    "pose"    1/2 m (theta - mean)^T P (theta - mean)
 
-q is the point of the model that a scanned point t belongs to, found anew at each step; w falls with
-the distance (Geman-McClure) and is zero where normals disagree.
-
-The model fitted while skin lies off it, as skin does that no model knows: pose, shape and that
-offset at once.
-
-    1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 h^T Q h + 1/2 |betas|^2 + 1/2 (theta - mean)^T P
-    (theta - mean)
-
-h (V,) is how far the skin is off the model along its normals: a random field over the surface, of
-Matern's kind, whose precision Q is (k^2 + Laplacian)^2. What is left of a scan after a fit is alike
-over centimetres, so that a thousand points on a thigh tell of its place hardly more than one:
-without h they would count as if each told anew, and the model would slide along the skin after
-them. h is linear and taken out of each step exactly (Schur); pose and shape then see what a smooth
-offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence h, betas
-and theta are held near those of the frame before, instead of near people's mean.
+t_p is a scanned point and q_p its correspondence on the model, the nearest point with a similar
+normal n_p, found anew before each step; w_p = 1 / noise^2 falls with the distance (Geman-McClure)
+and is zero where normals disagree. First "points" and the priors from coarse to fine; c counts all
+points of a scan as `effective_points` at most, since what a fit leaves of a scan is no independent
+noise. Then "offset" in place of "points": h (V,) are skin offsets along the normals of the model, a
+random field with precision Q (`habitus.fit.offsets`). h is linear and eliminated from each step
+exactly (variable projection, Golub and Pereyra 1973): pose and shape then follow what a smooth
+offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence m, b and
+the pose's mean are those of the frame before.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array, csc_array, diags_array
+from scipy.sparse.linalg import SuperLU
 from scipy.spatial import cKDTree
 
-from habitus.body.jacobians import surface_jacobian
+from habitus.body.jacobians import SurfaceJacobian, surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.points.correspondences import Nearest, Topology, nearest
-from habitus.fit.points.free_surface import factored
+from habitus.body.state import BodyState
+from habitus.fit.offsets import (
+    along_normals,
+    factored,
+    field_precision,
+    motion_along,
+    offset_spread,
+)
+from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
+from habitus.fit.points.priors import about_root, pose_prior, shape_prior
 from habitus.fit.points.scan import Cloud, agreed
-from habitus.fit.points.state import ModelState
-from habitus.mesh.laplacian import cotangent_laplacian
+from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.points import PointObservations, PointSolver
-from habitus.residuals.robust import geman_mcclure_weight
-from habitus.solve.arrow import ArrowMatrix
-
-WORTH = 1500.0
-"""Points that all points of a scan together count as: what is left of a scan after a fit is not
-independent noise.
-"""
-MODEL_MIN_COSINE = 0.3
-ORIENTED = 0.03
-"""Metres from the model within which it says which way a surface looks."""
-SHAPE_CHANGE = 0.5
-"""Standard deviations by which betas of one frame of a sequence differ from those of the one
-before.
-"""
-MOST_TURN = 0.6
-"""Radians that a joint turns in a step at most."""
-
-
-@dataclass(frozen=True)
-class ModelStep:
-    """Some Gauss-Newton steps alike: ``points`` of each scan, ``reach`` (m) beyond which a point
-    hardly counts, ``noise`` (m, sd) of a point, the share ``slide`` of point to point, and how many
-    of the betas are free.
-    """
-
-    steps: int
-    points: int
-    reach: float
-    noise: float
-    slide: float
-    betas: int
-    pose: float = 1.0
-    """Weight of the pose prior."""
-    shape: float = 1.0
+from habitus.residuals.points import PointObservations, PointSolver, points_term
+from habitus.solve.alternate import alternate
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import Quadratic, Term
 
 
 @dataclass(frozen=True, eq=False)
-class FrameBefore:
-    """What the frame before says of the next one of a sequence: betas (B,), pose (J, 3), and how
-    far the skin was off the model along its normals (V,; m).
-    """
+class PreviousFrame:
+    """The fit of the frame before in a sequence: betas (B,), pose (J, 3), skin offsets (V,; m)."""
 
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "J 3"]
@@ -87,275 +60,307 @@ class FrameBefore:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelFitter:
-    """A body made ready to be fitted to scans; ``before`` couples them in time."""
+class OffsetFit:
+    """A state, the surfaces (m) with skin offsets, and how the solve ended: `status` of
+    `habitus.minimize`, the cost of each term after the last step.
+    """
+
+    state: BodyState
+    surfaces: tuple[Float[np.ndarray, "V 3"], ...]
+    status: str
+    costs: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ScanFitter:
+    """A body prepared for fits to scans; ``previous`` couples it to the frame before."""
 
     solver: PointSolver
     topology: Topology
     prior: PosePrior
-    before: FrameBefore | None = None
+    previous: PreviousFrame | None = None
+    settings: ScanSettings = SCANS
+
+    @cached_property
+    def precision(self) -> Float[np.ndarray, "n n"]:
+        """Of the pose prior, without the root."""
+        return self.prior.precision
 
     @property
     def body(self) -> BodyModel:
         """The body."""
         return self.solver.body
 
-    def vertices(self, state: ModelState, k: int = 0) -> Float[np.ndarray, "V 3"]:
+    def vertices(self, state: BodyState, k: int = 0) -> Float[np.ndarray, "V 3"]:
         """The surface of scan k."""
         return np.asarray(self.body(state.betas, state.pose[k], state.trans[k]).vertices)
 
-    def matched(self, state: ModelState, k: int, cloud: Cloud) -> Nearest:
-        """Where on the model each point of a scan belongs."""
-        return nearest(self.topology, self.vertices(state, k), cloud.points, cloud.normals)
+    def matched(self, state: BodyState, k: int, cloud: Cloud) -> Correspondences:
+        """The correspondences of a scan's points on the model."""
+        return find_correspondences(
+            self.topology, self.vertices(state, k), cloud.points, cloud.normals
+        )
 
-    def oriented(self, state: ModelState, cloud: Cloud) -> Cloud:
-        """The cloud with its normals on the model's side where it is near, whichever side they were
-        carried to.
-        """
+    def oriented(self, state: BodyState, cloud: Cloud) -> Cloud:
+        """The cloud with normals on the model's side where it is near."""
         surface = self.vertices(state)
         some = self.topology.whole
-        _, which = cKDTree(surface[some]).query(cloud.points, distance_upper_bound=ORIENTED)
+        _, which = cKDTree(surface[some]).query(
+            cloud.points, distance_upper_bound=self.settings.orientation_distance
+        )
         pointing = np.concatenate(
             [vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))]
         )
         return Cloud(cloud.points, agreed(cloud.points, cloud.normals, pointing[which]))
 
     def fit(
-        self, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep]
-    ) -> ModelState:
-        """The state after all steps of a schedule."""
-        for step in schedule:
-            some = [cloud.first(step.points) for cloud in clouds]
-            for _ in range(step.steps):
-                state = self._step(state, some, step)
-        return state
+        self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]
+    ) -> BodyState:
+        """The state after all stages, without skin offsets."""
 
-    def _step(self, state: ModelState, clouds: Sequence[Cloud], step: ModelStep) -> ModelState:
-        matches = [self._matches(state, k, cloud, step) for k, cloud in enumerate(clouds)]
-        _, gradient, matrix = self.solver.together(state.betas, state.pose, state.trans, matches)
-        return self.moved(state, gradient, matrix, step)
+        def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
+            now = BodyState(**values)
+            points = [self._points(now, k, cloud, stage) for k, cloud in enumerate(clouds)]
+            return {"points": points_term(self.solver, points), **self._priors(stage)}
 
-    def moved(
+        return self.minimized(terms_at, state, schedule).state
+
+    def fit_with_offsets(
         self,
-        state: ModelState,
-        gradient: Float[np.ndarray, " n"],
-        matrix: ArrowMatrix,
-        step: ModelStep,
-    ) -> ModelState:
-        """The state after one step by what the scans say, gradient and matrix (betas, then trans
-        and pose of each), and by the priors.
+        state: BodyState,
+        clouds: Sequence[Cloud],
+        schedule: Sequence[ScanStage],
+        colours: Sequence[PointObservations] | None = None,
+    ) -> OffsetFit:
+        """The state of all scans (one shape), and of each the surface: the model with its offset.
+
+        colours: of each scan, places along the skin, where offsets have no part.
         """
-        gradient = gradient.copy()
-        count = self.body.num_betas
-        size = 3 + 3 * self.body.num_joints
-        precision = step.pose * self.prior.precision
-        mean = self.prior.mean
-        usual = np.zeros(count)
-        shape = step.shape
-        if self.before is not None:
-            mean = self.before.pose[1:].ravel()
-            usual = self.before.betas
-            shape = step.shape / SHAPE_CHANGE**2
-        gradient[:count] += shape * (state.betas - usual)
-        shared = matrix.shared + shape * np.eye(count)
-        blocks = matrix.blocks.copy()
-        for k, pose in enumerate(state.pose):
-            begin = count + k * size + 6
-            gradient[begin : begin + len(mean)] += precision @ (pose[1:].ravel() - mean)
-            blocks[k][6:, 6:] += precision
-        held = np.arange(count) >= step.betas
-        shared[held] = shared[:, held] = 0.0
-        shared[held, held] = 1.0
-        border = np.where(held, 0.0, matrix.border)
-        gradient[:count][held] = 0.0
-        arrow = ArrowMatrix(shared, border, blocks)
-        change = arrow.solve(1e-4 * arrow.diagonal() + 1e-9, -gradient)
-        each = change[count:].reshape(len(state.pose), size)
-        turn = each[:, 3:].reshape(state.pose.shape)
-        turn *= min(1.0, MOST_TURN / max(np.abs(turn).max(initial=0.0), 1e-12))
-        return ModelState(
-            state.betas + change[:count], state.pose + turn, state.trans + each[:, :3]
+        spread = offset_spread(self.body, self.settings.offsets)
+        mean = np.zeros(self.body.num_vertices)
+        if self.previous is not None:
+            mean = self.previous.offset
+            spread = self.settings.offset_change * spread
+        precisions = [
+            field_precision(
+                self.topology.faces,
+                self.vertices(state, k),
+                spread,
+                self.settings.offsets.range,
+            )
+            for k in range(len(clouds))
+        ]
+        scans: list[OffsetEquations] = []  # those of the last step, from which offsets carry over
+
+        def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
+            nonlocal scans
+            now = BodyState(**values)
+            scans = [
+                OffsetEquations.of(
+                    self,
+                    now[k : k + 1],
+                    cloud,
+                    precisions[k],
+                    mean,
+                    stage,
+                    scans[k] if scans else None,
+                )
+                for k, cloud in enumerate(clouds)
+            ]
+            terms = {"offset": offset_term(scans), **self._priors(stage)}
+            if colours is not None:
+                terms["colour"] = points_term(self.solver, list(colours))
+            return terms
+
+        found = self.minimized(terms_at, state, schedule)
+        models = [self.vertices(found.state, k) for k in range(len(clouds))]
+        surfaces = tuple(
+            along_normals(model, scan.offset_at(model), self.body)
+            for model, scan in zip(models, scans, strict=True)
+        )
+        return OffsetFit(found.state, surfaces, found.status, found.costs)
+
+    def minimized(self, terms_at: Any, state: BodyState, schedule: Sequence[ScanStage]) -> Any:
+        """The solve of a schedule: correspondences renewed before each step."""
+        count = np.arange(self.body.num_betas)
+        stages = [
+            replace(
+                stage,
+                masks={"betas": count < stage.betas},
+                max_step={"pose": self.settings.max_joint_step},
+                fixed=() if stage.betas else ("betas",),
+            )
+            for stage in schedule
+        ]
+        return alternate(
+            terms_at,
+            state,
+            stages,
+            steps=Levenberg(self.settings.damping),
+            blocks=("trans", "pose"),
         )
 
-    def _matches(
-        self, state: ModelState, k: int, cloud: Cloud, step: ModelStep
+    def _priors(self, stage: ScanStage) -> dict[str, Term]:
+        betas = np.zeros(self.body.num_betas)
+        mean = np.concatenate([np.zeros(3), self.prior.mean])
+        shape = stage.shape
+        if self.previous is not None:
+            betas = self.previous.betas
+            mean = self.previous.pose.ravel()
+            shape = stage.shape / self.settings.shape_change**2
+        precision = about_root(stage.pose * self.precision)
+        return {"shape": shape_prior(betas, shape), "pose": pose_prior(mean, precision)}
+
+    def _points(
+        self, state: BodyState, k: int, cloud: Cloud, stage: ScanStage
     ) -> PointObservations:
+        cloud = cloud.first(stage.points)
         found = self.matched(state, k, cloud)
-        apart = np.linalg.norm(cloud.points - found.place, axis=1)
-        weight = geman_mcclure_weight(apart, step.reach) * (found.cosine > MODEL_MIN_COSINE)
-        weight *= min(1.0, WORTH / len(apart)) / step.noise**2
+        weight = found.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
+        weight *= min(1.0, self.settings.effective_points / len(weight)) / stage.noise**2
         return PointObservations.to_planes(
-            found.face, found.barycentric, cloud.points, found.normal, weight, step.slide
+            found.face, found.barycentric, cloud.points, found.normal, weight, stage.slide
         )
-
-
-OFFSET, BONY_OFFSET = 0.004, 0.002
-"""Metres (sd): how far skin is off a model, and on hands, feet and head."""
-BONY = ("hand", "wrist", "foot", "head", "toe")
-OFFSET_CHANGE = 0.8
-"""Of that, how much the offset changes from one frame of a sequence to the next."""
-RANGE = 0.19
-"""Metres: from there on two places' offsets have little to do with each other (a correlation of
-0.14).
-"""
-OFFSET_MIN_COSINE = 0.5
-EVERYTHING = 1000
-OFFSET_STEPS = (
-    ModelStep(3, 8000, 0.05, 0.01, 0.0, EVERYTHING),
-    ModelStep(2, 16_000, 0.03, 0.004, 0.0, EVERYTHING),
-    ModelStep(3, 40_000, 0.02, 0.0025, 0.0, EVERYTHING),
-)
-"""The noise is that of a point which the offset does not explain: of the scanner, and of skin's
-finer forms.
-"""
-
-
-def offset_spread(body: BodyModel) -> Float[np.ndarray, " V"]:
-    """The offset's standard deviation (m) at each vertex."""
-    bony = [k for k, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
-    share = body.skinning_weights[:, bony].sum(1)
-    return OFFSET * (1.0 - share) + BONY_OFFSET * share
-
-
-def field_precision(
-    topology: Topology,
-    vertices: Float[np.ndarray, "V 3"],
-    spread: Float[np.ndarray, " V"],
-    reach: float = RANGE,
-) -> csc_array:
-    """The precision (V, V; 1 / m^2) of a Matern field (of smoothness 1) on a mesh with that spread
-    (m).
-    """
-    laplacian, area = cotangent_laplacian(vertices, topology.faces)
-    inverse = np.sqrt(8.0) / reach
-    half = inverse**2 * diags_array(area) + laplacian
-    whole = half @ diags_array(1.0 / area) @ half / (4.0 * np.pi * inverse**2)
-    return csc_array(diags_array(1.0 / spread) @ whole @ diags_array(1.0 / spread))
 
 
 @dataclass(frozen=True, eq=False)
-class _Pull:
-    """What a scan says of a state: gradient (N,) and matrix (N, N) without the offset, and what the
-    offset becomes, ``offset - slope @ change``, by a change (N,) of the state.
+class OffsetEquations:
+    """Points of one scan against planes, skin offsets eliminated, around a state.
+
+    With d (V,) the displacement of vertices along the normals they have at that state, S the points
+    by vertices, W their weights, r what is missing to their planes and delta = h - mean:
+
+        1/2 |S (d + delta) - r|_W^2 + 1/2 delta^T Q delta,    delta = (L + Q)^-1 (b - L d)
+
+    lumped: L = S^T W S. pull: b = S^T W r. square: r^T W r.
     """
 
-    gradient: Float[np.ndarray, " N"]
-    matrix: Float[np.ndarray, "N N"]
-    offset: Float[np.ndarray, " V"]
-    slope: Float[np.ndarray, "V N"]
+    body: BodyModel
+    state: BodyState
+    model: Float[np.ndarray, "V 3"]
+    normal: Float[np.ndarray, "V 3"]
+    lumped: csc_array
+    pull: Float[np.ndarray, " V"]
+    square: float
+    factor: SuperLU
+    mean: Float[np.ndarray, " V"]
+    jacobian: SurfaceJacobian
+
+    @staticmethod
+    def of(
+        fitter: ScanFitter,
+        state: BodyState,
+        cloud: Cloud,
+        precision: csc_array,
+        mean: Float[np.ndarray, " V"],
+        stage: ScanStage,
+        last: "OffsetEquations | None" = None,
+    ) -> "OffsetEquations":
+        """Correspondences on the model with the offset of the last step, or the mean offset."""
+        faces = fitter.topology.faces
+        cloud = cloud.first(stage.points)
+        jacobian = surface_jacobian(fitter.body, state.betas, state.pose[0], state.trans[0])
+        model = np.asarray(jacobian.surface.vertices)
+        normal = vertex_normals(model, faces)
+        offset = mean if last is None else last.offset_at(model)
+        found = find_correspondences(
+            fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals
+        )
+        weight = found.weights(cloud.points, stage.scale, fitter.settings.offset_min_cosine)
+        weight /= stage.noise**2
+        corners = faces[found.face]
+        row = np.repeat(np.arange(len(corners)), 3)
+        share = coo_array(
+            (found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), len(model))
+        ).tocsr()
+        there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
+        missing = ((cloud.points - there) * found.normal).sum(1) - share @ mean
+        lumped = csc_array(share.T @ diags_array(weight) @ share)
+        return OffsetEquations(
+            fitter.body,
+            state,
+            model,
+            normal,
+            lumped,
+            share.T @ (weight * missing),
+            float(weight @ missing**2),
+            factored(csc_array(lumped + precision)),
+            mean,
+            jacobian,
+        )
+
+    def model_at(
+        self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
+    ) -> Float[np.ndarray, "V 3"]:
+        """The model's vertices (m) at a state."""
+        if self._is_here(betas, pose, trans):
+            return self.model
+        return np.asarray(self.body(betas, pose, trans).vertices)
+
+    def _is_here(self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray) -> bool:
+        here = (self.state.betas, self.state.pose[0], self.state.trans[0])
+        return all(map(np.array_equal, here, (betas, pose, trans)))
+
+    def displacement(self, model: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " V"]:
+        """Of vertices, along the normals held here."""
+        return ((model - self.model) * self.normal).sum(1)
+
+    def offset_at(self, model: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " V"]:
+        """The offset h that is best for a surface of the model."""
+        return self.mean + self.factor.solve(self.pull - self.lumped @ self.displacement(model))
+
+    def cost(self, model: Float[np.ndarray, "V 3"]) -> float:
+        """The least over all offsets."""
+        displaced = self.displacement(model)
+        lumped = self.lumped @ displaced
+        pull = self.pull - lumped
+        square = self.square + float(displaced @ lumped - 2.0 * displaced @ self.pull)
+        return 0.5 * (square - float(pull @ self.factor.solve(pull)))
+
+    def equations(
+        self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N N"]]:
+        """Gradient and Gauss-Newton matrix over betas, trans and pose."""
+        if self._is_here(betas, pose, trans):
+            jacobian = self.jacobian
+        else:
+            jacobian = surface_jacobian(self.body, betas, pose, trans)
+        model = np.asarray(jacobian.surface.vertices)
+        along = motion_along(self.normal, jacobian)
+        pull = self.pull - self.lumped @ self.displacement(model)
+        right = np.column_stack([self.lumped @ along, pull])
+        left = right - self.lumped @ self.factor.solve(right)
+        return -along.T @ left[:, -1], along.T @ left[:, :-1]
 
 
-def fit_with_offsets(
-    fitter: ModelFitter,
-    state: ModelState,
-    clouds: Sequence[Cloud],
-    schedule: Sequence[ModelStep] = OFFSET_STEPS,
-    along: Sequence[PointObservations] | None = None,
-) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-    """The state of all scans (one shape), and of each the surface: the model with its offset (m).
+def offset_term(scans: Sequence[OffsetEquations]) -> Term:
+    """The term "offset" of all scans, over betas, trans and pose."""
 
-    along: of each scan what else is known of places along the skin, where the offset has no say:
-    colours.
-    """
-    before = fitter.before
-    spread = offset_spread(fitter.body)
-    mean = np.zeros(fitter.body.num_vertices) if before is None else before.offset
-    spread = spread if before is None else OFFSET_CHANGE * spread
-    offsets = [mean] * len(clouds)
-    held = [
-        field_precision(fitter.topology, fitter.vertices(state, k), spread)
-        for k in range(len(clouds))
-    ]
-    for step in schedule:
-        for _ in range(step.steps):
-            few = [cloud.first(step.points) for cloud in clouds]
-            pulls = [
-                _pull(fitter, state.one(k), few[k], held[k], offsets[k], mean, step)
-                for k in range(len(clouds))
-            ]
-            if along is not None:
-                pulls = [
-                    _along(fitter, state.one(k), *each)
-                    for k, each in enumerate(zip(pulls, along, strict=True))
-                ]
-            moved = fitter.moved(state, *_together(fitter.body.num_betas, pulls), step)
-            changes = [_change(state.one(k), moved.one(k)) for k in range(len(clouds))]
-            offsets = [
-                pull.offset - pull.slope @ change
-                for pull, change in zip(pulls, changes, strict=True)
-            ]
-            state = moved
-    return state, [_off(fitter, state, k, offset) for k, offset in enumerate(offsets)]
+    def residual(betas: np.ndarray, pose: np.ndarray, trans: np.ndarray) -> Quadratic:
+        each = list(zip(scans, pose, trans, strict=True))
+        cost = sum(scan.cost(scan.model_at(betas, *place)) for scan, *place in each)
+
+        def derivatives() -> tuple[dict[str, np.ndarray], dict[tuple[str, str], np.ndarray]]:
+            equations = [scan.equations(betas, *place) for scan, *place in each]
+            return by_unknown(scans[0].body, equations)
+
+        return Quadratic(cost, derivatives)
+
+    return Term(residual, name="offset")
 
 
-def _along(
-    fitter: ModelFitter, state: ModelState, pull: _Pull, matches: PointObservations
-) -> _Pull:
-    more = fitter.solver.at(state.betas, state.pose[0], state.trans[0], matches)
-    return replace(pull, gradient=pull.gradient + more.gradient, matrix=pull.matrix + more.matrix)
-
-
-def _off(
-    fitter: ModelFitter, state: ModelState, k: int, offset: np.ndarray
-) -> Float[np.ndarray, "V 3"]:
-    surface = fitter.vertices(state, k)
-    return surface + offset[:, None] * vertex_normals(surface, fitter.topology.faces)
-
-
-def _change(before: ModelState, after: ModelState) -> Float[np.ndarray, " N"]:
-    parts = (after.betas - before.betas, after.trans - before.trans, after.pose - before.pose)
-    return np.concatenate([part.ravel() for part in parts])
-
-
-def _pull(
-    fitter: ModelFitter,
-    state: ModelState,
-    cloud: Cloud,
-    held: csc_array,
-    offset: np.ndarray,
-    mean: np.ndarray,
-    step: ModelStep,
-) -> _Pull:
-    """One scan at one state: points against planes, which belong where model and offset have them.
-
-    The offset's own energy is of what it differs by from ``mean`` (V,).
-    """
-    body = fitter.body
-    faces = fitter.topology.faces
-    slopes = surface_jacobian(body, state.betas, state.pose[0], state.trans[0])
-    model = np.asarray(slopes.surface.vertices)
-    normal = vertex_normals(model, faces)
-    count = len(model)
-    found = nearest(fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals)
-    apart = np.linalg.norm(cloud.points - found.place, axis=1)
-    weight = geman_mcclure_weight(apart, step.reach) * (found.cosine > OFFSET_MIN_COSINE)
-    weight /= step.noise**2
-    corners = faces[found.face]
-    row = np.repeat(np.arange(len(corners)), 3)
-    share = coo_array(
-        (found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), count)
-    ).tocsr()
-    there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-    missing = ((cloud.points - there) * found.normal).sum(1) - share @ mean
-    lumped = csc_array(share.T @ diags_array(weight) @ share)
-    wanted = share.T @ (weight * missing)
-    by_betas, by_pose = (
-        np.einsum("vc,vcn->vn", normal, each.reshape(count, 3, -1))
-        for each in (slopes.vertices_betas, slopes.vertices_pose)
-    )
-    along = np.concatenate([by_betas, normal, by_pose], 1)
-    told = np.column_stack([lumped @ along, wanted])
-    taken = factored(csc_array(lumped + held)).solve(told)
-    left = told - lumped @ taken
-    return _Pull(-along.T @ left[:, -1], along.T @ left[:, :-1], mean + taken[:, -1], taken[:, :-1])
-
-
-def _together(head: int, pulls: Sequence[_Pull]) -> tuple[Float[np.ndarray, " n"], ArrowMatrix]:
-    """Gradient and matrix of all scans: betas, which they share, then trans and pose of each."""
-    shared = np.sum([pull.matrix[:head, :head] for pull in pulls], axis=0)
-    border = np.stack([pull.matrix[head:, :head] for pull in pulls])
-    blocks = np.stack([pull.matrix[head:, head:] for pull in pulls])
-    top = np.sum([pull.gradient[:head] for pull in pulls], axis=0)
-    return np.concatenate([top, *(pull.gradient[head:] for pull in pulls)]), ArrowMatrix(
-        shared, border, blocks
-    )
+def by_unknown(
+    body: BodyModel,
+    equations: Sequence[tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N N"]]],
+) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], np.ndarray]]:
+    """Gradients and matrices over betas, trans and pose of T scans, by unknowns."""
+    head = body.num_betas
+    gradient, matrix = (np.stack(part) for part in zip(*equations, strict=True))
+    part = {"betas": slice(head), "trans": slice(head, head + 3), "pose": slice(head + 3, None)}
+    pairs = [("trans", "trans"), ("trans", "pose"), ("pose", "pose")]
+    pairs += [("trans", "betas"), ("pose", "betas")]
+    blocks = {(a, b): matrix[:, part[a], part[b]] for a, b in pairs}
+    blocks["betas", "betas"] = matrix[:, :head, :head].sum(0)
+    slopes = {name: gradient[:, where] for name, where in part.items()}
+    slopes["betas"] = slopes["betas"].sum(0)
+    return slopes, blocks

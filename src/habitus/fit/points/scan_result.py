@@ -1,12 +1,11 @@
-"""A registered scan: the free surface in the body's topology, the model under it, and what it is
-worth.
-
-What a registered scan is worth, by numbers that can be checked without knowing the truth.
+"""A registered scan: the free surface in the body's topology, the model under it, and the verdict
+on both, by evidence that needs no ground truth.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,92 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.skin_colours import SkinGrid
-from habitus.fit.points.state import ModelState
-from habitus.fit.verdict import DOUBTFUL, FAILED, GOOD, Verdict, worst
+from habitus.fit.verdict import FAILED, GOOD, Bound, Reason, Verdict, above, below, weigh
+
+
+@dataclass(frozen=True)
+class ScanLimits:
+    """Limits of the evidence on a registered scan, set on simulated people
+    (benchmarks/register_scans.py).
+    """
+
+    median: Bound = Bound(0.0015, 0.004)
+    """Metres from scan to surface, median,"""
+    p95: Bound = Bound(0.006, 0.020)
+    """and 95th percentile."""
+    model: Bound = Bound(0.008, 0.020)
+    """Metres from scan to model, median."""
+    matched: Bound = Bound(0.93, 0.80)
+    """Share of the scan that the model explains (within 5 cm, with similar normals)."""
+    betas: Bound = Bound(1.9, 2.8)
+    """Root mean square of the betas: 1 is usual."""
+    pose: Bound = Bound(2.2, 3.5)
+    """Root mean square of the pose in the prior's standard deviations."""
+    seen: Bound = Bound(0.6, 0.15)
+    """Share of the body that the scan shows."""
+    lost: Bound = Bound(0.0025, 0.006)
+    """Share of the scan that lies off the surface in one place: half a hand is 0.5 %."""
+    cuts: Bound = Bound(40, 800)
+    """Pairs of triangles that cut each other in the surface and not in the model."""
+    rival: Bound = Bound(1.05, 0.0)
+    """Misfit of the best other pose relative to the best."""
+
+
+LIMITS = ScanLimits()
+
+SENTENCES: Mapping[str, str] = MappingProxyType(
+    {
+        "person": "Nothing in the scan has the form of a person; only a rough start was fitted.",
+        "model": "The model is {mm:.1f} mm from the scan (median).",
+        "matched": "Only {percent:.0f} % of the scan is a surface of the body.",
+        "median": "The surface is {mm:.1f} mm from the scan (median).",
+        "p95": "5 % of the scan is {mm:.0f} mm or more from the surface.",
+        "lost": "A piece with {percent:.1f} % of the scan is off the surface: a hand or foot may "
+        "be misplaced.",
+        "cuts": "The surface intersects itself in {count:.0f} pairs of triangles: a hand or foot "
+        "may be misplaced.",
+        "shape": "The shape is rare: its coefficients are {ratio:.1f} standard deviations from the "
+        "mean (RMS).",
+        "pose": "The pose is rare: {ratio:.1f} standard deviations from the mean (RMS).",
+        "seen": "The scan shows {percent:.0f} % of the body; the rest continues the model.",
+        "rival": "Another pose fits nearly as well.",
+    }
+)
+
+
+def judge_scan(fit: "ScanFit", limits: ScanLimits = LIMITS) -> Verdict:
+    """The verdict on a registered scan."""
+    return weigh((_reasons,), fit, limits, SENTENCES)
+
+
+def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
+    if not fit.person:
+        yield Reason(FAILED, "person")
+        return
+    betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
+    median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
+    model = float(np.median(fit.to_model))
+    found = [
+        Reason(above(model, limits.model), "model", {"mm": 1e3 * model}),
+        Reason(below(fit.matched, limits.matched), "matched", {"percent": 100.0 * fit.matched}),
+        Reason(above(median, limits.median), "median", {"mm": 1e3 * median}),
+        Reason(above(p95, limits.p95), "p95", {"mm": 1e3 * p95}),
+        Reason(above(fit.lost, limits.lost), "lost", {"percent": 100.0 * fit.lost}),
+        Reason(above(fit.cuts, limits.cuts), "cuts", {"count": fit.cuts}),
+        Reason(above(betas, limits.betas), "shape", {"ratio": betas}),
+        Reason(above(fit.pose_distance, limits.pose), "pose", {"ratio": fit.pose_distance}),
+        Reason(below(fit.seen, limits.seen), "seen", {"percent": 100.0 * fit.seen}),
+    ]
+    if fit.rival is not None:
+        found.append(Reason(below(fit.rival, limits.rival), "rival"))
+    yield from (reason for reason in found if reason.level != GOOD)
+
+
+MAX_BALLS = 1000
+LOST_DISTANCE, LOST_RADIUS = 0.006, 0.06
+"""Metres: distance off the surface of a point of the lost piece, and radius of the ball that holds
+the piece; chosen by hand: smaller than a hand, larger than wrinkles.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +138,9 @@ class ScanFit:
     square distance from the prior's mean, in standard deviations. ``cuts``: pairs of triangles that
     cut each other in the surface beyond those of the model. ``person``: False where the start was
     so far from the scan that the rest was not tried; the surface is then the model's. ``up_axis``
-    is the scan's own axis that points up.
+    is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
+    (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
+    ``costs``: its cost by term.
     """
 
     scan_name: str
@@ -84,6 +169,8 @@ class ScanFit:
     settings: Mapping[str, Any] = field(default_factory=dict)
     colours: ScanColours | None = None
     cuts: int = 0
+    status: str = "no person"
+    costs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def state(self) -> BodyState:
@@ -110,110 +197,27 @@ class ScanFit:
         return judge_scan(self)
 
 
-MEDIAN, P95 = (0.0015, 0.004), (0.006, 0.020)
-"""Metres: scan to surface, from which on it is doubtful, and failed."""
-MODEL = (0.008, 0.020)
-"""Metres: scan to model, median."""
-MATCHED = (0.93, 0.80)
-"""The share of the scan that the model explains (within 5 cm, normals alike)."""
-BETAS = (1.9, 2.8)
-"""Root mean square of the betas: 1 is usual."""
-POSE = (2.2, 3.5)
-"""Root mean square of the pose in the prior's standard deviations."""
-LEAST_SEEN = (0.6, 0.15)
-LOST = (0.0025, 0.006)
-"""The share of the scan that lies off the surface in one place: half a hand is 0.5 %."""
-CUTS = (40, 800)
-"""Pairs of triangles that cut each other in the surface and not in the model: skin that belongs
-elsewhere.
-"""
-MOST_BALLS = 1000
-LOST_AWAY, LOST_WIDE = 0.006, 0.06
-"""Metres: how far off the surface, and in how large a ball."""
-
-
-def judge_scan(fit: Any) -> Verdict:
-    """The verdict on a `habitus.fit.points.scan_result.ScanFit`."""
-    if not fit.person:
-        return Verdict(
-            FAILED,
-            (
-                "nothing in the scan has the form of a person: no more than a rough start was "
-                "fitted.",
-            ),
-        )
-    betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
-    median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
-    findings = [
-        _above(
-            float(np.median(fit.to_model)),
-            MODEL,
-            "the model is {:.1f} mm from the scan (median)",
-            1e3,
-        ),
-        _below(fit.matched, MATCHED, "only {:.0f} % of the scan is a surface of the body", 100.0),
-        _above(median, MEDIAN, "the surface is {:.1f} mm from the scan (median)", 1e3),
-        _above(p95, P95, "a twentieth of the scan is {:.0f} mm or more from the surface", 1e3),
-        _above(
-            fit.lost,
-            LOST,
-            "{:.1f} % of the scan lie together off the surface: a hand or foot is elsewhere",
-            100.0,
-        ),
-        _above(
-            fit.cuts, CUTS, "the surface cuts itself {:.0f} times: a hand or foot is elsewhere", 1.0
-        ),
-        _above(betas, BETAS, "the shape is {:.1f} times as far from the mean as people are", 1.0),
-        _above(
-            fit.pose_distance,
-            POSE,
-            "the pose is {:.1f} times as far from the mean as poses are",
-            1.0,
-        ),
-        _below(
-            fit.seen,
-            LEAST_SEEN,
-            "the scan shows {:.0f} % of the body; the rest continues the model",
-            100.0,
-        ),
-    ]
-    if fit.rival is not None and fit.rival < 1.05:
-        findings.append((DOUBTFUL, "another pose fits nearly as well"))
-    told = sorted((one for one in findings if one[0] != GOOD), key=lambda one: one[0] != FAILED)
-    return Verdict(worst([level for level, _ in findings]), tuple(f"{text}." for _, text in told))
-
-
-def lost_share(points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]) -> float:
-    """The share of a scan's points that lie off the surface (``away``, m) in the place where most
-    of them do.
+def lost_share(points: Float[np.ndarray, "N 3"], distances: Float[np.ndarray, " N"]) -> float:
+    """The share of a scan's points that lie off the surface (``distances``, m) in the place where
+    most of them do.
     """
-    return lost_piece(points, away)[0]
+    return lost_piece(points, distances)[0]
 
 
 def lost_piece(
-    points: Float[np.ndarray, "N 3"], away: Float[np.ndarray, " N"]
+    points: Float[np.ndarray, "N 3"], distances: Float[np.ndarray, " N"]
 ) -> tuple[float, Float[np.ndarray, " 3"]]:
     """That share, and the place (m)."""
-    off = points[away > LOST_AWAY]
+    off = points[distances > LOST_DISTANCE]
     if len(off) == 0:
         return 0.0, points.mean(0)
-    few = off[:: max(1, len(off) // MOST_BALLS)]
-    balls = cKDTree(off).query_ball_point(few, LOST_WIDE, return_length=True)
+    few = off[:: max(1, len(off) // MAX_BALLS)]
+    balls = cKDTree(off).query_ball_point(few, LOST_RADIUS, return_length=True)
     return float(balls.max() / len(points)), few[balls.argmax()]
 
 
-def _above(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:
-    level = FAILED if not value <= limits[1] else DOUBTFUL if value > limits[0] else GOOD
-    return level, text.format(unit * value)
-
-
-def _below(value: float, limits: tuple[float, float], text: str, unit: float) -> tuple[str, str]:
-    level = FAILED if not value >= limits[1] else DOUBTFUL if value < limits[0] else GOOD
-    return level, text.format(unit * value)
-
-
 def at_rest(
-    body: BodyModel, state: ModelState, offset: Float[np.ndarray, "V 3"]
+    body: BodyModel, state: BodyState, offset: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "V 3"]:
     """The person at rest: the model's, with a posed surface's offset from the posed model turned
     back.

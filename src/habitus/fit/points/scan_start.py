@@ -1,12 +1,13 @@
-"""Guesses at a scanned person's pose, many at a time: some triangles of the body against some
-points of the scan.
+"""Pose and translation of a scanned person from nothing: a multi-start search, coarse to fine.
 
-Pose and place of a scanned person from nothing: many poses from all sides, the best refined,
-limbs tried anew.
+Some hundred points against every pose of a bank in every heading, all scaled to the scan's size; of
+the best, each limb alone as all poses of the bank have it; Gauss-Newton; limbs and Gauss-Newton
+again. The score of a candidate is its misfit, metres:
 
-Coarse to fine: a few hundred points against every pose of a bank in every turn, all scaled to the
-scan's size; of the best each limb alone in the ways of all poses of the bank; Gauss-Newton; limbs
-and Gauss-Newton again.
+    mean |scan - model| + a mean |model - scan|
+    + c (1/2 |betas|^2 + 1/2 (theta - m)^T P (theta - m))
+
+distances being those of correspondences (`correspondences.with_normals`), capped.
 """
 
 from collections.abc import Sequence
@@ -20,29 +21,14 @@ from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
 from habitus.body.prior import PosePrior
 from habitus.body.skinning import descends
+from habitus.body.state import BodyState
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
-from habitus.fit.points.correspondences import TURN
+from habitus.fit.points.correspondences import NORMAL_DISTANCE, with_normals
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_fitting import ModelFitter, ModelStep
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.scan_fitting import ScanFitter
+from habitus.fit.points.settings import SCANS, ScanStage, SearchSettings
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-DRAWN = 60
-"""Poses of the bank that are drawn from the prior, and how far they go from its mean, in standard
-deviations.
-"""
-SPREAD = 0.8
-NEAR = 0.025
-"""Metres from the rest of the body from which on a point may be a limb's."""
-SCAN_POINTS = 4000
-COMPARED = 300
-TRIANGLES = 1000
-FAR = 0.12
-"""Metres: what is further away is no worse."""
-UNSEEN = 0.5
-"""What a point of the model without a scan counts against a point of the scan without a model."""
-PER_NAT = 0.0005
-"""Metres of mean distance that one unit of the prior's energy is worth."""
 SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"shoulder": (0.0, 0.0, -0.8)},
     {"shoulder": (0.0, -0.2, 1.2)},
@@ -66,12 +52,16 @@ LIMBS = (
 )
 
 
-def pose_bank(prior: PosePrior, joint_names: tuple[str, ...]) -> Float[np.ndarray, "P J 3"]:
-    """Poses to begin with; the root is at rest."""
+def pose_bank(
+    prior: PosePrior, joint_names: tuple[str, ...], settings: SearchSettings = SCANS.search
+) -> Float[np.ndarray, "P J 3"]:
+    """Poses of candidates, plain ones and some drawn from the prior; the root is at rest."""
     plain = [plain_pose(joint_names, angles) for angles in (*PLAIN_POSES, *SCAN_POSES)]
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(prior.covariance)
-    drawn = prior.mean + SPREAD * rng.normal(size=(DRAWN, len(prior.mean))) @ root.T
+    drawn = prior.mean + settings.drawn_spread * (
+        rng.normal(size=(settings.drawn_poses, len(prior.mean))) @ root.T
+    )
     drawn = np.concatenate([prior.mean[None], drawn]).reshape(-1, len(joint_names) - 1, 3)
     return np.concatenate([np.array(plain), np.pad(drawn, ((0, 0), (1, 0), (0, 0)))])
 
@@ -100,7 +90,7 @@ class Sample:
         a, b, c = np.moveaxis(vertices[:, self.corner], 2, 0)
         normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-        return np.concatenate([(a + b + c) / 3.0, TURN * normal], -1)
+        return np.concatenate([(a + b + c) / 3.0, NORMAL_DISTANCE * normal], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,19 +104,20 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class Guesser:
-    """A body made ready for guesses: some triangles of all of it, and of each limb."""
+    """A body prepared for the search: some triangles of all of it, and of each limb."""
 
-    fitter: ModelFitter
+    fitter: ScanFitter
     whole: Sample
     limbs: tuple[Limb, ...]
     bank: Float[np.ndarray, "P J 3"]
 
     @staticmethod
-    def of(fitter: ModelFitter) -> "Guesser":
+    def of(fitter: ScanFitter) -> "Guesser":
         """To be made once a body."""
+        settings = fitter.settings.search
         body = fitter.body
         faces = fitter.topology.faces[np.isin(fitter.topology.faces, fitter.topology.whole).all(1)]
-        faces = faces[:: max(1, len(faces) // TRIANGLES)]
+        faces = faces[:: max(1, len(faces) // settings.triangles)]
         names = body.joint_names
         below = descends(body.parents) > 0
         part = np.take_along_axis(body.skinning_index, body.skinning_value.argmax(1)[:, None], 1)[
@@ -140,47 +131,60 @@ class Guesser:
                 limbs.append(
                     Limb(joints, Sample.of(body, faces[mine]), Sample.of(body, faces[~mine]))
                 )
-        return Guesser(fitter, Sample.of(body, faces), tuple(limbs), pose_bank(fitter.prior, names))
+        return Guesser(
+            fitter, Sample.of(body, faces), tuple(limbs), pose_bank(fitter.prior, names, settings)
+        )
 
     def scene(self, cloud: Cloud) -> "Scene":
-        """A scan that stands upright, to guess at."""
-        some = cloud.first(SCAN_POINTS)
-        scan = cKDTree(both(some.points, some.normals))
-        return Scene(self, scan.data[:COMPARED], scan)
+        """A scan that stands upright, to score candidates by."""
+        some = cloud.first(self.settings.scan_points)
+        scan = cKDTree(with_normals(some.points, some.normals))
+        return Scene(self, scan.data[: self.settings.compared_points], scan)
+
+    @property
+    def settings(self) -> SearchSettings:
+        """Of the search."""
+        return self.fitter.settings.search
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scan and a body, to be held against each other."""
+    """A scan and a body, which scores candidates."""
 
     guesser: Guesser
     few: Float[np.ndarray, "P 6"]
     scan: cKDTree
 
-    def misfit(self, state: ModelState) -> float:
-        """What speaks against a state: mean capped distance (m) of scan from model and of model
-        from scan, and the prior.
+    def misfit(self, state: BodyState) -> float:
+        """The misfit of a state: mean capped distance (m) of scan from model and of model from
+        scan, and the priors.
         """
         model = self.guesser.whole.placed(state.betas, state.pose, state.trans[0])
         back = self._from_scan(model[0]).mean(keepdims=True)
         return float(self._cost(_distances(self.few, model), back, state.betas, state.pose)[0])
 
     def _from_scan(self, model: Float[np.ndarray, "*batch 6"]) -> Float[np.ndarray, "*batch"]:
-        """Distances of the model's places and directions from the scan's, `FAR` at most."""
-        return np.minimum(self.scan.query(model, distance_upper_bound=FAR)[0], FAR)
+        """Capped distances of the model's points from the scan's."""
+        most = self.guesser.settings.max_distance
+        return np.minimum(self.scan.query(model, distance_upper_bound=most)[0], most)
 
     def _cost(
         self, there: np.ndarray, back: np.ndarray, betas: np.ndarray, pose: np.ndarray
     ) -> np.ndarray:
+        settings = self.guesser.settings
         prior = self.guesser.fitter.prior
         off = pose[:, 1:].reshape(len(pose), -1) - prior.mean
-        energy = 0.5 * (((off @ prior.precision) * off).sum(1) + betas @ betas)
-        return np.minimum(there, FAR).mean(1) + UNSEEN * back + PER_NAT * FAR * energy
+        energy = 0.5 * (((off @ self.guesser.fitter.precision) * off).sum(1) + betas @ betas)
+        most = settings.max_distance
+        there = np.minimum(there, most).mean(1)
+        return there + settings.model_share * back + settings.per_nat * most * energy
 
-    def limbs(self, state: ModelState, which: Sequence[Limb] | None = None) -> ModelState:
-        """Each limb, or each of ``which``, in turn in the ways of all poses of the bank; what fits
-        best stays.
+    def limbs(self, state: BodyState, which: Sequence[Limb] | None = None) -> BodyState:
+        """Each limb, or each of ``which``, in turn as all poses of the bank have it; the best
+        stays.
         """
+        settings = self.guesser.settings
+        most = settings.max_distance
         bank = self.guesser.bank
         every = self.scan.data
         for limb in self.guesser.limbs if which is None else which:
@@ -188,14 +192,16 @@ class Scene:
             tries[1:, limb.joints] = bank[:, limb.joints]
             rest = limb.still.placed(state.betas, state.pose, state.trans[0])
             moved = limb.moving.placed(state.betas, tries, state.trans[0])
-            mine = np.flatnonzero(cKDTree(rest[0]).query(every, distance_upper_bound=FAR)[0] > NEAR)
-            few = every[mine[:: max(1, len(mine) // COMPARED)]]
+            mine = np.flatnonzero(
+                cKDTree(rest[0]).query(every, distance_upper_bound=most)[0] > settings.limb_distance
+            )
+            few = every[mine[:: max(1, len(mine) // settings.compared_points)]]
             there = (
                 np.minimum(_distances(few, rest), _distances(few, moved))
                 if len(few)
                 else np.zeros((1, 1))
             )
-            there = np.minimum(there, FAR).mean(1) * len(mine) / len(every)
+            there = np.minimum(there, most).mean(1) * len(mine) / len(every)
             back = [self._from_scan(each).sum(1) for each in (rest, moved)]
             back = (back[0] + back[1]) / (rest.shape[1] + moved.shape[1])
             best = int(np.argmin(self._cost(there[:, None], back, state.betas, tries)))
@@ -214,38 +220,11 @@ def _distances(
     return np.sqrt(np.maximum(off.min(2) + (points**2).sum(1), 0.0)).astype(float)
 
 
-def both(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "*batch 6"]:
-    """Places and directions as one: how far apart two are, in metres and through `TURN`."""
-    return np.concatenate([points, TURN * normals], -1)
-
-
-HEADINGS = 12
-LOOKED_AT = 160
-LOOKED_BACK, SAME_POSE, SAME_TURN = 200, 2, 3
-"""Looks whose model is held against the scan, too; of one pose, and in one turn, so many go on at
-most.
-"""
-KEPT = 12
-REFINED = 3
-POOR, WIDER = 0.07, 2
-"""A start with more against it (m) than people have, and how many times as many looks go on when
-there is no better.
-"""
-WHOLE_LIMBS = 4
-HOPELESS = 1.4
-"""So much worse than the best a rough fit is given up."""
-ROUGH = (
-    ModelStep(3, 500, 0.3, 0.03, 1.0, 1, 1.0),
-    ModelStep(4, 700, 0.2, 0.02, 0.5, 3, 0.5),
-)
-FINER = (ModelStep(4, 1000, 0.12, 0.01, 0.3, 6, 0.3), ModelStep(3, 1500, 0.08, 0.01, 0.2, 10, 0.5))
-
-
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A state of one scan that was turned by ``turn`` (3, 3), and what speaks against it (m)."""
+    """A state of one scan that was turned by ``turn`` (3, 3), and its misfit (m)."""
 
-    state: ModelState
+    state: BodyState
     turn: Float[np.ndarray, "3 3"]
     misfit: float
 
@@ -260,17 +239,21 @@ def find_start(
     """
     found = _search(guesser, cloud, turns, 1)
     found = sorted([*found, _about_face(guesser, cloud, found[0])], key=lambda one: one.misfit)
-    if found[0].misfit > POOR:
-        found = sorted(found + _search(guesser, cloud, turns, WIDER), key=lambda one: one.misfit)
+    if found[0].misfit > guesser.settings.max_misfit:
+        found = sorted(
+            found + _search(guesser, cloud, turns, guesser.settings.widening),
+            key=lambda one: one.misfit,
+        )
     return found
 
 
 def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
-    """The same with ``wide`` times as many looks."""
-    looked = [_with_limbs(guesser, cloud, one) for one in _look(guesser, cloud, turns, wide)]
-    rough = [_refined(guesser, cloud, one, ROUGH) for one in looked]
-    rough = _apart(sorted(rough, key=lambda one: one.misfit))[:REFINED]
-    rough = [one for one in rough if one.misfit < HOPELESS * rough[0].misfit]
+    """The same with ``wide`` times as many candidates."""
+    settings = guesser.settings
+    best = [_with_limbs(guesser, cloud, one) for one in _scored(guesser, cloud, turns, wide)]
+    rough = [_roughly(guesser, cloud, one) for one in best]
+    rough = _distinct(sorted(rough, key=lambda one: one.misfit))[: settings.refined]
+    rough = [one for one in rough if one.misfit < settings.hopeless * rough[0].misfit]
     return sorted((_finely(guesser, cloud, one) for one in rough), key=lambda one: one.misfit)
 
 
@@ -278,7 +261,8 @@ def _finely(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
     """Limbs tried anew, and more steps, twice."""
     scene = guesser.scene(_turned(cloud, one.turn))
     for _ in range(2):
-        one = _refined(guesser, cloud, replace(one, state=scene.limbs(one.state)), FINER)
+        one = replace(one, state=scene.limbs(one.state))
+        one = _refined(guesser, cloud, one, guesser.settings.fine)
     return one
 
 
@@ -289,22 +273,23 @@ def _about_face(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
     ahead = matrix_from_rotvec(one.state.pose[0, 0])[:, 2]
     pose = np.concatenate([np.zeros((1, 3)), guesser.fitter.prior.mean.reshape(-1, 3)])
     pose[0, 1] = np.arctan2(ahead[0], ahead[2]) + np.pi
-    state = ModelState(np.zeros_like(one.state.betas), pose[None], one.state.trans)
+    state = BodyState(np.zeros_like(one.state.betas), pose[None], one.state.trans)
     scene = guesser.scene(_turned(cloud, one.turn))
-    return _finely(
-        guesser, cloud, _refined(guesser, cloud, replace(one, state=scene.limbs(state)), ROUGH)
-    )
+    one = _roughly(guesser, cloud, replace(one, state=scene.limbs(state)))
+    return _finely(guesser, cloud, one)
 
 
-def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
-    """Every pose in every turn, by the mean distance of some points of the scan from it; the best
-    of them.
+def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
+    """Every pose in every heading, by the mean distance of some points of the scan from it; the
+    best of them.
     """
+    settings = guesser.settings
+    cap = 2.0 * settings.max_distance
     fitter = guesser.fitter
     bank = guesser.bank
-    few = cloud.first(LOOKED_AT)
+    few = cloud.first(settings.scored_points)
     middle, size = _size(cloud.first(2000).points)
-    yaw = np.linspace(0.0, 2.0 * np.pi, HEADINGS, endpoint=False)
+    yaw = np.linspace(0.0, 2.0 * np.pi, settings.headings, endpoint=False)
     spin = matrix_from_rotvec(yaw[:, None] * np.array([0.0, 1.0, 0.0]))
     all_turns = (spin[None] @ turns[:, None]).reshape(-1, 3, 3)  # scan -> body's own heading
     points = np.einsum("tij,pj->tpi", all_turns, few.points - middle)
@@ -312,28 +297,28 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[
     surfaces = guesser.whole.placed(np.zeros(fitter.body.num_betas), bank, np.zeros(3))
     scores = np.empty((len(bank), len(all_turns)))
     every = cloud.first(2000)
-    scan = cKDTree(both(every.points - middle, every.normals))
+    scan = cKDTree(with_normals(every.points - middle, every.normals))
     for b, surface in enumerate(surfaces):
         centre, own = _size(surface[:, :3])
         scale = np.clip(own / size, 0.6, 1.7)
         tree = cKDTree(surface - np.pad(centre, (0, 3)))
-        away = tree.query(both(scale * points, normals), distance_upper_bound=2 * FAR)[0]
-        scores[b] = np.minimum(away, 2 * FAR).mean(1)
-    best = np.unravel_index(np.argsort(scores, axis=None)[: wide * LOOKED_BACK], scores.shape)
+        distance = tree.query(with_normals(scale * points, normals), distance_upper_bound=cap)[0]
+        scores[b] = np.minimum(distance, cap).mean(1)
+    best = np.unravel_index(np.argsort(scores, axis=None)[: wide * settings.checked], scores.shape)
     for b, t in zip(*best, strict=True):
         centre, own = _size(surfaces[b, :, :3])
         model = (surfaces[b, ::4] - np.pad(centre, (0, 3))).reshape(-1, 2, 3) @ all_turns[t]
         model[:, 0] /= np.clip(own / size, 0.6, 1.7)
-        back = scan.query(model.reshape(-1, 6), distance_upper_bound=2 * FAR)[0]
-        scores[b, t] += UNSEEN * np.minimum(back, 2 * FAR).mean()
+        back = scan.query(model.reshape(-1, 6), distance_upper_bound=cap)[0]
+        scores[b, t] += settings.model_share * np.minimum(back, cap).mean()
     found = []
     seen = dict[tuple[str, int], int]()
     for b, t in sorted(zip(*best, strict=True), key=lambda pair: scores[pair]):
         counts = seen.get(("pose", b), 0), seen.get(("turn", t), 0)
         if (
-            counts[0] < wide * SAME_POSE
-            and counts[1] < wide * SAME_TURN
-            and len(found) < wide * KEPT
+            counts[0] < wide * settings.same_pose
+            and counts[1] < wide * settings.same_heading
+            and len(found) < wide * settings.kept
         ):
             seen["pose", b], seen["turn", t] = counts[0] + 1, counts[1] + 1
             found.append(
@@ -341,8 +326,8 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[
                     fitter,
                     bank[b],
                     surfaces[b, :, :3],
-                    turns[t // HEADINGS],
-                    spin[t % HEADINGS],
+                    turns[t // settings.headings],
+                    spin[t % settings.headings],
                     middle,
                 )
             )
@@ -350,7 +335,7 @@ def _look(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[
 
 
 def _placed(
-    fitter: ModelFitter,
+    fitter: ScanFitter,
     pose: np.ndarray,
     surface: np.ndarray,
     turn: np.ndarray,
@@ -364,7 +349,7 @@ def _placed(
     pose = np.concatenate([rotvec_from_matrix(heading)[None], pose[1:]])
     root = fitter.body.joint_template[0]
     centre = spin.T @ (_size(surface)[0] - root) + root
-    state = ModelState(np.zeros(fitter.body.num_betas), pose[None], (turn @ middle - centre)[None])
+    state = BodyState(np.zeros(fitter.body.num_betas), pose[None], (turn @ middle - centre)[None])
     return Candidate(state, turn, np.inf)
 
 
@@ -373,25 +358,30 @@ def _with_limbs(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
     is elsewhere.
     """
     scene = guesser.scene(_turned(cloud, one.turn))
-    return replace(one, state=scene.limbs(one.state, guesser.limbs[:WHOLE_LIMBS]))
+    return replace(
+        one, state=scene.limbs(one.state, guesser.limbs[: guesser.settings.arms_and_legs])
+    )
+
+
+def _roughly(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+    """The rough stages; in the first the prior is about the pose of the candidate."""
+    fitter = guesser.fitter
+    first, *rest = guesser.settings.rough
+    held = replace(fitter, prior=replace(fitter.prior, mean=one.state.pose[0, 1:].ravel()))
+    state = held.fit(one.state, [_turned(cloud, one.turn)], [first])
+    return _refined(guesser, cloud, replace(one, state=state), rest)
 
 
 def _refined(
-    guesser: Guesser, cloud: Cloud, one: Candidate, schedule: Sequence[ModelStep]
+    guesser: Guesser, cloud: Cloud, one: Candidate, stages: Sequence[ScanStage]
 ) -> Candidate:
-    """Some steps from there; roughly at first, the pose held near where it begins."""
+    """Some stages further."""
     turned = _turned(cloud, one.turn)
-    fitter = guesser.fitter
-    state = one.state
-    if schedule is ROUGH:
-        own = replace(fitter, prior=replace(fitter.prior, mean=state.pose[0, 1:].ravel()))
-        state = own.fit(state, [turned], ROUGH[:1])
-        schedule = ROUGH[1:]
-    state = fitter.fit(state, [turned], schedule)
+    state = guesser.fitter.fit(one.state, [turned], stages)
     return Candidate(state, one.turn, guesser.scene(turned).misfit(state))
 
 
-def _apart(found: list[Candidate]) -> list[Candidate]:
+def _distinct(found: list[Candidate]) -> list[Candidate]:
     """Those that are not nearly the same as a better one."""
     kept: list[Candidate] = []
     for one in found:

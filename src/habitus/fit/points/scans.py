@@ -1,100 +1,124 @@
-"""Scans to the template (T 5.4): the model, then the free surface, of all scans of a person.
+"""Scans registered to a body's topology (T 5.4): the model, then the free surface, of all scans of
+a person.
 
-1. Each scan by itself: pose and place from nothing (`start`), the likeliest few refined, the best
-   kept.
-2. All scans together: one shape, a pose each, with skin that is off the model (`offset_stage`); of
-   several bodies,
-   women's and men's, the one that explains the scans best goes on (`bodies`).
-3. Each scan's free surface (`free_surface`), and where the scan tells of it (`weights`). Where a
-   piece of the scan lies
-   off it, limbs are tried again from there.
+1. Each scan by itself: pose and translation from nothing (`scan_start`), the best few refined
+   (`scan_fitting`), hands and feet turned (`limbs`).
+2. All scans together: one shape, a pose each, with skin offsets; of several bodies, women's and
+   men's, the one with the least energy goes on:
 
-Women's and men's bodies: a scan tells which of several bodies of one topology explains it, and
-that one is fitted.
+       E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2
+           + 1/2 (theta - mean)^T P (theta - mean)
 
-    E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2 + 1/2 (theta - mean)^T P (theta -
-    mean)
-
-is what `offset_stage` makes small: what is left of the scan, skin off the model, shape and pose.
+3. The free surface of each scan (`free_surface`), and how well the scan covers it
+   (`correspondences.vertex_weights`). Where a piece of the scan lies off it, limbs are searched
+   again from there.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
-from habitus.fit.points.correspondences import Topology, hidden_vertices, nearest, vertex_weights
-from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
-from habitus.fit.points.limbs import away_from, found_limbs, with_extremities
-from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
-from habitus.fit.points.scan_fitting import OFFSET_STEPS as STEPS
-from habitus.fit.points.scan_fitting import (
-    FrameBefore,
-    ModelFitter,
-    ModelStep,
-    field_precision,
-    fit_with_offsets,
-    offset_spread,
+from habitus.fit.offsets import field_precision, offset_spread
+from habitus.fit.points.correspondences import (
+    Topology,
+    find_correspondences,
+    hidden_vertices,
+    vertex_weights,
 )
-from habitus.fit.points.scan_result import BETAS, LOST, MODEL, ScanFit, at_rest, lost_share
+from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
+from habitus.fit.points.limbs import limbs_searched_again, scan_distances, with_extremities
+from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
+from habitus.fit.points.scan_fitting import OffsetFit, PreviousFrame, ScanFitter
+from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, lost_share
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
-from habitus.fit.points.state import ModelState
+from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.rotations import UP_AXES, matrix_from_rotvec, up_rotation
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
-FREE_POINTS = 20_000
-TRIED = 2
-SINGLE = (ModelStep(4, 2000, 0.08, 0.01, 0.2, 10), ModelStep(5, 3000, 0.05, 0.005, 0.1, 24))
-STRETCHED = 0.0018
-"""Metres from which on a twentieth of the scan off the surface calls for more than offsets along
-normals.
-"""
-MATCHED = 0.05
-FOLLOWED, ENOUGH = 5000, 0.9
-"""Points, and the share of them that has to match for a scan to go on from the one before."""
-MENDED = 2
-"""Times at most that lost limbs are looked for again."""
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The best start of a scan, its axis that points up, and the misfit of the best other pose
+    relative to it (None: there is none).
+    """
+
+    best: Candidate
+    up: str
+    rival: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """What is known of one scan: the scan upright and in metres, its oriented cloud, its start, and
+    where the fit is: state, surface (m), status and costs.
+    """
+
+    scan: Scan
+    cloud: Cloud
+    start: Start
+    state: BodyState
+    surface: Float[np.ndarray, "V 3"]
+    person: bool
+    status: str = "no person"
+    costs: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class Registrar:
-    """A body made ready to be registered to scans, and ``others`` of its topology that may explain
-    them better.
+    """A body prepared for registration, and ``others`` of its topology that may explain scans
+    better.
     """
 
     body: BodyModel
-    fitter: ModelFitter
+    fitter: ScanFitter
     guesser: Guesser
     others: tuple["Registrar", ...] = ()
 
     @staticmethod
-    def of(body: BodyModel, prior: PosePrior, others: Sequence[BodyModel] = ()) -> "Registrar":
+    def of(
+        body: BodyModel,
+        prior: PosePrior,
+        others: Sequence[BodyModel] = (),
+        settings: ScanSettings = SCANS,
+    ) -> "Registrar":
         """To be made once a body."""
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
-        fitter = ModelFitter(PointSolver.of(body), topology, prior.for_joints(body.joint_names))
-        more = tuple(Registrar.of(other, prior) for other in others)
+        fitter = ScanFitter(
+            PointSolver.of(body), topology, prior.for_joints(body.joint_names), settings=settings
+        )
+        more = tuple(Registrar.of(other, prior, settings=settings) for other in others)
         return Registrar(body, fitter, Guesser.of(fitter), more)
+
+    @property
+    def settings(self) -> ScanSettings:
+        """Of the recipe."""
+        return self.fitter.settings
 
     def settled(self, fit: ScanFit) -> "Registrar":
         """With the body of a fit alone."""
         return replace(next(one for one in (self, *self.others) if one.body is fit.body), others=())
 
     def after(self, fit: ScanFit) -> "Registrar":
-        """The same for the next frame of a sequence, coupled to this one in shape, pose, and skin
-        off the model.
+        """The same for the next frame of a sequence, coupled to this one in shape, pose and skin
+        offsets.
         """
         normal = vertex_normals(fit.model_vertices, self.body.faces)
-        before = FrameBefore(
+        previous = PreviousFrame(
             fit.betas, fit.pose, ((fit.vertices - fit.model_vertices) * normal).sum(1)
         )
-        return replace(self, fitter=replace(self.fitter, before=before))
+        return replace(self, fitter=replace(self.fitter, previous=previous))
 
     def register(
         self,
@@ -103,8 +127,8 @@ class Registrar:
         unit: str = "auto",
         up: str = "auto",
         seed: int = 0,
-        previous: ModelState | None = None,
-        progress: Callable[[str, float], None] = lambda stage, share: None,
+        previous: BodyState | None = None,
+        progress: Progress = lambda stage, share: None,
     ) -> list[ScanFit]:
         """All scans of one person. ``previous``: states to begin with, one a scan: of the scan
         before in a sequence, of the same scans with another body.
@@ -113,139 +137,132 @@ class Registrar:
         """
         if up != "auto" and up not in UP:
             raise HabitusError(f"up is {up!r}; expected auto, {', '.join(UP)}")
-        begun = time.perf_counter()
-        seconds = {}
+        clock = Clock()
         progress("read", 0.0)
-        ready = [cleaned(scan, unit, seed) for scan in scans]
-        seconds["clean"] = time.perf_counter() - begun
-        starts = []
-        for k, one in enumerate(ready):
-            progress("start", 0.1 + 0.4 * k / len(ready))
-            starts.append(
-                self._start(
-                    one,
-                    up,
-                    None if previous is None else previous.one(min(k, len(previous.pose) - 1)),
-                )
-            )
-        seconds["start"] = time.perf_counter() - begun - sum(seconds.values())
-        progress("model", 0.5)
-        placed = [
-            turned(one, up_rotation(axis)) for one, (_, axis, _) in zip(ready, starts, strict=True)
-        ]
-        states = [start.state for start, _, _ in starts]
-        clouds = [
-            self.fitter.oriented(state, cloud)
-            for state, (_, cloud) in zip(states, placed, strict=True)
-        ]
-        surfaces = [self.fitter.vertices(state) for state in states]
-        people = [k for k, cloud in enumerate(clouds) if self._is_person(states[k], cloud)]
-        best = self
+        with clock("clean"):
+            ready = [cleaned(scan, unit, seed, self.settings.cleaning) for scan in scans]
+        started = []
+        with clock("start"):
+            for k, scan in enumerate(ready):
+                progress("start", 0.1 + 0.4 * k / len(ready))
+                last = None if previous is None else previous[_last(k, previous)]
+                started.append(self._started(scan, up, last))
+        people = [k for k, scan in enumerate(started) if scan.person]
+        best, fitted = self, []
         if people:
-            own = [clouds[k] for k in people]
-            best, state, free = self._fitted_best(_joined([states[k] for k in people]), own)
-            seconds["model"] = time.perf_counter() - begun - sum(seconds.values())
+            progress("model", 0.5)
+            with clock("model"):
+                best, fitted = self._fitted_best([started[k] for k in people])
             progress("limbs", 0.8)
-            state, free = best._mended(state, own, free)
-            seconds["limbs"] = time.perf_counter() - begun - sum(seconds.values())
-            for i, k in enumerate(people):
-                states[k], surfaces[k] = state.one(i), free[i]
-        found = []
-        for k, (whole, _) in enumerate(placed):
-            own = best if k in people else self
-            one = own._result(whole, clouds[k], states[k], surfaces[k], starts[k])
-            said = (
-                ()
-                if own is self
-                else (f"the {own.body.name} body explains the scan best; --body chooses another",)
+            with clock("limbs"):
+                fitted = best._limbs_searched(fitted)
+        done = dict(zip(people, fitted, strict=True))
+        seconds = {name: each / len(scans) for name, each in clock.seconds.items()}
+        return [
+            replace(
+                (best if k in done else self)._result(done.get(k, scan)),
+                stage_seconds=seconds,
+                notes=(*scan.scan.notes, *_notes(scan, k in done, self, best)),
             )
-            took = {name: each / len(scans) for name, each in seconds.items()}
-            found.append(
-                replace(one, person=k in people, stage_seconds=took, notes=(*one.notes, *said))
-            )
-        return found
+            for k, scan in enumerate(started)
+        ]
 
-    def _is_person(self, state: ModelState, cloud: Cloud) -> bool:
+    def _started(self, scan: Cleaned, up: str, previous: BodyState | None) -> Registered:
+        """A scan upright, at its start."""
+        start = self._start(scan, up, previous)
+        whole, cloud = turned(scan, up_rotation(start.up))
+        state = start.best.state
+        cloud = self.fitter.oriented(state, cloud)
+        person = self._is_person(state, cloud)
+        return Registered(whole, cloud, start, state, self.fitter.vertices(state), person)
+
+    def _is_person(self, state: BodyState, cloud: Cloud) -> bool:
         """Whether a start is worth a fit: what is no person leaves it far off and the body out of
         all proportion.
         """
-        apart = cloud.points - self.fitter.matched(state, 0, cloud).place
-        odd = np.sqrt(np.mean(state.betas**2)) > BETAS[1] if len(state.betas) else True
-        return not (odd and np.median(np.linalg.norm(apart, axis=1)) > MODEL[0])
+        distances = self.fitter.matched(state, 0, cloud).distances(cloud.points)
+        rare = not len(state.betas) or np.sqrt(np.mean(state.betas**2)) > LIMITS.betas.failed
+        return not (rare and np.median(distances) > LIMITS.model.doubtful)
 
-    def _start(
-        self, one: Cleaned, up: str, previous: ModelState | None
-    ) -> tuple[Candidate, str, float | None]:
-        """The best start of a scan, its up axis, and how much worse the best other one is."""
-        axes = [up] if up != "auto" else _upright(one)
+    def _start(self, scan: Cleaned, up: str, previous: BodyState | None) -> Start:
+        """The best start of a scan."""
+        settings = self.settings
+        axes = [up] if up != "auto" else _upright(scan)
         turns = np.array([up_rotation(axis) for axis in axes])
-        rough = [] if previous is None else self._followed(previous, one, turns[0])
-        rough = rough or find_start(self.guesser, one.cloud, turns)
-        tried = []
-        for candidate in rough[:TRIED]:
-            if tried and not self._apart(candidate, rough[0]):
+        rough = [] if previous is None else self._followed(previous, scan, turns[0])
+        rough = rough or find_start(self.guesser, scan.cloud, turns)
+        tried: list[Candidate] = []
+        for candidate in rough[: settings.search.candidates]:
+            if tried and not self._differ(candidate, rough[0]):
                 continue
-            cloud = turned(one, candidate.turn)[1]
-            state = self.fitter.fit(candidate.state, [cloud], SINGLE[:1])
+            cloud = turned(scan, candidate.turn)[1]
+            state = self.fitter.fit(candidate.state, [cloud], settings.stages[:1])
             cloud = self.fitter.oriented(state, cloud)
-            state = self.fitter.fit(self.guesser.scene(cloud).limbs(state), [cloud], SINGLE[1:])
+            state = self.guesser.scene(cloud).limbs(state)
+            state = self.fitter.fit(state, [cloud], settings.stages[1:])
             tried.append(Candidate(state, candidate.turn, self.guesser.scene(cloud).misfit(state)))
         tried.sort(key=lambda candidate: candidate.misfit)
         best = tried[0]
-        cloud = turned(one, best.turn)[1]
+        cloud = turned(scan, best.turn)[1]
         state = with_extremities(self.fitter, best.state, self.fitter.oriented(best.state, cloud))
-        best = replace(
-            best, state=self.fitter.fit(state, [self.fitter.oriented(state, cloud)], SINGLE[1:])
-        )
+        cloud = self.fitter.oriented(state, cloud)
+        best = replace(best, state=self.fitter.fit(state, [cloud], settings.stages[1:]))
         axis = axes[int(np.argmin([np.abs(turn - best.turn).max() for turn in turns]))]
-        others = [other.misfit / best.misfit for other in tried[1:] if self._apart(other, best)]
-        return best, axis, min(others, default=None)
+        others = [other.misfit / best.misfit for other in tried[1:] if self._differ(other, best)]
+        return Start(best, axis, min(others, default=None))
 
     def _followed(
-        self, previous: ModelState, one: Cleaned, turn: Float[np.ndarray, "3 3"]
+        self, previous: BodyState, scan: Cleaned, turn: Float[np.ndarray, "3 3"]
     ) -> list[Candidate]:
         """Where the scan before ended, as a start; none where that is too far off."""
-        cloud = turned(one, turn)[1].first(FOLLOWED)
-        state = self.fitter.fit(previous, [cloud], SINGLE[:1])
-        found = self.fitter.matched(state, 0, cloud)
-        fits = np.linalg.norm(cloud.points - found.place, axis=1) < MATCHED
-        return [Candidate(state, turn, np.inf)] if fits.mean() > ENOUGH else []
+        search = self.settings.search
+        cloud = turned(scan, turn)[1].first(search.followed_points)
+        state = self.fitter.fit(previous, [cloud], self.settings.stages[:1])
+        distances = self.fitter.matched(state, 0, cloud).distances(cloud.points)
+        close = (distances < search.followed_distance).mean() > search.followed_share
+        return [Candidate(state, turn, np.inf)] if close else []
 
-    def _apart(self, one: Candidate, other: Candidate) -> bool:
+    def _differ(self, one: Candidate, other: Candidate) -> bool:
         """Whether two candidates are different poses: some joint is elsewhere."""
         joints = [
             self.body(each.state.betas, each.state.pose[0], each.state.trans[0]).joints @ each.turn
             for each in (one, other)
         ]
-        return float(np.linalg.norm(joints[0] - joints[1], axis=1).max()) > 0.12
+        distance = np.linalg.norm(joints[0] - joints[1], axis=1).max()
+        return float(distance) > self.settings.search.distinct
 
-    def _fitted_best(
-        self, state: ModelState, clouds: Sequence[Cloud]
-    ) -> tuple["Registrar", ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """All scans together: with the body that explains them best, its state, and free surfaces.
+    def _fitted_best(self, scans: Sequence[Registered]) -> tuple["Registrar", list[Registered]]:
+        """All scans together, with the body that explains them best.
 
-        Which that is shows before the last and longest steps, which it alone is given.
+        Which that is shows before the last and longest stage, which it alone is given.
         """
         if not self.others:
-            return self, *self._fitted(state, clouds)
-        begun = [
-            (self, state),
-            *((other, carried(self.body, other.body, state)) for other in self.others),
-        ]
-        tried = [
-            (one, *fit_with_offsets(one.fitter, begin, clouds, STEPS[:-1])) for one, begin in begun
-        ]
-        best, state, _ = min(tried, key=lambda one: energy(one[0].fitter, one[1], clouds, one[2]))
-        return best, *best._fitted(state, clouds, STEPS[-1:])
+            return self, self._fitted(scans, self.settings.offset_stages)
+        clouds = [scan.cloud for scan in scans]
+        first = joined([scan.state for scan in scans])
+        stages = self.settings.offset_stages
+        tried = []
+        for one in (self, *self.others):
+            state = first if one is self else carried(self.body, one.body, first, self.settings)
+            fit = one.fitter.fit_with_offsets(state, clouds, stages[:-1])
+            tried.append((energy(one.fitter, fit, clouds), one, fit))
+        _, best, fit = min(tried, key=lambda each: each[0])
+        begin = [replace(scan, state=fit.state[k : k + 1]) for k, scan in enumerate(scans)]
+        return best, best._fitted(begin, stages[-1:])
 
-    def _fitted(
-        self, state: ModelState, clouds: Sequence[Cloud], schedule: Sequence[ModelStep] = STEPS
-    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """All scans together: state, and free surfaces."""
-        state, surfaces = fit_with_offsets(self.fitter, state, clouds, schedule)
-        each = zip(clouds, surfaces, strict=True)
-        return state, [
-            self._freed(self.fitter.vertices(state, k), *one) for k, one in enumerate(each)
+    def _fitted(self, scans: Sequence[Registered], stages: Sequence[ScanStage]) -> list[Registered]:
+        """All scans together: states, and free surfaces."""
+        clouds = [scan.cloud for scan in scans]
+        fit = self.fitter.fit_with_offsets(joined([scan.state for scan in scans]), clouds, stages)
+        return [
+            replace(
+                scan,
+                state=fit.state[k : k + 1],
+                surface=self._freed(self.fitter.vertices(fit.state, k), scan.cloud, surface),
+                status=fit.status,
+                costs=dict(fit.costs),
+            )
+            for k, (scan, surface) in enumerate(zip(scans, fit.surfaces, strict=True))
         ]
 
     def _freed(
@@ -254,168 +271,188 @@ class Registrar:
         """The free surface of one scan, stretched where offsets along normals leave much of the
         scan off it.
 
-        A surface that has to be stretched follows the scan, also where it cuts itself by that.
+        A stretched surface follows the scan, also where it cuts itself by that.
         """
         topology = self.fitter.topology
-        few = cloud.first(FREE_POINTS)
-        surface = uncut(topology, model, free_surface(topology, model, few, start=start))
-        if np.percentile(away_from(self.guesser, cloud, surface), 95) > STRETCHED:
-            return stretched_surface(topology, surface, few)
+        settings = self.settings.surface
+        few = cloud.first(settings.points)
+        surface = free_surface(topology, model, few, settings, start=start)
+        surface = uncut(topology, model, surface, settings)
+        if np.percentile(scan_distances(topology, surface, cloud), 95) > settings.stretched:
+            return stretched_surface(topology, surface, few, settings)
         return surface
 
-    def _mended(
-        self, state: ModelState, clouds: Sequence[Cloud], surfaces: list[Float[np.ndarray, "V 3"]]
-    ) -> tuple[ModelState, list[Float[np.ndarray, "V 3"]]]:
-        """Where a piece of a scan lies off its surface, limbs are tried once more from there; what
+    def _limbs_searched(self, scans: list[Registered]) -> list[Registered]:
+        """Where a piece of a scan lies off its surface, limbs are searched again from there; what
         is better stays.
         """
-        lost = [self._lost(cloud, surface) for cloud, surface in zip(clouds, surfaces, strict=True)]
-        for _ in range(MENDED):
-            found = {
-                k: found_limbs(self.guesser, state.one(k), clouds[k], surfaces[k], SINGLE)
-                for k, share in enumerate(lost)
-                if share > LOST[0]
-            }
-            if all(one is None for one in found.values()):
+        lost = [self._lost(scan) for scan in scans]
+        for _ in range(self.settings.limbs.rounds):
+            found = [
+                limbs_searched_again(self.guesser, scan.state, scan.cloud, scan.surface)
+                if share > LIMITS.lost.doubtful
+                else None
+                for scan, share in zip(scans, lost, strict=True)
+            ]
+            if all(state is None for state in found):
                 break
-            tried = _joined([found.get(k) or state.one(k) for k in range(len(clouds))])
-            tried, free = self._fitted(tried, clouds)
-            left = [self._lost(cloud, surface) for cloud, surface in zip(clouds, free, strict=True)]
+            begin = [
+                replace(scan, state=state or scan.state)
+                for scan, state in zip(scans, found, strict=True)
+            ]
+            tried = self._fitted(begin, self.settings.offset_stages)
+            left = [self._lost(scan) for scan in tried]
             if sum(left) >= sum(lost):
                 break
-            state = tried
-            surfaces = free
+            scans = tried
             lost = left
-        return state, surfaces
+        return scans
 
-    def _lost(self, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
-        return lost_share(cloud.points, away_from(self.guesser, cloud, surface))
+    def _lost(self, scan: Registered) -> float:
+        distances = scan_distances(self.fitter.topology, scan.surface, scan.cloud)
+        return lost_share(scan.cloud.points, distances)
 
-    def _result(
-        self,
-        whole: Scan,
-        cloud: Cloud,
-        state: ModelState,
-        surface: Float[np.ndarray, "V 3"],
-        start: tuple[Candidate, str, float | None],
-    ) -> ScanFit:
+    def _result(self, scan: Registered) -> ScanFit:
+        state = scan.state
         model = self.fitter.vertices(state)
-        there, near = (
-            nearest(self.fitter.topology, each, cloud.points, cloud.normals)
-            for each in (surface, model)
-        )
-        to_surface, to_model = (
-            np.linalg.norm(cloud.points - each.place, axis=1) for each in (there, near)
-        )
-        fits = (to_model < MATCHED) & (near.cosine > 0.3)
-        off = self.fitter.prior.whitening @ (state.pose[0, 1:].ravel() - self.fitter.prior.mean)
-        counted = (
-            (to_surface < MATCHED) & (np.abs(there.cosine) > 0.3)
-            if fits.any()
-            else np.ones(len(fits), bool)
+        deviation = self.fitter.prior.whitening @ (
+            state.pose[0, 1:].ravel() - self.fitter.prior.mean
         )
         return ScanFit(
-            scan_name=whole.name,
+            scan_name=scan.scan.name,
             body_name=self.body.name,
             body=self.body,
             betas=state.betas,
             pose=state.pose[0],
             trans=state.trans[0],
-            vertices=surface,
+            vertices=scan.surface,
             model_vertices=model,
-            rest_vertices=at_rest(self.body, state, surface - model),
-            weights=vertex_weights(self.fitter.topology, surface, cloud),
-            cloud=cloud,
-            to_surface=to_surface[counted],
-            to_model=to_model[counted],
-            far_from_surface=to_surface,
-            matched=float(fits.mean()),
-            lost=lost_share(cloud.points, to_surface),
-            rival=start[2],
-            pose_distance=float(np.sqrt(np.mean(off**2))),
-            to_body=whole.to_body,
-            up_axis=start[1],
-            notes=_notes(whole, start[1]),
-            cuts=new_cuts(self.fitter.topology, model, surface),
+            rest_vertices=at_rest(self.body, state, scan.surface - model),
+            weights=vertex_weights(self.fitter.topology, scan.surface, scan.cloud),
+            cloud=scan.cloud,
+            **compared(self.fitter, scan.cloud, scan.surface, model),
+            rival=scan.start.rival,
+            pose_distance=float(np.sqrt(np.mean(deviation**2))),
+            to_body=scan.scan.to_body,
+            up_axis=scan.start.up,
+            person=scan.person,
+            cuts=new_cuts(self.fitter.topology, model, scan.surface),
+            status=scan.status,
+            costs=scan.costs,
+            settings=asdict(self.settings),
         )
 
 
-def _joined(states: Sequence[ModelState]) -> ModelState:
+class Clock:
+    """Seconds of named parts."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Of what runs inside."""
+        began = time.perf_counter()
+        yield
+        self.seconds[name] = time.perf_counter() - began
+
+
+def compared(
+    fitter: ScanFitter,
+    cloud: Cloud,
+    surface: Float[np.ndarray, "V 3"],
+    model: Float[np.ndarray, "V 3"],
+) -> dict[str, np.ndarray | float]:
+    """Distances of a scan from surface and model, and the shares that are matched and lost, as
+    `ScanFit` holds them.
+    """
+    settings = fitter.settings
+    there, near = (
+        find_correspondences(fitter.topology, each, cloud.points, cloud.normals)
+        for each in (surface, model)
+    )
+    to_surface, to_model = (each.distances(cloud.points) for each in (there, near))
+    matched = (to_model < settings.matched_distance) & (near.cosine > settings.matched_cosine)
+    counted = np.ones(len(matched), bool)
+    if matched.any():
+        counted = to_surface < settings.matched_distance
+        counted &= np.abs(there.cosine) > settings.matched_cosine
+    return {
+        "to_surface": to_surface[counted],
+        "to_model": to_model[counted],
+        "far_from_surface": to_surface,
+        "matched": float(matched.mean()),
+        "lost": lost_share(cloud.points, to_surface),
+    }
+
+
+def joined(states: Sequence[BodyState]) -> BodyState:
     """One state of several scans; the shape is the mean."""
-    return ModelState(
+    return BodyState(
         np.mean([one.betas for one in states], axis=0),
         np.concatenate([one.pose for one in states]),
         np.concatenate([one.trans for one in states]),
     )
 
 
-def _upright(one: Cleaned) -> list[str]:
-    """Axes that may point up: that of the floor, or any."""
-    if one.floor_up is None:
-        return list(UP)
-    return [max(UP, key=lambda axis: float(np.array(UP_AXES[axis])[1] @ one.floor_up))]
-
-
-def _notes(scan: Scan, axis: str) -> tuple[str, ...]:
-    return (
-        scan.notes
-        if axis == "+y"
-        else (*scan.notes, f"its {axis} axis points up: it was turned to y up")
-    )
-
-
-ALIKE = 0.005
-"""Metres (sd) within which another body's vertices are put on the first one's; its betas are held
-as people's are.
-"""
-
-
-def carried(body: BodyModel, other: BodyModel, state: ModelState) -> ModelState:
-    """A state of one body as one of another of its topology: the same poses, and the shape that is
-    most alike.
+def carried(
+    body: BodyModel, other: BodyModel, state: BodyState, settings: ScanSettings = SCANS
+) -> BodyState:
+    """A state of one body as one of another of its topology: the same poses, and the most similar
+    shape.
     """
     mean = np.zeros(other.num_betas)
     count = other.num_vertices
-    wanted = body.rest_vertices(state.betas) - other.rest_vertices(mean)
+    difference = body.rest_vertices(state.betas) - other.rest_vertices(mean)
     slopes = np.asarray(other.shapedirs, float).reshape(3 * count, -1)
-    slopes = np.concatenate(
-        [slopes, np.tile(np.eye(3), (count, 1))], 1
-    )  # betas, and the whole moved
-    held = ALIKE**2 * np.concatenate([np.ones(other.num_betas), np.zeros(3)])
-    found = np.linalg.solve(slopes.T @ slopes + np.diag(held), slopes.T @ wanted.ravel())
-    betas = found[:-3]
-    moved = found[-3:]
+    slopes = np.concatenate([slopes, np.tile(np.eye(3), (count, 1))], 1)  # betas, then translation
+    ridge = settings.similar_bodies**2 * np.concatenate([np.ones(other.num_betas), np.zeros(3)])
+    solved = np.linalg.solve(slopes.T @ slopes + np.diag(ridge), slopes.T @ difference.ravel())
+    betas = solved[:-3]
     first = body.rest_joints(state.betas)[0]
     second = other.rest_joints(betas)[0]
-    turned = np.array(
-        [matrix_from_rotvec(pose[0]) @ (moved - first + second) for pose in state.pose]
-    )
-    return ModelState(betas, state.pose, state.trans + first - second + turned)
+    shift = solved[-3:] - first + second
+    moved = np.array([matrix_from_rotvec(pose[0]) @ shift for pose in state.pose])
+    return BodyState(betas, state.pose, state.trans + first - second + moved)
 
 
-def energy(
-    fitter: ModelFitter,
-    state: ModelState,
-    clouds: Sequence[Cloud],
-    surfaces: Sequence[Float[np.ndarray, "V 3"]],
-) -> float:
-    """E of all scans at surfaces (m) that lie off the model along its normals."""
+def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:
+    """E of all scans at surfaces that lie off the model along its normals."""
+    state = fit.state
+    settings = fitter.settings
+    last = settings.offset_stages[-1]
+    spread = offset_spread(fitter.body, settings.offsets)
     total = 0.5 * float(state.betas @ state.betas)
-    for k, (cloud, surface) in enumerate(zip(clouds, surfaces, strict=True)):
+    for k, (cloud, surface) in enumerate(zip(clouds, fit.surfaces, strict=True)):
         model = fitter.vertices(state, k)
         offset = ((surface - model) * vertex_normals(model, fitter.topology.faces)).sum(1)
-        held = field_precision(fitter.topology, model, offset_spread(fitter.body))
-        off = state.pose[k, 1:].ravel() - fitter.prior.mean
-        total += 0.5 * float(offset @ (held @ offset)) + 0.5 * float(
-            off @ fitter.prior.precision @ off
-        )
-        total += _left(fitter, cloud.first(STEPS[-1].points), surface)
+        precision = field_precision(fitter.topology.faces, model, spread, settings.offsets.range)
+        deviation = state.pose[k, 1:].ravel() - fitter.prior.mean
+        total += 0.5 * float(offset @ (precision @ offset))
+        total += 0.5 * float(deviation @ fitter.precision @ deviation)
+        distances = scan_distances(fitter.topology, surface, cloud.first(last.points))
+        square = distances**2
+        loss = square * last.scale**2 / (square + last.scale**2)
+        total += 0.5 / last.noise**2 * float(loss.sum())
     return total
 
 
-def _left(fitter: ModelFitter, cloud: Cloud, surface: Float[np.ndarray, "V 3"]) -> float:
-    """What a surface leaves of a scan, by Geman and McClure's function of the distance."""
-    place = nearest(fitter.topology, surface, cloud.points, cloud.normals).place
-    square = ((cloud.points - place) ** 2).sum(1)
-    reach = STEPS[-1].reach ** 2
-    return 0.5 / STEPS[-1].noise ** 2 * float((square * reach / (square + reach)).sum())
+def _last(k: int, previous: BodyState) -> slice:
+    row = min(k, len(previous.pose) - 1)
+    return slice(row, row + 1)
+
+
+def _upright(scan: Cleaned) -> list[str]:
+    """Axes that may point up: that of the floor, or any."""
+    if scan.floor_up is None:
+        return list(UP)
+    return [max(UP, key=lambda axis: float(np.array(UP_AXES[axis])[1] @ scan.floor_up))]
+
+
+def _notes(scan: Registered, person: bool, first: Registrar, best: Registrar) -> tuple[str, ...]:
+    notes = []
+    if scan.start.up != "+y":
+        notes.append(f"its {scan.start.up} axis points up: it was turned to y up")
+    if person and best is not first:
+        notes.append(f"the {best.body.name} body explains the scan best; --body chooses another")
+    return tuple(notes)

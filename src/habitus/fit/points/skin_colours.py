@@ -19,7 +19,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csr_array, diags_array
 
-from habitus.fit.points.correspondences import Nearest, Topology, nearest
+from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
+from habitus.fit.points.settings import SCANS, ScanColourSettings
 from habitus.mesh.normals import face_normals
 from habitus.observe.harmonics import harmonic_terms
 from habitus.residuals.points import PointObservations
@@ -155,35 +156,6 @@ def _neighbour_means(node: np.ndarray) -> csr_array:
     return csr_array(diags_array(1.0 / np.maximum(near.sum(1), 1.0)) @ near)
 
 
-DARK, NOISE = 0.004, 0.008
-"""Linear light below which all is black, and the noise (sd) of a camera's pixels."""
-CERTAIN = 0.1
-"""Noise of a tone that halves what it counts."""
-REACH = 0.006
-"""Metres from the surface beyond which a coloured point hardly counts."""
-LEAST_COSINE = 0.4
-SMOOTHINGS = 3
-"""Times that the texture is averaged over neighbouring nodes."""
-LIGHT_ROUNDS, LIGHT_HELD = 3, 0.01
-"""Solves of light and texture in turn, and the weight of no light at all against that of all
-points.
-"""
-GAIN_PIECES = 2
-GAIN_SMOOTHINGS = 20
-PASSES = 2
-"""Means of what the means before left: without these a tone is that of the middle of some points,
-not of the node.
-"""
-SEEN, LEAST_SHARE = 0.1, 0.6
-"""Coloured points for each node from which on its tone is trusted, and their least share of what
-other scans have.
-"""
-TRUSTED = 0.5
-"""How surely a tone is to be seen to be compared."""
-GRAIN = 22.0
-"""Pieces of a grid that make up one independent tone of a texture so often averaged."""
-
-
 @dataclass(frozen=True, eq=False)
 class ColourCloud:
     """Coloured points (N, 3) of a scan, m and y up, normals (N, 3), outward, and tones (N, 3), in
@@ -200,12 +172,12 @@ class ColourCloud:
         points: Float[np.ndarray, "N 3"],
         normals: Float[np.ndarray, "N 3"],
         colours: Float[np.ndarray, "N 3"],
+        settings: ScanColourSettings = SCANS.colours,
     ) -> "ColourCloud":
         """From linear colours; what is dark is less certain."""
-        bright = np.maximum(colours, DARK)
-        return ColourCloud(
-            points, normals, np.log(bright), 1.0 / (1.0 + (NOISE / CERTAIN / bright.mean(1)) ** 2)
-        )
+        bright = np.maximum(colours, settings.dark)
+        noise = settings.noise / settings.certain / bright.mean(1)
+        return ColourCloud(points, normals, np.log(bright), 1.0 / (1.0 + noise**2))
 
     def first(self, count: int) -> "ColourCloud":
         """Some of them."""
@@ -215,20 +187,23 @@ class ColourCloud:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """Where on a surface a scan's coloured points belong, and how much each counts (N,)."""
+class ColourMatch:
+    """The correspondences of a scan's coloured points on a surface, and the weight of each (N,)."""
 
-    found: Nearest
+    found: Correspondences
     weight: Float[np.ndarray, " N"]
 
     @staticmethod
-    def of(topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: ColourCloud) -> "Sight":
+    def of(
+        topology: Topology,
+        surface: Float[np.ndarray, "V 3"],
+        cloud: ColourCloud,
+        settings: ScanColourSettings = SCANS.colours,
+    ) -> "ColourMatch":
         """On a surface (m)."""
-        found = nearest(topology, surface, cloud.points, cloud.normals)
-        away = np.linalg.norm(cloud.points - found.place, axis=1)
-        return Sight(
-            found, geman_mcclure_weight(away, REACH) * (found.cosine > LEAST_COSINE) * cloud.certain
-        )
+        found = find_correspondences(topology, surface, cloud.points, cloud.normals)
+        weight = found.weights(cloud.points, settings.scale, settings.min_cosine)
+        return ColourMatch(found, weight * cloud.certain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,6 +217,7 @@ class SharedSkin:
     each: Float[np.ndarray, "K G 3"]
     seen: Float[np.ndarray, "K G"]
     noise: Float[np.ndarray, " 3"]
+    settings: ScanColourSettings = SCANS.colours
 
     @property
     def tones(self) -> Float[np.ndarray, "G 3"]:
@@ -258,15 +234,20 @@ class SharedSkin:
         either is unseen.
         """
         others, told = self.without(k)
-        both = (told > TRUSTED) & (self.seen[k] > TRUSTED)
+        both = (told > self.settings.compared) & (self.seen[k] > self.settings.compared)
         return np.sqrt(((others - self.each[k]) ** 2).mean(1)) * both
 
 
-def find_skin(grid: SkinGrid, clouds: Sequence[ColourCloud], sights: Sequence[Sight]) -> SharedSkin:
+def find_skin(
+    grid: SkinGrid,
+    clouds: Sequence[ColourCloud],
+    sights: Sequence[ColourMatch],
+    settings: ScanColourSettings = SCANS.colours,
+) -> SharedSkin:
     """Texture and lights of all scans, solved in turn; for lights, colours that stand out count
     less.
     """
-    wide = SkinGrid.of(grid.faces, GAIN_PIECES)
+    wide = SkinGrid.of(grid.faces, settings.gain_pieces)
     count = range(len(clouds))
     shapes = [harmonic_terms(sight.found.normal) for sight in sights]
     tables = [grid.weights(sight.found.face, sight.found.barycentric) for sight in sights]
@@ -276,24 +257,30 @@ def find_skin(grid: SkinGrid, clouds: Sequence[ColourCloud], sights: Sequence[Si
         np.concatenate([cloud.tones[w > 0.1] for cloud, w in zip(clouds, weights, strict=True)]),
         axis=0,
     )
-    light = [shapes[k] @ _light(shapes[k], clouds[k].tones - middle, weights[k]) for k in count]
-    for _ in range(LIGHT_ROUNDS):
+    light = [
+        shapes[k] @ _light(shapes[k], clouds[k].tones - middle, weights[k], settings) for k in count
+    ]
+    for _ in range(settings.light_rounds):
         found = [
-            _at_nodes(grid, tables[k], sights[k].weight, clouds[k].tones - light[k]) for k in count
+            _at_nodes(grid, tables[k], sights[k].weight, clouds[k].tones - light[k], settings)
+            for k in count
         ]
         each, mass = (np.stack(part) for part in zip(*found, strict=True))
-        seen = _surely(mass)
+        seen = _confidence(mass, settings)
         skin = _mean(each, seen)[0]
         apart = [clouds[k].tones - tables[k] @ skin for k in count]
-        light = [shapes[k] @ _light(shapes[k], apart[k], weights[k]) for k in count]
-        light = [light[k] + _gain(wide, rough[k], weights[k], apart[k] - light[k]) for k in count]
+        light = [shapes[k] @ _light(shapes[k], apart[k], weights[k], settings) for k in count]
+        light = [
+            light[k] + _gain(wide, rough[k], weights[k], apart[k] - light[k], settings)
+            for k in count
+        ]
         left = [apart[k] - light[k] for k in count]
         noise = _spread(np.concatenate([left[k][sights[k].weight > 0.1] for k in count]))
         weights = [
             sights[k].weight * geman_mcclure_weight(np.sqrt(((left[k] / noise) ** 2).mean(1)), 3.0)
             for k in count
         ]
-    return SharedSkin(grid, each, seen, noise)
+    return SharedSkin(grid, each, seen, noise, settings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,10 +321,10 @@ def colour_matches(
     seen = np.minimum(table @ told, table @ skin.seen[k])
     half = 0.5 * (others + skin.each[k])
     slope = skin.grid.slopes(half, surface, places.face, places.share)
-    noise = _spread(apart[seen > TRUSTED])
+    noise = _spread(apart[seen > skin.settings.compared])
     spread = np.sqrt(noise**2 + (loose * np.linalg.norm(slope, axis=2)) ** 2)
     weight = seen * geman_mcclure_weight(np.sqrt(((apart / spread) ** 2).mean(1)), 3.0)
-    grain = np.maximum(GRAIN * places.faces_area[places.face] / skin.grid.n**2, 1e-9)
+    grain = np.maximum(skin.settings.grain * places.faces_area[places.face] / skin.grid.n**2, 1e-9)
     root = np.sqrt(weight * np.minimum(places.area / grain, 1.0))[:, None]
     rows = (root / spread)[..., None] * slope
     wanted = (1.0 - 1.0 / len(skin.each)) * root * apart / spread
@@ -353,44 +340,58 @@ def colour_matches(
     )
 
 
-def _light(shape: np.ndarray, apart: np.ndarray, weight: np.ndarray) -> Float[np.ndarray, "9 3"]:
+def _light(
+    shape: np.ndarray, apart: np.ndarray, weight: np.ndarray, settings: ScanColourSettings
+) -> Float[np.ndarray, "9 3"]:
     weighed = shape * weight[:, None]
     return np.linalg.solve(
-        weighed.T @ shape + LIGHT_HELD * weight.sum() * np.eye(9), weighed.T @ apart
+        weighed.T @ shape + settings.light_ridge * weight.sum() * np.eye(9), weighed.T @ apart
     )
 
 
 def _gain(
-    wide: SkinGrid, table: csr_array, weight: np.ndarray, apart: np.ndarray
+    wide: SkinGrid,
+    table: csr_array,
+    weight: np.ndarray,
+    apart: np.ndarray,
+    settings: ScanColourSettings,
 ) -> Float[np.ndarray, "N 3"]:
     """What light does that no harmonic does: shadows, light from the skin beside; alike over some 3
     cm.
     """
     sums = table.T @ np.column_stack([weight[:, None] * apart, weight])
-    sums = wide.smoothed(sums, GAIN_SMOOTHINGS)
+    sums = wide.smoothed(sums, settings.gain_smoothings)
     return table @ (sums[:, :3] / np.maximum(sums[:, 3:], 1e-6))
 
 
 def _at_nodes(
-    grid: SkinGrid, table: csr_array, weight: np.ndarray, tone: np.ndarray
+    grid: SkinGrid,
+    table: csr_array,
+    weight: np.ndarray,
+    tone: np.ndarray,
+    settings: ScanColourSettings,
 ) -> tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]]:
     """Tones at nodes, and the points about them: means about them, and means of what these leave
     (Barnes 1964).
     """
     back = csr_array(table.T)
-    mass = grid.smoothed(back @ weight[:, None], SMOOTHINGS)
+    mass = grid.smoothed(back @ weight[:, None], settings.smoothings)
     values = np.zeros((grid.size, 3))
-    for _ in range(PASSES):
+    for _ in range(settings.passes):
         values += grid.smoothed(
-            back @ (weight[:, None] * (tone - table @ values)), SMOOTHINGS
+            back @ (weight[:, None] * (tone - table @ values)), settings.smoothings
         ) / np.maximum(mass, 1e-6)
     return values, mass[:, 0]
 
 
-def _surely(mass: Float[np.ndarray, "K G"]) -> Float[np.ndarray, "K G"]:
-    """How surely nodes are seen: at the border of a hole tones are those of one side alone."""
+def _confidence(
+    mass: Float[np.ndarray, "K G"], settings: ScanColourSettings
+) -> Float[np.ndarray, "K G"]:
+    """Of the tones at nodes, 0 to 1: at the border of a hole tones are those of one side alone."""
     share = mass / np.maximum(mass.max(0), 1e-9)
-    return np.clip((share - LEAST_SHARE) / 0.2, 0.0, 1.0) * np.clip(mass / SEEN, 0.0, 1.0)
+    return np.clip((share - settings.min_share) / 0.2, 0.0, 1.0) * np.clip(
+        mass / settings.min_points, 0.0, 1.0
+    )
 
 
 def _mean(

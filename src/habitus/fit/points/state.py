@@ -1,23 +1,9 @@
 """The state that point fits solve for: one shape, and pose and translation of each scan or view."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-
-
-@dataclass(frozen=True, eq=False)
-class ModelState:
-    """One shape, and pose (T, J, 3) and trans (T, 3) of T scans."""
-
-    betas: Float[np.ndarray, " B"]
-    pose: Float[np.ndarray, "T J 3"]
-    trans: Float[np.ndarray, "T 3"]
-
-    def one(self, k: int) -> "ModelState":
-        """That of scan k alone."""
-        return replace(self, pose=self.pose[k : k + 1], trans=self.trans[k : k + 1])
-
 
 MAX_STEPS = (0.5, 0.4, 1.5)
 """The longest step at once: m of place, rad of a joint, sd of shape."""
