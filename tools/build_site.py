@@ -25,6 +25,7 @@ ELSEWHERE = {
     "CHANGELOG.md": "changes.md",
     "benchmarks/README.md": "benchmarks.md",
     "src/habitus/render/README.md": "renderer.md",
+    "lab/README.md": "making-the-default-body.md",
 }
 """Texts outside docs/, and the pages that they become."""
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)#\s]+)(#[^)]*)?\)")
@@ -71,6 +72,7 @@ MENU = {
     "Explanation": (
         "mosh",
         "default-body",
+        "making-the-default-body",
         "renderer",
         "architecture",
         "how-accurate",

@@ -3,7 +3,7 @@ numbers.
 
 python -m habitus_lab.default_body.age_checks --json ages.json --markdown ages.md
 
-Needs the shipped files alone. The table goes into docs/default-body.md, section "Ages".
+Needs the shipped files alone. The table goes into lab/README.md, section "Ages".
 """
 
 from __future__ import annotations

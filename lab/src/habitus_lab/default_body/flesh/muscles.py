@@ -4,7 +4,7 @@ bone, and thicker.
 A muscle lies at a share of the way between two joints, on one side of the bone. Where it is fully
 contracted, its belly wants a length of 1 - `strength`, and a width of the inverse root, so that its
 volume stays. How far it contracts is a smooth step of one joint's angle. These are choices, not
-measurements; what they stand for is in `docs/default-body.md`.
+measurements; what they stand for is in `lab/README.md`.
 """
 
 from __future__ import annotations
