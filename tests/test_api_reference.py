@@ -63,10 +63,10 @@ def test_the_reference_holds_the_public_face(pages):
 def test_the_reference_holds_terms_renderer_and_settings(pages):
     text = "".join(page.read_text("utf-8") for page in pages)
     for name in (
-        "habitus.solve.terms.Term",
+        "habitus.Term",
         "habitus.residuals.terms.Markers",
-        "habitus.observe.camera.Camera.project",
-        "habitus.render.draw.draw",
+        "habitus.Camera.project",
+        "habitus.render.frame.Frame.image",
         "habitus.fit.markers.settings.MoshSettings",
     ):
         assert f'id="{name}"' in text, name

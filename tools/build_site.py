@@ -183,6 +183,7 @@ def write_reference(folder: Path) -> None:
     folder.mkdir()
     kinds = {name: getattr(habitus, name) for name in habitus.__all__ if name[0] != "_"}
     functions = [name for name, value in kinds.items() if not isinstance(value, type)]
+    public = ", ".join(value.__name__ for value in kinds.values() if hasattr(value, "__name__"))
     face = [
         "# Public face\n\n`import habitus as hb` loads nothing; each name is loaded when first "
         "used.\n",
@@ -195,7 +196,7 @@ def write_reference(folder: Path) -> None:
     ]
     pages = {"public": "\n".join(face), "commands": "\n".join(_commands())}
     for name, (title, first, modules) in REFERENCE.items():
-        parts = (_directive("automodule", module, members=True) for module in modules)
+        parts = (_directive("automodule", module, True, public) for module in modules)
         pages[name] = "\n".join([f"# {title}\n\n{first}\n", *parts])
     for name, text in pages.items():
         (folder / f"{name}.md").write_text(text, "utf-8")
@@ -218,8 +219,9 @@ def _commands() -> Iterator[str]:
         yield f"## habitus {name}\n\n{purpose}\n\n```text\n{plain}\n```\n"
 
 
-def _directive(kind: str, name: str, members: bool = False) -> str:
-    options = "\n   :members:" if members else ""
+def _directive(kind: str, name: str, members: bool = False, without: str = "") -> str:
+    """without: names, separated by commas, that stand on another page."""
+    options = "\n   :members:" * members + f"\n   :exclude-members: {without}" * bool(without)
     return f"```{{eval-rst}}\n.. {kind}:: {name}{options}\n```\n"
 
 
