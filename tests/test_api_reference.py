@@ -63,13 +63,13 @@ def test_the_reference_holds_the_public_face(pages):
 def test_the_reference_holds_terms_renderer_and_settings(pages):
     text = "".join(page.read_text("utf-8") for page in pages)
     for name in (
-        "habitus.Term",
-        "habitus.residuals.terms.Markers",
-        "habitus.Camera.project",
-        "habitus.render.frame.Frame.image",
-        "habitus.fit.markers.settings.MoshSettings",
+        "Term",
+        "residuals.terms.Markers",
+        "Camera.project",
+        "render.frame.Frame.image",
+        "fit.markers.settings.MoshSettings",
     ):
-        assert f'id="{name}"' in text, name
+        assert f'id="habitus.{name}"' in text, name
 
 
 def test_the_reference_holds_the_help_of_every_command(pages):
