@@ -39,17 +39,17 @@ from common import machine, write_json
 from rich.console import Console
 from rich.table import Table
 
-from habitus.evaluate.baselines.blendscape_training import train_blendscape
 from habitus.evaluate.generalisation import model_generalisation, pose_generalisation
 from habitus.evaluate.neck_twist import neck_twist
 from habitus.evaluate.posable import Posable, PosableBody, without_pose_shapes
-from habitus.io.models.blendscape import save_blendscape
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.open import write_registrations
 from habitus.io.registrations.templates import body_template
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.learn.train import TrainedBody, poses_of, train_body
 from habitus.parallel.workers import Threads
+from habitus_lab.baselines.blendscape_training import train_blendscape
+from habitus_lab.baselines.files import save_blendscape
 from habitus_lab.population.bulging_flesh import out_of_class_surface
 from habitus_lab.population.coarse_bodies import coarse_body
 from habitus_lab.population.planted_body import joints_near_rings

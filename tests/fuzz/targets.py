@@ -191,7 +191,7 @@ def _read_body(path: Path) -> None:
 
 
 def _read_blendscape(path: Path) -> None:
-    from habitus.io.models.blendscape import load_blendscape
+    from habitus_lab.baselines.files import load_blendscape
 
     assert np.isfinite(load_blendscape(path).template).all()
 
@@ -208,9 +208,9 @@ def _models(folder: Path) -> list[Target]:
     from worm_model import worm_model
 
     from habitus.body.prior import PosePrior
-    from habitus.io.models.blendscape import save_blendscape
     from habitus.io.models.bodies import save_body
     from habitus.io.models.priors import save_pose_prior
+    from habitus_lab.baselines.files import save_blendscape
 
     arrays = official_arrays("mano", 24, num_betas=2)
     np.savez(folder / "official.npz", **arrays)

@@ -10,12 +10,11 @@ import numpy as np
 from tube_body import random_pose, tube_body
 
 from habitus.body.model import BodyModel
-from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.posable import PosableBody
-from habitus.io.models.blendscape import save_blendscape
 from habitus.io.models.bodies import save_body
 from habitus.io.registrations.open import write_registrations
 from habitus.mesh.registrations import Registrations
+from habitus_lab.baselines.blendscape import BlendScape
 
 NOISE = 0.002
 SUBJECTS = ("ann", "bob", "ann", "bob", "eve")
@@ -70,16 +69,13 @@ def _bridges(body: BodyModel, each: int) -> np.ndarray:
 
 
 def written_tubes(folder: Path) -> dict[str, Path]:
-    """Files: noisy and clean registrations, the body, one of dual quaternions, a BlendSCAPE model
-    without a shape.
-    """
+    """Files: noisy and clean registrations, the body, one of dual quaternions."""
     people = tube_people()
-    paths = {name: folder / f"{name}.npz" for name in ("noisy", "clean", "tubes", "dual", "scape")}
+    paths = {name: folder / f"{name}.npz" for name in ("noisy", "clean", "tubes", "dual")}
     write_registrations(people.noisy, paths["noisy"], dtype=np.float64)
     write_registrations(people.clean, paths["clean"], dtype=np.float64)
     save_body(people.body, paths["tubes"])
     save_body(replace(people.body, skinning="dqbs").with_betas(3), paths["dual"])
-    save_blendscape(tube_scape(people.body), paths["scape"])
     return paths
 
 

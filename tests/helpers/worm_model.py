@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.mesh.shapes import icosphere
+from habitus_lab.baselines.blendscape import BlendScape
 
 PARENTS = (-1, 0, 1, 2)
 _JOINTS = np.array([-0.5, -0.2, 0.1, 0.4])  # where along x each part begins to take over (m)

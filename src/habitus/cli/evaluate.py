@@ -37,7 +37,7 @@ class Evaluate:
     paths: Annotated[
         tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MODEL [MODEL …] DATASET")
     ]
-    """Body models (npz, pkl, BlendSCAPE's npz, or "default"); last the registrations, as for
+    """Body models (npz, pkl, or "default"); last the registrations, as for
     `habitus train`.
     """
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]

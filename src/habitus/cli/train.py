@@ -107,7 +107,7 @@ class Train:
     weight_skinning: Annotated[float, tyro.conf.arg(metavar="λ")] = _WEIGHTS.skinning
     """Weight of skinning weights staying near the template's (λ_W)."""
     baselines: Flag = False
-    """Train plain LBS, plain DQBS and BlendSCAPE on the same registrations as well."""
+    """Train plain LBS and plain DQBS on the same registrations as well."""
     unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
     """Unit of the registrations, where the data do not tell it."""
     every: Annotated[int, tyro.conf.arg(metavar="K")] = 1

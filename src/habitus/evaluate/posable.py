@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.arrays import flatten
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
-from habitus.evaluate.surface_fit import Columns, Fit, FittedToSurfaces
+from habitus.evaluate.surface_fit import Columns, Fit, FittedToSurfaces, Surface
 
 BLOCK = 1024
 """Vertices whose derivatives are made at once."""
@@ -49,12 +49,44 @@ class Posable(Protocol):
         ...
 
 
+class ComparedModel(Posable, Surface, Protocol):
+    """A model of triangles to be compared with others on registrations (`jobs.evaluate`): a
+    `PosableBody`, or a baseline of another kind.
+    """
+
+    @property
+    def kind(self) -> str:
+        """What tables call such models, "blend shapes" say."""
+        ...
+
+    @property
+    def template(self) -> Float[np.ndarray, "V 3"]:
+        """Vertices at rest (m)."""
+        ...
+
+    @property
+    def faces(self) -> Int[np.ndarray, "F 3"]:
+        """Triangles."""
+        ...
+
+    @property
+    def shape_directions(self) -> Float[np.ndarray, "B ..."]:
+        """What one standard deviation of each shape coefficient adds."""
+        ...
+
+    @property
+    def shape_variances(self) -> Float[np.ndarray, " S"] | None:
+        """Variances along all shape directions of the training, where the model keeps them."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class PosableBody(FittedToSurfaces):
     """A BodyModel as something to be fitted."""
 
     body: BodyModel
     label: str = ""
+    kind: ClassVar[str] = "blend shapes"
 
     @property
     def name(self) -> str:
@@ -75,6 +107,26 @@ class PosableBody(FittedToSurfaces):
     def influence(self) -> Float[np.ndarray, "V J"]:
         """Skinning weights."""
         return self.body.skinning_weights
+
+    @property
+    def template(self) -> Float[np.ndarray, "V 3"]:
+        """Vertices at rest (m)."""
+        return self.body.v_template
+
+    @property
+    def faces(self) -> Int[np.ndarray, "F 3"]:
+        """Triangles."""
+        return self.body.faces
+
+    @property
+    def shape_directions(self) -> Float[np.ndarray, "B C"]:
+        """What one standard deviation of each shape coefficient adds to all coordinates (m)."""
+        return self.body.shapedirs.reshape(-1, self.num_betas).T
+
+    @property
+    def shape_variances(self) -> Float[np.ndarray, " S"] | None:
+        """Those that the body's file keeps, of all shape directions of its training (m^2)."""
+        return self.body.extras.get("shape_variances")
 
     def surface(
         self, betas: Float[np.ndarray, " B"], pose: Float[np.ndarray, "J 3"]

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.evaluate.generalisation import Generalisation
 from habitus.evaluate.neck_twist import NeckTwist
-from habitus.evaluate.posable import PosableBody
+from habitus.evaluate.posable import ComparedModel
 from habitus.evaluate.timing import ForwardTimes
 from habitus.mesh.registrations import Registrations, Vertices
-
-Model = PosableBody | BlendScape
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +24,7 @@ class ModelEvaluation:
     where the file keeps them (``all_variances``), else those that its own directions explain.
     """
 
-    model: Model
+    model: ComparedModel
     file: str | None
     without_pose_shapes_of: str | None
     shape: Generalisation

@@ -19,8 +19,8 @@ from habitus.evaluate.generalisation import (
     pose_generalisation,
 )
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
-from habitus.evaluate.posable import PosableBody
-from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
+from habitus.evaluate.posable import ComparedModel, PosableBody
+from habitus.evaluate.result import Evaluation, ModelEvaluation
 from habitus.evaluate.timing import ForwardTimes, time_forward
 from habitus.io.registrations.open import open_registrations
 from habitus.jobs.evaluation_models import (
@@ -38,7 +38,7 @@ from habitus.types import PathLike, Progress
 
 
 def evaluate(
-    models: Sequence[PathLike | BodyModel],
+    models: Sequence[PathLike | BodyModel | ComparedModel],
     dataset: PathLike | Registrations,
     out: PathLike | None = None,
     *,
@@ -56,8 +56,9 @@ def evaluate(
     """Measure models on the registrations of the set ``split`` and, where ``out`` is given, write
     the results (S 5).
 
-    models: files, "default", or BodyModel objects. dataset and clean (the same registrations
-    without noise): what `open_registrations` takes, or open Registrations (m). sex: "female" or
+    models: files, "default", BodyModel objects, or models of another kind
+    (`habitus.evaluate.posable.ComparedModel`). dataset and clean (the same registrations without
+    noise): what `open_registrations` takes, or open Registrations (m). sex: "female" or
     "male", only registrations of these. plain: measure each model with pose blend shapes also
     without them, as S 5.1 does. repeats and seed: of the run times, and of their random shapes and
     poses. workers: number of threads (default: one per core), address of a Dask scheduler, or
@@ -204,7 +205,7 @@ def _times(
     loaded: Sequence[Loaded], counts: Sequence[int], repeats: int, seed: int
 ) -> dict[str, ForwardTimes]:
     """Models with as many joints take turns."""
-    by_joints: dict[int, list[Model]] = {}
+    by_joints: dict[int, list[ComparedModel]] = {}
     for one in loaded:
         by_joints.setdefault(len(one.model.parents), []).append(one.model)
     used = (0, *counts)

@@ -122,7 +122,7 @@ def _model_numbers(entry: ModelEvaluation) -> dict[str, Any]:
     return {
         "name": entry.name,
         "file": entry.file,
-        "kind": "BlendSCAPE" if body is None else "blend shapes",
+        "kind": entry.model.kind,
         "skinning": body and body.skinning,
         "pose_features": body and body.pose_features
         if body and body.posedirs is not None

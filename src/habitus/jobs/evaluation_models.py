@@ -2,7 +2,6 @@
 
 import json
 import os
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +11,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.posable import PosableBody, without_pose_shapes
-from habitus.evaluate.result import Model
-from habitus.io.models.blendscape import load_blendscape
+from habitus.evaluate.posable import ComparedModel, PosableBody, without_pose_shapes
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.templates import body_template
 from habitus.mesh.registrations import Registrations
@@ -24,25 +21,27 @@ from habitus.types import PathLike
 
 @dataclass(frozen=True, eq=False)
 class Loaded:
-    """A model, its file (None for a body given as such), and whose copy without pose blend shapes
+    """A model, its file (None for one given as such), and whose copy without pose blend shapes
     it is, if any.
     """
 
-    model: Model
+    model: ComparedModel
     file: str | None
     without_pose_shapes_of: str | None = None
 
 
-def load_models(models: Sequence[PathLike | BodyModel], plain: bool) -> list[Loaded]:
-    """The models of files (or "default") and bodies; with ``plain`` each also without its pose
-    blend shapes.
+def load_models(
+    models: Sequence[PathLike | BodyModel | ComparedModel], plain: bool
+) -> list[Loaded]:
+    """The models of files (or "default"), bodies and other models; with ``plain`` each body also
+    without its pose blend shapes.
 
     Raises HabitusError for files that are no models, and for two models of one name.
     """
     found = []
     for given, name in zip(models, model_names(models), strict=True):
         model = _load(given, name)
-        file = None if isinstance(given, BodyModel) else str(given)
+        file = str(given) if isinstance(given, (str, os.PathLike)) else None
         found.append(Loaded(model, file))
         if plain and isinstance(model, PosableBody) and model.body.posedirs is not None:
             body = without_pose_shapes(model.body)
@@ -50,7 +49,7 @@ def load_models(models: Sequence[PathLike | BodyModel], plain: bool) -> list[Loa
     return found
 
 
-def rest_template(model: Model) -> Template:
+def rest_template(model: ComparedModel) -> Template:
     """The model at rest, cut by strongest joints: what registrations are checked against."""
     if isinstance(model, PosableBody):
         return body_template(model.body)
@@ -58,20 +57,23 @@ def rest_template(model: Model) -> Template:
     return Template(model.template, model.faces, model.influence.argmax(1), model.parents, names)
 
 
-def model_names(models: Sequence[PathLike | BodyModel]) -> list[str]:
+def model_names(models: Sequence[PathLike | BodyModel | ComparedModel]) -> list[str]:
     """Bodies' own names; files' names, the folder's for a model.npz, both where one alone is not
     unique.
     """
-    stems = [model.name if isinstance(model, BodyModel) else _stem(Path(model)) for model in models]
+    stems = [
+        _stem(Path(model)) if isinstance(model, (str, os.PathLike)) else model.name
+        for model in models
+    ]
     names = [
         stem
-        if stems.count(stem) == 1 or isinstance(model, BodyModel)
+        if stems.count(stem) == 1 or not isinstance(model, (str, os.PathLike))
         else f"{Path(model).resolve().parent.name}/{Path(model).stem}"
         for stem, model in zip(stems, models, strict=True)
     ]
     for name, model in zip(names, models, strict=True):
         if names.count(name) > 1:
-            source = "a body" if isinstance(model, BodyModel) else model
+            source = model if isinstance(model, (str, os.PathLike)) else "not of a file"
             raise HabitusError(
                 f"two models are called {name} ({source}); expected names that differ: rename one"
             )
@@ -82,24 +84,15 @@ def _stem(path: Path) -> str:
     return path.resolve().parent.name if path.stem == "model" else path.stem
 
 
-def _load(given: PathLike | BodyModel, name: str) -> Model:
-    if not isinstance(given, BodyModel) and _is_blendscape(given):
-        return replace(load_blendscape(given), name=name)
-    body = given if isinstance(given, BodyModel) else load_body(os.fspath(given))
-    return PosableBody(replace(body, name=name), name)
+def _load(given: PathLike | BodyModel | ComparedModel, name: str) -> ComparedModel:
+    body = load_body(os.fspath(given)) if isinstance(given, (str, os.PathLike)) else given
+    return PosableBody(replace(body, name=name), name) if isinstance(body, BodyModel) else body
 
 
-def _is_blendscape(path: PathLike) -> bool:
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return "pose_regression.npy" in archive.namelist()
-
-
-def check_topology(model: Model, registrations: Registrations, dataset: str) -> None:
+def check_topology(model: ComparedModel, registrations: Registrations, dataset: str) -> None:
     """Raise HabitusError unless a model has the registrations' vertices and faces."""
-    faces = model.body.faces if isinstance(model, PosableBody) else model.faces
-    count = model.body.num_vertices if isinstance(model, PosableBody) else len(model.template)
+    faces = model.faces
+    count = len(model.template)
     if count != registrations.num_vertices or not _same_faces(faces, registrations.faces):
         raise HabitusError(
             f"{model.name} has {count} vertices and {len(faces)} faces, another topology than "
@@ -116,22 +109,19 @@ def _same_faces(one: np.ndarray, other: np.ndarray) -> bool:
     )
 
 
-def shape_variances(model: Model, file: str | None) -> tuple[Float[np.ndarray, " S"], bool]:
+def shape_variances(model: ComparedModel, file: str | None) -> tuple[Float[np.ndarray, " S"], bool]:
     """Variances along shape directions, and whether these are all that the model was trained on.
 
     They are kept with the model or in the training.json beside it; else they are those of the
     model's own directions, which are scaled to one standard deviation.
     """
-    if isinstance(model, PosableBody):
-        kept = model.body.extras.get("shape_variances")
-        directions = model.body.shapedirs.reshape(-1, model.num_betas).T
-        kept = _training_variances(Path(file)) if kept is None and file is not None else kept
-    else:
-        kept = model.shape_variances
-        directions = model.shape_directions.reshape(model.num_betas, -1)
+    kept = model.shape_variances
+    if kept is None and file is not None:
+        kept = _training_variances(Path(file))
+    directions = np.asarray(model.shape_directions).reshape(model.num_betas, -1)
     if kept is not None:
         return np.asarray(kept, float).reshape(-1), True
-    return (np.asarray(directions) ** 2).sum(1), False
+    return (directions**2).sum(1), False
 
 
 def _training_variances(file: Path) -> list[float] | None:

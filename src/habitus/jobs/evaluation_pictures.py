@@ -10,8 +10,8 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.evaluate.generalisation import Generalisation
 from habitus.evaluate.neck_twist import head_and_neck, neck_vertices, turned_head, twist_axis
-from habitus.evaluate.posable import PosableBody
-from habitus.evaluate.result import Evaluation, Model, ModelEvaluation
+from habitus.evaluate.posable import ComparedModel, PosableBody
+from habitus.evaluate.result import Evaluation, ModelEvaluation
 from habitus.export.png import png
 from habitus.report import drawing
 from habitus.report.evaluation.page import Picture
@@ -211,7 +211,7 @@ def _worst(evaluation: Evaluation, entry: ModelEvaluation) -> Iterator[_Shown]:
         yield _Shown(entry, name, fitted, target, _facing(entry.model, curve.pose[k, n]))
 
 
-def _facing(model: Model, pose: np.ndarray) -> tuple[float, float, float]:
+def _facing(model: ComparedModel, pose: np.ndarray) -> tuple[float, float, float]:
     """The horizontal direction from which a person is seen from the front, a little from the
     side.
     """

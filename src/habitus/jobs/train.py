@@ -2,7 +2,6 @@
 `train`.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -10,8 +9,6 @@ from pathlib import Path
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.baselines.blendscape import BlendScape
-from habitus.evaluate.baselines.blendscape_training import train_blendscape
 from habitus.files import locked, tidy
 from habitus.jobs.checkpoints import Checkpoint, fingerprint
 from habitus.jobs.training_callback import Callbacks, CheckpointingCallback
@@ -26,7 +23,7 @@ from habitus.jobs.training_data import (
 from habitus.jobs.training_record import Training
 from habitus.learn.callback import Record
 from habitus.learn.options import TrainOptions
-from habitus.learn.train import TrainedBody, poses_of, train_body
+from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.choose import WorkersLike, open_workers
@@ -125,7 +122,7 @@ def train(
     prior, sex) is carried over. detail and joints: of a body's file, as in `load_body`; "full" of a
     file of two levels gives such a file again. sex: "all" people together, "each", "female" or
     "male"; the latter three use folders of those names in ``out``. baselines: also train models
-    without pose blend shapes and BlendSCAPE. unit and every: see `open_registrations`. workers:
+    without pose blend shapes. unit and every: see `open_registrations`. workers:
     number of threads (default: one per core), address of a Dask scheduler, or Workers. progress:
     (stage, share done). on_step: (model, record), the energy after each step. on_warning: (text).
 
@@ -194,12 +191,6 @@ def _train(
                 "a folder that all of them see are read there"
             )
         notes += check_data(data, model, ready, callbacks.progress)
-        if baselines and data.weighted:
-            raise HabitusError(
-                "baselines of registrations with holes or weights: BlendSCAPE is trained on whole "
-                "triangles; expected "
-                "whole meshes, or a training without baselines"
-            )
         for note in notes:
             callbacks.on_warning(note)
         like = two_levels(template, level[0])
@@ -237,9 +228,7 @@ def _train_model(run: _Run, folder: Path | None, sex: str, data: Registrations) 
 
 
 def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training:
-    """The same registrations without pose blend shapes, linear and dual quaternion, and as
-    BlendSCAPE (S 5.1).
-    """
+    """The same registrations without pose blend shapes, linear and dual quaternion (S 5.1)."""
     for name, skinning in _BASELINES.items():
         fixed = tuple(name for name in run.options.fixed if name != "posedirs")
         options = replace(run.options, **_NO_POSE_SHAPES, skinning=skinning, fixed=fixed)
@@ -250,10 +239,6 @@ def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training
             seconds={**done.seconds, name: callback.elapsed},
             step_seconds={**done.step_seconds, name: callback.seconds},
         )
-    began = time.perf_counter()
-    blendscape = _blendscape(run, done)
-    seconds = {**done.seconds, "blendscape": time.perf_counter() - began}
-    done = replace(done, blendscape=blendscape, seconds=seconds)
     return done if folder is None else done.save(folder)
 
 
@@ -293,19 +278,3 @@ def _train_body(
         name=title,
     )
     return trained, callback
-
-
-def _blendscape(run: _Run, done: Training) -> BlendScape:
-    """BlendSCAPE on the same registrations, in the poses that the trained model gave them."""
-    title = f"{done.sex} BlendSCAPE".strip()
-    workers = ReportingWorkers(
-        run.workers, lambda n, total: run.callbacks.progress(title, n / total)
-    )
-    return train_blendscape(
-        done.registrations,
-        run.template,
-        poses_of(done.trained, run.template, done.registrations, workers),
-        done.trained.estimate.rig.weights,
-        num_betas=run.options.num_betas,
-        workers=workers,
-    )

@@ -9,10 +9,8 @@ from typing import Any
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.export.trained_body import write_model, write_poses
 from habitus.files import atomic_write, writable_folder
-from habitus.io.models.blendscape import save_blendscape
 from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody
 from habitus.mesh.registrations import Registrations
@@ -26,8 +24,8 @@ class Training:
     ``sex`` is "female", "male" or "" (a model of all people). ``folder`` is where the files are,
     None where nothing was written. ``step_seconds`` holds for each model the seconds of work at the
     end of each step of its history. ``baselines`` are the models without pose blend shapes, by
-    name; ``blendscape`` is trained with them. ``like`` is the body's file of two levels of detail
-    whose full one was trained, where it was.
+    name. ``like`` is the body's file of two levels of detail whose full one was trained, where it
+    was.
     """
 
     sex: str
@@ -39,7 +37,6 @@ class Training:
     step_seconds: Mapping[str, Sequence[float]]
     folder: Path | None = None
     baselines: Mapping[str, TrainedBody] = field(default_factory=dict)
-    blendscape: BlendScape | None = None
     like: str | None = None
 
     @property
@@ -62,8 +59,6 @@ class Training:
         )
         for name, baseline in self.baselines.items():
             write_model(baseline.body, folder, name)
-        if self.blendscape is not None:
-            save_blendscape(self.blendscape, folder / "blendscape.npz")
         warnings = (*self.warnings, *(note for note in notes if note not in self.warnings))
         saved = replace(self, folder=folder, warnings=warnings)
         write_record(saved, folder)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser import chromium, visit
 from PIL import Image
-from tube_people import tube_people, written_tubes
+from tube_people import tube_people, tube_scape, written_tubes
 
 from habitus.export.png import png
 from habitus.jobs.evaluate import evaluate
@@ -31,7 +31,7 @@ def done(tmp_path_factory):
     """An evaluation of two models and a twin, and the folder that it was written to."""
     folder = tmp_path_factory.mktemp("evaluation")
     paths = written_tubes(folder)
-    models = [paths[name] for name in ("tubes", "scape")]
+    models = [paths["tubes"], tube_scape(tube_people().body)]
     found = evaluate(
         models,
         paths["noisy"],

@@ -10,16 +10,16 @@ that of the vertices' mean.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import flatten
 from habitus.body.skinning import descends
-from habitus.evaluate.baselines.triangle_frames import Stitching, stitching
 from habitus.evaluate.surface_fit import Columns, FittedToSurfaces
 from habitus.rotations import cross_matrix, left_jacobian, matrix_from_rotvec
+from habitus_lab.baselines.triangle_frames import Stitching, stitching
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,7 @@ class BlendScape(FittedToSurfaces):
     shape_directions: Float[np.ndarray, "B F 3 3"]
     pose_regression: Float[np.ndarray, "P F 3 3"]
     shape_variances: Float[np.ndarray, " S"] | None = None
+    kind: ClassVar[str] = "BlendSCAPE"
 
     def __getstate__(self) -> dict[str, Any]:
         return {

@@ -12,13 +12,13 @@ from tube_body import random_pose
 from worm_model import PARENTS, worm_model
 
 from habitus.errors import HabitusError
-from habitus.evaluate.baselines.blendscape import BlendScape
-from habitus.evaluate.baselines.blendscape_training import train_blendscape
 from habitus.evaluate.generalisation import model_generalisation, pose_generalisation
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads
 from habitus.rotations import matrix_from_rotvec
+from habitus_lab.baselines.blendscape import BlendScape
+from habitus_lab.baselines.blendscape_training import train_blendscape
 
 NOISE = 0.002
 LENGTH = NOISE * np.sqrt(8 / np.pi)  # mean length of the noise

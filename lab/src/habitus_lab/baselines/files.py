@@ -1,4 +1,4 @@
-"""Reads and writes BlendSCAPE models (`habitus.evaluate.baselines.blendscape`)."""
+"""Reads and writes BlendSCAPE models (`habitus_lab.baselines.blendscape`)."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.evaluate.baselines.blendscape import BlendScape
 from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
 from habitus.mesh.joint_tree import check_parents
+from habitus_lab.baselines.blendscape import BlendScape
 
 _PLAIN = ("name", "parents", "shape_variances")
 

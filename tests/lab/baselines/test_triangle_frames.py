@@ -5,7 +5,7 @@ import pytest
 from worm_model import worm_mesh
 
 from habitus.errors import HabitusError
-from habitus.evaluate.baselines.triangle_frames import stitching, triangle_frames
+from habitus_lab.baselines.triangle_frames import stitching, triangle_frames
 
 
 def test_frames_go_along_with_turns_and_sizes():

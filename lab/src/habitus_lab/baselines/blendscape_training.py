@@ -16,12 +16,12 @@ import scipy.linalg
 from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
-from habitus.evaluate.baselines.blendscape import BlendScape, mixed, part_rotations
-from habitus.evaluate.baselines.triangle_frames import triangle_frames
 from habitus.learn.shape.shape_space import principal_shapes
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 from habitus.parallel.workers import Threads, Workers, in_blocks
+from habitus_lab.baselines.blendscape import BlendScape, mixed, part_rotations
+from habitus_lab.baselines.triangle_frames import triangle_frames
 
 _ALONE = Threads(1)
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
