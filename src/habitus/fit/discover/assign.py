@@ -9,7 +9,7 @@ labels that may sit there. What is further than `OUTLIER` sigmas from everything
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.sequence import fit_sequence
@@ -40,6 +40,10 @@ class Bodies:
     trans: Float[np.ndarray, "N F 3"]
     cost: Float[np.ndarray, " N"]
     posterior: Float[np.ndarray, "N M K"]
+
+    def of(self, rows: Int[np.ndarray, " n"]) -> "Bodies":
+        """Some of the bodies."""
+        return Bodies(self.pose[rows], self.trans[rows], self.cost[rows], self.posterior[rows])
 
 
 def squared_distances(

@@ -12,6 +12,7 @@ from habitus.body.prior import PosePrior
 from habitus.fit.discover.assign import Bodies, Known, Schedule, places_of, posed, settled
 from habitus.fit.discover.skin import Skin
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
+from habitus.fit.search import best_of_tries, distinct_rows
 from habitus.mesh.mirror import mirrored_joints
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
@@ -101,7 +102,6 @@ def in_all_frames(
     frame says.
     """
     count = len(bodies.pose)
-    frames = len(observed)
     plain = [
         np.repeat(plain_pose(body.joint_names, angles)[None], count, axis=0) for angles in _POSES
     ]
@@ -113,12 +113,9 @@ def in_all_frames(
                 rig, observed, bodies.posterior, prior, pose, trans, firmness, sweeps=6
             )
         tries.append((pose, trans, cost))
-    pose, trans, cost = (np.stack(each) for each in zip(*tries, strict=True))
-    best = (
-        np.argmin(cost, axis=0),
-        *np.meshgrid(np.arange(count), np.arange(frames), indexing="ij"),
-    )
-    return Bodies(pose[best], trans[best], cost[best].sum(axis=1), bodies.posterior)
+    poses, places, costs = (np.stack(each) for each in zip(*tries, strict=True))
+    pose, trans, cost = best_of_tries(costs, poses, places, costs)
+    return Bodies(pose, trans, cost.sum(axis=1), bodies.posterior)
 
 
 def _aligned(
@@ -170,13 +167,9 @@ def _widest(observed: Float[np.ndarray, "F M 3"]) -> Int[np.ndarray, " f"]:
 
 def _that_differ(bodies: Bodies, skin: Skin) -> Bodies:
     """The cheapest bodies, none of which puts the labels where a cheaper one does."""
-    order = np.argsort(bodies.cost, kind="stable")
-    places = bodies.posterior[order] @ skin.points
-    chosen: list[int] = []
-    for k in range(len(order)):
-        if len(chosen) < _KEPT and all(
-            np.linalg.norm(places[k] - places[j], axis=1).mean() > _APART for j in chosen
-        ):
-            chosen.append(k)
-    some = order[chosen]
-    return Bodies(bodies.pose[some], bodies.trans[some], bodies.cost[some], bodies.posterior[some])
+    places = bodies.posterior @ skin.points
+
+    def alike(a: int, b: int) -> bool:
+        return bool(np.linalg.norm(places[a] - places[b], axis=1).mean() <= _APART)
+
+    return bodies.of(distinct_rows(bodies.cost, _KEPT, alike))

@@ -18,6 +18,7 @@ from habitus.fit.labels.kernels import firm_matches, soft_targets
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
+from habitus.fit.search import Round, best_rows, multi_start
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -76,10 +77,14 @@ def register(
     """
     states = _starts(rig, clouds, frames, poses)
     batch = _Batch(rig, prior, clouds, np.repeat(frames, len(states[0]) // len(frames)), *states)
-    for spread, firmness, most in SOFT:
-        batch.share(spread, firmness)
-        batch = batch.best(most)
-    return batch.match(FIRM)
+    return multi_start(
+        batch,
+        [Round((spread, firmness), keep) for spread, firmness, keep in SOFT],
+        refine=_Batch.share,
+        cost=_Batch.ranking,
+        select=_Batch.of,
+        groups=lambda batch: batch.frames,
+    ).match(FIRM)
 
 
 def plain_poses(joint_names: tuple[str, ...]) -> Float[np.ndarray, "N J 3"]:
@@ -144,10 +149,11 @@ class _Batch:
         """The markers of all hypotheses."""
         return predict(self.rig, *self._state)
 
-    def share(self, spread: float, firmness: float) -> None:
-        """Points shared among markers within ``spread``, and the bodies moved; ``firmness`` weighs
-        the pose prior.
+    def share(self, step: tuple[float, float]) -> "_Batch":
+        """Points shared among markers within a ``spread`` (m), and the bodies moved; ``firmness``
+        weighs the pose prior.
         """
+        spread, firmness = step
         data = self.problem.data
         cloud = self.clouds
         soft_targets(
@@ -161,6 +167,7 @@ class _Batch:
             data.weights,
         )
         self._solve(firmness)
+        return self
 
     def match(self, gates: tuple[float, ...]) -> Registered:
         """One point a marker, ever nearer; the cheapest hypothesis of each frame."""
@@ -173,27 +180,19 @@ class _Batch:
             )
             self._solve(1.0)
         match, cost = self._matched(gates[-1])
-        order = self._cheapest(cost + self._prior_cost(), 1)
-        pose, trans = self._state
         total = cost + self._prior_cost()
+        order = best_rows(total, 1, self.frames)
+        pose, trans = self._state
         return Registered(self.frames[order], pose[order], trans[order], match[order], total[order])
 
-    def best(self, most: int) -> "_Batch":
-        """The cheapest hypotheses of each frame."""
-        if most * len(np.unique(self.frames)) >= len(self.frames):
-            return self
-        chosen = self._cheapest(self._matched(RANKING_GATE)[1] + self._prior_cost(), most)
-        pose, trans = self._state
-        return _Batch(
-            self.rig, self.prior, self.clouds, self.frames[chosen], pose[chosen], trans[chosen]
-        )
+    def ranking(self) -> Float[np.ndarray, " H"]:
+        """The cost that hypotheses are ranked by."""
+        return self._matched(RANKING_GATE)[1] + self._prior_cost()
 
-    def _cheapest(self, cost: np.ndarray, most: int) -> np.ndarray:
-        chosen = []
-        for frame in dict.fromkeys(self.frames.tolist()):
-            mine = np.flatnonzero(self.frames == frame)
-            chosen.append(mine[np.argsort(cost[mine], kind="stable")[:most]])
-        return np.concatenate(chosen)
+    def of(self, rows: Int[np.ndarray, " n"]) -> "_Batch":
+        """Some of the hypotheses."""
+        pose, trans = self._state
+        return _Batch(self.rig, self.prior, self.clouds, self.frames[rows], pose[rows], trans[rows])
 
     def _matched(self, gate: float) -> tuple[np.ndarray, np.ndarray]:
         match = np.empty((len(self.frames), self.rig.num_markers), dtype=np.int64)

@@ -20,6 +20,7 @@ from habitus.fit.markers.settings import (
     StartSettings,
     WindowSettings,
 )
+from habitus.fit.search import best_of_tries
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import release, room
 from habitus.rotations import procrustes, rotvec_from_matrix
@@ -85,11 +86,12 @@ def start_frames(
             pose = result.pose
             trans = result.trans
         tries.append(result)
-    best = np.argmin([result.frame_costs for result in tries], axis=0)
-    frames = np.arange(len(observed))
-    return np.stack([r.pose for r in tries])[best, frames], np.stack([r.trans for r in tries])[
-        best, frames
-    ]
+    costs, poses, places = (
+        np.stack([getattr(each, name) for each in tries])
+        for name in ("frame_costs", "pose", "trans")
+    )
+    pose, trans = best_of_tries(costs, poses, places)
+    return pose, trans
 
 
 def start_sequence(
@@ -159,8 +161,7 @@ def start_frame(
     bank = _bank(known_poses, joint_names)
     each = np.repeat(observed[None], len(bank), axis=0)
     pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
-    best = int(np.argmin(_misfit(rig, pose, trans, each)))
-    return pose[best], trans[best]
+    return best_of_tries(_misfit(rig, pose, trans, each), pose, trans)
 
 
 def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
