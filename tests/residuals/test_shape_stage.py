@@ -7,8 +7,8 @@ import pytest
 import scipy.sparse
 
 from habitus.body.model import BodyModel
+from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import place, shape_terms
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from habitus.body.model import BodyModel
-from habitus.fit.markers.shape import place
+from habitus.fit.markers.energy import place
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.placements import (
     PlacementPrior,

@@ -17,10 +17,9 @@ from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
 from habitus.files import write_text
-from habitus.fit.labels.clouds import Clouds, tracklets
+from habitus.fit.labels.clouds import Clouds, packed, tracklets
 from habitus.fit.labels.people import heaps, only
 from habitus.fit.labels.recipe import Known, Named, label_people, label_points
-from habitus.fit.labels.trajectories import packed
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_relabel import write_relabelled

@@ -17,7 +17,7 @@ from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.files import whole_folder, write_text
-from habitus.fit.markers.shape import place
+from habitus.fit.markers.energy import place
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
 from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals

@@ -1,7 +1,7 @@
 """Normal equations of a frame's own terms, for LANES frames at once: markers, and a Gaussian over
 all unknowns.
 
-Implements the terms "data", "pose" and "soft_tissue" of `habitus.fit.markers.sequence_terms`.
+Implements the terms "data", "pose" and "soft_tissue" of `habitus.fit.markers.energy`.
 
     f = 1/2 l_D sum_i w_i rho_i(|x_i - m_i|^2) + 1/2 (z - mean)^T precision (z - mean)
 

@@ -6,9 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import person
 
-from habitus.fit.discover.assign import OUTLIER, Bodies, posteriors, squared_distances
 from habitus.fit.discover.skin import betas_of_height, spread_places, wearable
-from habitus.fit.discover.starts import _directions, turned
+from habitus.fit.discover.starts import (
+    OUTLIER,
+    Bodies,
+    _directions,
+    posteriors,
+    squared_distances,
+    turned,
+)
 from habitus.rotations import matrix_from_rotvec
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from habitus.fit.discover.groups import companions
-from habitus.fit.discover.sides import agreement, named_sides
+from habitus.fit.discover.description import agreement, companions, named_sides
 
 
 def moving(frames=12, seed=0):

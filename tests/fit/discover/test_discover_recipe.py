@@ -6,10 +6,10 @@ from planted import plant, prior_of_poses
 
 from habitus.errors import HabitusError
 from habitus.fit.discover import places, recipe, starts
+from habitus.fit.discover.description import describe
 from habitus.fit.discover.places import seated
 from habitus.fit.discover.recipe import _cheaper, discover
 from habitus.fit.discover.skin import spread_places
-from habitus.fit.discover.telling import told
 from habitus.fit.markers.settings import MoshSettings
 
 
@@ -78,9 +78,9 @@ def test_a_reading_that_costs_as_much_is_said_and_names_decide(planted, near):
     assert pairs and _cheaper(planted.body, labels, found, None) == (found, None)
     best, margin = _cheaper(planted.body, labels, found, found)
     assert best is found and margin == 0.0
-    said = told(planted.body, labels, planted.observed[::5], found, skin, 0.02, {}, {})
+    said = describe(planted.body, labels, planted.observed[::5], found, skin, 0.02, {}, {})
     assert len(said.doubts) == 1 and "not decided" in said.doubts[0]
-    sure = told(planted.body, labels, planted.observed[::5], found, skin, 0.8, {}, {})
+    sure = describe(planted.body, labels, planted.observed[::5], found, skin, 0.8, {}, {})
     assert not sure.doubts
     halved = [
         a.confidence / b.confidence
@@ -102,7 +102,7 @@ def test_names_that_contradict_the_sides_found_are_said(planted, near):
     for label in labels:
         swapped.append(f"{label[0]}X{k[label[0]]}")
         k[label[0]] += 1
-    said = told(planted.body, swapped, planted.observed[::5], found, skin, None, {}, {})
+    said = describe(planted.body, swapped, planted.observed[::5], found, skin, None, {}, {})
     assert any("names say the other side" in doubt for doubt in said.doubts)
 
 

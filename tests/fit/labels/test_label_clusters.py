@@ -9,7 +9,7 @@ import planted
 
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.clusters import clusters, told_apart
-from habitus.fit.markers.shape import Placement, place
+from habitus.fit.markers.energy import Placement, place
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
 

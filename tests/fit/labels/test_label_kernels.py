@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
+from habitus.fit.labels.clouds import Clouds, packed, telling_frames, tracklets
 from habitus.fit.labels.kernels import matched, soft_targets
-from habitus.fit.labels.trajectories import packed
 from habitus.fit.labels.votes import assign
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from marker_scene import degrees_apart
 
+from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.marker_sequence import DenseSequence, marker_sequence
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, ShapeWeights
-from habitus.fit.markers.shape import Placement, shape_stage
+from habitus.fit.markers.shape import shape_stage
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.observe.latent_markers import LatentMarkers

@@ -8,7 +8,7 @@ from planted import attach, degrees_apart, fit, person, plant, prior_of_poses, r
 from scipy.spatial.transform import Rotation, Slerp
 
 import habitus.fit.markers.start as start
-from habitus.fit.markers.shape import place
+from habitus.fit.markers.energy import place
 from habitus.fit.markers.start import trunk_weights
 from habitus.observe.marker_rig import marker_rig
 

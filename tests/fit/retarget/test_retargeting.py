@@ -12,8 +12,7 @@ from habitus.body.motion import BodyMotion
 from habitus.body.recentred import recentred
 from habitus.errors import HabitusError
 from habitus.fit.retarget import recipe
-from habitus.fit.retarget.contacts import find_soles, ground_height, standing
-from habitus.fit.retarget.feet import corrections
+from habitus.fit.retarget.contacts import corrections, find_soles, ground_height, standing
 from habitus.fit.retarget.legs import legs_of, reach, skeleton_of
 from habitus.fit.retarget.recipe import retargeted
 from habitus.rotations import matrix_from_rotvec, up_rotation

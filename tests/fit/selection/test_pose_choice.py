@@ -5,7 +5,7 @@ import pytest
 from synthetic_fit import tube_body
 
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.shape import Placement
+from habitus.fit.markers.energy import Placement
 from habitus.fit.selection.poses import choose_poses
 
 

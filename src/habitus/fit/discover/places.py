@@ -8,10 +8,11 @@ from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.discover.assign import Known, places_of, squared_distances
 from habitus.fit.discover.skin import OFF_SKIN, Skin
+from habitus.fit.discover.starts import Known, places_of, squared_distances
+from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import Placement, shape_stage
+from habitus.fit.markers.shape import shape_stage
 from habitus.fit.subject import ShapeFit
 from habitus.observe.marker_prediction import marked_body, predict
 

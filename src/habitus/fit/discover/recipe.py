@@ -19,14 +19,11 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.discover.assign import Schedule, settled
-from habitus.fit.discover.known import known_places, popularity
+from habitus.fit.discover.description import DECIDED, agreement, describe, named_sides
 from habitus.fit.discover.places import ROUNDS, Seated, off_body, seated
 from habitus.fit.discover.result import Discovery
-from habitus.fit.discover.sides import agreement, named_sides
-from habitus.fit.discover.skin import Skin, betas_of_height, spread_places
-from habitus.fit.discover.starts import bodies_of_single_frames, in_all_frames
-from habitus.fit.discover.telling import DECIDED, told
+from habitus.fit.discover.skin import Skin, betas_of_height, known_places, popularity, spread_places
+from habitus.fit.discover.starts import Schedule, bodies_of_single_frames, in_all_frames, settled
 from habitus.fit.markers.recordings import ever_seen, spread_frames
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.types import Progress
@@ -124,7 +121,7 @@ def discover(
             popular + known_places(body, fine, labels, known),
         )
         found = seated(body, fine, frames, prior, *start)
-    return told(body, labels, frames, found, fine, margin, known or {}, unseen)
+    return describe(body, labels, frames, found, fine, margin, known or {}, unseen)
 
 
 def _readings(

@@ -1,10 +1,12 @@
-"""Points that nobody named: frame after frame, and the tracklets that they make in time."""
+"""Unlabelled points: frame after frame, the tracklets that they make in time, and tracklets packed
+into few trajectories.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from habitus.fit.labels.kernels import link
 
@@ -76,3 +78,30 @@ def _calm(sizes: np.ndarray) -> Float[np.ndarray, " N"]:
     """The fullest frames first, those in the middle of a stretch before others."""
     middle = np.abs(np.arange(len(sizes)) - len(sizes) / 2)
     return sizes - middle / (len(sizes) + 1.0)
+
+
+def packed(
+    clouds: Clouds, tracklet: Int[np.ndarray, " P"], chosen: Bool[np.ndarray, " P"]
+) -> Float[np.ndarray, "T K 3"]:
+    """The chosen points (T, K, 3), those of a tracklet in one column, NaN where a column has
+    none.
+    """
+    points = np.flatnonzero(chosen)
+    frame = clouds.frame[points]
+    piece = tracklet[points]
+    ends: list[int] = []
+    column = np.empty(int(tracklet.max(initial=0)) + 1, dtype=np.int64)
+    first = np.full(len(column), len(clouds))
+    last = np.full(len(column), -1)
+    np.minimum.at(first, piece, frame)
+    np.maximum.at(last, piece, frame)
+    for k in np.argsort(first, kind="stable"):
+        if last[k] < 0:
+            continue
+        free = next((c for c, end in enumerate(ends) if end < first[k]), len(ends))
+        if free == len(ends):
+            ends.append(-1)
+        column[k], ends[free] = free, int(last[k])
+    out = np.full((len(clouds), len(ends), 3), np.nan)
+    out[frame, column[piece]] = clouds.points[points]
+    return out

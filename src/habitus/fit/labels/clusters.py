@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from habitus.body.model import BodyModel
 from habitus.fit.labels.clouds import Clouds
-from habitus.fit.markers.shape import Placement
+from habitus.fit.markers.energy import Placement
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment
 

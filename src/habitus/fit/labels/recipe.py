@@ -16,11 +16,19 @@ from habitus.fit.labels.clusters import told_apart
 from habitus.fit.labels.exchanges import untangle
 from habitus.fit.labels.people import heaps, nearest_bodies, only
 from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
-from habitus.fit.labels.seeds import best_seeds, once, seed_votes
-from habitus.fit.labels.votes import assign, averaged, distances, judged
+from habitus.fit.labels.votes import (
+    assign,
+    averaged,
+    best_seeds,
+    distances,
+    judged,
+    once,
+    seed_votes,
+)
+from habitus.fit.markers.energy import Placement, place
 from habitus.fit.markers.sequence import SequenceResult, fit_long
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
-from habitus.fit.markers.shape import Placement, place, shape_stage
+from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict

@@ -1,7 +1,7 @@
 """Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh
 filters (M 6).
 
-The energy of a step is that of `habitus.fit.markers.sequence_terms` for three frames, the first two
+The energy of a step is that of `habitus.fit.markers.energy` for three frames, the first two
 held.
 """
 

@@ -1,12 +1,16 @@
-"""What is not seen: short gaps of markers are filled, and a body moves on through longer ones as it
-did on both sides.
+"""Missing markers: short gaps are interpolated, joints bridged through longer ones, and gaps of a
+capture filled from its fit (M 10, "fixing occlusions").
 
-The prior alone would let a limb sag to its mean pose within a few frames. Where too few of the
+The pose prior alone would let a limb sag to its mean pose within a few frames. Where too few of the
 markers that a joint moves are seen, its rotation is bridged by the curve of least acceleration
-under tension, x'''' = x'' / reach², from place and velocity on both sides: velocities last for
-``reach`` seconds, then the way is straight. A limb that swings keeps its velocity for a shorter
-time than a body that walks: reach is the time in which a joint usually gets as far as it goes, and
-the shorter the longer a gap is. Leading and trailing gaps hold.
+under tension, x'''' = x'' / tau^2, from position and velocity on both sides: a velocity persists
+for the time tau, then the curve is straight. tau is the time in which a joint usually covers its
+range, so that a swinging limb keeps its velocity for less time than a walking body; it falls with
+the length of the gap. Leading and trailing gaps hold.
+
+The output fills a gap by the predicted marker plus the marker's offset from it, in the axes of its
+triangle, interpolated between both ends of the gap, so that what is filled joins what was observed.
+All constants are in `GapSettings`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from habitus.fit.markers.energy import place
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.shape import place
 from habitus.fit.markers.solution import HeldOut
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.placements import PlacementPrior

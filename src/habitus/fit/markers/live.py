@@ -1,5 +1,5 @@
-"""A marker fit for live use: shape from some frames first, then pose frame after frame as markers
-arrive (M 6).
+"""A live marker fit (M 6): the shape from some frames first, then the pose of each frame as it
+arrives; a person who leaves is released, and found again on return; a verdict on the last second.
 """
 
 from collections import deque

@@ -1,5 +1,11 @@
-"""MoSh: a body in motion from the markers of one subject (MoSh 4-6, thesis 3.4-3.6), as a recipe of
-three stages.
+"""MoSh: a body in motion from the markers of one subject (M 4-6, T 3.4-3.6), in three stages.
+
+    recordings   samples out of reach removed, labels put back that were exchanged for a time
+    shape stage  betas, latent markers and poses of a few frames, for all captures of a subject
+    pose stage   pose and trans of all frames; noise, exchanged labels, drift, gaps; solved again
+    soft tissue  pose, trans and changes of shape beta_t, begun from the pose stage
+
+The energies of all stages are in `habitus.fit.markers.energy`, the constants in `MoshSettings`.
 """
 
 import time
@@ -14,6 +20,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.causal import CausalSolver, fit_causally
 from habitus.fit.markers.drift import Drift, find_drifts
+from habitus.fit.markers.energy import place
 from habitus.fit.markers.gaps import MarkerTargets, bridged, fill_short_gaps, without
 from habitus.fit.markers.recordings import (
     Recording,
@@ -30,7 +37,7 @@ from habitus.fit.markers.recordings import (
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequence_settings
-from habitus.fit.markers.shape import place, shape_stage
+from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
 from habitus.fit.markers.suspects import (
     crossed_placements,

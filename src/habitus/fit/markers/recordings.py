@@ -1,5 +1,5 @@
-"""What a marker fit is given: recordings of one subject, and which of their frames hold enough
-markers.
+"""Recordings of one subject: checks, samples out of reach, frames with enough markers, and which
+frames the shape stage uses: the paper's random ones, or spread poses with complete markers.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,15 +1,17 @@
 """The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers
 (M 5 and 6).
 
-`habitus.fit.markers.sequence_terms` has it as a dictionary of terms; the kernels implement those.
+The energy is `habitus.fit.markers.energy.sequence_terms`, over pose, trans and, in the soft-tissue
+stage, beta_t. MoSh solves frame after frame; here all frames are solved together
+(`habitus.solve.sequence.solver`), the optimum that the paper's filter approximates.
 
-    cost = 1/2 ( l_D sum_ti w_ti rho_i(|x_i(t) - m_ti|^2) + l_theta (theta - mu)^T P (theta - mu)
-                 + l_u |theta_t - 2 theta_{t-1} + theta_{t-2}|^2 + l_Delta |beta_t|^2 )
-
-over pose, trans and, in the soft-tissue stage, beta_t (M equations 3, 7, 8 and 10). MoSh solves
-frame after frame; here all frames are solved together (`habitus.solve.sequence.solver`), the
-optimum that the paper's filter approximates. rho is Geman-McClure's s^2 d^2 / (s^2 + d^2) with a
-scale s per marker, or the square where s is infinite.
+Long captures are solved in overlapping windows. A frame feels others through the acceleration term
+alone, and a disturbance decays within some ten frames. So a window is solved with `WindowSettings`'
+``overlap`` frames more on either side than are kept of it, from the same start and on the same grid
+of levels as the whole would be, and its kept frames agree with those of the whole
+(`benchmarks/mosh_size.py` measures how nearly). The coarsest level, which chooses between poses
+that explain the markers almost equally well, is solved for all windows together. Windows meet where
+markers are seen. A capture no longer than `MoshSettings.longest` is one window.
 """
 
 from collections.abc import Iterator

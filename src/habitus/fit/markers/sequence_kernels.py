@@ -1,9 +1,10 @@
-"""Visits of the whole-sequence solve, compiled; `habitus.solve.sequence.dense_visits` is the same
-in NumPy.
+"""Compiled steps of the whole-sequence solve, and the charts of root rotations;
+`habitus.solve.sequence.dense_visits` is the same in NumPy.
 
-Implements all terms of `habitus.fit.markers.sequence_terms`: "data", "pose" and "soft_tissue" by
-`habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple a frame to its
-neighbours.
+Implements all terms of `habitus.fit.markers.energy.sequence_terms`: "data", "pose" and
+"soft_tissue" by `habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple
+a frame to its neighbours. Rotation vectors theta and theta + 2 pi k along its axis are the same
+rotation; a root that turns and turns changes to the shorter one past 1.5 pi.
 """
 
 import math

@@ -2,41 +2,18 @@
 Markers").
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.fit.markers.energy import Placement, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.subject import ShapeFit
-from habitus.markers.layouts import MarkerLayout
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
-from habitus.residuals import shape_stage as energy
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
-from habitus.solve.terms import Term
-
-
-@dataclass(frozen=True)
-class Placement:
-    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads
-    (M,), metres.
-    """
-
-    vertices: np.ndarray
-    distance: np.ndarray
-    distance_spread: np.ndarray
-    place_spread: np.ndarray
-
-
-def place(layout: MarkerLayout, body: BodyModel) -> Placement:
-    """The layout's markers on this body's template."""
-    return Placement(
-        layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads()
-    )
 
 
 def shape_stage(
@@ -85,36 +62,6 @@ def shape_stage(
         status=result.status,
         iterations=iterations,
     )
-
-
-def shape_terms(
-    body: BodyModel,
-    markers: LatentMarkers,
-    placement: Placement,
-    observed: np.ndarray,
-    weights: np.ndarray,
-    prior: PosePrior,
-    settings: MoshSettings,
-    prior_scale: float,
-) -> dict[str, Term]:
-    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
-    where missing.
-    """
-    lam = settings.shape
-    place = placement
-    return {
-        "data": energy.data(markers, observed, weights, lam.data),
-        "surface": energy.surface_distance(
-            body, place.distance, place.distance_spread, lam.surface
-        ),
-        "start": energy.start_place(
-            body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start
-        ),
-        "betas": energy.shape_prior(body.num_betas, prior_scale * lam.betas),
-        "pose": energy.pose_prior(
-            prior.mean, prior.whitening, len(observed), prior_scale * lam.pose
-        ),
-    }
 
 
 def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachment:

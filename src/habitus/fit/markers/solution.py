@@ -12,7 +12,7 @@ from habitus.body.motion import Moving
 from habitus.body.shipped_prior import prior_of
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
-from habitus.fit.markers.sequence_terms import sequence_terms
+from habitus.fit.markers.energy import sequence_terms
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.body_markers import BodyMarkers

@@ -1,5 +1,9 @@
-"""Markers that do not do what their label says: swapped pairs, fallen, drifting and ghost
-markers.
+"""Markers that do not follow their label: labels exchanged for a time or throughout, fallen, ghost
+and misplaced markers; each marker's noise.
+
+Exchanges are found twice: before any fit, where two markers jump at once, each to the other's
+predicted position, and their distances from all other markers confirm it (`find_flips`); and after
+the first fit, from residuals (`find_swaps`). Constants are in `SuspectSettings` and `FlipSettings`.
 """
 
 import warnings

@@ -1,4 +1,6 @@
-"""How well each part of a fitted body is known, as a value."""
+"""How well a fit is determined: the covariance of its betas, and how certain the position of each
+joint's segment is where few markers are seen and the pose prior decides.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int

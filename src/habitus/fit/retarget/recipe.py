@@ -16,8 +16,7 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import FROM
 from habitus.errors import HabitusError
-from habitus.fit.retarget.contacts import Soles, find_soles, ground_height, standing
-from habitus.fit.retarget.feet import corrections
+from habitus.fit.retarget.contacts import Soles, corrections, find_soles, ground_height, standing
 from habitus.fit.retarget.legs import Leg, Skeleton, bones, legs_of, reach, skeleton_of
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix, up_rotation
 

@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.settings import MoshWeights
-from habitus.fit.markers.shape import Placement
 from habitus.fit.selection.problem import FREE
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.latent_markers import LatentMarkers

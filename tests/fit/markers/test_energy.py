@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from marker_scene import scene
 
+from habitus.fit.markers.energy import sequence_terms
 from habitus.fit.markers.marker_sequence import KernelSequence
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.sequence_kernels import LevelArrays
-from habitus.fit.markers.sequence_terms import sequence_terms
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.solve.minimize import minimize
 from habitus.solve.objective import Objective

@@ -1,20 +1,96 @@
-"""The energy of the pose and soft-tissue stages as a dictionary of terms (M equations 3, 7, 8 and
-10).
+"""The energies of the marker fit as dictionaries of terms: every term with its equation, weight and
+source.
 
-This is the statement; `habitus.fit.markers.sequence` minimises it by fused kernels
-(`residuals/marker_kernels.py`, `sequence_kernels.py`), which tests hold to these terms. The causal
-mode minimises the same of three frames, the first two held.
+Shape stage, over betas, latent markers and poses of a few frames (`shape_terms`, M eq. 9, T eq.
+3.9); the weights of E_I, E_beta and E_theta are annealed (`MoshSettings.annealing`):
+
+    term      E        equation          weight               what it asks
+    data      E_D      M 3, T 3.3        ShapeWeights.data    predicted markers at the observed ones
+    surface   E_S      M 4, T 3.4        .surface             latent markers as far from the skin
+                                                              as the layout says
+    start     E_I      M 5, T 3.5        .start               latent markers at the layout's places
+    betas     E_beta   M 6, T 3.6        .betas               likely shapes
+    pose      E_theta  M 7, T 3.7        .pose                likely poses
+
+Pose stage and, with soft tissue, soft-tissue stage, over all frames (`sequence_terms`, M eqs. 9 and
+10, T eqs. 3.9 and 3.10):
+
+    data      E_D      M 3, T 3.3        PoseWeights.data     predicted markers at the observed ones
+    pose      E_theta  M 7, T 3.7        .pose                likely poses
+    acceleration  E_u  M 8, T 3.8        .acceleration        constant velocity from frame to frame
+    soft_tissue E_Delta  M 10, T 3.10    .soft_tissue         small changes of shape
+
+The paper states weights per cm^2; `habitus.residuals.shape_stage.PER_CM2` converts them, once. The
+data terms are robust (Geman-McClure, T section 3.6).
+`habitus.fit.markers.sequence` minimises the second
+energy by fused kernels (`residuals/marker_kernels.py`, `sequence_kernels.py`), which tests hold to
+these terms; the causal mode minimises the same of three frames, the first two held.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.settings import SequenceSettings
+from habitus.fit.markers.settings import MoshSettings, SequenceSettings
+from habitus.markers.layouts import MarkerLayout
 from habitus.observe.body_markers import BodyMarkers
+from habitus.observe.latent_markers import LatentMarkers
+from habitus.residuals import shape_stage as shape_energy
 from habitus.residuals.shape_stage import diagonal
 from habitus.solve.terms import GemanMcClure, Term
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What a layout says of M markers: template vertex (M,), distance from skin and the two spreads
+    (M,), metres.
+    """
+
+    vertices: Int[np.ndarray, " M"]
+    distance: Float[np.ndarray, " M"]
+    distance_spread: Float[np.ndarray, " M"]
+    place_spread: Float[np.ndarray, " M"]
+
+
+def place(layout: MarkerLayout, body: BodyModel) -> Placement:
+    """The layout's markers on this body's template."""
+    return Placement(
+        layout.vertices(body), layout.distances(), layout.distance_spreads(), layout.place_spreads()
+    )
+
+
+def shape_terms(
+    body: BodyModel,
+    markers: LatentMarkers,
+    placement: Placement,
+    observed: np.ndarray,
+    weights: np.ndarray,
+    prior: PosePrior,
+    settings: MoshSettings,
+    prior_scale: float,
+) -> dict[str, Term]:
+    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
+    where missing.
+    """
+    lam = settings.shape
+    place = placement
+    return {
+        "data": shape_energy.data(markers, observed, weights, lam.data),
+        "surface": shape_energy.surface_distance(
+            body, place.distance, place.distance_spread, lam.surface
+        ),
+        "start": shape_energy.start_place(
+            body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start
+        ),
+        "betas": shape_energy.shape_prior(body.num_betas, prior_scale * lam.betas),
+        "pose": shape_energy.pose_prior(
+            prior.mean, prior.whitening, len(observed), prior_scale * lam.pose
+        ),
+    }
 
 
 def sequence_terms(

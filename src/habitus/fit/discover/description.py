@@ -1,5 +1,5 @@
-"""What a discovery says: places in words, how sure they are, what is not decided, what else there
-is to know.
+"""The result of a discovery in words: places, how certain they are, what is undecided, which labels
+keep their distance, and which sides the labels' names state.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,10 +10,8 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import listed
-from habitus.fit.discover.groups import companions
 from habitus.fit.discover.places import OFF_SPREAD, Seated, within
 from habitus.fit.discover.result import Discovery
-from habitus.fit.discover.sides import agreement, named_sides
 from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.places_in_words import place_in_words
@@ -27,7 +25,7 @@ PLACE_SPREAD = 0.04
 _POOR = 0.0075
 
 
-def told(
+def describe(
     body: BodyModel,
     labels: Sequence[str],
     frames: Float[np.ndarray, "F M 3"],
@@ -119,3 +117,76 @@ def _notes(
                     f"{label} usually means {known[label].place}; it was found {100 * away:.0f} "
                     "cm from there"
                 )
+
+
+RIGID = 0.004
+"""Metres: the spread of a distance within one part, skin moving over bone included."""
+MOVED = 0.02
+"""Metres: a label all of whose distances spread less than this in the middle tells nothing: nobody
+moved.
+"""
+_MOST = 4
+
+
+def companions(markers: Float[np.ndarray, "F M 3"]) -> list[tuple[int, ...]]:
+    """For each label the columns of those that keep their distance to it, the most rigid first;
+    none where most do.
+    """
+    count = markers.shape[1]
+    spread = np.full((count, count), np.inf)
+    for column in range(count):
+        apart = np.linalg.norm(markers - markers[:, column : column + 1], axis=2)
+        seen = np.isfinite(apart).sum(axis=0)
+        some = seen >= 3
+        spread[column, some] = np.nanstd(apart[:, some], axis=0)
+    np.fill_diagonal(spread, np.inf)
+    found = []
+    for row in spread:
+        known = row[np.isfinite(row)]
+        moved = len(known) > 0 and float(np.median(known)) > MOVED
+        order = np.argsort(row, kind="stable")[:_MOST]
+        found.append(tuple(int(k) for k in order if row[k] < RIGID) if moved else ())
+    return found
+
+
+_WORDS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("L", "R"), ("l", "r"))
+FEWEST = 3
+"""Pairs from which on the names of a set are believed to tell sides."""
+CLEAR = 0.03
+"""Metres from the middle of the body from which on a place is on a side."""
+
+
+def named_sides(labels: Sequence[str]) -> Float[np.ndarray, " M"]:
+    """1 for labels that say left, -1 for right, 0 for what says nothing: only one of a pair
+    (``LTHI``, ``RTHI``) does.
+
+    All 0 where fewer than `FEWEST` pairs are named so.
+    """
+    known = set(labels)
+    sides = np.zeros(len(labels))
+    for column, label in enumerate(labels):
+        for side, (mine, other) in ((s, pair[::s]) for pair in _WORDS for s in (1, -1)):
+            if any(
+                _exchanged(label, mine, other, start) in known for start in _starts(label, mine)
+            ):
+                sides[column] = side
+                break
+    return sides if (sides != 0).sum() >= 2 * FEWEST else np.zeros(len(labels))
+
+
+def agreement(sides: Float[np.ndarray, " M"], across: Float[np.ndarray, " M"]) -> float | None:
+    """Share of the named labels whose place (its x on the template, m) lies on the side they name;
+    None without any.
+    """
+    told = (sides != 0) & (np.abs(across) > CLEAR)
+    return (
+        float(np.mean(np.sign(across[told]) == sides[told])) if told.sum() >= 2 * FEWEST else None
+    )
+
+
+def _starts(label: str, part: str) -> list[int]:
+    return [k for k in range(len(label)) if label.startswith(part, k)]
+
+
+def _exchanged(label: str, mine: str, other: str, start: int) -> str:
+    return label[:start] + other + label[start + len(mine) :]
