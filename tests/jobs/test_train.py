@@ -369,6 +369,22 @@ def test_baselines_come_along(tmp_path):
     assert set(record["baselines"]) == {"plain-lbs", "plain-dqbs"}
 
 
+def test_baselines_of_registrations_with_holes_come_along(tmp_path):
+    template, planted = toy()
+    whole = few(planted)
+    weights = np.ones(whole.num_vertices)
+    weights[:5] = 0.0
+    (done,) = train(
+        replace(whole, weights=weights),
+        tmp_path,
+        template=template,
+        options=replace(QUICK, rounds=1),
+        workers=1,
+        baselines=True,
+    )
+    assert all(np.isfinite(one.body.v_template).all() for one in done.baselines.values())
+
+
 def test_a_body_is_a_template_that_gives_what_it_knows(tmp_path):
     template, planted = toy()
     body = replace(

@@ -4,7 +4,6 @@ T 5.4.1).
 
 from collections.abc import Callable
 
-import igl
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
@@ -17,7 +16,8 @@ MOST = 4  # joints a vertex
 FAINT = 1e-3  # smaller weights are dropped, so that a joint's weights end somewhere
 SPREAD = 0.35  # of a part's radius: how far its border is smeared (one standard deviation)
 STEPS = 8
-_STEEPEST = 100.0  # cotangents of needles; a regular triangle's is 0.58
+_STEEPEST = 100.0  # half cotangents of needles; a regular triangle's is 0.29
+_SIDES = np.array([[1, 2], [2, 0], [0, 1]])  # opposite to each corner
 
 
 def diffuse_weights(template: Template) -> Float[np.ndarray, "V J"]:
@@ -46,7 +46,7 @@ def ring_regressor(template: Template) -> Float[np.ndarray, "J V"]:
     symmetric where the template has its mirrors. Raises HabitusError where a part does not touch
     its parent's.
     """
-    edges = igl.edges(_faces(template))
+    edges = np.unique(np.sort(template.faces[:, _SIDES].reshape(-1, 2), 1), axis=0)
     part = template.part[edges]
     parents = template.parents
     regressor = np.zeros((template.num_joints, template.num_vertices))
@@ -73,10 +73,6 @@ def _no_ring(template: Template, joint: int) -> HabitusError:
     )
 
 
-def _faces(template: Template) -> Int[np.ndarray, "F 3"]:
-    return np.ascontiguousarray(template.faces, dtype=np.int64)
-
-
 def _heat_step(
     template: Template,
 ) -> tuple[Callable[[np.ndarray], np.ndarray], Float[np.ndarray, "V 1"]]:
@@ -88,22 +84,34 @@ def _heat_step(
     border, also between parts of two sizes. Edges that a cotangent Laplacian repels heat along
     (obtuse triangles) conduct none, so heat never turns negative.
     """
-    vertices = np.ascontiguousarray(template.vertices, dtype=np.float64)
-    faces = _faces(template)
-    mass = np.bincount(
-        faces.ravel(), np.repeat(igl.doublearea(vertices, faces) / 6, 3), len(vertices)
-    )
+    vertices = np.asarray(template.vertices, dtype=np.float64)
+    faces = template.faces
+    twice_area, cotangents = _areas_and_cotangents(vertices, faces)
+    mass = np.bincount(faces.ravel(), np.repeat(twice_area / 6, 3), len(vertices))
     mass = np.maximum(mass, 1e-9 * mass.max())  # vertices without area
     area = np.bincount(template.part, mass, template.num_joints)
     speed = SPREAD * np.sqrt(area[template.part] / (8 * np.pi))
-    cotangents = np.nan_to_num(igl.cotmatrix_entries(vertices, faces)).clip(-_STEEPEST, _STEEPEST)
-    ends = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
+    cotangents = np.nan_to_num(cotangents).clip(-_STEEPEST, _STEEPEST)
+    ends = faces[:, _SIDES[:, 0]].ravel(), faces[:, _SIDES[:, 1]].ravel()
     flow = (cotangents * speed[faces].mean(1, keepdims=True)).ravel()
     flow = sparse.coo_array((flow, ends), (len(vertices), len(vertices))).tocsr()
     flow = (flow + flow.T).maximum(0.0)
     mass = mass / speed
     system = sparse.diags_array(mass + flow.sum(1) / STEPS) - flow / STEPS
     return splu(system.tocsc()).solve, mass[:, None]
+
+
+def _areas_and_cotangents(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F 3"]]:
+    """Twice the triangles' areas, and half the cotangents of their corners (not finite where there
+    is no area).
+    """
+    corners = vertices[faces]
+    after, before = (np.roll(corners, shift, axis=1) - corners for shift in (-1, 1))
+    twice_area = np.linalg.norm(np.cross(after[:, 0], before[:, 0]), axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return twice_area, (after * before).sum(2) / (2 * twice_area[:, None])
 
 
 def _symmetric(weights: Float[np.ndarray, "V J"], template: Template) -> Float[np.ndarray, "V J"]:
