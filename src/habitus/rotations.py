@@ -232,9 +232,8 @@ def procrustes(
     must still be finite). R is a proper rotation even where a reflection would fit better.
     """
     xp = namespace(source)
-    if weights is None:
-        weights = xp.ones_like(source[..., 0])
-    share = (weights / weights.sum(-1)[..., None])[..., None]
+    share: Array = xp.ones_like(source[..., 0]) if weights is None else weights
+    share = (share / share.sum(-1)[..., None])[..., None]
     source_mean = (share * source).sum(-2)
     target_mean = (share * target).sum(-2)
     covariance = (share * (target - target_mean[..., None, :])).mT @ (

@@ -103,12 +103,13 @@ def surface_jacobian(
     )
     moving = None if dynamics is None else kind.array(dynamics)
     prepared = body.prepare(kind.array(betas), vertices, dynamics=moving)
-    pose = body.full_pose(pose, kind)
-    batch = broadcast_shapes(prepared.betas.shape[:-1], pose.shape[:-2])
-    rest_joints, pose = (
-        kind.xp.broadcast_to(x, (*batch, body.num_joints, 3)) for x in (prepared.rest_joints, pose)
+    angles: Array = body.full_pose(pose, kind)
+    batch = broadcast_shapes(prepared.betas.shape[:-1], angles.shape[:-2])
+    rest_joints, angles = (
+        kind.xp.broadcast_to(x, (*batch, body.num_joints, 3))
+        for x in (prepared.rest_joints, angles)
     )
-    skeleton = posed_skeleton(body, rest_joints, pose)
+    skeleton = posed_skeleton(body, rest_joints, angles)
     rest = prepared.shaped
     directions = unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     by_betas = directions[..., : body.num_betas]

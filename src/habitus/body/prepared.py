@@ -28,11 +28,16 @@ class Preparable(Protocol):
     needs.
     """
 
-    name: str
-    parents: tuple[int, ...]
-    skinning: str
-    shape_features: int
-    mesh: BodyMesh | None
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def parents(self) -> tuple[int, ...]: ...  # noqa: D102
+    @property
+    def skinning(self) -> str: ...  # noqa: D102
+    @property
+    def shape_features(self) -> int: ...  # noqa: D102
+    @property
+    def mesh(self) -> BodyMesh | None: ...  # noqa: D102
 
     @property
     def num_betas(self) -> int: ...  # noqa: D102
@@ -115,13 +120,13 @@ class PreparedBody:
                 for part in (self.expression, self.dynamics)
             )
             return model.prepare(kind.array(self.betas), self.vertices, *given)(pose, trans)
-        pose = model.full_pose(pose, kind)
+        turns: Array = model.full_pose(pose, kind)
         place = model.full_trans(trans, kind)
-        batch = broadcast_shapes(pose.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
-        if are_plain(kind, pose, place, self.rest_joints, self.coefficients):
-            return self._surface(*self._compiled(pose, place, batch))
+        batch = broadcast_shapes(turns.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
+        if are_plain(kind, turns, place, self.rest_joints, self.coefficients):
+            return self._surface(*self._compiled(turns, place, batch))
         return self._surface(
-            *self._readable(self.shaped, self.rest_joints, self.betas, pose, place, batch)
+            *self._readable(self.shaped, self.rest_joints, self.betas, turns, place, batch)
         )
 
     def carried(

@@ -110,14 +110,16 @@ def write_textured(
     """
     textured = picture is not None and mesh is not None and mesh.triangle_uv(faces) is not None
     document = mesh_document(vertices, faces, mesh if textured else None)
-    document.materials[0].pbrMetallicRoughness.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
-    document.materials[0].pbrMetallicRoughness.roughnessFactor = 0.9
+    roughness = document.materials[0].pbrMetallicRoughness or gl.PbrMetallicRoughness()
+    document.materials[0].pbrMetallicRoughness = roughness
+    roughness.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
+    roughness.roughnessFactor = 0.9
     if textured:
         assert picture is not None
         document.images = [gl.Image(bufferView=_add(document, picture), mimeType="image/png")]
         document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
         document.textures = [gl.Texture(source=0, sampler=0)]
-        document.materials[0].pbrMetallicRoughness.baseColorTexture = gl.TextureInfo(index=0)
+        roughness.baseColorTexture = gl.TextureInfo(index=0)
     else:
         colours = np.ascontiguousarray(albedo.clip(0.0, 1.0), dtype="<f4")
         view = _add(document, colours.tobytes(), gl.ARRAY_BUFFER)

@@ -61,7 +61,7 @@ class Morphs:
     @property
     def live(self) -> Bool[np.ndarray, " K"]:
         """Which of them joints drive."""
-        return self.rows.any(axis=1)
+        return np.any(self.rows, axis=1)
 
 
 def check_correctives(text: str) -> tuple[str, int]:

@@ -114,7 +114,7 @@ def _without_zeros(points: Float[np.ndarray, "T M 3"], least: float) -> Float[np
     """A copy with NaN in all of a missing point; one at exactly zero, which readers take for
     missing, moves a bit.
     """
-    seen = np.isfinite(points).all(axis=2)
+    seen = np.all(np.isfinite(points), axis=2)
     rounded = np.where(seen[..., None], points, np.nan)
     rounded[seen & (np.abs(rounded) < least / 2).all(axis=2)] = least
     return rounded

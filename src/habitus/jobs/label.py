@@ -65,7 +65,7 @@ class LabelledCapture:
 
     def capture(self) -> Capture:
         """The labelled markers alone, as `habitus.mosh` takes them."""
-        seen = np.isfinite(self.markers[..., 0]).any(axis=0)
+        seen = np.any(np.isfinite(self.markers[..., 0]), axis=0)
         labels = tuple(label for label, there in zip(self.labels, seen, strict=True) if there)
         source = self.source
         return Capture(
@@ -213,7 +213,7 @@ def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, t
     """
     prior = prior_of(body).for_joints(body.joint_names)
     recording = whole.recordings[0]
-    seen = np.isfinite(recording.observed[..., 0]).any(axis=0)
+    seen = np.any(np.isfinite(recording.observed[..., 0]), axis=0)
     layout = replace(
         whole.layout, markers=tuple(m for m, s in zip(whole.layout.markers, seen, strict=True) if s)
     )

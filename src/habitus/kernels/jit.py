@@ -82,7 +82,8 @@ def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     numba itself watches only the file of the function, not those of the functions that were
     compiled into it. A wrapper for C, which nothing here calls, would take a tenth of the time.
     """
-    dispatcher: Any = njit(
+    decorator: Any = njit
+    dispatcher = decorator(
         cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
     )(function)
     cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
@@ -109,7 +110,8 @@ def jit_inline(function: Callable[..., Any]) -> Callable[..., Any]:
     A Python wrapper and a cache file for each such function would take longer to make than its
     kernels.
     """
-    return njit(
+    decorator: Any = njit  # its signature leaves out the options that begin with _ and no_
+    return decorator(
         nogil=True, error_model="numpy", _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
     )(function)
 

@@ -61,7 +61,7 @@ def _pose_shapes(rig: Rig) -> dict[str, Any]:
     joints = tuple(range(1, rig.num_joints))
     blocks = rig.posedirs.reshape(*rig.posedirs.shape[:2], 1 + rig.shape_features, len(joints), -1)
     drivers = tuple(
-        joint for joint, drives in zip(joints, blocks.any((0, 1, 2, 4)), strict=True) if drives
+        joint for joint, drives in zip(joints, np.any(blocks, (0, 1, 2, 4)), strict=True) if drives
     )
     if not drivers or drivers == joints:
         return {"posedirs": rig.posedirs.copy()}

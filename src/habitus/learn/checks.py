@@ -122,7 +122,7 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
             vertices = registrations.read(k)
             weight = np.isfinite(vertices).all(1).astype(np.float64)
             vertices[weight == 0] = 0.0
-        return ruler.measure(vertices, None if weight is None else weight > 0)
+        return ruler.measure(vertices, None if weight is None else np.asarray(weight > 0))
     except HabitusError as error:
         return str(error)
 

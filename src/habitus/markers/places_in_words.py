@@ -42,7 +42,7 @@ def _between(
     names: Sequence[str], points: Float[np.ndarray, "L 3"], target: Float[np.ndarray, " 3"]
 ) -> list[Marker]:
     """Points between two landmarks that are near to a target, the nearest first."""
-    first, second = np.triu_indices(len(names), 1)
+    first, second = (np.asarray(rows) for rows in np.triu_indices(len(names), 1))
     near = np.linalg.norm(points[first] - points[second], axis=1) < _LONGEST
     first = first[near]
     second = second[near]
@@ -52,7 +52,7 @@ def _between(
     best = np.argmin(off, axis=1)
     order = np.argsort(off[np.arange(len(best)), best], kind="stable")[:_TRIED]
     return [
-        Marker("", between=(names[first[k]], names[second[k]], float(_SHARES[best[k]])))
+        Marker("", between=(names[int(first[k])], names[int(second[k])], float(_SHARES[best[k]])))
         for k in order
     ]
 

@@ -50,7 +50,7 @@ class Known:
     def take(self, rows: Int[np.ndarray, " n"]) -> "Known":
         """What is known of these registrations."""
         return Known(
-            **{key: value if key == "rest" else _rows(value, rows) for key, value in self.items()}
+            _rows(self.pose, rows), _rows(self.trans, rows), _rows(self.betas, rows), self.rest
         )
 
     def items(self) -> list[tuple[str, np.ndarray | Mapping | None]]:

@@ -43,4 +43,4 @@ def normal_jacobian(
     turning = sparse.bsr_array(
         (across, np.arange(count), np.arange(count + 1)), shape=(3 * count, 3 * count)
     )
-    return (turning @ summed).tocsr()
+    return sparse.csr_array(turning @ summed)

@@ -145,7 +145,7 @@ class Ruler:
         seen = np.ones(len(vertices), dtype=bool) if seen is None else seen
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         holes = int((~seen).sum())
-        whole = seen[self.edges].all(axis=0)
+        whole = np.all(seen[self.edges], axis=0)
         usual = self.usual[whole[self.usual]]
         if bad or 2 * holes > len(vertices) or not len(usual):
             return Measures(bad, holes)

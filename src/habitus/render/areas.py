@@ -69,7 +69,7 @@ def _areas_of(
     while True:
         size = max(ROWS, longest + 1)
         found = FoundAreas(
-            *(np.empty(size, kind) for kind in (np.int64, np.int64, float)), np.empty((size, 2))
+            np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty((size, 2))
         )
         begin, count = area_kernels.find_areas(*where, begin, end, room, found, crossing)
         parts.append(FoundAreas(*(field[:count] for field in found)))
@@ -78,17 +78,16 @@ def _areas_of(
 
 
 def _room(count: int) -> AreaRoom:
-    whole = (np.empty(count, np.int64) for _ in range(3))
-    real = (np.empty(count) for _ in range(3))
-    polygons = (
+    return AreaRoom(
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count),
+        np.empty(count),
+        np.empty(count),
         np.empty((count, 4, 3)),
         np.empty((count, CORNERS, 2)),
         np.empty((PIECES, CORNERS, 2)),
-    )
-    return AreaRoom(
-        *whole,
-        *real,
-        *polygons,
         np.empty(PIECES, np.int64),
         np.empty((CORNERS, 2)),
         np.empty((CORNERS, 2)),

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import igl
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from habitus import load_body
 from habitus.body.model import BodyModel
@@ -224,7 +224,7 @@ def mesh_numbers(coarse: BodyModel, full: BodyModel) -> dict[str, float | int | 
         np.asarray(full.v_template, float)[hand], surface, faces
     )
     template = np.asarray(full.v_template, float)
-    twins = cKDTree(np.asarray(full.v_template, float))
+    twins = KDTree(np.asarray(full.v_template, float))
     distance, _ = twins.query(template * [-1, 1, 1])
     valence = np.bincount(faces.ravel())
     pairs = [

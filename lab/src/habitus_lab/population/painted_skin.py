@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.fit.selection.held_out import REACH, smooth_field
@@ -62,7 +62,7 @@ class Spots:
         """Colours of places once they have these spots on them; where some overlap, the one that
         reaches furthest.
         """
-        away, which = cKDTree(self.centre).query(points, k=6)
+        away, which = KDTree(self.centre).query(points, k=6)
         inside = np.clip(0.5 + (self.radius[which] - away) / SOFT, 0.0, 1.0)
         best = inside.argmax(1)[:, None]
         which = np.take_along_axis(which, best, 1)[:, 0]

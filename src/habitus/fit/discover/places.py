@@ -75,7 +75,9 @@ def seated(
     posterior = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     errors = np.linalg.norm(predicted - observed, axis=2)
     vertices = KDTree(body.rest_vertices(betas)).query(shape.latent_markers)[1]
-    return Seated(vertices, shape, errors, posterior / posterior.sum(axis=1, keepdims=True))
+    return Seated(
+        np.asarray(vertices), shape, errors, posterior / posterior.sum(axis=1, keepdims=True)
+    )
 
 
 def _likely(body, skin, observed, betas, pose, trans, known) -> Float[np.ndarray, "M K"]:

@@ -76,7 +76,7 @@ def _nearest_group(
     predicted = predict(rig, *state)
     middles = np.stack([predicted[:, members].mean(axis=1) for members in groups], axis=1)
     for middle, t in zip(middles, frames, strict=True):
-        rows = np.arange(clouds.start[t], clouds.start[t + 1])
+        rows = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
         rows = rows[free[rows]]
         apart = np.linalg.norm(clouds.points[rows][:, None] - middle, axis=2)
         found[rows] = np.where(apart.min(axis=1, initial=np.inf) < REACH, apart.argmin(axis=1), -1)
@@ -99,7 +99,7 @@ def _points(
     corners = predict(marked_body(body, betas, tripod), *state)
     found = []
     for (origin, *ends), t in zip(corners, frames, strict=True):
-        rows = np.arange(clouds.start[t], clouds.start[t + 1])
+        rows = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
         found.append((clouds.points[rows[chosen[rows]]] - origin) @ (np.array(ends) - origin).T)
     return found
 

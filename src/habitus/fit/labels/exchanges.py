@@ -74,7 +74,7 @@ def _columns(
     """The point of each label in some frames, -1 for none."""
     found = np.full((len(frames), count), -1)
     for row, t in enumerate(frames):
-        points = np.arange(clouds.start[t], clouds.start[t + 1])
+        points = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
         points = points[label[points] >= 0]
         found[row, label[points]] = points
     return found

@@ -126,7 +126,7 @@ def known_joints(
     A joint that moves none counts as known: nothing is to be bridged.
     """
     usual = by_column(lambda rotations: np.median(rotations, axis=0), pose)
-    moves = _leverage(rig, usual, settings.max_lever) * seen.any(axis=0)[:, None]
+    moves = _leverage(rig, usual, settings.max_lever) * np.any(seen, axis=0)[:, None]
     whole = moves.sum(axis=0)
     return mapped(
         lambda part: (part @ moves >= settings.visible_share * whole) | (whole < 1e-6), seen

@@ -14,6 +14,7 @@ taken as white, and brings a white surface to 1.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -62,7 +63,7 @@ def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
     apart = np.abs(view.colour.astype(np.float32) - view.background_colour).max(-1)
     smooth = gaussian_filter(apart, 1.0)
     found = binary_opening(smooth > max(12.0, 5.0 * float(np.median(smooth))))
-    pieces, count = label(found)
+    pieces, count = cast(tuple[np.ndarray, int], label(found))
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     sizes[0] = 0
     return pieces == sizes.argmax() if count else found
@@ -368,7 +369,7 @@ def look_up(
     at = pixels.T[::-1] - 0.5
     inside = ((at > 1) & (at < np.array(depth.shape)[:, None] - 2)).all(0)
     cell = np.where(inside, np.round(at), 0).astype(int)
-    solid = binary_erosion(np.isfinite(depth), iterations=3)
+    solid = np.asarray(binary_erosion(np.isfinite(depth), iterations=3))
     shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + BEHIND) & (cosine > STEEPEST)
     assert sight.view.colour is not None
     linear = to_linear(sight.view.colour)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.fit.points.correspondence_kernels import nearest_around
@@ -84,7 +84,7 @@ def find_correspondences(
     """
     pointing = vertex_normals(vertices, topology.faces)
     some = topology.whole
-    tree = cKDTree(with_normals(vertices[some], pointing[some]))
+    tree = KDTree(with_normals(vertices[some], pointing[some]))
     close = tree.query(with_normals(points, normals), k=2)[1]
     face = np.empty(len(points), np.int64)
     share = np.empty((len(points), 3))
@@ -114,7 +114,7 @@ def vertex_weights(
     straight in between.
     """
     pointing = vertex_normals(surface, topology.faces)
-    tree = cKDTree(with_normals(cloud.points, cloud.normals))
+    tree = KDTree(with_normals(cloud.points, cloud.normals))
     spacing = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
     covering = max(MIN_COVERING, COVERING_SPACINGS * float(np.median(spacing)))
     distance = tree.query(with_normals(surface, pointing))[0]

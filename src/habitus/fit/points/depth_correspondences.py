@@ -100,7 +100,7 @@ def _nearest(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     target = grid.points[grid.own]
     if not len(drawn.points):
         return np.zeros(0, np.int64), target[:0]
-    return KDTree(drawn.points).query(target)[1], target
+    return np.asarray(KDTree(drawn.points).query(target)[1]), target
 
 
 def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:

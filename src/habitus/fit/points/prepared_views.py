@@ -7,6 +7,7 @@ fewer pixels.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 import torch
@@ -115,7 +116,7 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
     for axis in (0, 1):
         step = np.abs(np.diff(depth, axis=axis, prepend=depth.take([0], axis)))
         smooth &= step < JUMP
-    pieces, count = label(binary_opening(smooth))
+    pieces, count = cast(tuple[np.ndarray, int], label(binary_opening(smooth)))
     best = found & False
     most = 0.0
     for k, where in enumerate(find_objects(pieces), 1):
@@ -138,7 +139,9 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
 
 def _grown(piece: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """The piece and what lies within 3 pixels of it and at its depth."""
-    away, nearest = distance_transform_edt(~piece, return_indices=True)
+    away, nearest = cast(
+        tuple[np.ndarray, np.ndarray], distance_transform_edt(~piece, return_indices=True)
+    )
     return (away <= 3) & (np.abs(depth - depth[tuple(nearest)]) < JUMP)
 
 
@@ -158,7 +161,7 @@ def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W
 
 def _one_person(mask: np.ndarray, points: np.ndarray) -> np.ndarray:
     """The largest piece and others within a limb's reach of it, without specks."""
-    pieces, count = label(mask, structure=np.ones((3, 3)))
+    pieces, count = cast(tuple[np.ndarray, int], label(mask, structure=np.ones((3, 3))))
     if not count:
         return mask
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)[1:]
@@ -203,7 +206,9 @@ class Grid:
     @cached_property
     def nearest(self) -> Int[np.ndarray, "2 R C"]:
         """The nearest pixel that shows the person."""
-        return distance_transform_edt(~self.own, return_distances=False, return_indices=True)
+        return np.asarray(
+            distance_transform_edt(~self.own, return_distances=False, return_indices=True)
+        )
 
 
 @dataclass(frozen=True, eq=False)

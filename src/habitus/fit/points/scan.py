@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.errors import HabitusError
 from habitus.fit.points.settings import SCANS, CleaningSettings
@@ -173,7 +173,7 @@ def _cloud(
     good = length[:, 0] > 0.5
     points = points[good]
     normals = normals[good] / length[good]
-    near = cKDTree(points).query(points, k=min(16, len(points)))[1]
+    near = KDTree(points).query(points, k=min(16, len(points)))[1]
     return Cloud(points, outward(points, normals, near, carry=False))
 
 
@@ -222,13 +222,13 @@ def _islands(
     few = rows[rng.permutation(len(rows))[:8000]]
     some = points[few]
     size = float((np.percentile(some, 99, axis=0) - np.percentile(some, 1, axis=0)).max())
-    tree = cKDTree(some)
+    tree = KDTree(some)
     spacing = float(np.percentile(tree.query(some, k=2)[0][:, 1], 90))
     pairs = tree.query_pairs(max(settings.island_link * size, 2.5 * spacing), output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(some),) * 2)
     piece = connected_components(graph, directed=False)[1]
     count = np.bincount(piece)
-    main = cKDTree(some[piece == count.argmax()])
+    main = KDTree(some[piece == count.argmax()])
     apart = main.query(some)[0]
     gone = np.zeros(len(count), dtype=bool)
     for k in range(len(count)):
@@ -274,7 +274,7 @@ def plane_normals(
     points: Float[np.ndarray, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N K"]]:
     """The normal (unit, of either sign) of the plane through each point's neighbours, and these."""
-    near = cKDTree(points).query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)
+    near = KDTree(points).query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)
     normals = np.empty_like(points)
     for begin in range(0, len(points), CHUNK):
         some = points[near[begin : begin + CHUNK]]
@@ -326,7 +326,7 @@ def agreed(
     """The same normals, turned over where they and their neighbours look against ``others``, zero
     where not known.
     """
-    near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
+    near = KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
     along = np.einsum("nc,nkc->nk", normals, normals[near])
     votes = (np.sign(along) * (normals * others).sum(1)[near]).mean(1)
     return np.where(votes < -0.1, -1.0, 1.0)[:, None] * normals
@@ -337,7 +337,7 @@ def _roundness(points: np.ndarray, normals: np.ndarray) -> float:
     some = slice(None, None, max(1, len(points) // COARSE_POINTS))
     few = points[some]
     around = few[
-        cKDTree(few).query(few, k=min(COARSE_NEIGHBOURS, len(few)))[1].reshape(len(few), -1)
+        KDTree(few).query(few, k=min(COARSE_NEIGHBOURS, len(few)))[1].reshape(len(few), -1)
     ].mean(1)
     return float(((few - around) * normals[some]).sum())
 

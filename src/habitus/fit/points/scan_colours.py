@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import bsr_array, csc_array, csr_array, eye_array, kron
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
@@ -117,7 +117,7 @@ def _coloured(fit: ScanFit, scan: Scan, settings: ScanColourSettings) -> ColourC
     rows = np.flatnonzero(np.isfinite(places).all(1) & np.isfinite(scan.colours).all(1))
     rows = rows[np.random.default_rng(0).permutation(len(rows))[: settings.max_points]]
     points = places[rows] @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
-    near = cKDTree(fit.cloud.points).query(points)[1]
+    near = KDTree(fit.cloud.points).query(points)[1]
     return ColourCloud.of(points, fit.cloud.normals[near], scan.colours[rows], settings)
 
 

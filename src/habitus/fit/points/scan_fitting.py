@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import SuperLU
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.jacobians import SurfaceJacobian, surface_jacobian
 from habitus.body.model import BodyModel
@@ -105,7 +105,7 @@ class ScanFitter:
         """The cloud with normals on the model's side where it is near."""
         surface = self.vertices(state)
         some = self.topology.whole
-        _, which = cKDTree(surface[some]).query(
+        _, which = KDTree(surface[some]).query(
             cloud.points, distance_upper_bound=self.settings.orientation_distance
         )
         pointing = np.concatenate(

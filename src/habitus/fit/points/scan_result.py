@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.jacobians import posed_skeleton
 from habitus.body.model import BodyModel
@@ -212,7 +212,7 @@ def lost_piece(
     if len(off) == 0:
         return 0.0, points.mean(0)
     few = off[:: max(1, len(off) // MAX_BALLS)]
-    balls = cKDTree(off).query_ball_point(few, LOST_RADIUS, return_length=True)
+    balls = KDTree(off).query_ball_point(few, LOST_RADIUS, return_length=True)
     return float(balls.max() / len(points)), few[balls.argmax()]
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
@@ -138,7 +138,7 @@ class Guesser:
     def scene(self, cloud: Cloud) -> "Scene":
         """A scan that stands upright, to score candidates by."""
         some = cloud.first(self.settings.scan_points)
-        scan = cKDTree(with_normals(some.points, some.normals))
+        scan = KDTree(with_normals(some.points, some.normals))
         return Scene(self, scan.data[: self.settings.compared_points], scan)
 
     @property
@@ -153,7 +153,7 @@ class Scene:
 
     guesser: Guesser
     few: Float[np.ndarray, "P 6"]
-    scan: cKDTree
+    scan: KDTree
 
     def misfit(self, state: BodyState) -> float:
         """The misfit of a state: mean capped distance (m) of scan from model and of model from
@@ -193,7 +193,7 @@ class Scene:
             rest = limb.still.placed(state.betas, state.pose, state.trans[0])
             moved = limb.moving.placed(state.betas, tries, state.trans[0])
             mine = np.flatnonzero(
-                cKDTree(rest[0]).query(every, distance_upper_bound=most)[0] > settings.limb_distance
+                KDTree(rest[0]).query(every, distance_upper_bound=most)[0] > settings.limb_distance
             )
             few = every[mine[:: max(1, len(mine) // settings.compared_points)]]
             there = (
@@ -297,11 +297,11 @@ def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
     surfaces = guesser.whole.placed(np.zeros(fitter.body.num_betas), bank, np.zeros(3))
     scores = np.empty((len(bank), len(all_turns)))
     every = cloud.first(2000)
-    scan = cKDTree(with_normals(every.points - middle, every.normals))
+    scan = KDTree(with_normals(every.points - middle, every.normals))
     for b, surface in enumerate(surfaces):
         centre, own = _size(surface[:, :3])
         scale = np.clip(own / size, 0.6, 1.7)
-        tree = cKDTree(surface - np.pad(centre, (0, 3)))
+        tree = KDTree(surface - np.pad(centre, (0, 3)))
         distance = tree.query(with_normals(scale * points, normals), distance_upper_bound=cap)[0]
         scores[b] = np.minimum(distance, cap).mean(1)
     best = np.unravel_index(np.argsort(scores, axis=None)[: wide * settings.checked], scores.shape)

@@ -115,7 +115,7 @@ def neighbourhoods(
     weights = problem.initial_weights
     near = (far[weights.argmax(1)] <= _REACH) | ((weights > 0).astype(float) @ (far <= 1) > 0)
     assert estimate.rig.posedirs is not None
-    driving = estimate.rig.posedirs.any(1)[:, columns].any(2)
+    driving = np.any(estimate.rig.posedirs, 1)[:, columns].any(2)
     return (near[:, 1:] & moving) | driving
 
 
@@ -123,7 +123,7 @@ def _chunk(task: _Task, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 F"
     assert task.estimate.rig.posedirs is not None
     square, right = _gathered(task, ids)
     out = task.estimate.rig.posedirs[ids].copy()
-    seen = square[:, :, 0].any(0)
+    seen = np.any(square[:, :, 0], 0)
     for rows in _alike(task.driven[ids], seen):
         columns = task.columns[task.driven[ids[rows[0]]]]
         out[rows] = 0.0

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 GAP = 0.008  # m: how far apart touching skin is drawn; simulated contact leaves 3 mm
 FAR = 0.03  # m at rest: nearer vertices are the same place
@@ -32,7 +32,7 @@ def drawn_apart(
     `neighbours` (V, V) averages over the vertices next to each, as `averaging` gives it.
     """
     normal = _normals(vertices, faces)
-    pairs = cKDTree(vertices).query_pairs(gap, output_type="ndarray")
+    pairs = KDTree(vertices).query_pairs(gap, output_type="ndarray")
     far = np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1) > FAR
     pairs = pairs[far & ((normal[pairs[:, 0]] * normal[pairs[:, 1]]).sum(1) < FACING)]
     here, there = np.concatenate([pairs, pairs[:, ::-1]]).T
