@@ -70,7 +70,7 @@ def test_the_archive_is_numpys_to_the_byte_where_memory_is_short_too(soft, monke
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 16)
     arrays = npz_arrays(fit)
-    assert blocks.lies_over_a_file(arrays["markers_obs"]) and blocks.lies_over_a_file(
+    assert blocks.is_file_backed(arrays["markers_obs"]) and blocks.is_file_backed(
         arrays["pose_body"]
     )
     save_arrays(found, arrays)

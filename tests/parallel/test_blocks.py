@@ -22,14 +22,14 @@ def tiny_memory(monkeypatch):
 
 
 def over_file(values):
-    array = blocks.room(values.shape, values.dtype)
+    array = blocks.empty_array(values.shape, values.dtype)
     array[:] = values
     return array
 
 
 def test_small_arrays_stay_in_memory():
-    assert not blocks.lies_over_a_file(blocks.room((5, 5)))
-    assert blocks.room((0, 3)).shape == (0, 3)
+    assert not blocks.is_file_backed(blocks.empty_array((5, 5)))
+    assert blocks.empty_array((0, 3)).shape == (0, 3)
 
 
 def test_large_ones_are_arrays_like_others_and_leave_no_file_behind(monkeypatch, tmp_path):
@@ -38,11 +38,9 @@ def test_large_ones_are_arrays_like_others_and_leave_no_file_behind(monkeypatch,
     values = RNG.normal(size=(100, 7, 3))
     array = over_file(values)
     assert (
-        type(array) is np.ndarray
-        and blocks.lies_over_a_file(array)
-        and not list(tmp_path.iterdir())
+        type(array) is np.ndarray and blocks.is_file_backed(array) and not list(tmp_path.iterdir())
     )
-    blocks.release(array, array[3:], None, values)
+    blocks.drop_pages(array, array[3:], None, values)
     np.testing.assert_array_equal(array, values)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(array)), values)
 
@@ -56,7 +54,7 @@ def test_a_full_disk_is_told_before_it_kills(monkeypatch):
 
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(HabitusError, match=r"needs 0\.0 GB more of temporary files in .*TMPDIR"):
-        blocks.room((1000, 3))
+        blocks.empty_array((1000, 3))
 
 
 @pytest.mark.parametrize("frames", [1, 16, 17, 200])
@@ -81,8 +79,8 @@ def test_joining_columns_and_distances():
     for k, column in enumerate(blocks.columns(over_file(together))):
         np.testing.assert_array_equal(column, together[:, k])
     chosen = np.arange(0, 110, 7)
-    np.testing.assert_array_equal(blocks.taken(over_file(together), chosen), together[chosen])
-    np.testing.assert_array_equal(blocks.thinned(over_file(together), 7), together[::7])
+    np.testing.assert_array_equal(blocks.take_frames(over_file(together), chosen), together[chosen])
+    np.testing.assert_array_equal(blocks.every_nth_frame(over_file(together), 7), together[::7])
     medians = blocks.by_column(lambda places: np.median(places, axis=0), together)
     np.testing.assert_array_equal(medians, np.median(together, axis=0))
     expected = np.linalg.norm(second - second[::-1], axis=2)
@@ -99,7 +97,7 @@ def test_some_columns_of_a_copy_are_changed(large, monkeypatch):
     changed = blocks.with_columns(values, [1, 2, 4, 5, 8], lambda column, k: k * column)
     np.testing.assert_array_equal(changed, expected)
     np.testing.assert_array_equal(values, before)
-    assert blocks.lies_over_a_file(changed) == large
+    assert blocks.is_file_backed(changed) == large
 
 
 @pytest.mark.skipif(
@@ -108,10 +106,10 @@ def test_some_columns_of_a_copy_are_changed(large, monkeypatch):
 def test_memory_is_let_go_of_while_blocks_pass(monkeypatch):
     """Sixty-four megabytes go through, a few stay resident."""
     monkeypatch.setattr(blocks, "BLOCK", 1 << 12)
-    big = blocks.room((1 << 20, 8))
+    big = blocks.empty_array((1 << 20, 8))
     for part in blocks.blocks(len(big)):
         big[part] = 1.0
-        blocks.release(big)
+        blocks.drop_pages(big)
     before = resident()
     doubled = blocks.mapped(lambda part: 2.0 * part, big)
     assert resident() - before < 16e6 and doubled[-1, -1] == 2.0

@@ -32,7 +32,7 @@ from habitus.export.correctives import (
     principal,
 )
 from habitus.export.usual_poses import sampled_rotations
-from habitus.parallel.blocks import thinned
+from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
@@ -159,10 +159,12 @@ def _motion(fit: "Moving", stage: str, stride: int) -> _Motion:
     last = stage == STAGES[1] or fit.soft_tissue is None
     pose, trans = (fit.pose, fit.trans) if last else fit.pose_stage
     soft, moving = (
-        None if array is None or not last else thinned(array, stride)
+        None if array is None or not last else every_nth_frame(array, stride)
         for array in (fit.soft_tissue, fit.dynamics)
     )
-    pose, trans = (thinned(np.asarray(array, np.float64), stride) for array in (pose, trans))
+    pose, trans = (
+        every_nth_frame(np.asarray(array, np.float64), stride) for array in (pose, trans)
+    )
     quaternions = local_quaternions(pose)
     rotations = (
         Rotation.from_quat(quaternions.reshape(-1, 4)).as_matrix().reshape(*pose.shape[:2], 3, 3)

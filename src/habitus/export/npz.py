@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from habitus import __version__
 from habitus.body.model import BodyModel
 from habitus.files import atomic_write
-from habitus.parallel.blocks import mapped, release
+from habitus.parallel.blocks import drop_pages, mapped
 from habitus.types import PathLike
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def save_arrays(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
-            release(array)
+            drop_pages(array)
 
 
 def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:

@@ -26,7 +26,7 @@ from habitus.markers.geometry import (
     trunk_left,
 )
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.parallel.blocks import mapped, release
+from habitus.parallel.blocks import drop_pages, mapped
 
 _WAND = 0.043  # a shank marker farther than this from the line knee to ankle stands on a wand
 _KNUCKLE = 0.085  # from the middle of the wrist to the knuckles
@@ -51,7 +51,7 @@ def checked(
             )
             if correction.exchange is not None:
                 exchange_columns(markers, correction.exchange)
-        release(markers)
+        drop_pages(markers)
     return layout, tuple(corrections)
 
 

@@ -12,7 +12,7 @@ from habitus.markers.exchanges import Correction, exchange_text
 from habitus.markers.labels import normalised
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import LayoutMatch, best_match
-from habitus.parallel.blocks import blocks, release, room
+from habitus.parallel.blocks import blocks, drop_pages, empty_array
 
 GAP = (
     30  # frames of nothing between captures, so that none is taken for the continuation of another
@@ -39,14 +39,14 @@ def match_together(
     }
     names = list(union)
     starts = np.cumsum([0, *(len(markers) + GAP for _, markers in captures)])
-    together = room((int(starts[-1]), len(names), 3))
+    together = empty_array((int(starts[-1]), len(names), 3))
     for (_, markers), own, start in zip(captures, keys, starts[:-1], strict=True):
         columns = [names.index(key) for key in own]
         for part in blocks(len(markers) + GAP):
             some = together[start + part.start : start + part.stop]
             some[:] = np.nan
             some[: max(len(markers) - part.start, 0), columns] = markers[part]
-            release(together, markers)
+            drop_pages(together, markers)
     joint = best_match(tuple(union.values()), candidates, together)
     return tuple(
         _part_of(joint, names, labels, own, slice(start, start + len(markers)))

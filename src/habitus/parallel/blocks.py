@@ -1,7 +1,7 @@
-"""Arrays of a million frames in bounded memory: where they lie, and how to go through them a few
-frames at a time.
+"""Arrays of a million frames in bounded memory: where they are stored, and how to process them in
+blocks of frames.
 
-Arrays up to `IN_MEMORY` bytes are plain NumPy arrays and are worked on at once. Larger ones are
+Arrays up to `IN_MEMORY` bytes are plain NumPy arrays and are processed at once. Larger ones are
 NumPy arrays over a file that has no name, vanishes with them, and is read and written by the
 operating system as they are used: in the folder that TMPDIR names, else /var/tmp, else where
 temporary files go.
@@ -24,10 +24,10 @@ BLOCK = 8192
 """Frames that are worked on together."""
 
 
-def room(shape: Sequence[int], dtype: Any = np.float64) -> np.ndarray:
-    """An array to be filled: in memory, or over a nameless file where it is large.
+def empty_array(shape: Sequence[int], dtype: Any = np.float64) -> np.ndarray:
+    """An uninitialised array: in memory, or backed by a nameless file where it is large.
 
-    Raises HabitusError where the disk has no room for it.
+    Raises HabitusError where the disk has not enough space.
     """
     size = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
     if size <= IN_MEMORY:
@@ -44,8 +44,8 @@ def room(shape: Sequence[int], dtype: Any = np.float64) -> np.ndarray:
 
 
 def _reserve(file: int, size: int) -> None:
-    """Take the room now: a disk that turns out to be full when a mapped page is written would end
-    the process.
+    """Allocate the disk space now: a disk that is full when a mapped page is written would end the
+    process.
     """
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file, 0, size)
@@ -68,16 +68,16 @@ def blocks(frames: int, size: int | None = None) -> Iterator[slice]:
         yield slice(first, min(first + size, frames))
 
 
-def release(*arrays: np.ndarray | None) -> None:
-    """Let go of the memory in which pages of arrays over files were held; their numbers stay."""
+def drop_pages(*arrays: np.ndarray | None) -> None:
+    """Drop the resident pages of file-backed arrays from memory; their values stay in the file."""
     for array in arrays:
         file = _mapping(array)
         if file is not None and hasattr(mmap, "MADV_DONTNEED"):
             file.madvise(mmap.MADV_DONTNEED)
 
 
-def lies_over_a_file(array: np.ndarray) -> bool:
-    """Whether it is one of the large arrays of `room`, or a part of one."""
+def is_file_backed(array: np.ndarray) -> bool:
+    """Whether it is one of the large arrays of `empty_array`, or a part of one."""
     return _mapping(array) is not None
 
 
@@ -96,7 +96,7 @@ def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarr
     """``function(*arrays)`` where each frame (first axis) of the result depends on that frame of
     the arrays alone.
 
-    Long arrays are handed to it a block at a time, and what comes out may lie over a file.
+    Long arrays are processed in blocks, and the result may be file-backed.
     """
     frames = len(arrays[0])
     if frames <= BLOCK:
@@ -105,9 +105,9 @@ def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarr
     for part in blocks(frames):
         found = function(*(array[part] for array in arrays))
         if out is None:
-            out = room((frames, *found.shape[1:]), found.dtype)
+            out = empty_array((frames, *found.shape[1:]), found.dtype)
         out[part] = found
-        release(out, *arrays)
+        drop_pages(out, *arrays)
     assert out is not None
     return out
 
@@ -121,30 +121,32 @@ def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """``np.concatenate(arrays)``; a single array as it is."""
     if len(arrays) == 1:
         return arrays[0]
-    out = room((sum(map(len, arrays)), *arrays[0].shape[1:]), arrays[0].dtype)
+    out = empty_array((sum(map(len, arrays)), *arrays[0].shape[1:]), arrays[0].dtype)
     first = 0
     for array in arrays:
         for part in blocks(len(array)):
             out[first + part.start : first + part.stop] = array[part]
-            release(out, array)
+            drop_pages(out, array)
         first += len(array)
     return out
 
 
-def taken(array: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """``array[frames]`` for frames in order, far apart perhaps."""
+def take_frames(array: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """``array[frames]`` for increasing frames, which may be far apart."""
     if not is_large(array):
         return array[frames]
-    out = room((len(frames), *array.shape[1:]), array.dtype)
+    out = empty_array((len(frames), *array.shape[1:]), array.dtype)
     for part in blocks(len(frames), BLOCK // 16):
         out[part] = array[frames[part]]
-        release(out, array)
+        drop_pages(out, array)
     return out
 
 
-def thinned(array: np.ndarray, stride: int) -> np.ndarray:
+def every_nth_frame(array: np.ndarray, stride: int) -> np.ndarray:
     """``array[::stride]``."""
-    return taken(array, np.arange(0, len(array), stride)) if is_large(array) else array[::stride]
+    return (
+        take_frames(array, np.arange(0, len(array), stride)) if is_large(array) else array[::stride]
+    )
 
 
 def by_column(function: Callable[[np.ndarray], np.ndarray], array: np.ndarray) -> np.ndarray:
@@ -185,7 +187,7 @@ def with_columns(
         for part in blocks(len(array)):
             for k, column in zip(some, changed, strict=True):
                 out[part, k] = column[part]
-            release(out)
+            drop_pages(out)
     return out
 
 
@@ -194,5 +196,5 @@ def _read_columns(array: np.ndarray, chosen: Sequence[int]) -> list[np.ndarray]:
     for part in blocks(len(array)):
         for k, column in zip(chosen, found, strict=True):
             column[part] = array[part, k]
-        release(array)
+        drop_pages(array)
     return found

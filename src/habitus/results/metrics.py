@@ -21,7 +21,7 @@ from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.fit.points.scan_result import ScanFit
-from habitus.parallel.blocks import blocks, columns, is_large, release
+from habitus.parallel.blocks import blocks, columns, drop_pages, is_large
 from habitus.types import PathLike
 
 STAGE_NAMES = ("read", "shape", "pose", "soft_tissue", "export", "total")
@@ -124,7 +124,7 @@ def _visible_mm(errors: np.ndarray) -> np.ndarray:
         some = some[np.isfinite(some)]
         seen[count : count + len(some)] = 1e3 * some
         count += len(some)
-        release(errors)
+        drop_pages(errors)
     return seen
 
 

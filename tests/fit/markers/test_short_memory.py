@@ -46,7 +46,7 @@ def test_short_gaps_are_filled(gappy, both):
     plenty, short = both(lambda: fill_short_gaps(gappy.observed, 100.0))
     np.testing.assert_array_equal(short, plenty)
     assert (
-        blocks.lies_over_a_file(short)
+        blocks.is_file_backed(short)
         and np.isfinite(plenty).sum() > np.isfinite(gappy.observed).sum()
     )
 

@@ -180,7 +180,7 @@ def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_pa
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 100)
     short = fit(settings)
-    assert blocks.lies_over_a_file(short.pose) and not blocks.lies_over_a_file(plenty.pose)
+    assert blocks.is_file_backed(short.pose) and not blocks.is_file_backed(plenty.pose)
     assert np.degrees(np.abs(short.pose - plenty.pose).max()) < 0.01
     assert short.suspects == plenty.suspects and any(
         "swapped" in one.reason for one in short.suspects

@@ -279,6 +279,6 @@ def test_what_is_read_where_memory_is_short_is_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
     monkeypatch.setattr(blocks, "BLOCK", 16)
     short = read_capture(tmp_path / "a.c3d")
-    assert blocks.lies_over_a_file(short.markers) and not short.markers.flags.writeable
+    assert blocks.is_file_backed(short.markers) and not short.markers.flags.writeable
     np.testing.assert_array_equal(short.markers, plenty.markers)
     assert replace(short, markers=plenty.markers) == plenty

@@ -17,7 +17,7 @@ from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, shortened
 from habitus.fit.markers.settings import LIVE, LiveSettings, SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
-from habitus.parallel.blocks import blocks, distances, mapped, release, room
+from habitus.parallel.blocks import blocks, distances, drop_pages, empty_array, mapped
 from habitus.residuals.robust import geman_mcclure_weight
 
 
@@ -137,13 +137,13 @@ def fit_causally(
     """
     solver = CausalSolver(marked, prior, start[0][0], start[1][0], settings, scale, live=live)
     count = len(observed)
-    pose = room((count, marked.num_joints, 3))
-    trans = room((count, 3))
+    pose = empty_array((count, marked.num_joints, 3))
+    trans = empty_array((count, 3))
     costs = np.empty(count)
     for part in blocks(count):
         for frame in range(part.start, part.stop):
             pose[frame], trans[frame], costs[frame] = solver.step(observed[frame])
-        release(pose, observed)
+        drop_pages(pose, observed)
     distance = distances(observed, predict(marked, pose, trans))
     weights = mapped(lambda each: np.nan_to_num(geman_mcclure_weight(each, scale)), distance)
     total = float(costs.sum())

@@ -26,7 +26,7 @@ from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.recordings import few_markers
 from habitus.fit.markers.settings import WINDOWS, SequenceSettings, WindowSettings
 from habitus.observe.marker_prediction import MarkedBody
-from habitus.parallel.blocks import release, room, taken
+from habitus.parallel.blocks import drop_pages, empty_array, take_frames
 from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
 
 
@@ -205,7 +205,7 @@ class _Stage:
             if array is None
             else array[frames]
             if isinstance(frames, slice)
-            else taken(array, frames)
+            else take_frames(array, frames)
             for array in (self.observed, self.weights, *self.start, self.soft_tissue)
         )
         problem = marker_sequence(
@@ -248,10 +248,10 @@ def _gathered(stage: _Stage, parts: list[Window], solutions: Iterator[tuple]) ->
     """The kept frames of all windows, one after another."""
     count = len(stage.observed)
     joints = stage.marked.num_joints
-    pose = room((count, joints, 3))
-    trans = room((count, 3))
-    weights = room(stage.observed.shape[:2])
-    soft = room((count, stage.betas)) if stage.betas else None
+    pose = empty_array((count, joints, 3))
+    trans = empty_array((count, 3))
+    weights = empty_array(stage.observed.shape[:2])
+    soft = empty_array((count, stage.betas)) if stage.betas else None
     frame_costs = np.empty(count)
     costs = []
     total = np.zeros(2)
@@ -274,7 +274,7 @@ def _gathered(stage: _Stage, parts: list[Window], solutions: Iterator[tuple]) ->
             * np.array([solution.history[0], solution.history[-1]])
         )
         ends.append((solution.status, solution.iterations))
-        release(pose, trans, weights, soft, stage.observed, stage.weights, *stage.start)
+        drop_pages(pose, trans, weights, soft, stage.observed, stage.weights, *stage.start)
     return SequenceResult(
         pose=pose,
         trans=trans,

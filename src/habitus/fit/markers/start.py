@@ -22,7 +22,7 @@ from habitus.fit.markers.settings import (
 )
 from habitus.fit.search import best_of_tries
 from habitus.observe.marker_prediction import MarkedBody, predict
-from habitus.parallel.blocks import release, room
+from habitus.parallel.blocks import drop_pages, empty_array
 from habitus.rotations import procrustes, rotvec_from_matrix
 from habitus.solve.sequence.solver import SequenceOptions
 
@@ -140,12 +140,12 @@ def start_long(
     parts = windows(few_markers(observed), longest, cut)
     if len(parts) == 1:
         return start_sequence(rig, known_poses, joint_names, observed, settings)
-    pose = room((len(observed), rig.num_joints, 3))
-    trans = room((len(observed), 3))
+    pose = empty_array((len(observed), rig.num_joints, 3))
+    trans = empty_array((len(observed), 3))
     for window in parts:
         found = start_sequence(rig, known_poses, joint_names, observed[window.solved], settings)
         pose[window.kept], trans[window.kept] = (each[window.inside] for each in found)
-        release(pose, trans, observed)
+        drop_pages(pose, trans, observed)
     return pose, trans
 
 

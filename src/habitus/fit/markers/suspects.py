@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from habitus.arrays import runs
 from habitus.fit.markers.settings import FLIPS, SUSPECTS, FlipSettings, SuspectSettings
-from habitus.parallel.blocks import blocks, by_column, columns, mapped, release, room
+from habitus.parallel.blocks import blocks, by_column, columns, drop_pages, empty_array, mapped
 from habitus.residuals.robust import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
@@ -73,12 +73,12 @@ def find_swaps(
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
     first, second = np.nonzero(np.triu(apart < settings.swap_distance, 1))
-    better = room((len(observed), len(first)), bool)
+    better = empty_array((len(observed), len(first)), bool)
     counts = np.zeros(len(first), dtype=np.int64)
     for part in blocks(len(observed), _BLOCK):
         better[part] = _crossed(observed[part], predicted[part], first, second, settings.gross)
         counts += better[part].sum(axis=0)
-        release(better, observed, predicted)
+        drop_pages(better, observed, predicted)
     found = [
         (int(first[k]), int(second[k]), better[:, k].copy())
         for k in np.flatnonzero(counts >= settings.min_frames)
@@ -122,7 +122,7 @@ def undo_swaps(observed: np.ndarray, swaps: list[tuple[int, int, np.ndarray]]) -
     out = mapped(np.array, observed)
     for i, j, frames in swaps:
         out[frames, i], out[frames, j] = observed[frames, j], observed[frames, i]
-        release(out, observed)
+        drop_pages(out, observed)
     return out
 
 
@@ -357,7 +357,7 @@ def _confirmed(
     whole = observed
     observed = observed[some]
     frames = frames[some]
-    release(whole)
+    drop_pages(whole)
     way = np.linalg.norm(observed[:, [i, j], None] - observed[:, None, others], axis=3)
     with warnings.catch_warnings():
         warnings.simplefilter(

@@ -22,7 +22,7 @@ from habitus.io.captures.trajectories import (
 )
 from habitus.io.names import plain_name
 from habitus.io.units import METRES, find_unit, restlessness
-from habitus.parallel.blocks import mapped, release
+from habitus.parallel.blocks import drop_pages, mapped
 
 _MOST_MARKERS = 500
 _NOISE = 0.27
@@ -71,7 +71,7 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
             "it again"
         )
     axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
-    release(*(tracks.points for _, tracks in found))
+    drop_pages(*(tracks.points for _, tracks in found))
     told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
     return tuple(
         Person(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.parallel.blocks import blocks, mapped, release
+from habitus.parallel.blocks import blocks, drop_pages, mapped
 
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")
 _JOINT = re.compile(r"[LR](HIP|KNE|ANK)")
@@ -37,7 +37,7 @@ class Tracks:
         seen = np.zeros(len(self.labels), dtype=bool)
         for part in blocks(len(self.points)):
             seen |= np.isfinite(self.points[part, :, 0]).any(axis=0)
-        release(self.points)
+        drop_pages(self.points)
         return seen.tolist()
 
     def keep(self, mask: Sequence[bool]) -> "Tracks":

@@ -15,7 +15,7 @@ from habitus.export.obj import fitted_vertices
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.signed_distance import signed_distance
-from habitus.parallel.blocks import mapped, thinned
+from habitus.parallel.blocks import every_nth_frame, mapped
 from habitus.report.blob import Blob
 from habitus.results.metrics import marker_means
 from habitus.rotations import up_rotation
@@ -157,8 +157,10 @@ def _add_markers(fit: MarkerFit, stages: Sequence[str], stride: int, blob: Blob)
         f"{stage}/predicted": predicted[stage] for stage in stages
     }
     for name, positions in points.items():
-        blob.add_points(name, thinned(np.asarray(positions), stride) @ turn, low, high, True)
-    weights = np.nan_to_num(thinned(np.asarray(fit.marker_weights), stride))
+        blob.add_points(
+            name, every_nth_frame(np.asarray(positions), stride) @ turn, low, high, True
+        )
+    weights = np.nan_to_num(every_nth_frame(np.asarray(fit.marker_weights), stride))
     blob.add("markerWeights", np.round(255 * np.clip(weights, 0, 1)).astype("u1"), True)
 
 
