@@ -6,6 +6,7 @@ from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.trc import write_trc as write_trc
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
+from habitus.fit.problem import FitSettings as FitSettings
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
@@ -28,6 +29,10 @@ from habitus.jobs.results import load_motion as load_motion
 from habitus.jobs.rgbd import fit_rgbd as fit_rgbd
 from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses
+from habitus.jobs.sensors import Depth as Depth
+from habitus.jobs.sensors import Fit as Fit
+from habitus.jobs.sensors import Markers as Markers
+from habitus.jobs.sensors import Scan as Scan
 from habitus.jobs.train import Trainer as Trainer
 from habitus.jobs.train import train as train
 from habitus.jobs.train_dynamics import train_dynamics as train_dynamics
