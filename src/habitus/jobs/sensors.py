@@ -28,6 +28,7 @@ from habitus.io.captures.read import Capture, read_capture
 from habitus.io.rgbd.read import read_views
 from habitus.io.scans import read_scan
 from habitus.jobs.bodies import loaded
+from habitus.jobs.results import MarkerResult
 from habitus.jobs.subjects import Wanted, person
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.depth_views import DepthView, RgbdCapture
@@ -135,6 +136,12 @@ Sensor = Markers | Depth | Scan
 """What `Fit` takes."""
 
 
+class PersonFit(BodyFit):
+    """A `BodyFit` whose motion can write itself: ``fit.motion.save(folder)``."""
+
+    motion: MarkerResult | None
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """One person from any sensors: `solve` gives the shape they share and the poses they saw.
@@ -151,7 +158,7 @@ class Fit:
     terms: Mapping[str, Any] = field(default_factory=dict)
     prior: PosePrior | None = None
 
-    def solve(self, progress: Progress = lambda stage, share: None) -> BodyFit:
+    def solve(self, progress: Progress = lambda stage, share: None) -> PersonFit:
         """Start, all sensors together, and the motion of the whole capture.
 
         progress: called with the stage and the share done. Raises HabitusError for what cannot be
@@ -180,7 +187,9 @@ class Fit:
             for name, each in self.terms.items()
         }
         prior = prior_of(body) if self.prior is None else self.prior
-        return fit_sensors(body, prior, data, self.settings, terms, progress)
+        found = fit_sensors(body, prior, data, self.settings, terms, progress)
+        motion = None if found.motion is None else MarkerResult.of(found.motion)
+        return PersonFit(**{**vars(found), "motion": motion})
 
 
 def _frames(given: Sequence[int] | None, count: int, what: str) -> Sequence[int | None]:
