@@ -10,7 +10,7 @@ import numpy as np
 from two_sensors import person
 
 import habitus as hb
-from habitus.population.scans import Scanner, scanned
+from habitus_lab.population.scans import Scanner, scanned
 
 
 def main(folder: str = "scan-and-capture", seed: int = 3) -> dict[str, float]:

@@ -72,7 +72,7 @@ _MODULES = {
     "Camera": "habitus.observe.camera",
     "Depth": "habitus.jobs.sensors",
     "Fit": "habitus.jobs.sensors",
-    "FitSettings": "habitus.fit.problem",
+    "FitSettings": "habitus.fit.body_fit",
     "Markers": "habitus.jobs.sensors",
     "Mosh": "habitus.jobs.mosh",
     "MoshWeights": "habitus.fit.markers.settings",

@@ -5,8 +5,8 @@ from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissu
 from habitus.body.surface_files import write_surface as write_surface
 from habitus.errors import HabitusError as HabitusError
 from habitus.export.trc import write_trc as write_trc
+from habitus.fit.body_fit import FitSettings as FitSettings
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
-from habitus.fit.problem import FitSettings as FitSettings
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body

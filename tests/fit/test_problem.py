@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import habitus as hb
-from habitus.fit.problem import JointStage
+from habitus.fit.body_fit import JointStage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 QUICK = hb.FitSettings(

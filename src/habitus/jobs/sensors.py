@@ -20,9 +20,10 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError
+from habitus.fit.body_fit import BodyFit, FitSettings
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.points.scan import Scan as ReadScan
-from habitus.fit.problem import BodyFit, FitSettings, fit_sensors
+from habitus.fit.problem import fit_sensors
 from habitus.fit.sensors import MarkerData, ScanData, SensorData, ViewData
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.rgbd.read import read_views

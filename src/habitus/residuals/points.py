@@ -22,9 +22,7 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.jacobians import posed_skeleton, surface_jacobian
-from habitus.body.kernels import without_zeros
 from habitus.body.model import BodyModel
-from habitus.body.skinning import descends
 from habitus.errors import HabitusError
 from habitus.residuals.point_kernels import (
     mark_corners,
@@ -34,6 +32,7 @@ from habitus.residuals.point_kernels import (
     points_cost,
     write_rows,
 )
+from habitus.residuals.surface_rig import SurfaceRig, surface_rig
 from habitus.rotations import cross_matrix
 from habitus.solve.arrow import ArrowMatrix
 from habitus.solve.terms import Quadratic, Term
@@ -118,24 +117,6 @@ class PointEquations(NamedTuple):
     matrix: Float[np.ndarray, "N N"]
 
 
-class SurfaceRig(NamedTuple):
-    """A body (LBS, pose blend shapes linear in R - I) laid out for these kernels.
-
-    Joints that move vertex i: ``joint[start[i] : start[i + 1]]``; ``shape`` is the row of
-    ``value_shapes`` by which each also drives the vertex' pose blend shapes, -1 where it does not.
-    """
-
-    template: Float[np.ndarray, "V 3"]
-    shapedirs: Float[np.ndarray, "V 3 B"]
-    index: Int[np.ndarray, "V K"]
-    value: Float[np.ndarray, "V K"]
-    faces: Int[np.ndarray, "F 3"]
-    start: Int[np.ndarray, " V1"]
-    joint: Int[np.ndarray, " S"]
-    shape: Int[np.ndarray, " S"]
-    value_shapes: Float[np.ndarray, "G 27"]
-
-
 class _State(NamedTuple):
     betas: Float[np.ndarray, " B"]
     trans: Float[np.ndarray, " 3"]
@@ -183,7 +164,7 @@ class PointSolver:
         )
         if body.skinning != "lbs" or not plain:
             return PointSolver(body, None, np.zeros(body.num_faces, np.int64), ())
-        rig, moves = _rig(body)
+        rig, moves = surface_rig(body)
         strongest = np.take_along_axis(
             body.skinning_index, body.skinning_value.argmax(1)[:, None], 1
         )[:, 0]
@@ -494,30 +475,3 @@ def _named(
         "trans": gradient[:, part["trans"]],
         "pose": gradient[:, part["pose"]],
     }, blocks
-
-
-def _rig(body: BodyModel) -> tuple[SurfaceRig, np.ndarray]:
-    """The arrays of a body, and which joints move which vertices (V, J)."""
-    own = body.skinning_weights != 0.0
-    moves = own @ (descends(body.parents).T > 0.0)
-    rows = np.full(moves.shape, -1)
-    shapes = np.zeros((0, 27))
-    if body.posedirs is not None:
-        found = without_zeros(body.posedirs)
-        vertex = np.repeat(np.arange(body.num_vertices), np.diff(found.start))
-        rows[vertex, np.array(body.drivers)[found.driver]] = np.arange(len(found.driver))
-        shapes = found.value
-        moves = moves | (rows >= 0)
-    start = np.concatenate([[0], np.cumsum(moves.sum(1))])
-    arrays = (
-        body.v_template,
-        body.shapedirs,
-        body.skinning_index,
-        body.skinning_value,
-        body.faces,
-        start,
-    )
-    rig = SurfaceRig(
-        *(np.ascontiguousarray(a) for a in (*arrays, np.nonzero(moves)[1], rows[moves], shapes))
-    )
-    return rig, moves
