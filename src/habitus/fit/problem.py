@@ -25,12 +25,13 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.body_fit import BodyFit, FitSettings, JointStage
+from habitus.fit.markers.energy import Placement, place
 from habitus.fit.markers.gaps import fill_short_gaps
 from habitus.fit.markers.recipe import fit_known
 from habitus.fit.markers.recordings import spread_frames
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import Placement, place, shape_stage
+from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_frames, trunk_weights
 from habitus.fit.points.depth import fit_state
 from habitus.fit.points.prepared_views import segment
