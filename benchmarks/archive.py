@@ -21,7 +21,6 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import json
 import signal
 import sqlite3
@@ -34,7 +33,7 @@ from pathlib import Path
 
 import numpy as np
 import psutil
-from common import CAPTURES, in_words, machine, write_json
+from common import CAPTURES, in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -312,22 +311,22 @@ def show(found: dict, console: Console) -> None:
 
 def main() -> None:
     """Make the archive, run, show, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--captures", type=int, default=WHOLE)
-    parser.add_argument(
+    arguments = parser(__doc__)
+    arguments.add_argument("--captures", type=int, default=WHOLE)
+    arguments.add_argument(
         "--folder",
         type=Path,
         help="keep captures and results here; captures that are there are used",
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--phases", nargs="+", choices=("two", "one", "killed"), default=["two", "one", "killed"]
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--minimal", action="store_true", help="of each capture only body.npz and metrics.json"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the kills")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
+    arguments.add_argument("--seed", type=int, default=0, help="of the kills")
+    arguments.add_argument("--json", type=Path)
+    options = arguments.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         work = options.folder or Path(temporary)
         captures = work / "captures"

@@ -13,11 +13,12 @@ shapes, against `smplx` with its own: how many vertices and features each has is
 
 import os
 
+from common import parser
+
 os.environ.setdefault(
     "OMP_WAIT_POLICY", "passive"
 )  # libgomp's spinning makes two threads slower at random
 
-import argparse
 import contextlib
 import io
 import json
@@ -138,18 +139,15 @@ def size_of(body: BodyModel) -> dict[str, float]:
 
 def main() -> None:
     """Run all batch sizes, print a table, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "--seconds", type=float, default=60.0, help="in all, shared by the batch sizes"
     )
-    parser.add_argument("--device", choices=BATCHES, default="cpu")
-    parser.add_argument(
+    arguments.add_argument("--device", choices=BATCHES, default="cpu")
+    arguments.add_argument(
         "--body", help="a body of habitus to race as well: default, female, male, or a file"
     )
-    parser.add_argument("--out", type=Path, default=Path("body_forward.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     body = None if options.body is None else load_body(options.body, joints="smpl")
     functions = contestants(official_arrays("smpl"), options.device, body)
     batches = BATCHES[options.device]

@@ -13,12 +13,11 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, machine, write_json
+from common import ROOT, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -136,13 +135,10 @@ def judged(folder: Path, people: int | None, given: tuple[str, ...]) -> dict[str
 
 def main() -> None:
     """Judge, print, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
-    parser.add_argument("--people", type=int, help="so many of each sex (all)")
-    parser.add_argument("--out", type=Path, default=Path("body_from_measurements.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
+    arguments.add_argument("--people", type=int, help="so many of each sex (all)")
+    options = arguments.parse_args()
     console = Console(width=150)
     found = {}
     for given in GIVEN:

@@ -1,15 +1,27 @@
-"""What the marker-fit benchmarks share: the machine's name, captures to run on, kernels compiled
-beforehand, JSON.
+"""The runner of all benchmarks (arguments, the machine's name, tables, JSON), and what those of the
+marker fit share: captures to run on, and kernels compiled beforehand.
+
+A benchmark is a function from options to numbers, and one that prints the numbers:
+
+    if __name__ == "__main__":
+        arguments = parser(__doc__)
+        arguments.add_argument("--people", type=int, default=12)
+        run(arguments, measure, show)
 """
 
+import argparse
 import json
 import os
 import platform
+import sys
 import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 import torch
+from rich.console import Console
+from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
@@ -22,6 +34,56 @@ from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_m
 ROOT = Path(__file__).resolve().parents[1]
 CAPTURES = ROOT.parent / "shared" / "mocap"
 """Real captures that lie beside a checkout and are never part of it."""
+
+
+def parser(doc: str | None, out: bool = False) -> argparse.ArgumentParser:
+    """A parser of arguments whose help is the benchmark's docstring; with ``out`` the JSON goes to
+    the benchmark's name unless `--out` says otherwise.
+    """
+    arguments = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    if out:
+        name = Path(sys.argv[0]).with_suffix(".json").name
+        arguments.add_argument("--out", type=Path, default=Path(name), help="JSON of the numbers")
+    return arguments
+
+
+def run(
+    arguments: argparse.ArgumentParser,
+    measure: Callable[[argparse.Namespace], Mapping[str, object] | None],
+    show: Callable[[dict], None],
+) -> None:
+    """Measure with the options of the command line, print, name the machine, and write the JSON to
+    `--out` where there is one. ``measure`` gives None where there is nothing to measure.
+    """
+    options = arguments.parse_args()
+    where = machine()
+    numbers = measure(options)
+    if numbers is None:
+        return
+    found = {"machine": where, **numbers}
+    show(found)
+    print(in_words(where))
+    if getattr(options, "out", None) is not None:
+        write_json(options.out, found)
+
+
+def show_table(title: str, rows: Iterable[Mapping[str, object]], digits: int = 2) -> None:
+    """Print rows as a table; columns are the keys of the first row, numbers are aligned right."""
+    rows = list(rows)
+    table = Table(title=title, title_justify="left", box=None)
+    for key, value in (rows[0] if rows else {}).items():
+        table.add_column(key, justify="left" if isinstance(value, str) else "right")
+    for row in rows:
+        table.add_row(*(_cell(value, digits) for value in row.values()))
+    Console(width=170).print(table)
+
+
+def _cell(value: object, digits: int) -> str:
+    if isinstance(value, float):
+        return f"{value:,.{digits}f}"
+    return f"{value:,}" if isinstance(value, int) else "–" if value is None else str(value)
 
 
 def machine() -> dict[str, object]:

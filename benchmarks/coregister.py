@@ -19,10 +19,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from register_scans import full, hidden_vertices, outside
 from rich.console import Console
 from rich.table import Table
@@ -137,14 +136,11 @@ def trained(fits: list[list[ScanFit]], count: int) -> BodyModel:
 
 def main() -> None:
     """Run the rounds, print them and write them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--people", type=int, default=4)
-    parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=88)
-    parser.add_argument("--out", type=Path, default=Path("coregister.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--people", type=int, default=4)
+    arguments.add_argument("--rounds", type=int, default=2)
+    arguments.add_argument("--seed", type=int, default=88)
+    options = arguments.parse_args()
     where = machine()
     console = Console()
     made = people(options)

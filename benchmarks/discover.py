@@ -16,13 +16,12 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json, written_rows
+from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json, written_rows
 from rich.console import Console
 from rich.table import Table
 
@@ -159,13 +158,10 @@ def table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all that is not in the JSON yet, print the table, write JSON after every capture."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--captures", nargs="+", default=NAMES, metavar="NAME")
-    parser.add_argument("--labelling", type=Path, default=LABELLED, metavar="FOLDER")
-    parser.add_argument("--out", type=Path, default=Path("discover.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--captures", nargs="+", default=NAMES, metavar="NAME")
+    arguments.add_argument("--labelling", type=Path, default=LABELLED, metavar="FOLDER")
+    options = arguments.parse_args()
     where = machine()
     body = habitus.load_body("default")
     compile_kernels(body)

@@ -6,17 +6,15 @@ drive. People of other shapes move (`habitus.observe.simulated_markers.smooth_mo
 sees their surfaces, with noise.
 """
 
-import argparse
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.joint_layouts import SMPL
@@ -128,15 +126,16 @@ def prediction(body: BodyModel) -> dict[str, float]:
 
 def main() -> None:
     """Print the tables and write the numbers."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--people", type=int, default=6)
-    parser.add_argument("--frames", type=int, default=300, help="of each of two sequences a person")
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--people", type=int, default=6)
+    arguments.add_argument(
+        "--frames", type=int, default=300, help="of each of two sequences a person"
+    )
+    arguments.add_argument(
         "--noise", type=float, default=1.0, help="mm of each coordinate of a surface"
     )
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path("dynamics.json"))
-    options = parser.parse_args()
+    arguments.add_argument("--threads", type=int, default=os.cpu_count())
+    options = arguments.parse_args()
     told = machine()
     truth = planted(load_body("default"))
     numbers: dict = {"machine": told, "prediction": prediction(truth)}

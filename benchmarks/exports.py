@@ -7,14 +7,13 @@ Read by the tests' own readers of FBX, glTF and BVH, by UsdSkel, and by Blender 
 (the program, or the module bpy). Prints a table, writes exports.json.
 """
 
-import argparse
 import json
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, in_words, machine
+from common import ROOT, in_words, machine, parser
 
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
@@ -31,13 +30,11 @@ from habitus.rotations import up_rotation
 
 def main() -> None:
     """Export, read back, compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--body", required=True, help="a fit's body.npz")
-    parser.add_argument("--out", type=Path, default=Path("out/exports"))
-    parser.add_argument("--frames", type=int, default=12, help="how many are read back")
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--body", required=True, help="a fit's body.npz")
+    arguments.add_argument("--out", type=Path, default=Path("out/exports"))
+    arguments.add_argument("--frames", type=int, default=12, help="how many are read back")
+    options = arguments.parse_args()
     here = machine()
     fit = habitus.load_fit(options.body)
     frames = np.linspace(0, fit.num_frames - 1, options.frames).astype(int)

@@ -8,12 +8,11 @@ Gaps of single markers are planted where the capture has none, the capture is fi
 the fit fills them.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from scipy.interpolate import CubicSpline
 
 import habitus as hb
@@ -60,15 +59,13 @@ def interpolated(
 
 def main() -> None:
     """Plant, fit, fill, and compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("capture", type=Path)
-    parser.add_argument("--gaps", type=int, default=60)
-    parser.add_argument("--seconds", type=float, nargs="+", default=[0.25, 0.5, 1.0])
-    parser.add_argument("--out", type=Path)
-    parser.add_argument("--picture", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("capture", type=Path)
+    arguments.add_argument("--gaps", type=int, default=60)
+    arguments.add_argument("--seconds", type=float, nargs="+", default=[0.25, 0.5, 1.0])
+    arguments.add_argument("--out", type=Path)
+    arguments.add_argument("--picture", type=Path)
+    options = arguments.parse_args()
     truth = hb.read_capture(options.capture)
     gappy, hidden = planted(truth, options.gaps, options.seconds, np.random.default_rng(0))
     with tempfile.TemporaryDirectory() as folder:

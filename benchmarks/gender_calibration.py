@@ -16,12 +16,11 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, ROOT, machine, write_json
+from common import CAPTURES, ROOT, machine, parser, write_json
 from mosh_accuracy import PAIRS
 from rich.console import Console
 from rich.table import Table
@@ -80,15 +79,12 @@ def of_captures(folder: Path) -> dict[str, dict[str, float | str]]:
 
 def main() -> None:
     """Judge, print, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
-    parser.add_argument("--people", type=int)
-    parser.add_argument("--error", type=float, default=0.5, help="sd of a fit's betas")
-    parser.add_argument("--captures", type=Path, default=CAPTURES)
-    parser.add_argument("--out", type=Path, default=Path("gender_calibration.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("folder", type=Path, metavar="SURVEY_FOLDER")
+    arguments.add_argument("--people", type=int)
+    arguments.add_argument("--error", type=float, default=0.5, help="sd of a fit's betas")
+    arguments.add_argument("--captures", type=Path, default=CAPTURES)
+    options = arguments.parse_args()
     body = habitus.load_body("neutral")
     soldiers = read_soldiers(options.folder, count=options.people)
     betas = soldiers_betas(body, soldiers)

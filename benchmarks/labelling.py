@@ -18,14 +18,13 @@ is. Where a layout has several markers at one place (clusters), no way but "like
 apart: "alike" counts such labels as right for each other, and tells how many there are.
 """
 
-import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 
 from habitus.body.shipped_prior import prior_of
 from habitus.fit.labels.clouds import Clouds
@@ -77,18 +76,18 @@ class Score:
 
 def main() -> None:
     """Measure and print; write JSON after each capture."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
+    arguments = parser(__doc__)
+    arguments.add_argument(
         "--captures",
         nargs="*",
         default=sorted(p.stem for p in MOCAP.iterdir() if p.suffix != ".md"),
     )
-    parser.add_argument("--frames", type=int, default=1000)
-    parser.add_argument("--ways", nargs="*", default=["set", "like"])
-    parser.add_argument("--protocols", nargs="*", default=["points", "broken"])
-    parser.add_argument("--as-filed", action="store_true")
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/labelling"))
-    options = parser.parse_args()
+    arguments.add_argument("--frames", type=int, default=1000)
+    arguments.add_argument("--ways", nargs="*", default=["set", "like"])
+    arguments.add_argument("--protocols", nargs="*", default=["points", "broken"])
+    arguments.add_argument("--as-filed", action="store_true")
+    arguments.add_argument("--out", type=Path, default=Path("benchmarks/results/labelling"))
+    options = arguments.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     found: list[Score] = []
     for name in options.captures:

@@ -8,12 +8,11 @@ Two captures are put into one volume, the second so many metres beside the first
 people.
 """
 
-import argparse
 import time
 from pathlib import Path
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from labelling import corrected, read, spoilt
 
 from habitus.body.shipped_prior import prior_of
@@ -34,11 +33,11 @@ FRAMES = 800
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
+    arguments = parser(__doc__)
+    arguments.add_argument(
         "--json", type=Path, default=Path("benchmarks/results/labelling_people.json")
     )
-    options = parser.parse_args()
+    options = arguments.parse_args()
     found = [measure(*pair) for pair in PAIRS]
     options.json.parent.mkdir(parents=True, exist_ok=True)
     write_json(options.json, {"machine": machine(), "pairs": found})

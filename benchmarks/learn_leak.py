@@ -20,12 +20,10 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -160,16 +158,13 @@ def measure(case: Case, pose: np.ndarray) -> dict[str, float]:
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--vertices", type=int, default=320)
-    parser.add_argument("--out", type=Path, default=Path("learn_leak.json"))
-    arguments = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--seeds", type=int, default=3)
+    arguments.add_argument("--vertices", type=int, default=320)
+    options = arguments.parse_args()
     results: dict[str, list[dict[str, float]]] = {}
-    for seed in range(arguments.seeds):
-        case = prepare(seed, arguments.vertices)
+    for seed in range(options.seeds):
+        case = prepare(seed, options.vertices)
         edges = case.found_poses()
         choices = {
             "by edges": edges,
@@ -178,7 +173,7 @@ def main() -> None:
         }
         for name, pose in choices.items():
             results.setdefault(name, []).append(measure(case, pose))
-    table = Table(title=f"shape taken from poses, mm; means of {arguments.seeds} seeds")
+    table = Table(title=f"shape taken from poses, mm; means of {options.seeds} seeds")
     for heading in (
         "poses",
         "rest surfaces off",
@@ -191,7 +186,7 @@ def main() -> None:
         table.add_row(name, *(f"{np.mean([one[key] for one in found]):.2f}" for key in found[0]))
     Console(width=120).print(table)
     write_json(
-        arguments.out, {"machine": machine(), "vertices": arguments.vertices, "results": results}
+        options.out, {"machine": machine(), "vertices": options.vertices, "results": results}
     )
 
 

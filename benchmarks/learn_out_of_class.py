@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -233,34 +233,31 @@ def table(found: dict[str, Any]) -> Table:
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--vertices", type=int, default=600)
-    parser.add_argument("--people", choices=PEOPLE, default="few")
-    parser.add_argument("--rounds", type=int, default=6)
-    parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 5, 10])
-    parser.add_argument("--models", nargs="+", default=[*VARIANTS, *BLENDSCAPE])
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="write models and test meshes here")
-    parser.add_argument("--out", type=Path, default=Path("learn_out_of_class.json"))
-    arguments = parser.parse_args()
-    if {*BLENDSCAPE} & {*arguments.models} and "SMPL-LBS" not in arguments.models:
-        parser.error("BlendSCAPE takes the poses and weights of SMPL-LBS: ask for that as well")
-    unknown = {*arguments.models} - {*VARIANTS, *BLENDSCAPE}
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--vertices", type=int, default=600)
+    arguments.add_argument("--people", choices=PEOPLE, default="few")
+    arguments.add_argument("--rounds", type=int, default=6)
+    arguments.add_argument("--counts", type=int, nargs="+", default=[1, 2, 5, 10])
+    arguments.add_argument("--models", nargs="+", default=[*VARIANTS, *BLENDSCAPE])
+    arguments.add_argument("--threads", type=int, default=2)
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--keep", type=Path, help="write models and test meshes here")
+    options = arguments.parse_args()
+    if {*BLENDSCAPE} & {*options.models} and "SMPL-LBS" not in options.models:
+        options.error("BlendSCAPE takes the poses and weights of SMPL-LBS: ask for that as well")
+    unknown = {*options.models} - {*VARIANTS, *BLENDSCAPE}
     if unknown:
-        parser.error(
+        options.error(
             f"no models {', '.join(sorted(unknown))}; expected some of "
             f"{', '.join([*VARIANTS, *BLENDSCAPE])}"
         )
     console = Console()
-    told = {key: value for key, value in vars(arguments).items() if key not in ("out", "keep")}
+    told = {key: value for key, value in vars(options).items() if key not in ("out", "keep")}
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for found in measure(arguments, Path(folder), console):
+        for found in measure(options, Path(folder), console):
             write_json(
-                arguments.out,
+                options.out,
                 {"machine": machine(), **told, "models": found, "removed": removed(found)},
             )
     console.print(table(found))

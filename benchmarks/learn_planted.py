@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -255,25 +255,24 @@ def table(result: dict[str, Any]) -> Table:
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--size", choices=SIZES, default="toy")
+    arguments.add_argument(
+        "--share", type=float, default=1.0, help="of the size's poses and shapes"
     )
-    parser.add_argument("--size", choices=SIZES, default="toy")
-    parser.add_argument("--share", type=float, default=1.0, help="of the size's poses and shapes")
-    parser.add_argument(
+    arguments.add_argument(
         "--off", type=float, default=10.0, help="mm from the rings to the planted joints"
     )
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--rounds", type=int, default=8)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="write the trained body here")
-    parser.add_argument("--out", type=Path, default=Path("learn_planted.json"))
-    arguments = parser.parse_args()
+    arguments.add_argument("--threads", type=int, default=2)
+    arguments.add_argument("--rounds", type=int, default=8)
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--keep", type=Path, help="write the trained body here")
+    options = arguments.parse_args()
     console = Console()
-    result = measure(arguments, console)
+    result = measure(options, console)
     console.print(table(result))
-    told = {key: getattr(arguments, key) for key in ("size", "share", "off", "seed", "threads")}
-    write_json(arguments.out, {"machine": machine(), **told, **result})
+    told = {key: getattr(options, key) for key in ("size", "share", "off", "seed", "threads")}
+    write_json(options.out, {"machine": machine(), **told, **result})
 
 
 if __name__ == "__main__":

@@ -13,12 +13,10 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
-from common import machine, write_json
+from common import machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -41,13 +39,10 @@ SHOWN = (
 
 def main() -> None:
     """Run and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--people", type=int, nargs="+", default=[20, 40])
-    parser.add_argument("--noise", type=float, default=5.0, help="mm")
-    parser.add_argument("--out", type=Path, default=Path("learn_regressor.json"))
-    arguments = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--people", type=int, nargs="+", default=[20, 40])
+    arguments.add_argument("--noise", type=float, default=5.0, help="mm")
+    options = arguments.parse_args()
     body = load_body("default")
     rng = np.random.default_rng(0)
     template = body_template(body)
@@ -57,16 +52,16 @@ def main() -> None:
     surfaces = body.rest_vertices(new)
     joints = body.rest_joints(new)
     table = Table(
-        title=f"joints of {NEW} new people, mean error in mm; {arguments.noise:g} mm noise in "
+        title=f"joints of {NEW} new people, mean error in mm; {options.noise:g} mm noise in "
         "training"
     )
     for heading in ("people", "regressor", *SHOWN, "all", "signed rows", "s"):
         table.add_column(heading)
     results = []
-    for count in arguments.people:
+    for count in options.people:
         people = rng.standard_normal((count, body.num_betas))
         noisy = body.rest_joints(people)
-        noisy = noisy + 1e-3 * arguments.noise / np.sqrt(3) * rng.standard_normal(noisy.shape)
+        noisy = noisy + 1e-3 * options.noise / np.sqrt(3) * rng.standard_normal(noisy.shape)
         for signs in ("convex", "auto"):
             mirrors = {"mirror": template.mirror, "joint_mirror": template.joint_mirror}
             begun = time.perf_counter()
@@ -91,9 +86,7 @@ def main() -> None:
                 }
             )
     Console(width=150).print(table)
-    write_json(
-        arguments.out, {"machine": machine(), "noise_mm": arguments.noise, "results": results}
-    )
+    write_json(options.out, {"machine": machine(), "noise_mm": options.noise, "results": results})
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ core occupied meanwhile; --browser opens the viewer's page in a headless Chromiu
 graphics card draws on the processor and keeps it busy, too.
 """
 
-import argparse
 import multiprocessing
 import os
 import shutil
@@ -25,7 +24,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
 import numpy as np
-from common import in_words, machine, synthetic, write_json
+from common import in_words, machine, parser, synthetic, write_json
 from natnet_server import NatNetServer, frame, model
 
 import habitus as hb
@@ -143,17 +142,15 @@ def run(subject, points, labels, options, view, folder):
 
 def main() -> None:
     """Make a person, follow them, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--rate", type=float, default=120.0)
-    parser.add_argument("--layout", default="mosh-67")
-    parser.add_argument("--busy", action="store_true")
-    parser.add_argument("--browser", action="store_true")
-    parser.add_argument("--verbose", action="store_true")
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--seconds", type=float, default=30.0)
+    arguments.add_argument("--rate", type=float, default=120.0)
+    arguments.add_argument("--layout", default="mosh-67")
+    arguments.add_argument("--busy", action="store_true")
+    arguments.add_argument("--browser", action="store_true")
+    arguments.add_argument("--verbose", action="store_true")
+    arguments.add_argument("--out", type=Path)
+    options = arguments.parse_args()
     named = machine()
     body = hb.load_body("default")
     capture = synthetic(

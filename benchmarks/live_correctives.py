@@ -10,12 +10,11 @@ them. Prints a
 table, writes live_correctives.json.
 """
 
-import argparse
 import json
 from pathlib import Path
 
 import numpy as np
-from common import in_words, machine
+from common import in_words, machine, parser
 
 import habitus
 from habitus.body.model import BodyModel
@@ -29,13 +28,11 @@ from habitus.rotations import matrix_from_rotvec
 
 def main() -> None:
     """Export, drive, compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--body", default="default")
-    parser.add_argument("--poses", type=int, default=200)
-    parser.add_argument("--out", type=Path, default=Path("out/live_correctives"))
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--body", default="default")
+    arguments.add_argument("--poses", type=int, default=200)
+    arguments.add_argument("--out", type=Path, default=Path("out/live_correctives"))
+    options = arguments.parse_args()
     body = habitus.load_body(options.body)
     still = np.zeros((2, body.num_joints, 3))
     motion = BodyMotion(body, np.zeros(body.num_betas), still, still[:, 0], 30.0)

@@ -7,13 +7,12 @@ Random sets of 8 to 80 of MoSh's markers are judged both ways: by `set_error`, t
 by fits with a draw of noise for each person. Then the curve of M's Figure 5 and the time it takes.
 """
 
-import argparse
 import json
 import time
 from pathlib import Path
 
 import numpy as np
-from common import machine
+from common import machine, parser
 from scipy.stats import spearmanr
 
 from habitus.fit.selection.full import best_states, full_error
@@ -37,12 +36,10 @@ ALIKE = (25, 20)
 
 def main() -> None:
     """Judge sets both ways, say how well the two agree, and draw the curve."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--people", type=int, default=12)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--people", type=int, default=12)
+    arguments.add_argument("--out", type=Path)
+    options = arguments.parse_args()
     body = load_body("default")
     prior = load_pose_prior()
     rng = np.random.default_rng(0)

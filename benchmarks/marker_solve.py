@@ -15,7 +15,6 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -191,13 +190,11 @@ def show(stages: list[dict], causals: list[dict], where: str) -> None:
 
 def main() -> None:
     """Run everything."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--frames", type=int, default=4800)
-    parser.add_argument("--runs", type=int, default=7)
-    parser.add_argument("--json", type=Path, default=Path("marker_solve.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--frames", type=int, default=4800)
+    arguments.add_argument("--runs", type=int, default=7)
+    arguments.add_argument("--json", type=Path, default=Path("marker_solve.json"))
+    options = arguments.parse_args()
     here = machine()
     stages = []
     causals = []

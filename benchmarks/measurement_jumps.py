@@ -12,12 +12,10 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
-from pathlib import Path
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -60,13 +58,10 @@ def milliseconds(body: BodyModel) -> float:
 
 def main() -> None:
     """Measure, print, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--bodies", type=int, default=1000)
-    parser.add_argument("--body", nargs="+", default=["default", "female", "male"])
-    parser.add_argument("--out", type=Path, default=Path("measurement_jumps.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--bodies", type=int, default=1000)
+    arguments.add_argument("--body", nargs="+", default=["default", "female", "male"])
+    options = arguments.parse_args()
     about = machine()
     found = {}
     times = {}

@@ -16,13 +16,12 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import math
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json
+from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -162,25 +161,22 @@ def errors_table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--captures",
         nargs="+",
         default=(),
         metavar="NAME",
         help="only these, by name without ending",
     )
-    parser.add_argument("--hold-out-every", type=int, default=5, metavar="K")
-    parser.add_argument("--no-hold-out", action="store_true")
-    parser.add_argument("--body", default="default")
-    parser.add_argument("--soft-tissue", choices=("shape", "dynamics", "both"), default="shape")
-    parser.add_argument("--out", type=Path, default=Path("mosh_accuracy.json"))
-    options = parser.parse_args()
+    arguments.add_argument("--hold-out-every", type=int, default=5, metavar="K")
+    arguments.add_argument("--no-hold-out", action="store_true")
+    arguments.add_argument("--body", default="default")
+    arguments.add_argument("--soft-tissue", choices=("shape", "dynamics", "both"), default="shape")
+    options = arguments.parse_args()
     files = found(options.places, tuple(options.captures))
     if not files:
         print("no captures; give files or folders")

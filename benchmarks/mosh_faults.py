@@ -18,13 +18,12 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json, written_rows
+from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json, written_rows
 from mosh_accuracy import found
 from mosh_fault_kinds import KINDS, Scene
 from rich.console import Console
@@ -228,27 +227,26 @@ def shown(table: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--captures",
         nargs="+",
         default=(),
         metavar="NAME",
         help="only these, by name without ending",
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND"
     )
-    parser.add_argument("--frames", type=int, default=360)
-    parser.add_argument("--seeds", type=int, default=1, help="how often each kind is planted")
-    parser.add_argument("--out", type=Path, default=Path("mosh_faults.json"))
-    parser.add_argument("--resume", action="store_true", help="keep the captures that --out holds")
-    options = parser.parse_args()
+    arguments.add_argument("--frames", type=int, default=360)
+    arguments.add_argument("--seeds", type=int, default=1, help="how often each kind is planted")
+    arguments.add_argument(
+        "--resume", action="store_true", help="keep the captures that --out holds"
+    )
+    options = arguments.parse_args()
     warnings.filterwarnings("ignore", "(Mean of empty|All-NaN) slice")
     where = machine()
     body = habitus.load_body("default")

@@ -19,13 +19,12 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json
+from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json
 from mosh_accuracy import PAIRS, apart
 from mosh_paper_figures import draw
 from rich.console import Console
@@ -262,16 +261,13 @@ def sexes(rows: list[dict]) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print, write JSON, draw."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", nargs="?", type=Path, default=CAPTURES)
-    parser.add_argument("--people", type=int, default=4)
-    parser.add_argument("--captures", nargs="+", default=REAL)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("mosh_paper.json"))
-    parser.add_argument("--figures", type=Path, help="folder for the figures")
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("folder", nargs="?", type=Path, default=CAPTURES)
+    arguments.add_argument("--people", type=int, default=4)
+    arguments.add_argument("--captures", nargs="+", default=REAL)
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--figures", type=Path, help="folder for the figures")
+    options = arguments.parse_args()
     where = machine()
     body = habitus.load_body("default")
     console = Console(width=130)

@@ -15,14 +15,13 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, ROOT, compile_kernels, in_words, machine, write_json
+from common import CAPTURES, ROOT, compile_kernels, in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -102,15 +101,12 @@ def table_of(rows: dict[str, dict], title: str) -> Table:
 
 def main() -> None:
     """Learn, hold out, print, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", nargs="?", type=Path, default=CAPTURES)
-    parser.add_argument("--captures", nargs="+", default=(), metavar="NAME")
-    parser.add_argument("--seen", type=Path)
-    parser.add_argument("--plain", type=Path)
-    parser.add_argument("--out", type=Path, default=Path("mosh_placements.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("folder", nargs="?", type=Path, default=CAPTURES)
+    arguments.add_argument("--captures", nargs="+", default=(), metavar="NAME")
+    arguments.add_argument("--seen", type=Path)
+    arguments.add_argument("--plain", type=Path)
+    options = arguments.parse_args()
     where = machine()
     body = habitus.load_body("default")
     compile_kernels(body)

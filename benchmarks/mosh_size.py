@@ -15,7 +15,6 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import json
 import struct
 import subprocess
@@ -26,7 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, ROOT, in_words, machine, write_json
+from common import CAPTURES, ROOT, in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -214,19 +213,16 @@ def tables(runs: list[dict], rows: list[dict], title: str) -> list[Table]:
 
 def main() -> None:
     """Measure, print tables, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--frames", nargs="*", type=int, default=[10_000, 100_000, 1_000_000])
-    parser.add_argument("--capture", type=Path, default=CAPTURES / "85_12.c3d")
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--frames", nargs="*", type=int, default=[10_000, 100_000, 1_000_000])
+    arguments.add_argument("--capture", type=Path, default=CAPTURES / "85_12.c3d")
+    arguments.add_argument(
         "--no-agreement", action="store_true", help="leave out windows against one solve"
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--folder", type=Path, default=None, help="where captures and results are put; kept then"
     )
-    parser.add_argument("--out", type=Path, default=Path("mosh_size.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     where = machine()
     capture = habitus.read_capture(options.capture)
     runs = []

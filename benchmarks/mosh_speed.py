@@ -14,7 +14,6 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -29,6 +28,7 @@ from common import (
     compile_kernels,
     in_words,
     machine,
+    parser,
     synthetic,
     write_json,
     write_synthetic,
@@ -199,16 +199,13 @@ def tables(rows: list[dict], commands: list[dict], title: str) -> list[Table]:
 
 def main() -> None:
     """Time all, print tables, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("captures", nargs="*", type=Path, metavar="CAPTURE")
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--frames", type=int, default=4500, help="of the synthetic captures")
-    parser.add_argument("--no-command", action="store_true", help="leave out start to finish")
-    parser.add_argument("--body", default="default")
-    parser.add_argument("--out", type=Path, default=Path("mosh_speed.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("captures", nargs="*", type=Path, metavar="CAPTURE")
+    arguments.add_argument("--runs", type=int, default=5)
+    arguments.add_argument("--frames", type=int, default=4500, help="of the synthetic captures")
+    arguments.add_argument("--no-command", action="store_true", help="leave out start to finish")
+    arguments.add_argument("--body", default="default")
+    options = arguments.parse_args()
     where = machine()
     body = habitus.load_body(options.body)
     first = compile_kernels(body)

@@ -15,7 +15,6 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,7 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, write_json, written_rows
+from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json, written_rows
 from mosh_accuracy import found
 from rich.console import Console
 from rich.table import Table
@@ -132,24 +131,21 @@ def table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit and judge all, print the table, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--captures",
         nargs="+",
         default=(),
         metavar="NAME",
         help="only these, by name without ending",
     )
-    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
-    parser.add_argument("--frames", type=int, default=150)
-    parser.add_argument("--out", type=Path, default=Path("mosh_verdicts.json"))
-    parser.add_argument("--resume", action="store_true", help="keep the rows that --out holds")
-    options = parser.parse_args()
+    arguments.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
+    arguments.add_argument("--frames", type=int, default=150)
+    arguments.add_argument("--resume", action="store_true", help="keep the rows that --out holds")
+    options = arguments.parse_args()
     where = machine()
     body = habitus.load_body("default")
     rows = written_rows(options.out, "rows", frames=options.frames) if options.resume else []

@@ -14,7 +14,6 @@ and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is all
 on the size of files.
 """
 
-import argparse
 import hashlib
 import json
 import random
@@ -28,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, in_words, machine, synthetic, write_json
+from common import CAPTURES, in_words, machine, parser, synthetic, write_json
 
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
@@ -261,15 +260,13 @@ def _small_files() -> None:
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--hasty", action="store_true")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--kills", type=int, default=50)
+    arguments.add_argument("--frames", type=int, default=60)
+    arguments.add_argument("--hasty", action="store_true")
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--out", type=Path)
+    options = arguments.parse_args()
     where = machine()
     print(in_words(where))
     with tempfile.TemporaryDirectory() as folder:

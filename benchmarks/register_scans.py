@@ -31,7 +31,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 
@@ -379,33 +379,32 @@ def show(found: list[tuple[str, dict]], console: Console) -> None:
 
 def main() -> None:
     """Run what is asked for, print it and write it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--scans", type=int, default=60)
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--scans", type=int, default=60)
+    arguments.add_argument(
         "--seed",
         type=int,
         default=17,
         help="other people, poses and noise; 17 was looked at in development",
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--others", type=int, default=6, help="scans from the front, and in other axes and units"
     )
-    parser.add_argument("--peers", type=int, default=3, help="scans that non-rigid ICP gets, too")
-    parser.add_argument("--peer-points", type=int, default=40_000)
-    parser.add_argument("--space", default="neutral", choices=("neutral", "female", "male"))
-    parser.add_argument("--flesh", type=Path, nargs="*", default=[])
-    parser.add_argument(
+    arguments.add_argument(
+        "--peers", type=int, default=3, help="scans that non-rigid ICP gets, too"
+    )
+    arguments.add_argument("--peer-points", type=int, default=40_000)
+    arguments.add_argument("--space", default="neutral", choices=("neutral", "female", "male"))
+    arguments.add_argument("--flesh", type=Path, nargs="*", default=[])
+    arguments.add_argument(
         "--people",
         type=Path,
         help="people whom no body made, of lab/src/habitus_lab/default_body/new_people.py",
     )
-    parser.add_argument(
+    arguments.add_argument(
         "--quick", action="store_true", help="three scans, one of each other kind, 30,000 points"
     )
-    parser.add_argument("--out", type=Path, default=Path("register_scans.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     options.scanner = Scanner(points=30_000 if options.quick else 100_000)
     if options.quick:
         options.scans = 3

@@ -16,13 +16,11 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from coregister import POSES
 from register_scans import full, hidden_vertices, outside, registrar
 from rich.console import Console
@@ -89,16 +87,13 @@ def errors(made: dict, fits: list[ScanFit]) -> dict[str, float]:
 
 def main() -> None:
     """Run what is asked for, print it and write it."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--people", type=int, default=3)
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--people", type=int, default=3)
+    arguments.add_argument(
         "--kinds", nargs="*", default=["natural", "painted"], choices=("natural", "painted")
     )
-    parser.add_argument("--seed", type=int, default=88, help="88 was looked at in development")
-    parser.add_argument("--out", type=Path, default=Path("register_textures.json"))
-    options = parser.parse_args()
+    arguments.add_argument("--seed", type=int, default=88, help="88 was looked at in development")
+    options = arguments.parse_args()
     where = machine()
     console = Console()
     rows = []

@@ -26,17 +26,15 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import torch
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor
@@ -474,17 +472,14 @@ def _pair(row: dict, name: str) -> str:
 
 def main() -> None:
     """Fit all, print a table, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--size", type=int, default=128, help="pixels a side")
-    parser.add_argument("--poses", nargs="+", choices=POSES, default=list(POSES), metavar="NAME")
-    parser.add_argument("--starts", type=int, default=2, help="random starts for each pose")
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--size", type=int, default=128, help="pixels a side")
+    arguments.add_argument("--poses", nargs="+", choices=POSES, default=list(POSES), metavar="NAME")
+    arguments.add_argument("--starts", type=int, default=2, help="random starts for each pose")
+    arguments.add_argument(
         "--images", nargs="+", choices=("exact", "sensor"), default=["exact", "sensor"]
     )
-    parser.add_argument("--out", type=Path, default=Path("render_body_pose.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     where = machine()
     room = Room.of(options.size)
     rows = []

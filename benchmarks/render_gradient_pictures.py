@@ -6,11 +6,12 @@ python benchmarks/render_gradient_pictures.py [--out docs/images]
 
 import os
 
+from common import parser
+
 os.environ.setdefault(
     "OMP_WAIT_POLICY", "passive"
 )  # libgomp's spinning makes two threads slower at random
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -106,11 +107,9 @@ def write(path: Path, rows: list[list[np.ndarray]], gutter: int = 4) -> None:
 
 def main() -> None:
     """Write both pictures."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=Path("docs/images"))
-    out = parser.parse_args().out
+    arguments = parser(__doc__)
+    arguments.add_argument("--out", type=Path, default=Path("docs/images"))
+    out = arguments.parse_args().out
     write(out / "render-derivatives.png", [derivative_row(scene(144)) for scene in SCENES.values()])
     rows = turning_quadrilateral()
     write(out / "render-fig-4-7.png", [[enlarged(panel, 6) for panel in row] for row in rows])

@@ -25,14 +25,12 @@ os.environ.setdefault(
     "OMP_WAIT_POLICY", "passive"
 )  # libgomp's spinning makes two threads slower at random
 
-import argparse
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from render_gradient_scenes import SCENES, GradientScene, Parameters
 from rich.console import Console
 from rich.table import Table
@@ -297,25 +295,22 @@ def _words(found: dict | None, share: bool = False) -> str:
 
 def main() -> None:
     """Measure, write JSON, print a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "--height", type=int, default=480, help="of the pictures, in pixels; they are 4/3 as wide"
     )
-    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
-    parser.add_argument(
+    arguments.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
+    arguments.add_argument(
         "--step",
         type=float,
         default=0.02,
         help="of the fastest vertex in finite differences, pixels",
     )
-    parser.add_argument("--samples", type=int, default=256, help="rays a pixel along each axis")
-    parser.add_argument(
+    arguments.add_argument("--samples", type=int, default=256, help="rays a pixel along each axis")
+    arguments.add_argument(
         "--vertices", type=int, default=100, help="single ones, and triangles, of bodies; or 0"
     )
-    parser.add_argument("--out", type=Path, default=Path("render_gradients.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     host = machine()
     rows = []
     singles = []

@@ -15,14 +15,13 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import math
 from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
 
 import numpy as np
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from render_peers import Missing, OpenGL
 from render_scenes import SIZE, TRIANGLES, forward, gradient, moved, show, take_turns, torus_scene
 from scipy.optimize import nnls
@@ -131,15 +130,12 @@ def plot(rows: list[dict], against: str, fits: dict[str, dict], title: str, path
 
 def main() -> None:
     """Measure, print both sweeps and the fits, write JSON and, if asked, plots."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--runs", type=int, default=20, help="calls of each, counted")
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--runs", type=int, default=20, help="calls of each, counted")
+    arguments.add_argument(
         "--plots", type=Path, metavar="FOLDER", help="where to draw render-speed-*.png"
     )
-    parser.add_argument("--out", type=Path, default=Path("render_growth.json"))
-    options = parser.parse_args()
+    options = arguments.parse_args()
     where = machine()
     title = in_words(where)
     by_pixels = sweep([(size, TRIANGLES) for size in SIZES], options.runs)

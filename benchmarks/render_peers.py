@@ -16,10 +16,11 @@ DRJIT_LIBLLVM_PATH. `pip install '.[bench]'` brings the Python packages.
 
 import os
 
+from common import parser
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
 
-import argparse
 import importlib.util
 import sys
 from pathlib import Path
@@ -285,12 +286,10 @@ def main() -> None:
     """Compare with whoever is there, print a table, write pictures and JSON."""
     from common import in_words, machine, write_json
 
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--samples", type=int, default=64, help="rays a pixel of Mitsuba's")
-    parser.add_argument("--folder", type=Path, default=Path("render_peers"))
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--samples", type=int, default=64, help="rays a pixel of Mitsuba's")
+    arguments.add_argument("--folder", type=Path, default=Path("render_peers"))
+    options = arguments.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     where = machine()
     scene = torus_scene()

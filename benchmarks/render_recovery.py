@@ -15,16 +15,14 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import math
 import sys
 import time
-from pathlib import Path
 from statistics import median
 
 import numpy as np
 import torch
-from common import ROOT, in_words, machine, write_json
+from common import ROOT, in_words, machine, parser, write_json
 from render_scenes import show
 from torch import Tensor
 
@@ -113,12 +111,9 @@ def summary(name: str, rows: list[dict]) -> tuple:
 
 def main() -> None:
     """Fit every globe with every recipe, and say where each fit ended."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--starts", type=int, default=20)
-    parser.add_argument("--out", type=Path, default=Path("render_recovery.json"))
-    options = parser.parse_args()
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--starts", type=int, default=20)
+    options = arguments.parse_args()
     where = machine()
     results = {}
     for name, recipe in RECIPES.items():

@@ -10,9 +10,10 @@ is lit by nine spherical harmonics, and covers 58 % of the image.
 
 import os
 
+from common import parser
+
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Iterable
@@ -221,13 +222,11 @@ def save_picture(image: np.ndarray, path: Path) -> None:
 
 def main() -> None:
     """Draw the torus."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--triangles", type=int, default=TRIANGLES)
-    parser.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
-    parser.add_argument("--out", type=Path, default=Path("render_scenes.png"))
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--triangles", type=int, default=TRIANGLES)
+    arguments.add_argument("--size", type=int, nargs=2, default=SIZE, metavar=("WIDTH", "HEIGHT"))
+    arguments.add_argument("--out", type=Path, default=Path("render_scenes.png"))
+    options = arguments.parse_args()
     scene = torus_scene(tuple(options.size), options.triangles)
     colour, depth = forward(scene, scene.colours)
     save_picture(colour.numpy(), options.out)

@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from common import in_words, machine, write_json
+from common import in_words, machine, parser, write_json
 from render_peers import Missing, Mitsuba, OpenGL
 from render_scenes import (
     SIZE,
@@ -261,17 +261,14 @@ def show_start(rows: list[dict], title: str) -> None:
 
 def main() -> None:
     """Measure the parts asked for, print tables, write JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument("--runs", type=int, default=40, help="calls of each, counted")
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    arguments.add_argument("--runs", type=int, default=40, help="calls of each, counted")
+    arguments.add_argument(
         "--samples", type=int, nargs="*", default=(1, 16), help="rays a pixel of Mitsuba's"
     )
-    parser.add_argument("--out", type=Path, default=Path("render_speed.json"))
-    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    arguments.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    options = arguments.parse_args()
     if options.child:
         chosen = {name: work for name, work in ours().items() if name in GOALS}
         print(

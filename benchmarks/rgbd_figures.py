@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+from common import parser
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -99,14 +100,12 @@ def _people(options: argparse.Namespace, path: Path) -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rows", type=Path, required=True, help="JSON of rgbd_people.py")
-    parser.add_argument("--people", type=Path, help="people.npz, for the second figure")
-    parser.add_argument("--which", type=int, nargs="+", default=[3, 12, 20])
-    parser.add_argument("--out", type=Path, default=Path("docs/images"))
-    return parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--rows", type=Path, required=True, help="JSON of rgbd_people.py")
+    arguments.add_argument("--people", type=Path, help="people.npz, for the second figure")
+    arguments.add_argument("--which", type=int, nargs="+", default=[3, 12, 20])
+    arguments.add_argument("--out", type=Path, default=Path("docs/images"))
+    return arguments.parse_args()
 
 
 if __name__ == "__main__":

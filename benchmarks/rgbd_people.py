@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import in_words, machine, write_json, written_rows
+from common import in_words, machine, parser, write_json, written_rows
 from scipy.optimize import lsq_linear
 
 from habitus.body.model import BodyModel
@@ -287,18 +287,15 @@ def _told(row: dict[str, Any]) -> str:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument(
         "--people", type=Path, help="people.npz of lab/src/habitus_lab/default_body/new_people.py"
     )
-    parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=["full"])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("rgbd_people.json"))
-    return parser.parse_args()
+    arguments.add_argument("--count", type=int, default=40)
+    arguments.add_argument("--sensors", nargs="+", default=["kinect-v1", "azure-kinect"])
+    arguments.add_argument("--cases", nargs="+", choices=CASES, default=["full"])
+    arguments.add_argument("--seed", type=int, default=0)
+    return arguments.parse_args()
 
 
 if __name__ == "__main__":

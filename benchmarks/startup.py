@@ -8,7 +8,6 @@ run finds an empty NUMBA_CACHE_DIR, the second what the first left there. CPU se
 threads; they say more on a busy machine.
 """
 
-import argparse
 import json
 import os
 import resource
@@ -19,7 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from common import in_words, machine, write_synthetic
+from common import in_words, machine, parser, write_synthetic
 
 from habitus.io.models.bodies import load_body
 
@@ -75,13 +74,11 @@ def _timed(command: list[str], environment: dict[str, str]) -> tuple[float, floa
 
 def main() -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--frames", type=int, default=400)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--repeats", type=int, default=5)
+    arguments.add_argument("--frames", type=int, default=400)
+    arguments.add_argument("--out", type=Path)
+    options = arguments.parse_args()
     where = machine()
     print(in_words(where))
     found = {"import habitus": statistics.median(import_alone() for _ in range(options.repeats))}
