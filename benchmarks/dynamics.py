@@ -23,9 +23,8 @@ from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.evaluate.dynamics import QUANTITIES, WAYS, evaluate_dynamics
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
-from habitus.learn.dynamics.options import DynamicsOptions
 from habitus.learn.dynamics.sequences import MovingSurface
-from habitus.learn.dynamics.train import learn_dynamics, swinging
+from habitus.learn.dynamics.train import DynamicsOptions, learn_dynamics, swinging
 from habitus.mesh.registrations import Registrations
 from habitus.observe.simulated_markers import smooth_motion
 from habitus.parallel.workers import Threads

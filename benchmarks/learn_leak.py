@@ -33,10 +33,9 @@ from habitus.io.models.bodies import load_body
 from habitus.io.registrations.templates import body_template
 from habitus.learn.assembly import assemble
 from habitus.learn.options import EnergyWeights, TrainOptions
-from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.rig import RestPerson
-from habitus.learn.shape.shape_dependent import at_one_root
-from habitus.learn.shape.shape_space import principal_shapes
+from habitus.learn.posing.surface import pose_normalized
+from habitus.learn.shape.shape_space import at_one_root, principal_shapes
 from habitus.learn.start.first_estimate import edge_poses
 from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.template import Template

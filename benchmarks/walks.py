@@ -4,7 +4,7 @@ size of the source.
     python benchmarks/walks.py [--walks mosh forward ...] [--capture 85_02.c3d] [--scan demo_scan.ply]
         [--json walks.json]
 
-A file counts where one of its functions runs (module bodies do not); a crossing is the first call of
+A file counts where one of its functions runs (what runs during an import does not); a crossing is the first call of
 a function from a function of another file. Compiled kernels and other threads do not count. Each walk
 runs in a process of its own. Walks:
 
@@ -41,11 +41,14 @@ class Walk:
         self.files: set[str] = set()
         self.functions: set[tuple[str, str, int]] = set()
         self.crossings: set[tuple[str, tuple[str, str, int]]] = set()
+        self._importing = 0
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
         """The profiler's callback (`sys.setprofile`)."""
         code = frame.f_code
-        if event != "call" or code.co_name == "<module>":
+        if code.co_name == "<module>":
+            self._importing += {"call": 1, "return": -1}.get(event, 0)
+        if event != "call" or self._importing:
             return
         if not code.co_filename.startswith(str(SOURCE)):
             return

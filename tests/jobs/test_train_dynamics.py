@@ -14,7 +14,7 @@ from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.evaluate.motion_fit import with_motions
 from habitus.io.models.bodies import load_body, save_body
-from habitus.learn.dynamics.options import DynamicsOptions
+from habitus.learn.dynamics.train import DynamicsOptions
 from habitus.parallel.workers import Threads
 
 FEW = DynamicsOptions(components=2, rank=8, shape_features=(0, 1), ridge=(1e-6,), personal=False)

@@ -8,7 +8,7 @@ from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.templates import body_template
 from habitus.learn.checks import check_registrations, other_topology, refuse
-from habitus.learn.template_checks import check_template
+from habitus.learn.findings import check_template
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
 

@@ -7,18 +7,19 @@ import pytest
 from small_rigs import FLIP, JOINT_MIRROR, disturbed, planted, torch_surface
 
 from habitus.body.skinning import SKINNING
-from habitus.learn.energy import measure_energy, regularizers
-from habitus.learn.options import EnergyWeights
-from habitus.learn.terms import (
+from habitus.learn.energy import (
     asymmetry,
     costs,
     energy_terms,
     joints_term,
+    measure_energy,
     normal_equations,
+    regularizers,
     subject_terms,
     symmetry_term,
     unknowns,
 )
+from habitus.learn.options import EnergyWeights
 from habitus.parallel.workers import Threads
 
 WEIGHTS = EnergyWeights(

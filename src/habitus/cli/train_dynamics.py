@@ -8,7 +8,7 @@ import tyro
 
 from habitus.cli.first_run import told_of_compilation
 from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
-from habitus.learn.dynamics.options import DynamicsOptions
+from habitus.learn.dynamics.train import DynamicsOptions
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.soft_tissue import dynamics_of, simulate_soft_tissue
-from habitus.learn.dynamics.residuals import rest_residuals
-from habitus.learn.dynamics.sequences import MovingSurface
+from habitus.learn.dynamics.sequences import MovingSurface, rest_residuals
 from habitus.parallel.workers import Threads, Workers
 
 WAYS = ("without", "simulated", "fitted")

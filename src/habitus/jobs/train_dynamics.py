@@ -19,9 +19,8 @@ from habitus.evaluate.motion_fit import with_motions
 from habitus.files import atomic_write, locked
 from habitus.io.models.bodies import load_whole_body, save_body, save_dynamics
 from habitus.io.registrations.motions import open_moving_surfaces
-from habitus.learn.dynamics.options import DynamicsOptions
 from habitus.learn.dynamics.sequences import MovingSurface
-from habitus.learn.dynamics.train import LearnedDynamics, learn_dynamics
+from habitus.learn.dynamics.train import DynamicsOptions, LearnedDynamics, learn_dynamics
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.parallel.workers import Workers
 from habitus.types import PathLike, Progress

@@ -8,9 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
-from habitus.learn.finding import Finding
-from habitus.learn.people_checks import duplicates, mislabelled, subject_findings, unposed
-from habitus.learn.template_checks import check_template
+from habitus.learn.findings import (
+    Finding,
+    check_template,
+    duplicates,
+    mislabelled,
+    subject_findings,
+    unposed,
+)
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template

@@ -58,7 +58,7 @@ class Problem:
 
     @property
     def held(self) -> frozenset[str]:
-        """The unknowns that the options hold fixed, as they are called in `habitus.learn.terms`."""
+        """The unknowns that the options hold fixed, by their names in `habitus.learn.energy`."""
         return frozenset(name for word in self.options.fixed for name in HELD.get(word, (word,)))
 
     def rows_of(self, subject: int) -> Int[np.ndarray, " n"]:

@@ -18,21 +18,25 @@ from habitus.learn.callback import NoCallback, Record, TrainingCallback, Trainin
 from habitus.learn.energy import Energy, measure_energy
 from habitus.learn.estimate import Estimate, Problem
 from habitus.learn.options import TrainOptions
-from habitus.learn.over_relaxation import over_relax
-from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.rig import RestPerson, Rig
-from habitus.learn.shape.imputation import shapes_with_holes
+from habitus.learn.posing.surface import pose_normalized
 from habitus.learn.shape.joint_regressor import fit_joint_regressor
-from habitus.learn.shape.shape_dependent import at_one_root, with_shape_features
-from habitus.learn.shape.shape_space import ShapeSpace, principal_shapes, shape_space_of
+from habitus.learn.shape.shape_space import (
+    ShapeSpace,
+    at_one_root,
+    principal_shapes,
+    shape_space_of,
+    shapes_with_holes,
+    with_shape_features,
+)
 from habitus.learn.start.first_estimate import (
     edge_pose,
     edge_poses,
     initial_estimate,
     state_problem,
+    told_poses,
 )
-from habitus.learn.start.known import told_poses
-from habitus.learn.steps.alternation import STEPS, Step
+from habitus.learn.steps.alternation import STEPS, Step, over_relax
 from habitus.learn.steps.pose_shapes import let_go
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.learn.steps.subjects import HOLD

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.learn.dynamics.components import principal_components
+from habitus.learn.dynamics.regression import principal_components
 
 
 def _rows(seed=0, frames=90, ways=5):

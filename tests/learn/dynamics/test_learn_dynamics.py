@@ -13,8 +13,7 @@ from soft_tubes import RATE, shaken, soft_tubes
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.errors import HabitusError
 from habitus.evaluate.dynamics import evaluate_dynamics
-from habitus.learn.dynamics.options import DynamicsOptions
-from habitus.learn.dynamics.train import learn_dynamics, swinging
+from habitus.learn.dynamics.train import DynamicsOptions, learn_dynamics, swinging
 
 OPTIONS = DynamicsOptions(
     components=2, rank=8, personal=False, shape_features=(0, 1), ridge=(1e-7, 1e-4)

@@ -8,8 +8,7 @@ from soft_people import soft_people
 from soft_tubes import soft_tubes
 
 from habitus.errors import HabitusError
-from habitus.learn.dynamics.residuals import rest_residuals, unposed
-from habitus.learn.dynamics.sequences import check_sequences
+from habitus.learn.dynamics.sequences import check_sequences, rest_residuals, unposed
 from habitus.parallel.workers import Threads
 from habitus.rotations import matrix_from_rotvec
 

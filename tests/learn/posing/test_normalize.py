@@ -7,9 +7,8 @@ import pytest
 from small_rigs import people, poses, small_body, small_rig
 
 from habitus.body.skinning import SKINNING
-from habitus.learn.posing.normalize import pose_normalized
 from habitus.learn.posing.rig import RestPerson
-from habitus.learn.posing.surface import surface
+from habitus.learn.posing.surface import pose_normalized, surface
 
 SMALL = small_body()
 skinnings = pytest.mark.parametrize("skinning", list(SKINNING))

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from habitus.learn.shape.imputation import shapes_with_holes
-from habitus.learn.shape.shape_space import principal_shapes
+from habitus.learn.shape.shape_space import principal_shapes, shapes_with_holes
 
 
 def people(count=40, vertices=60, span=3):

@@ -10,18 +10,17 @@ from small_rigs import disturbed, planted, small_body
 
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
-from habitus.learn.energy import measure_energy
+from habitus.learn.energy import costs, energy_terms, measure_energy, unknowns
 from habitus.learn.options import POSE_SHAPES, EnergyWeights
-from habitus.learn.over_relaxation import over_relax
 from habitus.learn.steps.alternation import (
     STEPS,
+    over_relax,
     pose_shape_step,
     pose_step,
     subject_step,
     weight_step,
 )
 from habitus.learn.steps.skeletons import remove_mean_rotation
-from habitus.learn.terms import costs, energy_terms, unknowns
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)

@@ -11,8 +11,7 @@ from small_rigs import PARENTS, planted, small_body
 from habitus.body.skinning import SKINNING
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import EnergyWeights
-from habitus.learn.steps.letting_go import kept_groups
-from habitus.learn.steps.local_pose_shapes import halves, neighbourhoods
+from habitus.learn.steps.local_pose_shapes import halves, kept_groups, neighbourhoods
 from habitus.learn.steps.pose_shapes import let_go, solve_pose_shapes
 from habitus.parallel.workers import Threads
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
-from habitus.learn.terms import costs
+from habitus.learn.energy import costs
+from habitus.learn.steps.pose_shapes import Full, LowRank, Sparse, SparseL1
 
 V = 10
 F = 12

@@ -11,13 +11,19 @@ from small_rigs import disturbed, planted, small_body
 import habitus.learn.steps.pose_shapes as pose_shapes
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
-from habitus.learn.energy import measure_energy
+from habitus.learn.energy import costs, measure_energy
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.surface import pose_feature, surface
-from habitus.learn.steps.penalties import Full, LowRank, Sparse, SparseL1
-from habitus.learn.steps.pose_shapes import extended_features, penalty, solve_pose_shapes
+from habitus.learn.steps.pose_shapes import (
+    Full,
+    LowRank,
+    Sparse,
+    SparseL1,
+    extended_features,
+    penalty,
+    solve_pose_shapes,
+)
 from habitus.learn.steps.poses import surface_jacobians
-from habitus.learn.terms import costs
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=3, middle=1)

@@ -15,6 +15,7 @@ from small_rigs import (
 )
 
 from habitus.body.skinning import SKINNING
+from habitus.learn.energy import costs, subject_terms
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson
 from habitus.learn.posing.surface import surface
@@ -25,7 +26,6 @@ from habitus.learn.steps.subjects import (
     solve_subject,
     subject_energy,
 )
-from habitus.learn.terms import costs, subject_terms
 
 SMALL = small_body()
 ANATOMIES = {

@@ -9,14 +9,12 @@ import pytest
 from small_rigs import disturbed, people, planted, poses, small_body, small_rig
 
 from habitus.body.skinning import SKINNING
-from habitus.learn.energy import measure_energy
+from habitus.learn.energy import costs, energy_terms, measure_energy, unknowns
 from habitus.learn.estimate import PosedTarget
 from habitus.learn.options import POSE_SHAPES, EnergyWeights
-from habitus.learn.over_relaxation import over_relax
-from habitus.learn.posing.normalize import pose_normalized
-from habitus.learn.posing.surface import surface
+from habitus.learn.posing.surface import pose_normalized, surface
 from habitus.learn.start.first_estimate import edge_pose
-from habitus.learn.steps.alternation import STEPS
+from habitus.learn.steps.alternation import STEPS, over_relax
 from habitus.learn.steps.poses import (
     VertexDistance,
     edge_distance,
@@ -26,7 +24,6 @@ from habitus.learn.steps.poses import (
 )
 from habitus.learn.steps.subjects import solve_subject
 from habitus.learn.steps.weights import gather_quadratics, vertex_costs
-from habitus.learn.terms import costs, energy_terms, unknowns
 from habitus.parallel.workers import Threads
 
 SMALL = small_body(pairs=6, middle=1)

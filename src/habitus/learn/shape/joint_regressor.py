@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import nnls
 
 from habitus.errors import HabitusError
+from habitus.learn.energy import FLIP
 from habitus.learn.options import REGRESSORS
-from habitus.learn.terms import FLIP
 
 SUM_WEIGHT = 1.0
 """Metres: of the sum-to-one term. The rows are the same with any; see `fit_joint_regressor`."""

@@ -1,12 +1,16 @@
-"""The shape space: mean and principal directions of rest surfaces (S 4.2, T 5.4.2)."""
+"""The shape space: mean and principal directions of rest surfaces (S 4.2, T 5.4.2), also of those
+with holes, whose unobserved vertices are imputed; and pose blend shapes that depend on its
+coefficients (T 5.6, "Limitations").
+"""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.learn.estimate import Estimate
 from habitus.mesh.registrations import Vertices
 
 _BLOCK = 2**24  # numbers in a block of surfaces (128 MB); two are held at once
@@ -164,3 +168,79 @@ def _signs(
     clear = np.abs(growth) > 1e-6 * np.linalg.norm(outward) * np.linalg.norm(flat, axis=0)
     largest = flat[np.abs(flat).argmax(0), np.arange(flat.shape[1])]
     return np.sign(np.where(clear, growth, largest))
+
+
+TURNS = 12
+
+
+def shapes_with_holes(
+    surfaces: Vertices, seen: Bool[np.ndarray, "S V"], count: int, turns: int = TURNS
+) -> tuple[Float[np.ndarray, "S V 3"], ShapeSpace]:
+    """Surfaces (m) whose unseen vertices are replaced, and their shape space: `principal_shapes`,
+    in turns with the most likely rest of each surface (expectation maximisation; Roweis, "EM
+    algorithms for PCA and SPCA", 1998).
+
+    Coefficients are drawn to the mean as much as the seen vertices' distance from the space asks
+    for. Unseen vertices start where they are in ``surfaces``.
+    """
+    filled = np.array(surfaces[:], dtype=np.float64)
+    rows = np.flatnonzero(~seen.all(1))
+    for _ in range(turns):
+        space = principal_shapes(filled, count)
+        left = space.variances[space.num_betas :].sum() / space.mean.size
+        for row in rows.tolist():
+            filled[row, ~seen[row]] = _likely(space, filled[row], seen[row], max(left, 1e-10))[
+                ~seen[row]
+            ]
+    return filled, principal_shapes(filled, count)
+
+
+def _likely(
+    space: ShapeSpace,
+    surface: Float[np.ndarray, "V 3"],
+    seen: Bool[np.ndarray, " V"],
+    variance: float,
+) -> Float[np.ndarray, "V 3"]:
+    """The surface of the space that is most likely, given some vertices, each with so much variance
+    (m^2).
+    """
+    columns = space.directions[seen].reshape(-1, space.num_betas)
+    away = (surface - space.mean)[seen].ravel()
+    betas = np.linalg.solve(
+        columns.T @ columns + variance * np.eye(space.num_betas), columns.T @ away
+    )
+    return space.reconstruct(betas)
+
+
+def with_shape_features(
+    estimate: Estimate, shape: ShapeSpace, regressor: Float[np.ndarray, "J V"], count: int
+) -> Estimate:
+    """The same estimate, whose blend shapes may from now on depend on the first ``count`` shape
+    coefficients.
+
+    What depends on them begins at zero, so that the energy is what it was. Each subject is
+    described by the coefficients of its rest surface. Raises HabitusError where there are fewer.
+    """
+    if shape.num_betas < count:
+        raise HabitusError(
+            f"{count} shape features asked for, and people vary along {shape.num_betas} "
+            "directions only; "
+            "ask for fewer, or train on more people"
+        )
+    rig = estimate.rig
+    assert rig.posedirs is not None
+    more = np.zeros((*rig.posedirs.shape[:2], rig.posedirs.shape[2] * count))
+    wider = replace(rig, posedirs=np.concatenate([rig.posedirs, more], -1), shape_features=count)
+    placed = at_one_root(estimate.templates, regressor, regressor[0] @ shape.mean)
+    return replace(estimate, rig=wider, descriptors=shape.coefficients(placed)[:, :count])
+
+
+def at_one_root(
+    surfaces: Float[np.ndarray, "S V 3"],
+    regressor: Float[np.ndarray, "J V"],
+    root: Float[np.ndarray, " 3"],
+) -> Float[np.ndarray, "S V 3"]:
+    """Surfaces moved so that their root joints are at one place (m): where a subject rests is not
+    its shape.
+    """
+    return surfaces + (root - regressor[0] @ surfaces)[:, None]

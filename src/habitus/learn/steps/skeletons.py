@@ -17,10 +17,10 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from habitus.body.skinning import world_motions
+from habitus.learn.energy import costs, data_residual, joints_term, normal_equations, symmetry_term
 from habitus.learn.estimate import PosedTarget, Problem, weighted
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.steps.poses import surface_jacobians
-from habitus.learn.terms import costs, data_residual, joints_term, normal_equations, symmetry_term
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.terms import Term
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.learn.energy import FLIP, asymmetry, costs, data_residual, subject_terms
 from habitus.learn.estimate import Anatomy, PosedTarget, weighted
 from habitus.learn.options import EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
-from habitus.learn.terms import FLIP, asymmetry, costs, data_residual, subject_terms
 
 HOLD = 1e-2
 """Weight up to which vertices that no registration shows are held where they were; a registration's
