@@ -20,7 +20,7 @@ from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
 from habitus.body.soft_tissue import simulate_soft_tissue
-from habitus.evaluate.dynamics import QUANTITIES, WAYS, evaluate_dynamics
+from habitus.evaluate.dynamics import MODES, QUANTITIES, evaluate_dynamics
 from habitus.io.models.bodies import load_body
 from habitus.io.models.priors import load_pose_prior
 from habitus.learn.dynamics.sequences import MovingSurface
@@ -160,7 +160,7 @@ def main() -> None:
     mean = np.sqrt(np.mean(np.square(errors), axis=0))
     numbers["test"] = {
         way: dict(zip(QUANTITIES, row, strict=True))
-        for way, row in zip(WAYS, mean.tolist(), strict=True)
+        for way, row in zip(MODES, mean.tolist(), strict=True)
     }
     print(in_words(told))
     print(
@@ -183,7 +183,7 @@ def main() -> None:
         "people and motions not seen, root mean squares (place mm, velocity mm/s, acceleration "
         "m/s²):"
     )
-    for way, row in zip(WAYS, mean, strict=True):
+    for way, row in zip(MODES, mean, strict=True):
         print(f"  {way:10} {row[0]:8.2f} {row[1]:8.1f} {row[2]:8.2f}")
     write_json(options.out, numbers)
 

@@ -71,7 +71,7 @@ def test_the_type_checker_reads_every_name():
 
 
 @pytest.mark.parametrize(
-    "first", ["habitus.evaluate.timing", "habitus.jobs.evaluate", "habitus.jobs.train"]
+    "first", ["habitus.evaluate.result", "habitus.jobs.evaluate", "habitus.jobs.train"]
 )
 def test_a_package_of_the_same_name_does_not_hide_a_function(first):
     code = (

@@ -9,7 +9,7 @@ from tube_body import tube_body
 
 from habitus.errors import HabitusError
 from habitus.evaluate.posable import PosableBody
-from habitus.evaluate.timing import time_forward
+from habitus.evaluate.result import time_forward
 
 
 @dataclass

@@ -12,7 +12,7 @@ from two_levels import two_level_arrays
 import habitus
 from habitus.cli.main import main
 from habitus.errors import HabitusError
-from habitus.evaluate.motion_fit import with_motions
+from habitus.evaluate.dynamics import with_motions
 from habitus.io.models.bodies import load_body, save_body
 from habitus.learn.dynamics.train import DynamicsOptions
 from habitus.parallel.workers import Threads

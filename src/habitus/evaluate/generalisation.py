@@ -211,9 +211,11 @@ def _gathered(
     found: Sequence[_Fits],
 ) -> Generalisation:
     registrations = given.take(rows)
-    most = counts[-1]
+    largest = counts[-1]
     cleans = [each.clean for each in found if each.clean is not None]
-    betas = [[np.pad(fit.betas, (0, most - len(fit.betas))) for fit in each.fits] for each in found]
+    betas = [
+        [np.pad(fit.betas, (0, largest - len(fit.betas))) for fit in each.fits] for each in found
+    ]
     return Generalisation(
         measure=measure,
         model=model.name,

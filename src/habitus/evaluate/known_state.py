@@ -1,7 +1,7 @@
 """Errors of bodies in the poses and shapes that registrations are known to have: nothing is fitted.
 
-Registrations that were made, by a simulation say, tell the pose and the person they were made from
-(`habitus.mesh.known.Known`): what a body's surface is off by there is its flesh's error alone.
+Synthetic registrations come with the pose and the person that they were made from
+(`habitus.mesh.known.Known`): a body's error on them is that of its deformation alone.
 """
 
 from collections.abc import Mapping
@@ -45,40 +45,40 @@ class KnownErrors:
 def known_errors(
     bodies: Mapping[str, BodyModel], registrations: Registrations, workers: Workers = _ALONE
 ) -> dict[str, KnownErrors]:
-    """The errors of each body on registrations that tell pose, and betas or rest surface.
+    """The errors of each body on registrations with known pose, and known betas or rest surface.
 
-    Where a place is not told, the surface is moved to where it lies best. Raises HabitusError where
-    something is not told, or by other joints or shape directions than a body's.
+    Where the translation is unknown, it is fitted. Raises HabitusError where pose or person are
+    unknown, or given for other joints or shape directions than a body's.
     """
     known = _checked(bodies, registrations)
     shared = (bodies, registrations, known)
     blocks = in_blocks(len(registrations), _BLOCK)
-    found = np.concatenate(list(workers.map(_block, shared, blocks)), 1)
-    return {name: KnownErrors(*numbers.T) for name, numbers in zip(bodies, found, strict=True)}
+    numbers_of = np.concatenate(list(workers.map(_block, shared, blocks)), 1)
+    return {name: KnownErrors(*numbers.T) for name, numbers in zip(bodies, numbers_of, strict=True)}
 
 
 def _checked(bodies: Mapping[str, BodyModel], registrations: Registrations) -> Known:
     known = registrations.known or Known()
     count = len(registrations)
     people = known.told("betas", count) | np.array(
-        [one in known.rest for one in registrations.subject], bool
+        [subject in known.rest for subject in registrations.subject], bool
     )
-    told = known.told("pose", count) & people
-    if not count or not told.all() or known.pose is None:
-        which = registrations.name[int((~told).argmax())] if count else "none there"
+    is_known = known.told("pose", count) & people
+    if not count or not is_known.all() or known.pose is None:
+        which = registrations.name[int((~is_known).argmax())] if count else "none there"
         raise HabitusError(
-            f"{which}: its pose, and betas or rest surface, are not told; expected them in the "
+            f"{which}: its pose, or its betas and rest surface, are missing; expected them in the "
             "dataset"
         )
     for name, body in bodies.items():
         betas = 0 if known.betas is None else known.betas.shape[1]
-        have = (known.pose.shape[1], registrations.num_vertices)
-        want = (body.num_joints, body.num_vertices)
-        if have != want or betas > body.num_betas:
+        given = (known.pose.shape[1], registrations.num_vertices)
+        expected = (body.num_joints, body.num_vertices)
+        if given != expected or betas > body.num_betas:
             raise HabitusError(
-                f"the dataset has {have[1]} vertices, {have[0]} joints and {betas} betas, {name} "
-                f"has {want[1]}, "
-                f"{want[0]} and {body.num_betas}; expected registrations made from this body"
+                f"the dataset has {given[1]} vertices, {given[0]} joints and {betas} betas, {name} "
+                f"has {expected[1]}, {expected[0]} and {body.num_betas}; expected registrations "
+                "made from this body"
             )
     return known
 
@@ -92,13 +92,13 @@ def _block(
         target, weight = registrations.read_seen(row)
         weight = np.ones(len(target)) if weight is None else weight
         for b, body in enumerate(bodies.values()):
-            away = target - _surface(body, registrations.subject[row], known, row)
-            away -= (
-                (weight @ away) / weight.sum()
+            offset = target - _surface(body, registrations.subject[row], known, row)
+            offset -= (
+                (weight @ offset) / weight.sum()
                 if not known.told("trans", len(registrations))[row]
                 else 0.0
             )
-            out[b, k] = _numbers(np.linalg.norm(away, axis=1), weight)
+            out[b, k] = _numbers(np.linalg.norm(offset, axis=1), weight)
     return out
 
 

@@ -20,8 +20,7 @@ from habitus.evaluate.generalisation import (
 )
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
 from habitus.evaluate.posable import ComparedModel, PosableBody
-from habitus.evaluate.result import Evaluation, ModelEvaluation
-from habitus.evaluate.timing import ForwardTimes, time_forward
+from habitus.evaluate.result import Evaluation, ForwardTimes, ModelEvaluation, time_forward
 from habitus.io.registrations.open import open_registrations
 from habitus.jobs.evaluation_models import (
     Loaded,

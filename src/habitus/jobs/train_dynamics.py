@@ -14,8 +14,13 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.dynamics import QUANTITIES, WAYS, DynamicsErrors, evaluate_dynamics
-from habitus.evaluate.motion_fit import with_motions
+from habitus.evaluate.dynamics import (
+    MODES,
+    QUANTITIES,
+    DynamicsErrors,
+    evaluate_dynamics,
+    with_motions,
+)
 from habitus.files import atomic_write, locked
 from habitus.io.models.bodies import load_whole_body, save_body, save_dynamics
 from habitus.io.registrations.motions import open_moving_surfaces
@@ -144,7 +149,7 @@ def _write(training: DynamicsTraining, body: PathLike | BodyModel, folder: Path)
 def _told(one: DynamicsErrors) -> dict[str, Any]:
     errors = {
         way: dict(zip(QUANTITIES, row, strict=True))
-        for way, row in zip(WAYS, one.errors.tolist(), strict=True)
+        for way, row in zip(MODES, one.errors.tolist(), strict=True)
     }
     return {
         "sequence": one.name,

@@ -16,7 +16,7 @@ from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template
 
-_MOST_NAMED = 3
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,10 @@ class Finding:
         return f"{self.name}: {self.message}"
 
 
-def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
+def named(names: Sequence[str], limit: int = MAX_NAMED) -> str:
     """Names one after the other; beyond the first few how many more."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more
 
 
 # pieces beyond one a part, as a share of the vertices: no segmentation of a body has as many
@@ -96,13 +96,13 @@ def scattered(template: Template) -> tuple[int, Int[np.ndarray, " J"]]:
     )
     count, piece = connected_components(joined, directed=False)
     across = np.concatenate([pairs[~within], pairs[~within][:, ::-1]])
-    near = (
+    is_related = (
         kinship(template.parents)[template.part[across[:, 0]], template.part[across[:, 1]]] <= _KIN
     )
     touches = np.zeros(count, bool)
     related = np.zeros(count, bool)
     touches[piece[across[:, 0]]] = True
-    related[piece[across[near, 0]]] = True
+    related[piece[across[is_related, 0]]] = True
     lost = (touches & ~related)[piece]
     return int(touches.sum()), np.bincount(template.part[lost], minlength=template.num_joints)
 
@@ -141,10 +141,10 @@ def subject_findings(registrations: Registrations) -> list[Finding]:
         sexes.setdefault(subject, {}).setdefault(sex, []).append(name)
         if which == "pose":
             poses[subject] = poses.get(subject, 0) + 1
-    for subject, told in sexes.items():
-        if len(told) > 1:
+    for subject, by_sex in sexes.items():
+        if len(by_sex) > 1:
             counts = sorted(
-                ((len(names), sex or "not told", names[0]) for sex, names in told.items()),
+                ((len(names), sex or "not told", names[0]) for sex, names in by_sex.items()),
                 reverse=True,
             )
             words = " and ".join(f"{sex} in {count} (first {name})" for count, sex, name in counts)
@@ -173,11 +173,11 @@ def mislabelled(
     builds = np.stack([measures[k].build for k in rows.tolist()]).astype(np.float64)
     builds = builds[:, np.isfinite(builds).all(axis=0)]
     subject = registrations.subject_index[rows]
-    middle, own = _medians(builds, subject, len(registrations.subjects))
-    several = np.flatnonzero(np.isfinite(own).all(axis=1))
+    middle, of_others = _medians(builds, subject, len(registrations.subjects))
+    several = np.flatnonzero(np.isfinite(of_others).all(axis=1))
     if not len(several) or not builds.shape[1]:
         return []
-    gaps = np.abs(builds[several] - own[several])
+    gaps = np.abs(builds[several] - of_others[several])
     spread = np.maximum(1.5 * np.quantile(gaps, 0.75, axis=0), 0.002)
     mine = _distance(gaps, spread)
     findings = []
@@ -212,17 +212,17 @@ def _medians(
     none.
     """
     middle = np.full((subjects, builds.shape[1]), np.nan)
-    own = np.full(builds.shape, np.nan)
+    of_others = np.full(builds.shape, np.nan)
     order = np.argsort(subject, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(subject[order])) + 1):
         middle[subject[rows[0]]] = np.median(builds[rows], axis=0)
         if len(rows) > 20:
-            own[rows] = middle[subject[rows[0]]]
+            of_others[rows] = middle[subject[rows[0]]]
         elif len(rows) > 1:
-            own[rows] = [
+            of_others[rows] = [
                 _usual(builds[row], builds[np.delete(rows, i)]) for i, row in enumerate(rows)
             ]
-    return middle, own
+    return middle, of_others
 
 
 def _usual(

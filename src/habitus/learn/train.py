@@ -33,8 +33,8 @@ from habitus.learn.start.first_estimate import (
     edge_pose,
     edge_poses,
     initial_estimate,
+    known_poses,
     state_problem,
-    told_poses,
 )
 from habitus.learn.steps.alternation import STEPS, Step, over_relax
 from habitus.learn.steps.pose_shapes import let_go
@@ -176,7 +176,7 @@ def _begin(
     body: BodyModel | None,
 ) -> TrainingState:
     estimate = initial_estimate(problem, template, workers, body)
-    known = told_poses(problem).all()
+    known = known_poses(problem).all()
     record = Record(
         0,
         "poses as known" if known else "poses by edges",

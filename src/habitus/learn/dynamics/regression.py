@@ -93,8 +93,8 @@ def principal_components(
     table = np.concatenate(sketch.coefficients)
     lost = sketch.energy - float((table**2).sum())
     if group is not None:
-        for one in np.unique(group[group >= 0]):
-            table[group == one] -= table[group == one].mean(0)
+        for label in np.unique(group[group >= 0]):
+            table[group == label] -= table[group == label].mean(0)
     values, axes = np.linalg.eigh(table.T @ table)
     values = values[::-1][:count]
     axes = axes[:, ::-1][:, :count]

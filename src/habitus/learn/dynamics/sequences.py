@@ -49,9 +49,9 @@ class MovingSurface:
         not of such a body.
         """
         self._check_vertices(body)
-        told = {"betas": self.betas, "pose": self.pose, "trans": self.trans}
-        missing = [key for key, value in told.items() if value is None]
-        if len(missing) == len(told):
+        given = {"betas": self.betas, "pose": self.pose, "trans": self.trans}
+        missing = [key for key, value in given.items() if value is None]
+        if len(missing) == len(given):
             return self
         if self.pose is None or self.betas is None or self.trans is None:
             raise HabitusError(
@@ -85,13 +85,13 @@ class MovingSurface:
                 f"{self.name}: a pose of {count} joints without names; {body.name} has "
                 f"{body.num_joints}"
             )
-        found = np.zeros((len(self.pose), body.num_joints, 3))
+        values = np.zeros((len(self.pose), body.num_joints, 3))
         for k, name in enumerate(names):
             if name in body.joint_names:
-                found[:, body.joint_names.index(name)] = self.pose[:, k]
+                values[:, body.joint_names.index(name)] = self.pose[:, k]
             elif np.abs(self.pose[:, k]).max(initial=0.0) > 1e-6:
                 raise HabitusError(f"{self.name}: joint {name!r} moves, which {body.name} has not")
-        return found
+        return values
 
     def _check_vertices(self, body: BodyModel) -> None:
         count = self.registrations.num_vertices
@@ -109,15 +109,15 @@ class MovingSurface:
 
 def check_sequences(sequences: tuple[MovingSurface, ...]) -> float:
     """The rate of all. Raises HabitusError where there is none, or nothing to learn from."""
-    rates = sorted({round(one.rate_hz, 6) for one in sequences})
-    if not sequences or max(len(one) for one in sequences) < 5:
+    rates = sorted({round(sequence.rate_hz, 6) for sequence in sequences})
+    if not sequences or max(len(sequence) for sequence in sequences) < 5:
         raise HabitusError(
             f"{len(sequences)} sequences, none of five frames; expected people in motion"
         )
     if len(rates) > 1:
-        told = ", ".join(f"{rate:g}" for rate in rates)
+        given = ", ".join(f"{rate:g}" for rate in rates)
         raise HabitusError(
-            f"sequences at {told} Hz; expected one rate, at which dynamics are learned: resample "
+            f"sequences at {given} Hz; expected one rate, at which dynamics are learned: resample "
             "the others"
         )
     return sequences[0].rate_hz
@@ -151,7 +151,11 @@ def rest_residuals(
         body.skinning_index, body.skinning_value, None,
     )  # fmt: skip
     shared = _Shared(body, rig, sequences)
-    items = [(k, first) for k, one in enumerate(sequences) for first in range(0, len(one), _BLOCK)]
+    items = [
+        (k, first)
+        for k, sequence in enumerate(sequences)
+        for first in range(0, len(sequence), _BLOCK)
+    ]
     for (k, _), block in zip(items, workers.map(_block, shared, items), strict=True):
         yield k, block
 
@@ -160,7 +164,7 @@ def _block(shared: _Shared, item: tuple[int, int]) -> Float[np.ndarray, "n M"]:
     sequence = shared.sequences[item[0]]
     first = item[1]
     frames = range(first, min(first + _BLOCK, len(sequence)))
-    return np.stack([away.ravel() for away in _residuals(shared, sequence, frames)])
+    return np.stack([offset.ravel() for offset in _residuals(shared, sequence, frames)])
 
 
 def _residuals(
@@ -178,16 +182,16 @@ def _residuals(
         some = slice(frames.start, frames.stop)
         still = list(body(sequence.betas, pose[some], trans[some]).vertices[:, ids])
     for frame, at_rest in zip(frames, still, strict=True):
-        found, weight = sequence.registrations.read_seen(frame)
-        away = np.zeros((body.num_vertices, 3))
-        away[ids] = found - at_rest
+        values, weight = sequence.registrations.read_seen(frame)
+        offset = np.zeros((body.num_vertices, 3))
+        offset[ids] = values - at_rest
         if weight is not None:
-            away[ids] *= weight[:, None]
-        yield unposed(posed(shared.rig, pose[frame]).turn, away)
+            offset[ids] *= weight[:, None]
+        yield unposed(posed(shared.rig, pose[frame]).turn, offset)
 
 
 def unposed(
-    turn: Float[np.ndarray, "V 3 3"], away: Float[np.ndarray, "V 3"]
+    turn: Float[np.ndarray, "V 3 3"], offset: Float[np.ndarray, "V 3"]
 ) -> Float[np.ndarray, "V 3"]:
     """Offsets d at rest with turn d = away, for the blended rotations of skinning.
 
@@ -201,11 +205,11 @@ def unposed(
     across = np.cross(b, c), np.cross(c, a), np.cross(a, b)
     volume = np.einsum("vi,vi->v", a, across[0])
     flat = volume < SQUEEZED
-    total = sum(side * away[:, k, None] for k, side in enumerate(across))
-    found = total / np.where(flat, 1.0, volume)[:, None]
+    total = sum(side * offset[:, k, None] for k, side in enumerate(across))
+    values = total / np.where(flat, 1.0, volume)[:, None]
     if flat.any():
         mu = DAMPING * (1.0 - np.maximum(volume[flat], 0.0) / SQUEEZED) ** 2
         back = turn[flat].swapaxes(-1, -2)
         matrix = back @ turn[flat] + mu[:, None, None] * np.eye(3)
-        found[flat] = np.linalg.solve(matrix, back @ away[flat][..., None])[..., 0]
-    return found
+        values[flat] = np.linalg.solve(matrix, back @ offset[flat][..., None])[..., 0]
+    return values

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.dynamics import Dynamics, companion, motion_controls
+from habitus.body.dynamics import CONTROLS, Dynamics, companion, motion_controls
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
-from habitus.body.dynamics import CONTROLS
 from habitus.errors import HabitusError
 from habitus.learn.dynamics.regression import (
     Choice,
@@ -103,28 +102,30 @@ def learn_dynamics(
     """
     options = options or DynamicsOptions()
     workers = workers or Threads(1)
-    sequences = tuple(one.for_body(body) for one in sequences)
+    sequences = tuple(sequence.for_body(body) for sequence in sequences)
     rate = check_sequences(sequences)
-    found = _components(body, sequences, options, workers, progress)
-    ends = np.cumsum([len(one) for one in sequences])
-    coefficients = tuple(np.split(found.coefficients, ends[:-1]))
+    components = _components(body, sequences, options, workers, progress)
+    ends = np.cumsum([len(sequence) for sequence in sequences])
+    coefficients = tuple(np.split(components.coefficients, ends[:-1]))
     names = tuple(name for name in _BODY_JOINTS if name in body.joint_names) or body.joint_names
     joints = [body.joint_names.index(name) for name in names]
     examples = []
-    for one, course in zip(sequences, coefficients, strict=True):
-        rest = body.rest_joints(one.betas)
-        assert one.pose is not None and one.trans is not None and one.betas is not None
-        controls = motion_controls(
-            options.controls, joints, body.parents, rest, one.pose, one.trans, rate
+    for sequence, course in zip(sequences, coefficients, strict=True):
+        rest = body.rest_joints(sequence.betas)
+        assert (
+            sequence.pose is not None and sequence.trans is not None and sequence.betas is not None
         )
-        examples.append(Example(course, controls, one.betas))
+        controls = motion_controls(
+            options.controls, joints, body.parents, rest, sequence.pose, sequence.trans, rate
+        )
+        examples.append(Example(course, controls, sequence.betas))
     progress("regressor", 0.0)
-    sizes = np.sqrt((found.directions**2).sum((0, 1)))
-    examples, group = _grouped(examples, [one.subject for one in sequences])
+    sizes = np.sqrt((components.directions**2).sum((0, 1)))
+    examples, group = _grouped(examples, [sequence.subject for sequence in sequences])
     learned = learn_regressor(examples, group, sizes, names, rate, options)
     progress("regressor", 1.0)
-    whole = replace(body, dynamics=Dynamics(found.directions, learned.regressor))
-    return LearnedDynamics(whole, found.shares, learned.choices, coefficients)
+    whole = replace(body, dynamics=Dynamics(components.directions, learned.regressor))
+    return LearnedDynamics(whole, components.shares, learned.choices, coefficients)
 
 
 def _components(
@@ -134,12 +135,12 @@ def _components(
     workers: Workers,
     progress: Progress,
 ) -> Components:
-    subjects = list(dict.fromkeys(one.subject for one in sequences))
+    subjects = list(dict.fromkeys(sequence.subject for sequence in sequences))
     personal = [
-        subjects.index(one.subject) if options.personal and one.still is None else -1
-        for one in sequences
+        subjects.index(sequence.subject) if options.personal and sequence.still is None else -1
+        for sequence in sequences
     ]
-    group = np.repeat(personal, [len(one) for one in sequences])
+    group = np.repeat(personal, [len(sequence) for sequence in sequences])
 
     def blocks():
         done = 0
@@ -155,15 +156,15 @@ def _grouped(examples: list[Example], subjects: list[str]) -> tuple[list[Example
     """What is held out together: people, or where there are not three, sequences; of a single one
     its pieces.
     """
-    known = list(dict.fromkeys(subjects))
-    if len(known) >= 3:
-        return examples, np.array([known.index(one) for one in subjects])
+    people = list(dict.fromkeys(subjects))
+    if len(people) >= 3:
+        return examples, np.array([people.index(subject) for subject in subjects])
     if len(examples) == 1:
-        (one,) = examples
+        (example,) = examples
         courses, controls = (
-            np.array_split(each, _PIECES) for each in (one.coefficients, one.controls)
+            np.array_split(rows, _PIECES) for rows in (example.coefficients, example.controls)
         )
-        examples = [Example(*parts, one.betas) for parts in zip(courses, controls, strict=True)]
+        examples = [Example(*parts, example.betas) for parts in zip(courses, controls, strict=True)]
     return examples, np.arange(len(examples))
 
 

@@ -20,12 +20,12 @@ SUM_WEIGHT = 1.0
 """Metres: of the sum-to-one term. The rows are the same with any; see `fit_joint_regressor`."""
 RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0)
 """Strengths that are tried of what keeps a signed row near its convex one."""
-PAYS = 0.9
+SIGNED_GAIN = 0.9
 """With signs "auto" a row is signed where that lowers the error on people left out to this share or
 less.
 """
-_FOLDS = 5
-_LEAST_PEOPLE = 3
+FOLDS = 5
+MIN_PEOPLE = 3
 
 
 def fit_joint_regressor(
@@ -54,7 +54,7 @@ def fit_joint_regressor(
 
     With "signed" such a row is corrected by v that minimises ``sum |(w + v) (T_i - J_i)|^2 +
     ridge^2 |v d|^2``, sum v = 0; the ridge is that of `RIDGES` with the least error on people left
-    out, a fifth of them at a time. With "auto" this is done for the joints where it pays (`PAYS`).
+    out, a fifth of them at a time. With "auto" it is done where that helps (`SIGNED_GAIN`).
     Corrections are not sparse. Fewer than three people give convex rows.
 
     Where both ``mirror`` (partners across x = 0) and ``joint_mirror`` are given, subjects count
@@ -77,14 +77,16 @@ def fit_joint_regressor(
         joints = np.concatenate([joints, joints[:, partner] * FLIP])
     regressor = np.zeros((j, v))
     for k in np.flatnonzero(partner >= np.arange(j)):
-        near = np.flatnonzero(allowed[k])
-        away = templates[:, near] - joints[:, None, k]
-        row = _row(away, nearness)
-        if signs != "convex" and people >= _LEAST_PEOPLE:
+        chosen = np.flatnonzero(allowed[k])
+        offsets = templates[:, chosen] - joints[:, None, k]
+        row = _row(offsets, nearness)
+        if signs != "convex" and people >= MIN_PEOPLE:
             row = row + _correction(
-                away, row, _ridge(away, people, nearness, PAYS if signs == "auto" else np.inf)
+                offsets,
+                row,
+                _ridge(offsets, people, nearness, SIGNED_GAIN if signs == "auto" else np.inf),
             )
-        regressor[k, near] = row
+        regressor[k, chosen] = row
         if mirror is not None:
             if partner[k] == k:
                 regressor[k] = (regressor[k] + regressor[k, mirror]) / 2
@@ -92,12 +94,12 @@ def fit_joint_regressor(
     return regressor
 
 
-def _row(away: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarray, " C"]:
+def _row(offsets: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarray, " C"]:
     """The convex combination of vertices, seen from a joint, that lies nearest to it in all
     subjects.
     """
-    distance = np.linalg.norm(away, axis=2).mean(0)
-    data = away.transpose(0, 2, 1).reshape(-1, len(distance))
+    distance = np.linalg.norm(offsets, axis=2).mean(0)
+    data = offsets.transpose(0, 2, 1).reshape(-1, len(distance))
     if len(data) > len(distance):
         data = np.linalg.qr(data, mode="r")
     system = np.concatenate(
@@ -107,47 +109,47 @@ def _row(away: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarray,
     return row / row.sum()
 
 
-def _ridge(away: Float[np.ndarray, "S C 3"], people: int, nearness: float, pays: float) -> float:
-    """The ridge of least error on people left out; infinite where it is not ``pays`` times that of
+def _ridge(offsets: Float[np.ndarray, "S C 3"], people: int, nearness: float, gain: float) -> float:
+    """The ridge of least error on people left out; infinite where it is not ``gain`` times that of
     convex rows or less.
 
-    The rows of ``away`` are people, then perhaps the same people mirrored.
+    The rows of ``offsets`` are people, then perhaps the same people mirrored.
     """
-    person = np.arange(len(away)) % people
-    fold = person % min(_FOLDS, people)
+    person = np.arange(len(offsets)) % people
+    fold = person % min(FOLDS, people)
     errors = np.zeros(1 + len(RIDGES))
     for k in range(fold.max() + 1):
-        known = away[fold != k]
-        new = away[fold == k]
-        row = _row(known, nearness)
-        rows = [row, *(row + each for each in _corrections(known, row, RIDGES))]
-        errors += [(np.tensordot(each, new, (0, 1)) ** 2).sum() for each in rows]
+        kept = offsets[fold != k]
+        left_out = offsets[fold == k]
+        row = _row(kept, nearness)
+        rows = [row, *(row + values for values in _corrections(kept, row, RIDGES))]
+        errors += [(np.tensordot(values, left_out, (0, 1)) ** 2).sum() for values in rows]
     best = int(errors[1:].argmin())
-    return RIDGES[best] if errors[1 + best] <= pays**2 * errors[0] else np.inf
+    return RIDGES[best] if errors[1 + best] <= gain**2 * errors[0] else np.inf
 
 
 def _correction(
-    away: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridge: float
+    offsets: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridge: float
 ) -> np.ndarray:
-    return np.zeros_like(row) if np.isinf(ridge) else _corrections(away, row, (ridge,))[0]
+    return np.zeros_like(row) if np.isinf(ridge) else _corrections(offsets, row, (ridge,))[0]
 
 
 def _corrections(
-    away: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridges: Sequence[float]
+    offsets: Float[np.ndarray, "S C 3"], row: Float[np.ndarray, " C"], ridges: Sequence[float]
 ) -> list[Float[np.ndarray, " C"]]:
     """For each ridge the weights that sum to 0 and correct a row: as few equations as people have
     numbers.
     """
-    scale = 1 / np.maximum(np.linalg.norm(away, axis=2).mean(0), 1e-6)
-    system = away.transpose(0, 2, 1).reshape(-1, len(row)) * scale
+    scale = 1 / np.maximum(np.linalg.norm(offsets, axis=2).mean(0), 1e-6)
+    system = offsets.transpose(0, 2, 1).reshape(-1, len(row)) * scale
     along = scale / np.linalg.norm(scale)
     system = system - np.outer(system @ along, along)
     values, vectors = np.linalg.eigh(system @ system.T)
-    pull = vectors.T @ np.tensordot(away, row, (1, 0)).ravel()
-    found = [
+    pull = vectors.T @ np.tensordot(offsets, row, (1, 0)).ravel()
+    corrections = [
         -system.T @ (vectors @ (pull / (np.maximum(values, 0.0) + ridge**2))) for ridge in ridges
     ]
-    return [scale * (each - along * (along @ each)) for each in found]
+    return [scale * (values - along * (along @ values)) for values in corrections]
 
 
 def _check(

@@ -51,8 +51,8 @@ class ShapeSpace:
         flat = self.directions.reshape(
             -1, self.num_betas
         )  # not orthogonal where a body brought them along
-        away = np.tensordot(surfaces - self.mean, self.directions, 2)
-        return np.linalg.solve(flat.T @ flat, away[..., None])[..., 0]
+        offset = np.tensordot(surfaces - self.mean, self.directions, 2)
+        return np.linalg.solve(flat.T @ flat, offset[..., None])[..., 0]
 
 
 def shape_space_of(body: BodyModel) -> ShapeSpace:
@@ -170,11 +170,11 @@ def _signs(
     return np.sign(np.where(clear, growth, largest))
 
 
-TURNS = 12
+EM_STEPS = 12
 
 
 def shapes_with_holes(
-    surfaces: Vertices, seen: Bool[np.ndarray, "S V"], count: int, turns: int = TURNS
+    surfaces: Vertices, seen: Bool[np.ndarray, "S V"], count: int, steps: int = EM_STEPS
 ) -> tuple[Float[np.ndarray, "S V 3"], ShapeSpace]:
     """Surfaces (m) whose unseen vertices are replaced, and their shape space: `principal_shapes`,
     in turns with the most likely rest of each surface (expectation maximisation; Roweis, "EM
@@ -185,13 +185,13 @@ def shapes_with_holes(
     """
     filled = np.array(surfaces[:], dtype=np.float64)
     rows = np.flatnonzero(~seen.all(1))
-    for _ in range(turns):
+    for _ in range(steps):
         space = principal_shapes(filled, count)
-        left = space.variances[space.num_betas :].sum() / space.mean.size
+        rest_variance = space.variances[space.num_betas :].sum() / space.mean.size
         for row in rows.tolist():
-            filled[row, ~seen[row]] = _likely(space, filled[row], seen[row], max(left, 1e-10))[
-                ~seen[row]
-            ]
+            filled[row, ~seen[row]] = _likely(
+                space, filled[row], seen[row], max(rest_variance, 1e-10)
+            )[~seen[row]]
     return filled, principal_shapes(filled, count)
 
 
@@ -205,9 +205,9 @@ def _likely(
     (m^2).
     """
     columns = space.directions[seen].reshape(-1, space.num_betas)
-    away = (surface - space.mean)[seen].ravel()
+    offset = (surface - space.mean)[seen].ravel()
     betas = np.linalg.solve(
-        columns.T @ columns + variance * np.eye(space.num_betas), columns.T @ away
+        columns.T @ columns + variance * np.eye(space.num_betas), columns.T @ offset
     )
     return space.reconstruct(betas)
 

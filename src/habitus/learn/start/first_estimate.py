@@ -131,14 +131,14 @@ def initial_estimate(
     general = RestPerson(
         template.vertices, regressor @ template.vertices, np.zeros(problem.options.shape_features)
     )
-    told = told_poses(problem)
-    pose = np.zeros((len(told), template.num_joints, 3))
-    trans = np.zeros((len(told), 3))
-    known = np.flatnonzero(told)
-    others = np.flatnonzero(~told)
+    is_known = known_poses(problem)
+    pose = np.zeros((len(is_known), template.num_joints, 3))
+    trans = np.zeros((len(is_known), 3))
+    known = np.flatnonzero(is_known)
+    unknown = np.flatnonzero(~is_known)
     fits = known_fits(problem, rig, persons, known, workers)
-    fits += edge_poses(rig, general, template.part, problem.registrations.take(others), workers)
-    for row, fit in zip([*known, *others], fits, strict=True):
+    fits += edge_poses(rig, general, template.part, problem.registrations.take(unknown), workers)
+    for row, fit in zip([*known, *unknown], fits, strict=True):
         pose[row], trans[row] = fit.pose, fit.trans
     return Estimate(rig, templates, joints, descriptors, pose, trans)
 
@@ -224,23 +224,23 @@ def check_known(problem: Problem, body: BodyModel | None) -> None:
                     f"{body.name} has {count}; "
                     "expected those of this body: choose its joints (--joints) or another body"
                 )
-    for word, told in (("people", told_people(problem)), ("poses", told_poses(problem))):
-        if word in fixed and not told.all():
-            some = data.subjects if word == "people" else data.name
+    for word, is_known in (("people", known_people(problem)), ("poses", known_poses(problem))):
+        if word in fixed and not is_known.all():
+            names_of = data.subjects if word == "people" else data.name
             raise HabitusError(
-                f"{word} fixed, but those of {int((~told).sum())} of {len(told)} (first "
-                f"{some[int((~told).argmax())]}) "
+                f"{word} fixed, but those of {int((~is_known).sum())} of {len(is_known)} (first "
+                f"{names_of[int((~is_known).argmax())]}) "
                 f"are not told; expected {'betas or rest' if word == 'people' else 'pose'} in the "
                 "dataset"
             )
 
 
-def told_poses(problem: Problem) -> Bool[np.ndarray, " N"]:
+def known_poses(problem: Problem) -> Bool[np.ndarray, " N"]:
     """The registrations whose poses are known and are to be started from."""
     return _known(problem).told("pose", len(problem.registrations))
 
 
-def told_people(problem: Problem) -> Bool[np.ndarray, " S"]:
+def known_people(problem: Problem) -> Bool[np.ndarray, " S"]:
     """The subjects whose rest surfaces are known and are to be started from."""
     data = problem.registrations
     known = _known(problem)
@@ -254,13 +254,13 @@ def people(
     """Rest surfaces (m) of the subjects: those known, the general one of the others."""
     data = problem.registrations
     known = _known(problem)
-    found = np.repeat(general[None], problem.subjects, 0)
+    surfaces = np.repeat(general[None], problem.subjects, 0)
     for k, (subject, row) in enumerate(zip(data.subjects, _first_rows(problem), strict=True)):
         if subject in known.rest:
-            found[k] = known.rest[subject]
+            surfaces[k] = known.rest[subject]
         elif known.betas is not None and body is not None and np.isfinite(known.betas[row]).all():
-            found[k] = body.rest_vertices(known.betas[row])
-    return found
+            surfaces[k] = body.rest_vertices(known.betas[row])
+    return surfaces
 
 
 def known_fits(

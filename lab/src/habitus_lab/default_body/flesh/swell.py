@@ -24,7 +24,7 @@ import numpy as np
 import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.dynamics import QUANTITIES, WAYS, DynamicsErrors
+from habitus.evaluate.dynamics import MODES, QUANTITIES, DynamicsErrors
 from habitus.io.registrations.motions import open_moving_surfaces
 from habitus.jobs.train_dynamics import train_dynamics
 from habitus.learn.dynamics.sequences import MovingSurface
@@ -117,7 +117,7 @@ def _mean(errors: list[DynamicsErrors]) -> dict[str, dict[str, float]]:
     squares = np.average([one.errors**2 for one in errors], axis=0, weights=weights)
     return {
         way: dict(zip(QUANTITIES, row, strict=True))
-        for way, row in zip(WAYS, np.sqrt(squares).tolist(), strict=True)
+        for way, row in zip(MODES, np.sqrt(squares).tolist(), strict=True)
     }
 
 
@@ -194,7 +194,7 @@ def table(numbers: dict) -> str:
         lines += [f"  {group} (place mm, velocity mm/s, acceleration m/s²)"]
         lines += [
             f"    {way:10}" + "".join(f"{errors[way][key]:10.2f}" for key in QUANTITIES)
-            for way in WAYS
+            for way in MODES
         ]
     told = numbers["prediction"]
     minutes = told["largest_coefficient_by_minute"]
