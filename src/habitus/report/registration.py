@@ -210,7 +210,10 @@ def _distances(numbers: Mapping[str, Any]) -> str:
 
 def _solution(numbers: Mapping[str, Any]) -> str:
     """Status and costs, as far as metrics.json has them, and the seconds of each stage."""
-    rows = [(name, f"{value:.2f} s") for name, value in numbers["stage_seconds"].items()]
+    rows = [
+        (name.replace("_", " ").capitalize(), f"{value:.2f} s")
+        for name, value in numbers["stage_seconds"].items()
+    ]
     return solution_card(numbers.get("status") or "", numbers.get("costs") or {}, TERMS, rows=rows)
 
 

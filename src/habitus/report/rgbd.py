@@ -184,7 +184,10 @@ def _light(fit: "RgbdFit") -> str:
 
 
 def _solution(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
-    rows = [(name, f"{value:.2f} s") for name, value in numbers["stage_seconds"].items()]
+    rows = [
+        (name.replace("_", " ").capitalize(), f"{value:.2f} s")
+        for name, value in numbers["stage_seconds"].items()
+    ]
     solution = solution_card(numbers.get("status") or "", numbers["costs"], TERMS, rows=rows)
     return columns(card("Notes", notes_list(fit.warnings)), solution)
 

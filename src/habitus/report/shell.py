@@ -209,9 +209,10 @@ def _column_class(column: int) -> str:
 
 
 def measurements_table(measurements: Mapping[str, float]) -> str:
-    """Measurements of a person, with their names in ISO standards."""
+    """Measurements of a person, with their names in ISO standards; definitions show on hovering."""
     rows = "".join(
-        f"<tr><td>{escape(DEFINITIONS[name].says)}</td><td>{escape(DEFINITIONS[name].iso)}</td>"
+        f"<tr><th scope='row' title='{escape(DEFINITIONS[name].says)}'>"
+        f"{escape(measurement_name(name))}</th><td>{escape(DEFINITIONS[name].iso)}</td>"
         f"<td class='number'>{measurement_text(name, value)}</td></tr>"
         for name, value in measurements.items()
     )

@@ -20,7 +20,7 @@ def test_what_is_unseen_is_found_from_the_rest():
     whole = people()
     seen = np.random.default_rng(1).random(whole.shape[:2]) > 0.3
     spoilt = np.where(seen[..., None], whole, whole.mean((0, 1)))
-    filled, space = shapes_with_holes(spoilt, seen, 3, turns=30)
+    filled, space = shapes_with_holes(spoilt, seen, 3, steps=30)
     assert np.array_equal(filled[seen], whole[seen])
     assert np.abs(filled - whole).max() < 2e-3 and np.abs(spoilt - whole).max() > 1.0
     expected = principal_shapes(whole, 3)
