@@ -10,6 +10,7 @@ from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, tracklets
 from habitus.fit.labels.people import heaps, nearest_bodies, only
 from habitus.fit.labels.recipe import label_people
+from habitus.fit.labels.settings import LabelSettings
 from habitus.jobs.label import label
 
 FRAMES = 6
@@ -56,7 +57,9 @@ def test_people_are_parted_by_where_they_stand_and_by_their_bodies():
 
 def test_each_of_two_people_gets_the_labels_of_the_layout():
     truth, clouds, true = two()
-    result = label_people(truth.body, truth.prior, truth.layout, clouds, 2, planted.settings())
+    result = label_people(
+        truth.body, truth.prior, truth.layout, clouds, 2, LabelSettings(fit=planted.settings())
+    )
     count = len(truth.layout)
     label = result.label
     if np.mean(label // count == true // count) < 0.5:

@@ -12,6 +12,7 @@ from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, tracklets
 from habitus.fit.labels.exchanges import untangle
 from habitus.fit.labels.recipe import Known, label_points
+from habitus.fit.labels.settings import LabelSettings
 from habitus.observe.marker_prediction import marked_body
 from habitus.observe.markers import attach
 
@@ -50,7 +51,14 @@ def found(markers: np.ndarray, seed: int = 0, ghosts: int = 0, who: Known | None
     truth = capture()
     clouds, label = clouds_of(markers, seed, ghosts)
     return (
-        label_points(truth.body, truth.prior, truth.layout, clouds, who, planted.settings()),
+        label_points(
+            truth.body,
+            truth.prior,
+            truth.layout,
+            clouds,
+            who,
+            LabelSettings(fit=planted.settings()),
+        ),
         label,
         clouds,
     )

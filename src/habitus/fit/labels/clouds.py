@@ -9,11 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.fit.labels.kernels import link
-
-_GATE = 0.02
-_SPEED = 5.0
-_LONGEST_GAP = 4
-_CLEARLY = 1.6
+from habitus.fit.labels.settings import TRACKLETS, TrackletSettings
 
 
 @dataclass(frozen=True)
@@ -55,13 +51,18 @@ class Clouds:
         return markers
 
 
-def tracklets(clouds: Clouds) -> Int[np.ndarray, " P"]:
+def tracklets(clouds: Clouds, settings: TrackletSettings = TRACKLETS) -> Int[np.ndarray, " P"]:
     """The tracklet of each point, numbered from 0: pieces of trajectories in which each step is
     beyond doubt.
     """
-    gate = max(_GATE, 1.5 / clouds.rate_hz)
+    gate = max(settings.gate, 1.5 / clouds.rate_hz)
     found = link(
-        clouds.points, clouds.start, gate, _SPEED / clouds.rate_hz + 0.005, _LONGEST_GAP, _CLEARLY
+        clouds.points,
+        clouds.start,
+        gate,
+        settings.speed / clouds.rate_hz + 0.005,
+        settings.max_gap,
+        settings.ratio,
     )
     return np.unique(found, return_inverse=True)[1]
 

@@ -1,7 +1,6 @@
-"""Near twins told apart: what it would cost to exchange labels, by where the markers sit and by how
-joints bend.
+"""Labels of close markers: what exchanging them would cost, by placements and by how joints bend.
 
-A wrong label pulls the fit along and then looks right; so poses are found anew for each exchange,
+A wrong label pulls the fit along and then looks right, so poses are solved again for each exchange,
 in some frames.
 """
 
@@ -12,17 +11,10 @@ from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
+from habitus.fit.labels.settings import EXCHANGES, ExchangeSettings
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
-
-NEAR = 0.16
-SWEEPS = 6
-ROUNDS = 4
-SURE = 2.0
-"""What exchanges cost more or less (a frame's energy in the mean) is told from nothing by so much a
-unit.
-"""
 
 
 def untangle(
@@ -34,16 +26,17 @@ def untangle(
     frames: Int[np.ndarray, " F"],
     state: tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]],
     weights: Float[np.ndarray, " M"],
+    settings: ExchangeSettings = EXCHANGES,
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " M"]]:
     """Labels with those exchanged, tracklet by tracklet, whose exchange is cheaper; and how sure
     each label is of its nearest rival (0.5: not at all).
 
     frames and their state: what is looked at. weights: of the markers' squared distances, per m^2.
     """
-    pairs = near_pairs(predict(rig, *state))
-    for _ in range(ROUNDS):
+    pairs = near_pairs(predict(rig, *state), settings.distance)
+    for _ in range(settings.rounds):
         columns = _columns(clouds, label, frames, rig.num_markers)
-        change = _changes(rig, prior, clouds, columns, state, weights, pairs)
+        change = _changes(rig, prior, clouds, columns, state, weights, pairs, settings.sweeps)
         exchanged = _cheaper(change, columns, tracklet, pairs)
         if not exchanged:
             break
@@ -54,17 +47,21 @@ def untangle(
     known = np.isfinite(change)
     mean = np.where(known, change, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     each = np.where(
-        known.any(axis=1), 1.0 / (1.0 + np.exp(-SURE * np.clip(mean, -50.0, 50.0))), 1.0
+        known.any(axis=1),
+        1.0 / (1.0 + np.exp(-settings.certainty * np.clip(mean, -50.0, 50.0))),
+        1.0,
     )
     for side in range(2):
         np.minimum.at(sure, pairs[:, side], each)
     return label, sure
 
 
-def near_pairs(predicted: Float[np.ndarray, "F M 3"]) -> Int[np.ndarray, "K 2"]:
+def near_pairs(
+    predicted: Float[np.ndarray, "F M 3"], distance: float = EXCHANGES.distance
+) -> Int[np.ndarray, "K 2"]:
     """Pairs of markers that are near each other."""
     apart = np.linalg.norm(predicted[:, :, None] - predicted[:, None], axis=3)
-    first, second = np.nonzero(np.triu(np.median(apart, axis=0) < NEAR, 1))
+    first, second = np.nonzero(np.triu(np.median(apart, axis=0) < distance, 1))
     return np.stack([first, second], axis=1)
 
 
@@ -88,13 +85,14 @@ def _changes(
     state: tuple[np.ndarray, np.ndarray],
     weights: np.ndarray,
     pairs: np.ndarray,
+    sweeps: int,
 ) -> Float[np.ndarray, "K F"]:
     """How much more each frame costs with a pair exchanged, NaN where neither is seen."""
     orders = np.tile(np.arange(columns.shape[1]), (len(pairs) + 1, 1))
     rows = np.arange(1, len(pairs) + 1)
     orders[rows, pairs[:, 0]], orders[rows, pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
     observed = np.where((columns >= 0)[..., None], clouds.points[columns], np.nan)
-    costs = exchange_costs(rig, prior, observed, *state, weights, orders)
+    costs = exchange_costs(rig, prior, observed, *state, weights, orders, sweeps)
     seen = (columns[:, pairs] >= 0).any(axis=2).T
     return np.where(seen, costs[1:] - costs[0], np.nan)
 
@@ -132,6 +130,7 @@ def exchange_costs(
     trans: Float[np.ndarray, "F 3"],
     weights: Float[np.ndarray, " M"],
     orders: Int[np.ndarray, "K M"],
+    sweeps: int = EXCHANGES.sweeps,
 ) -> Float[np.ndarray, "K F"]:
     """What each frame costs with its markers in each order (order[i] is the column that marker i
     takes), the poses found anew.
@@ -145,7 +144,7 @@ def exchange_costs(
         np.tile(pose, (len(orders), 1, 1)), np.tile(trans, (len(orders), 1)), None
     )
     level = side_by_side(states, problem.pose_end, 10.0)
-    for _ in range(SWEEPS):
+    for _ in range(sweeps):
         problem.visit(level, level.frames)
     return level.costs.reshape(len(orders), len(observed))
 
@@ -153,7 +152,13 @@ def exchange_costs(
 def side_by_side(
     states: Float[np.ndarray, "F N"], pose_end: int, damping: float
 ) -> SimpleNamespace:
-    """States as a level of `habitus.solve.sequence.level` without links: each frame by itself."""
+    """States as a level of `habitus.solve.sequence.level` without links: each frame by itself.
+
+    A special case of `habitus.fit.markers.sequence` at one level: the terms "data" and "pose" of
+    `habitus.fit.markers.energy.sequence_terms`, thousands of frames side by side in compiled,
+    damped Gauss-Newton steps. A step is taken only where it lowers its frame's cost (else the
+    damping grows), so that a fixed number of visits can stop early but not diverge.
+    """
     count = len(states)
     return SimpleNamespace(
         frames=np.arange(count),

@@ -1,5 +1,5 @@
-"""Names for points that have none: tracklets, single frames registered, the person's shape, and
-votes in time.
+"""Labels for unlabelled points: tracklets, single frames registered, the person's shape, and votes
+over time. All constants are in `LabelSettings`.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,8 @@ from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
 from habitus.fit.labels.clusters import told_apart
 from habitus.fit.labels.exchanges import untangle
 from habitus.fit.labels.people import heaps, nearest_bodies, only
-from habitus.fit.labels.registration import APART, FIRM, at_height, plain_poses, register
+from habitus.fit.labels.registration import APART, at_height, plain_poses, register
+from habitus.fit.labels.settings import LABELS, LabelSettings
 from habitus.fit.labels.votes import (
     assign,
     averaged,
@@ -33,17 +34,6 @@ from habitus.fit.markers.start import start_long
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
-
-HEIGHTS = (1.25, 1.45, 1.6, 1.75, 1.9)  # metres: bodies that single frames are tried on
-SIZING_FRAMES = 8  # frames that the height is found from
-SEEDS = 24  # frames that are registered by themselves and vote
-LOOKED_AT = 30  # frames in which exchanges of near markers are tried
-PARTINGS = 2  # rounds of labels for several people, who are parted anew by the bodies found
-SHAPES = 2  # rounds of shape and exchanges, at most
-GATES = (0.20, 0.15)  # metres: a tracklet further from every marker has no label, round by round
-FEWEST_POINTS = 6  # in the fullest frame
-PLACE_WEIGHT = 800.0
-OWN_WEIGHT = 2500.0  # per m^2, of markers where a layout has them and where they were found
 
 
 @dataclass(frozen=True)
@@ -95,23 +85,22 @@ def label_points(
     layout: MarkerLayout,
     clouds: Clouds,
     known: Known | None = None,
-    settings: MoshSettings | None = None,
+    settings: LabelSettings = LABELS,
 ) -> Labels:
     """Which of the layout's markers each point is.
 
     known: the person, where another capture told; else shape and places are found here. Raises
     HabitusError where no frame holds enough points.
     """
-    settings = settings or MoshSettings()
     prior = prior.for_joints(body.joint_names)
     most = int(np.diff(clouds.start).max(initial=0))
-    if most < FEWEST_POINTS:
+    if most < settings.min_points:
         raise HabitusError(
-            f"at most {most} points are there in any frame; expected at least {FEWEST_POINTS}"
+            f"at most {most} points are there in any frame; expected at least {settings.min_points}"
         )
     with threadpool_limits(1, user_api="blas"):
-        pieces = tracklets(clouds)
-        frames = telling_frames(clouds, SEEDS)
+        pieces = tracklets(clouds, settings.tracklets)
+        frames = telling_frames(clouds, settings.seeds)
         placement = place(layout, body)
         if known is None:
             known = _person(body, prior, placement, clouds, pieces, frames, settings)
@@ -124,7 +113,7 @@ def label_people(
     layout: MarkerLayout,
     clouds: Clouds,
     people: int,
-    settings: MoshSettings | None = None,
+    settings: LabelSettings = LABELS,
 ) -> Named:
     """Which of the markers of which of several people in one layout each point is; people stand
     apart on the whole.
@@ -132,10 +121,10 @@ def label_people(
     Labels of person k are those of the layout plus k times their number. Raises HabitusError as
     `label_points`.
     """
-    pieces = tracklets(clouds)
+    pieces = tracklets(clouds, settings.tracklets)
     known = [None] * people
     who = heaps(clouds, pieces, people)
-    for _ in range(PARTINGS):
+    for _ in range(settings.people_rounds):
         parts = [only(clouds, who == k) for k in range(people)]
         found = [
             label_points(body, prior, layout, p, k, settings)
@@ -160,6 +149,7 @@ def misfit(
     layout: MarkerLayout,
     clouds: Clouds,
     frames: Int[np.ndarray, " F"],
+    settings: LabelSettings = LABELS,
 ) -> float:
     """What single frames cost on a layout, at the likeliest height, markers and points without each
     other included.
@@ -167,10 +157,16 @@ def misfit(
     prior = prior.for_joints(body.joint_names)
     placement = place(layout, body)
     bank = plain_poses(body.joint_names)
-    lone = 0.5 * APART.data * FIRM[-1] ** 2 * np.abs(np.diff(clouds.start)[frames] - len(layout))
+    search = settings.registration
+    lone = (
+        0.5
+        * APART.data
+        * settings.registration.firm[-1] ** 2
+        * np.abs(np.diff(clouds.start)[frames] - len(layout))
+    )
     tries = [
-        register(_default(body, placement, at_height(body, h)), prior, clouds, frames, bank)
-        for h in HEIGHTS[1:]
+        register(_default(body, placement, at_height(body, h)), prior, clouds, frames, bank, search)
+        for h in settings.heights[1:]
     ]
     return float(min(np.median(found.cost + lone) for found in tries))
 
@@ -182,31 +178,36 @@ def _person(
     clouds: Clouds,
     pieces: np.ndarray,
     frames: np.ndarray,
-    settings: MoshSettings,
+    settings: LabelSettings,
 ) -> Known:
     """Shape and marker places from single frames on a body of the likeliest height."""
     bank = plain_poses(body.joint_names)
-    few = frames[:: max(1, len(frames) // SIZING_FRAMES)]
+    search = settings.registration
+    few = frames[:: max(1, len(frames) // settings.sizing_frames)]
     tries = [
-        register(_default(body, placement, at_height(body, h)), prior, clouds, few, bank)
-        for h in HEIGHTS
+        register(_default(body, placement, at_height(body, h)), prior, clouds, few, bank, search)
+        for h in settings.heights
     ]
     typical = [np.sort(found.cost)[: max(1, len(few) // 2)].mean() for found in tries]
-    betas = at_height(body, HEIGHTS[int(np.argmin(typical))])
+    betas = at_height(body, settings.heights[int(np.argmin(typical))])
     rig = _default(body, placement, betas)
-    seeds = register(rig, prior, clouds, frames, bank)
-    label, agreed = seed_votes(clouds, seeds, pieces, len(placement.vertices))
-    best = seeds.of(best_seeds(seeds, agreed))
+    seeds = register(rig, prior, clouds, frames, bank, settings.registration)
+    label, agreed = seed_votes(clouds, seeds, pieces, len(placement.vertices), settings.votes)
+    best = seeds.of(best_seeds(seeds, agreed, settings.votes.shape_seeds))
     state = (best.pose, best.trans)
-    weights = _place_weights(placement)
-    label, _ = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
-    for _ in range(SHAPES):
+    weights = _place_weights(placement, settings.place_weight)
+    label, _ = untangle(
+        rig, prior, clouds, pieces, label, best.frames, state, weights, settings.exchanges
+    )
+    for _ in range(settings.shape_rounds):
         observed = clouds.labelled(label, len(placement.vertices))[best.frames]
-        shape = shape_stage(body, placement, observed, prior, *state, settings)
+        shape = shape_stage(body, placement, observed, prior, *state, settings.fit)
         state = (shape.pose, shape.trans)
         rig = _default(body, placement, shape.betas)
         before = label
-        label, sure = untangle(rig, prior, clouds, pieces, label, best.frames, state, weights)
+        label, sure = untangle(
+            rig, prior, clouds, pieces, label, best.frames, state, weights, settings.exchanges
+        )
         if (label == before).all():
             break
     attachment = told_apart(
@@ -223,7 +224,7 @@ def _voted(
     pieces: np.ndarray,
     frames: np.ndarray,
     known: Known,
-    settings: MoshSettings,
+    settings: LabelSettings,
 ) -> Labels:
     """Seeds on the person's own body, all frames fitted to what they say, and each tracklet called
     by what is near.
@@ -231,23 +232,24 @@ def _voted(
     rig = marked_body(body, known.betas, known.attachment)
     count = len(placement.vertices)
     bank = np.concatenate([plain_poses(body.joint_names), known.poses])
-    seeds = register(rig, prior, clouds, frames, bank)
-    label, _ = seed_votes(clouds, seeds, pieces, count)
+    seeds = register(rig, prior, clouds, frames, bank, settings.registration)
+    label, _ = seed_votes(clouds, seeds, pieces, count, settings.votes)
     result = None
-    looked = telling_frames(clouds, LOOKED_AT)
-    for gate in GATES:
-        result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+    looked = telling_frames(clouds, settings.exchange_frames)
+    for gate in settings.gates:
+        result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings.fit)
         squared = distances(clouds, predict(rig, result.pose, result.trans))
         label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
         state = result.pose[looked], result.trans[looked]
+        weights = np.full(count, settings.own_weight)
         label, sure = untangle(
-            rig, prior, clouds, pieces, label, looked, state, np.full(count, OWN_WEIGHT)
+            rig, prior, clouds, pieces, label, looked, state, weights, settings.exchanges
         )
         label = once(label, -np.min(squared, axis=1), clouds)
-    result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings)
+    result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings.fit)
     squared = distances(clouds, predict(rig, result.pose, result.trans))
     sure = sure if known.sure is None else np.minimum(sure, known.sure)
-    label, confidence = judged(squared, label, pieces, clouds, sure)
+    label, confidence = judged(squared, label, pieces, clouds, sure, settings.votes)
     return Labels(label, confidence, pieces, sure, known, result)
 
 
@@ -277,5 +279,5 @@ def _default(body: BodyModel, placement: Placement, betas: np.ndarray) -> Marked
     return marked_body(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
 
 
-def _place_weights(placement: Placement) -> Float[np.ndarray, " M"]:
-    return PLACE_WEIGHT * (0.02 / np.maximum(placement.place_spread, 0.015)) ** 2
+def _place_weights(placement: Placement, weight: float) -> Float[np.ndarray, " M"]:
+    return weight * (0.02 / np.maximum(placement.place_spread, 0.015)) ** 2

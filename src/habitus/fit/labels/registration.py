@@ -15,6 +15,7 @@ from habitus.body.prior import PosePrior
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.exchanges import side_by_side
 from habitus.fit.labels.kernels import firm_matches, soft_targets
+from habitus.fit.labels.settings import REGISTRATION, RegistrationSettings
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.fit.markers.start import PLAIN_POSES, plain_pose
@@ -23,22 +24,7 @@ from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 APART = SequenceSettings(acceleration=0.0)
-HEADINGS = 8
-# spread of the sharing (m), weight of the pose prior, hypotheses of a frame that go on
-SOFT = (
-    (0.15, 100.0, 99),
-    (0.12, 50.0, 99),
-    (0.12, 20.0, 16),
-    (0.12, 6.0, 99),
-    (0.09, 4.0, 6),
-    (0.07, 3.0, 99),
-    (0.05, 2.0, 99),
-    (0.04, 1.0, 4),
-)
-FIRM = (0.20, 0.16, 0.12, 0.12)
-SWEEPS = 3
-BEYOND = 0.011
-RANKING_GATE = 0.25
+"""Weights of single frames."""
 
 
 @dataclass(frozen=True)
@@ -71,20 +57,22 @@ def register(
     clouds: Clouds,
     frames: Int[np.ndarray, " F"],
     poses: Float[np.ndarray, "N J 3"],
+    settings: RegistrationSettings = REGISTRATION,
 ) -> Registered:
     """The cheapest registration of each frame, from every pose (roots left out) in every heading
     about the up axis.
     """
-    states = _starts(rig, clouds, frames, poses)
-    batch = _Batch(rig, prior, clouds, np.repeat(frames, len(states[0]) // len(frames)), *states)
+    states = _starts(rig, clouds, frames, poses, settings.headings)
+    each = np.repeat(frames, len(states[0]) // len(frames))
+    batch = _Batch(rig, prior, clouds, each, *states, settings)
     return multi_start(
         batch,
-        [Round((spread, firmness), keep) for spread, firmness, keep in SOFT],
+        [Round((spread, firmness), keep) for spread, firmness, keep in settings.soft],
         refine=_Batch.share,
         cost=_Batch.ranking,
         select=_Batch.of,
         groups=lambda batch: batch.frames,
-    ).match(FIRM)
+    ).match(settings.firm)
 
 
 def plain_poses(joint_names: tuple[str, ...]) -> Float[np.ndarray, "N J 3"]:
@@ -101,13 +89,13 @@ def upright(up_axis: str) -> Float[np.ndarray, "3 3"]:
 
 
 def _starts(
-    rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray
+    rig: MarkedBody, clouds: Clouds, frames: np.ndarray, poses: np.ndarray, headings: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses and trans (F N headings) with the middles of markers and points on each other."""
-    turns = np.zeros((HEADINGS, 3))
-    turns[:, 1] = np.arange(HEADINGS) * (2.0 * np.pi / HEADINGS)
+    turns = np.zeros((headings, 3))
+    turns[:, 1] = np.arange(headings) * (2.0 * np.pi / headings)
     roots = rotvec_from_matrix(upright(clouds.up_axis) @ matrix_from_rotvec(turns))
-    bank = np.repeat(poses[:, None], HEADINGS, axis=1)
+    bank = np.repeat(poses[:, None], headings, axis=1)
     bank[:, :, 0] = roots
     bank = bank.reshape(-1, *poses.shape[1:])
     middle = np.median(predict(rig, bank, np.zeros((len(bank), 3))), axis=1)
@@ -129,10 +117,12 @@ class _Batch:
         frames: np.ndarray,
         pose: np.ndarray,
         trans: np.ndarray,
+        settings: RegistrationSettings,
     ):
         self.rig = rig
         self.prior = prior
         self.clouds = clouds
+        self.settings = settings
         self.frames = np.ascontiguousarray(frames)
         nothing = np.full((len(frames), rig.num_markers, 3), np.nan)
         self.problem = marker_sequence(rig, nothing, None, None, prior, APART, 0)
@@ -162,7 +152,7 @@ class _Batch:
             cloud.start,
             self.frames,
             spread,
-            BEYOND,
+            self.settings.outlier,
             data.observed,
             data.weights,
         )
@@ -187,12 +177,13 @@ class _Batch:
 
     def ranking(self) -> Float[np.ndarray, " H"]:
         """The cost that hypotheses are ranked by."""
-        return self._matched(RANKING_GATE)[1] + self._prior_cost()
+        return self._matched(self.settings.ranking_gate)[1] + self._prior_cost()
 
     def of(self, rows: Int[np.ndarray, " n"]) -> "_Batch":
         """Some of the hypotheses."""
         pose, trans = self._state
-        return _Batch(self.rig, self.prior, self.clouds, self.frames[rows], pose[rows], trans[rows])
+        chosen = (self.frames[rows], pose[rows], trans[rows])
+        return _Batch(self.rig, self.prior, self.clouds, *chosen, self.settings)
 
     def _matched(self, gate: float) -> tuple[np.ndarray, np.ndarray]:
         match = np.empty((len(self.frames), self.rig.num_markers), dtype=np.int64)
@@ -209,7 +200,7 @@ class _Batch:
     def _solve(self, firmness: float) -> None:
         self.problem.data.precision[:] = firmness * self._precision
         everything = np.arange(len(self.frames))
-        for _ in range(SWEEPS):
+        for _ in range(self.settings.sweeps):
             self.problem.visit(self.level, everything)
 
 

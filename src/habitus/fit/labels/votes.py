@@ -8,12 +8,9 @@ from jaxtyping import Float, Int
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.kernels import assign_frames, squared_distances
 from habitus.fit.labels.registration import Registered
+from habitus.fit.labels.settings import VOTES, VoteSettings
 
-_FAR = 0.30
-LEAST_SPREAD = 0.012
-NOTHING = float(np.exp(-6.0))
-LIKELY = 0.5
-FARTHEST = 12.0
+_FAR = 0.30  # metres: distances are cut there; larger than any gate
 
 
 def distances(clouds: Clouds, predicted: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "P M"]:
@@ -51,6 +48,7 @@ def judged(
     tracklet: Int[np.ndarray, " P"],
     clouds: Clouds,
     sure: Float[np.ndarray, " M"],
+    settings: VoteSettings = VOTES,
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " P"]]:
     """Labels less those that are not likely, and each point's confidence in its label or in the
     best one refused.
@@ -58,33 +56,32 @@ def judged(
     known = label >= 0
     rows = np.flatnonzero(known)
     own = np.sqrt(squared[rows, label[rows]])
-    spread = np.full(squared.shape[1], LEAST_SPREAD)
-    typical = np.median(own) if len(own) else LEAST_SPREAD
+    spread = np.full(squared.shape[1], settings.min_spread)
+    typical = np.median(own) if len(own) else settings.min_spread
     for i in range(len(spread)):
         mine = own[label[rows] == i]
         spread[i] = np.clip(
             np.median(mine) if len(mine) else typical,
-            LEAST_SPREAD,
-            max(2.0 * typical, LEAST_SPREAD),
+            settings.min_spread,
+            max(2.0 * typical, settings.min_spread),
         )
     off = averaged(np.minimum(squared / (2.0 * spread**2), 50.0), tracklet)
     alone = np.minimum(squared / (2.0 * spread**2), 50.0)
     likely = np.exp(-off)
-    share = likely / (likely.sum(axis=1, keepdims=True) + NOTHING)
+    share = likely / (likely.sum(axis=1, keepdims=True) + settings.nothing)
     best = np.where(known, label, share.argmax(axis=1))
     each = np.arange(len(label))
     confidence = share[each, best] * sure[best]
-    kept = known & (share[each, best] >= LIKELY) & (alone[each, best] < FARTHEST)
+    kept = known & (share[each, best] >= settings.likely) & (alone[each, best] < settings.farthest)
     return np.where(kept, label, -1), confidence
 
 
-ROUNDS = 4
-CLEAR = 0.6
-SHAPE_SEEDS = 10
-
-
 def seed_votes(
-    clouds: Clouds, seeds: Registered, tracklet: Int[np.ndarray, " P"], count: int
+    clouds: Clouds,
+    seeds: Registered,
+    tracklet: Int[np.ndarray, " P"],
+    count: int,
+    settings: VoteSettings = VOTES,
 ) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, " F"]]:
     """The label of each point by what good seeds call its tracklet, -1 for none; and the share of
     each seed's labels that the others share.
@@ -95,7 +92,7 @@ def seed_votes(
     pieces = tracklet[seeds.match[voters, named]]
     weight = own
     agreed = np.ones(len(own))
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         votes = np.zeros((int(tracklet.max()) + 1, count))
         np.add.at(votes, (pieces, named), weight[voters])
         winner = votes.argmax(axis=1)
@@ -108,7 +105,7 @@ def seed_votes(
         )
         weight = own * agreed**4
     strength = votes.max(axis=1)
-    label = np.where((strength > 0) & (strength > CLEAR * total), winner, -1)[tracklet]
+    label = np.where((strength > 0) & (strength > settings.clear * total), winner, -1)[tracklet]
     return once(label, strength[tracklet], clouds), agreed
 
 
@@ -124,7 +121,9 @@ def once(
     return kept
 
 
-def best_seeds(seeds: Registered, agreed: Float[np.ndarray, " F"]) -> Int[np.ndarray, " N"]:
+def best_seeds(
+    seeds: Registered, agreed: Float[np.ndarray, " F"], count: int = VOTES.shape_seeds
+) -> Int[np.ndarray, " N"]:
     """The cheapest seeds that the others agree with."""
     order = np.argsort(seeds.cost / np.maximum(agreed, 0.1) ** 2, kind="stable")
-    return order[:SHAPE_SEEDS]
+    return order[:count]
