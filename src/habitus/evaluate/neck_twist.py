@@ -172,14 +172,14 @@ def _axis(
 
     It points up, so that positive angles are turns to the left.
     """
-    places = body.joint_template
+    start = body.joint_template[joints[0]]
     end = (
-        places[joints[-1]]
+        body.joint_template[joints[-1]]
         if len(joints) > 1
         else body.v_template[_shares(body, joints)[:, 0] > 0.5].mean(0)
     )
-    along = end - places[joints[0]]
-    return places[joints[0]], along / np.linalg.norm(along)
+    along = end - start
+    return start, along / np.linalg.norm(along)
 
 
 def _shares(body: BodyModel, joints: tuple[int, ...]) -> Float[np.ndarray, "V j"]:

@@ -54,12 +54,12 @@ class Bundles:
 
     def filled(self, floats: Sequence[float] | np.ndarray, ints: Sequence[int] = ()) -> list[bytes]:
         """The datagrams with these numbers, each kind in the order of the messages."""
-        floats = np.asarray(floats, dtype=">f4")
-        ints = np.asarray(ints, dtype=">i4")
+        single = np.asarray(floats, dtype=">f4")
+        whole = np.asarray(ints, dtype=">i4")
         for k, part in enumerate(self._parts):
             for places, values in (
-                (self._floats, floats.view(">u4")),
-                (self._ints, ints.view(">u4")),
+                (self._floats, single.view(">u4")),
+                (self._ints, whole.view(">u4")),
             ):
                 mine = [n for n, (where, _) in enumerate(places) if where == k]
                 part[[places[n][1] for n in mine]] = values[mine]

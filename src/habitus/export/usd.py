@@ -1,6 +1,8 @@
 """USD: the body as a UsdSkel rig with blend shapes, for Omniverse, Houdini, Maya, Unreal, Blender;
 .usdz for phones.
 """
+# pyright: reportAttributeAccessIssue=false
+# (pxr's modules are compiled and come without stubs)
 
 import os
 import re

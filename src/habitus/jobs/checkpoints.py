@@ -44,11 +44,7 @@ def fingerprint(
     """
     ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
     if registrations.known is not None and options.start == "body":
-        ends += [
-            value
-            for key, value in registrations.known.items()
-            if key != "rest" and value is not None
-        ]
+        ends += list(registrations.known.arrays().values())
         ends += list(registrations.known.rest.values())
     words = [*registrations.name, *registrations.subject, *registrations.sex, *registrations.set]
     mirrors = [np.zeros(0) if m is None else m for m in (template.mirror, template.joint_mirror)]
@@ -222,7 +218,7 @@ def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
     return {f"{lead}{key}": value for key, value in arrays.items()}
 
 
-def _estimate(told: Mapping[str, Any], file: Mapping[str, np.ndarray], lead: str) -> Estimate:
+def _estimate(told: Mapping[str, Any], file: Any, lead: str) -> Estimate:
     words = (
         tuple(told["parents"]),
         told["skinning"],

@@ -273,7 +273,7 @@ def _report(
     frames = np.bincount(named[known], minlength=len(names))
     count = max(1, len(named))
     worst = sorted(
-        {names[i] for i in np.unique(named[doubtful]) if np.mean(doubtful[named == i]) > 0.5}
+        {str(names[i]) for i in np.unique(named[doubtful]) if np.mean(doubtful[named == i]) > 0.5}
     )
     absent = [name for name, seen in zip(names, frames, strict=True) if not seen]
     said = f"{known.mean():.1%} of {count} points labelled, {doubtful.sum() / count:.1%} doubtful"

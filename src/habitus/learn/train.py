@@ -92,7 +92,7 @@ def train_body(
     state = replace(state, estimate=with_holes_filled(problem, state.estimate, template))
     estimate = state.estimate
     regressor = learn_regressor(problem, template, estimate)
-    if "shapedirs" in options.fixed:
+    if body is not None and "shapedirs" in options.fixed:
         shape = shape_space_of(body)
     elif len(shaped):
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)

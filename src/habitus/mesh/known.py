@@ -3,7 +3,7 @@ rest surfaces.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -53,9 +53,10 @@ class Known:
             _rows(self.pose, rows), _rows(self.trans, rows), _rows(self.betas, rows), self.rest
         )
 
-    def items(self) -> list[tuple[str, np.ndarray | Mapping | None]]:
-        """Names and values."""
-        return [(one.name, getattr(self, one.name)) for one in fields(self)]
+    def arrays(self) -> dict[str, np.ndarray]:
+        """``pose``, ``trans`` and ``betas``, by name, where they are known."""
+        arrays = {"pose": self.pose, "trans": self.trans, "betas": self.betas}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     def told(self, name: str, count: int) -> Bool[np.ndarray, " N"]:
         """Of which of ``count`` registrations ``pose``, ``trans`` or ``betas`` is known."""

@@ -92,6 +92,7 @@ def _depth_gender(fit: RgbdFit) -> dict[str, Any] | None:
             else {"female_probability": None, "says": None, "model": fit.gender}
         )
     probability = female_probability(fit.body, fit.betas)
+    assert probability is not None  # the body has a classifier
     return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
 
 

@@ -24,7 +24,7 @@ _FOOTER_END = bytes.fromhex("f85a8c6adef5d97eece90ce3758f290b")
 _HEADER = b"Kaydara FBX Binary  \x00\x1a\x00" + struct.pack("<I", VERSION)
 _NULL = bytes(13)
 _ARRAYS = {"f4": b"f", "f8": b"d", "i4": b"i", "i8": b"l"}
-_SINGLES = (
+_SINGLES: tuple[tuple[type, bytes, str], ...] = (
     (bool, b"C", "<?"),
     (np.int64, b"L", "<q"),
     (int, b"I", "<i"),

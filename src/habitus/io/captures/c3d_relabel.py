@@ -43,7 +43,7 @@ def write_relabelled(
     ]
     frames = file["data"]["points"].shape[2]
     placed = np.ones((4, points.shape[1], frames))
-    missing = ~np.isfinite(points).all(axis=2).T
+    missing = ~np.all(np.isfinite(points), axis=2).T
     placed[:3] = np.nan_to_num(points.transpose(2, 1, 0)[:, :, :frames] / METRES[capture.unit])
     meta = file["data"]["meta_points"]
     residuals = np.where(missing[:, :frames], -1.0, 0.0)[None]

@@ -47,7 +47,8 @@ class ModelArrays:
         """
         other = object.__new__(ModelArrays)
         other.allowance = self.allowance
-        other._read = {key: read for key, read in (self._read | arrays).items() if read is not None}
+        every = {**self._read, **arrays}
+        other._read = {key: read for key, read in every.items() if read is not None}
         return other
 
     def __contains__(self, key: str) -> bool:

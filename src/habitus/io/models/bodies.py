@@ -316,7 +316,7 @@ def _pose_shapes(arrays: ModelArrays, v: int, j: int, own: dict) -> dict:
     official = drivers is not None and "weights" in arrays
     count = features.count(j if drivers is None or official else 1 + len(drivers), shapes)
     posedirs = arrays.number("posedirs", v, 3, count)
-    if official:
+    if official and drivers is not None:
         posedirs = of_joints(posedirs, features.per_joint, everyone, drivers, shapes)
     return (
         {"posedirs": posedirs, "pose_joints": drivers}

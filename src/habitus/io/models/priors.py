@@ -2,6 +2,7 @@
 
 from importlib.resources import files
 from pathlib import Path
+from typing import BinaryIO, cast
 
 import numpy as np
 
@@ -20,7 +21,7 @@ def load_pose_prior(path: str | Path | None = None) -> PosePrior:
     source = files("habitus.assets") / "pose_prior.npz" if path is None else Path(path)
     try:
         with source.open("rb") as stream:
-            arrays = ModelArrays(stream)
+            arrays = ModelArrays(cast(BinaryIO, stream))
             names = arrays.text("joint_names")
             check_joints(len(names))
             size = 3 * len(names)

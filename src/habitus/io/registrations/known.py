@@ -105,7 +105,7 @@ def known_form(known: Known | None, subjects: Sequence[str]) -> dict[str, np.nda
     """
     if known is None:
         return {}
-    arrays = {key: value for key, value in known.items() if key != "rest" and value is not None}
+    arrays = known.arrays()
     if known.rest and all(subject in known.rest for subject in subjects):
         arrays["rest"] = np.stack([known.rest[subject] for subject in subjects])
     return arrays

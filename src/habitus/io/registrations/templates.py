@@ -213,7 +213,7 @@ def _parents(path: Path, names: list[str], joints: list[Mapping[str, Any]]) -> t
                 f"{path}: the first joint {names[0]!r} has a parent {shown(above)!r}; expected "
                 "the root first"
             )
-        parents.append(place[above] if k else -1)
+        parents.append(place[str(above)] if k else -1)
     return tuple(parents)
 
 

@@ -111,6 +111,8 @@ def _initial_pose_shapes(
             f"shape coefficients; expected {options.pose_features!r} alone"
         )
     posedirs = body.smpl_posedirs()
+    if posedirs is None:
+        return none
     return posedirs if "posedirs" in options.fixed else allowed_pose_shapes(problem, posedirs)
 
 

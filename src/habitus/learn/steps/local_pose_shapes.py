@@ -209,7 +209,7 @@ def _chunk(task: _Task, ids: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 F"
         columns = task.columns[task.driven[ids[rows[0]]]]
         out[rows] = 0.0
         if columns.size:
-            out[np.ix_(rows, range(3), columns.ravel())] = _solved(
+            out[np.ix_(rows, np.arange(3), columns.ravel())] = _solved(
                 task, square[:, rows], right[:, rows], columns
             )
     return out
@@ -280,12 +280,12 @@ def _solved(
         if task.least is not None:
             limit = task.least**2 * float(square[:, k, :3].sum()) / 3
             use = np.sort(groups[kept_groups(grams, pulls, penalty, groups, limit)].ravel())
-        gram = sum(grams)[np.ix_(use, use)]
+        gram = np.asarray(sum(grams))[np.ix_(use, use)]
         floor = 1e-10 * max(float(gram.trace()), 1e-3) / max(len(use), 1)
         if len(use):
             ridge = penalty[np.ix_(use, use)] + max(floor - weight, 0.0) * np.eye(len(use))
             factor = cho_factor(gram + ridge)
-            found[k].reshape(-1)[use] = cho_solve(factor, sum(pulls)[use])
+            found[k].reshape(-1)[use] = cho_solve(factor, np.asarray(sum(pulls))[use])
     return found
 
 
