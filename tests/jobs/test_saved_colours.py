@@ -61,7 +61,7 @@ def test_a_scan_with_colours_is_saved_with_them(fit, tmp_path):
     assert numbers == {
         "difference_before": 0.2,
         "difference_after": 0.12,
-        "slid_mm": pytest.approx(0.4),
+        "surface_shift_mm": pytest.approx(0.4),
     }
     page = (tmp_path / "anna" / "report.html").read_text()
     assert "0.200" in page and "as all scans show them" in page and "Colours apart" in page

@@ -30,7 +30,7 @@ KEYS = {
         "held_out_error_mm",
         "held_out_known_placement_mm",
         "suspect_markers",
-        "guessed_segments",
+        "unobserved_segments",
         "stage_seconds",
         "frames_per_second",
     ),
@@ -134,7 +134,7 @@ def test_gender_is_a_probability():
     probability = female_probability(body, fit.betas, betas_covariance(fit))
     assert found == {
         "female_probability": probability,
-        "says": said_of(probability),
+        "decision": said_of(probability),
         "model": "neutral",
     }
     assert marker_metrics(synthetic_fit(3))["gender"] is None
@@ -144,13 +144,13 @@ def test_a_fit_with_the_model_of_a_sex_says_why():
     fit = synthetic_fit(3, gender="male")
     assert marker_metrics(fit)["gender"] == {
         "female_probability": None,
-        "says": None,
+        "decision": None,
         "model": "male",
     }
     chosen = replace(fit, female_probability=0.07)
     assert marker_metrics(chosen)["gender"] == {
         "female_probability": 0.07,
-        "says": "male",
+        "decision": "male",
         "model": "male",
     }
 

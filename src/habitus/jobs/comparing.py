@@ -52,7 +52,7 @@ class Comparison:
             "shape_at_rest_mm": "shape at rest",
         }
         apart = {what: self.numbers[key] for key, what in named.items()}
-        apart["markers, predicted"] = (self.numbers["markers"] or {}).get("apart_mm")
+        apart["markers, predicted"] = (self.numbers["markers"] or {}).get("distance_mm")
         rows = []
         for what, values in apart.items():
             if values and values["mean"] is not None:

@@ -119,8 +119,8 @@ def _tiles(numbers: Mapping[str, Any]) -> Iterator[Tile]:
     remark = f"median; to the model {model['median']:.1f} mm"
     yield "Scan to surface", f"{surface['median']:.2f}", "mm", remark
     yield "95 % are below", f"{surface['p95']:.1f}", "mm", f"largest {surface['max']:.0f} mm"
-    yield "Unexplained", f"{100 * numbers['lost']:.2f}", "%", TEXTS["unexplained"]
-    yield "Observed", f"{100 * numbers['seen']:.0f}", "%", TEXTS["seen"]
+    yield "Unexplained", f"{100 * numbers['unexplained_fraction']:.2f}", "%", TEXTS["unexplained"]
+    yield "Observed", f"{100 * numbers['observed_fraction']:.0f}", "%", TEXTS["seen"]
     yield from measurement_tiles(numbers["body_measurements"], TILES)
 
 
@@ -202,7 +202,7 @@ def _distances(numbers: Mapping[str, Any]) -> str:
         (name, *(f"{numbers[key][measure]:.2f} mm" for measure in ("median", "p95", "max")))
         for name, key in keys
     ]
-    lead = TEXTS["matched"].format(share=100 * numbers["matched"])
+    lead = TEXTS["matched"].format(share=100 * numbers["matched_fraction"])
     return card(
         "Distances of the scan", numbers_table(rows, ("", "median", "95 %", "largest")), lead
     )

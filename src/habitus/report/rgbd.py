@@ -126,7 +126,7 @@ def _head(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
     facts = [
         f"{count} view{'s' * (count != 1)}",
         f"body {fit.body_name}",
-        f"person segmented by {numbers['parted_by']}",
+        f"person segmented by {numbers['segmentation']}",
     ]
     return (
         heading(fit.capture_name, facts) + banner(numbers["verdict"]) + tiles(_tiles(fit, numbers))
@@ -135,7 +135,7 @@ def _head(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
 
 def _tiles(fit: "RgbdFit", numbers: dict[str, Any]) -> Iterable[Tile]:
     error = numbers["depth_error_mm"]
-    explained = 100 * min(view["explained"] for view in numbers["views"])
+    explained = 100 * min(view["explained_fraction"] for view in numbers["views"])
     yield "Depth error", f"{error['median']:.1f}", "mm", "median, across the surface"
     yield "95 % are below", f"{error['p95']:.0f}", "mm", "in the worst view"
     yield "Explained", f"{explained:.1f}", "%", "of the person's pixels"

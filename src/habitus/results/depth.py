@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from habitus.body.gender import female_probability, said_of
+from habitus.body.gender import female_probability
 from habitus.body.surface_files import write_textured
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.export.png import png
 from habitus.files import whole_folder, write_text
-from habitus.fit.points.depth_result import RgbdFit
+from habitus.fit.points.depth_result import RgbdFit, ViewEvidence
 from habitus.fit.points.skin_offsets import along_normals
 from habitus.fit.points.state import State
 from habitus.fit.points.texture import Skin, bake, spread
 from habitus.observe.srgb import srgb_bytes
-from habitus.results.metrics import measurements_csv, write_json
+from habitus.results.metrics import gender_entry, measurements_csv, write_json
 from habitus.results.save import METRICS, REPORT
 from habitus.types import PathLike
 
@@ -54,19 +54,36 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
         "capture": fit.capture_name,
         "body": fit.body_name,
         "age_years": fit.body.age,
-        "views": [vars(view) for view in fit.evidence.views],
+        "views": [_view(view) for view in fit.evidence.views],
         "depth_error_mm": {
             "median": float(np.median([view.median_mm for view in fit.evidence.views])),
             "p95": float(np.max([view.p95_mm for view in fit.evidence.views])),
         },
-        "parted_by": fit.evidence.way,
+        "segmentation": fit.evidence.way,
         "appearance": _appearance(fit),
         "costs": dict(fit.costs),
         "stage_seconds": {**seconds, "total": sum(seconds.values())},
         "body_measurements": dict(fit.measurements),
-        "gender": _depth_gender(fit),
+        "gender": gender_entry(_female_probability(fit), fit.gender),
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "warnings": list(fit.warnings),
+    }
+
+
+def _view(view: ViewEvidence) -> dict[str, Any]:
+    return {
+        "name": view.name,
+        "median_mm": view.median_mm,
+        "bias_mm": view.bias_mm,
+        "p95_mm": view.p95_mm,
+        "noise_mm": view.noise_mm,
+        "explained_fraction": view.explained,
+        "outside_fraction": view.outside,
+        "silhouette_overlap": view.overlap,
+        "turn_degrees": view.turn_deg,
+        "on_floor": view.on_floor,
+        "cut_off": view.cut_off,
+        "pixels": view.pixels,
     }
 
 
@@ -76,24 +93,16 @@ def _appearance(fit: RgbdFit) -> dict[str, Any] | None:
         return None
     return {
         "colour_residual": found.residual,
-        "seen_share": float((found.seen > 0).mean()),
+        "observed_fraction": float((found.seen > 0).mean()),
         "colour_camera_shift_mm": (1e3 * found.shift.shift).tolist(),
-        "outline_overlap": found.shift.overlap,
+        "silhouette_overlap": found.shift.overlap,
         "light": found.light.tolist(),
     }
 
 
-def _depth_gender(fit: RgbdFit) -> dict[str, Any] | None:
-    """P(female) of the neutral shape, as if it were known exactly, and the model fitted."""
-    if fit.body.female_direction is None:
-        return (
-            None
-            if fit.gender == "neutral"
-            else {"female_probability": None, "says": None, "model": fit.gender}
-        )
-    probability = female_probability(fit.body, fit.betas)
-    assert probability is not None  # the body has a classifier
-    return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
+def _female_probability(fit: RgbdFit) -> float | None:
+    """P(female) of the neutral shape, taken as known exactly; None without a classifier of sex."""
+    return None if fit.body.female_direction is None else female_probability(fit.body, fit.betas)
 
 
 def _depth_arrays(fit: RgbdFit) -> dict[str, np.ndarray]:

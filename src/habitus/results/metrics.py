@@ -56,9 +56,9 @@ def marker_metrics(fit: MarkerFit) -> dict[str, Any]:
             name: _rate(frames, seconds[name]) for name in ("pose", "soft_tissue")
         },
         "body_measurements": body_measurements(fit),
-        "gender": _gender(fit),
+        "gender": gender_entry(fit_female_probability(fit), fit.gender),
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
-        "guessed_segments": _guessed(fit),
+        "unobserved_segments": _unobserved_segments(fit),
         "warnings": [str(warning) for warning in fit.warnings],
     }
 
@@ -155,13 +155,13 @@ def _suspect(suspect: Suspect) -> dict[str, Any]:
     }
 
 
-def _guessed(fit: MarkerFit) -> list[dict[str, Any]]:
-    """Joints whose segments no marker tells in half of the capture or more, and how well they are
-    known.
+def _unobserved_segments(fit: MarkerFit) -> list[dict[str, Any]]:
+    """Joints whose segments no marker observes in half of the capture or more, and the standard
+    deviation of their skin.
     """
     typical = 1e3 * np.median(fit.guessed.spread, axis=0)
     joints = np.flatnonzero(fit.guessed.joints())
-    return [{"joint": fit.body.joint_names[k], "spread_mm": float(typical[k])} for k in joints]
+    return [{"joint": fit.body.joint_names[k], "sd_mm": float(typical[k])} for k in joints]
 
 
 def _held_out(held: HeldOut | None) -> dict[str, Any] | None:
@@ -181,18 +181,14 @@ def fit_female_probability(fit: MarkerFit) -> float | None:
     return female_probability(fit.body, fit.betas, betas_covariance(fit))
 
 
-def _gender(fit: MarkerFit) -> dict[str, Any] | None:
-    """P(female) of the neutral shape, what that says ("female", "male", "cannot tell"), and the
-    model fitted.
+def gender_entry(probability: float | None, model: str) -> dict[str, Any] | None:
+    """P(female) of the neutral shape, the decision that it allows ("female", "male", "cannot
+    tell"), and the model fitted; None where neither a probability nor a model of a sex is known.
     """
-    probability = fit_female_probability(fit)
-    if probability is None:
-        return (
-            None
-            if fit.gender == "neutral"
-            else {"female_probability": None, "says": None, "model": fit.gender}
-        )
-    return {"female_probability": probability, "says": said_of(probability), "model": fit.gender}
+    if probability is None and model == "neutral":
+        return None
+    decision = None if probability is None else said_of(probability)
+    return {"female_probability": probability, "decision": decision, "model": model}
 
 
 def _number(value: float | None) -> float | None:
@@ -214,10 +210,10 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "scan_to_model_mm": _spread(fit.to_model),
         "status": fit.status,
         "costs": dict(fit.costs),
-        "matched": fit.matched,
-        "lost": fit.lost,
-        "self_cuts": fit.cuts,
-        "seen": fit.seen,
+        "matched_fraction": fit.matched,
+        "unexplained_fraction": fit.lost,
+        "self_intersections": fit.cuts,
+        "observed_fraction": fit.seen,
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,
         "up_axis": fit.up_axis,
@@ -229,7 +225,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         else {
             "difference_before": fit.colours.before,
             "difference_after": fit.colours.after,
-            "slid_mm": 1e3 * fit.colours.slid,
+            "surface_shift_mm": 1e3 * fit.colours.slid,
         },
         "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
         "stage_seconds": dict(fit.stage_seconds),

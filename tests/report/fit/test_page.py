@@ -230,7 +230,7 @@ def test_unobserved_segments_are_listed_and_packed():
     assert (levels[:, names.index("left_elbow")] == 255).all() and not levels[
         :, names.index("right_elbow")
     ].any()
-    assert {one["joint"] for one in marker_metrics(blind)["guessed_segments"]} == {
+    assert {one["joint"] for one in marker_metrics(blind)["unobserved_segments"]} == {
         "left_elbow",
         "left_wrist",
     }

@@ -376,7 +376,7 @@ def _gender(gender: dict[str, Any] | None) -> list[str]:
     lead = texts.GENDER_NEUTRAL if neutral else texts.GENDER_MODEL.format(model=model)
     if female is None:
         return [f"{lead}."]
-    sentence = texts.GENDER_SAYS.get(gender["says"], texts.GENDER_SAYS[""])
+    sentence = texts.GENDER_SAYS.get(gender["decision"], texts.GENDER_SAYS[""])
     shape = texts.GENDER_SHAPE["neutral" if neutral else ""]
     return [f"{lead}; {sentence.format(shape=shape, female=female, male=1 - female)}."]
 
