@@ -39,9 +39,9 @@ from rich.table import Table
 
 import habitus
 from habitus.body.motion import BodyMotion
+from habitus.body.shipped_prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.simulated_markers import Faults, smooth_motion
 
 WHOLE = 722
@@ -93,7 +93,7 @@ def _motions() -> Iterator[BodyMotion]:
     if not paths:
         body = habitus.load_body("default")
         rng = np.random.default_rng(1)
-        prior = load_pose_prior().for_joints(body.joint_names)
+        prior = shipped_prior().for_joints(body.joint_names)
         pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 6000, RATE, rng)
         yield BodyMotion(body, np.zeros(body.num_betas), pose, trans, RATE, "+y")
 

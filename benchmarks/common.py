@@ -25,10 +25,10 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -127,7 +127,7 @@ def synthetic(body: BodyModel, layout_name: str, frames: int, seed: int = 1) -> 
     """
     rng = np.random.default_rng(seed)
     layout = load_layout(layout_name)
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     layout = layout.restricted_to(
         tuple(marker.label for marker in layout.markers if not marker.optional)
     )
@@ -159,7 +159,7 @@ def compile_kernels(body: BodyModel) -> float:
     someone = person([synthetic(body, "cmu-41", 48)], "auto")
     for causal in (False, True):
         settings = MoshSettings(annealing=(10.0,), frames=3, causal=causal, soft_tissue=not causal)
-        fit_markers(body, load_pose_prior(), someone.layout, someone.recordings, settings)
+        fit_markers(body, shipped_prior(), someone.layout, someone.recordings, settings)
     return time.perf_counter() - began
 
 

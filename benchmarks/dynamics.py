@@ -19,10 +19,10 @@ from common import in_words, machine, parser, write_json
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import shipped_prior
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.evaluate.dynamics import MODES, QUANTITIES, evaluate_dynamics
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.learn.dynamics.sequences import MovingSurface
 from habitus.learn.dynamics.train import DynamicsOptions, learn_dynamics, swinging
 from habitus.mesh.registrations import Registrations
@@ -62,7 +62,7 @@ def planted(body: BodyModel, seed: int = 0) -> BodyModel:
 def moving(body: BodyModel, frames: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A person of random shape in smooth motion: betas, pose, trans."""
     rng = np.random.default_rng(seed)
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
     spread = np.sqrt(np.diag(prior.covariance))
     return betas, *smooth_motion(np.asarray(prior.mean), spread, frames, RATE, rng)

@@ -19,10 +19,10 @@ from common import in_words, machine, parser
 import habitus
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
+from habitus.body.shipped_prior import shipped_prior
 from habitus.export.animation import Animation, animate, one_sided
 from habitus.export.driven import drivers
 from habitus.export.usual_poses import sampled_rotations
-from habitus.io.models.priors import load_pose_prior
 from habitus.rotations import matrix_from_rotvec
 
 
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def _of_people(body: BodyModel, count: int) -> np.ndarray:
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     vectors = np.random.default_rng(7).multivariate_normal(prior.mean, prior.covariance, count)
     turns = matrix_from_rotvec(vectors.reshape(count, -1, 3))
     return np.concatenate([np.broadcast_to(np.eye(3), (count, 1, 3, 3)), turns], axis=1)

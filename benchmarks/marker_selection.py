@@ -15,6 +15,7 @@ import numpy as np
 from common import machine, parser
 from scipy.stats import spearmanr
 
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.selection.full import best_states, full_error
 from habitus.fit.selection.greedy import removals, set_error
 from habitus.fit.selection.held_out import held_out_people
@@ -27,7 +28,6 @@ from habitus.fit.selection.problem import (
 )
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 
 SIZES = (8, 12, 16, 20, 25, 35, 47, 60, 80)
 SETS = 3
@@ -41,7 +41,7 @@ def main() -> None:
     arguments.add_argument("--out", type=Path)
     options = arguments.parse_args()
     body = load_body("default")
-    prior = load_pose_prior()
+    prior = shipped_prior()
     rng = np.random.default_rng(0)
     drawn = held_out_people([load_body("female"), load_body("male")], prior, options.people, 0)
     people = best_states(body, prior, drawn, np.arange(0, body.num_vertices, 15))

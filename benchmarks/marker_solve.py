@@ -28,12 +28,12 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.causal import CausalSolver
 from habitus.fit.markers.sequence import SequenceResult, fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import attach, default_markers
@@ -65,7 +65,7 @@ def scene(layout_name: str, markers: int, frames: int, flesh: float = 0.0, seed:
         body, betas, layout.vertices(body)[:markers], layout.distances()[:markers]
     )
     rig = marker_rig(body, betas, attach(latent, body.rest_vertices(betas), body.faces))
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), frames, 120.0, rng)
     wobble = (
         flesh

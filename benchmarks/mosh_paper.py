@@ -33,7 +33,7 @@ from rich.table import Table
 import habitus
 from habitus.body.gender import said_of
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.shipped_prior import prior_of, shipped_prior
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.surface_fit import Fit
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors
@@ -43,7 +43,6 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
-from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.selection import Selection, select_markers
 from habitus.jobs.subjects import leave_out, person
 from habitus.markers.placements import PlacementPrior
@@ -77,7 +76,7 @@ def synthetic(
     and the betas.
     """
     layout = selection.pool.layout
-    prior = load_pose_prior().for_joints(model.joint_names)
+    prior = shipped_prior().for_joints(model.joint_names)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), FRAMES, RATE, rng)
     betas = np.clip(rng.normal(size=model.num_betas), -2.5, 2.5)
     rest = model.rest_vertices(betas)

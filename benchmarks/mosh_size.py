@@ -31,10 +31,10 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 import habitus
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
-from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.subjects import person
 
 GOALS = {"peak_gb": 3.0, "slower_than_10000_frames": 1.2, "degrees": 0.01}
@@ -146,7 +146,7 @@ def command(capture: Capture, frames: int, folder: Path) -> dict:
 def agreement(capture: Capture) -> list[dict]:
     """Windows against one solve of all frames."""
     someone = person([capture], "auto")
-    prior = load_pose_prior()
+    prior = shipped_prior()
     body = habitus.load_body("default")
     settings = MoshSettings(longest=1_000_000)
     whole = fit_markers(body, prior, someone.layout, someone.recordings, settings)[0]

@@ -39,12 +39,12 @@ from threadpoolctl import threadpool_limits
 
 import habitus
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.causal import CausalSolver
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import Capture
-from habitus.io.models.priors import load_pose_prior
 from habitus.jobs.subjects import Person, person
 from habitus.observe.marker_rig import marker_rig
 
@@ -62,7 +62,7 @@ COMMAND_GOAL_GB = 2.0
 def stages(body: BodyModel, capture: Capture, runs: int) -> dict:
     """Medians of the three stages and of causal steps, in this process."""
     someone = person([capture], "auto")
-    prior = load_pose_prior()
+    prior = shipped_prior()
     settings = MoshSettings()
     fits = [
         fit_markers(body, prior, someone.layout, someone.recordings, settings)[0]
@@ -91,7 +91,7 @@ def causal(body: BodyModel, someone: Person, fit) -> dict:
     """Milliseconds of each causal step, one frame after another on one thread: median and 99th
     percentile.
     """
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     observed = someone.recordings[0].observed[
         :, [someone.layout.labels.index(label) for label in fit.labels]
     ]

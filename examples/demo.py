@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.simulated_markers import (
     Faults,
     SyntheticCapture,
@@ -39,7 +39,7 @@ def make_capture(
     """
     rng = np.random.default_rng(seed)
     layout = load_layout("mosh-67")
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(scale=1.0, size=body.num_betas), -2, 2)
     pose, trans = smooth_motion(
         prior.mean, np.sqrt(np.diag(prior.covariance)), frames, RATE_HZ, rng

@@ -120,17 +120,17 @@ def test_readme_rendering_example_finds_the_position_with_the_public_face_alone(
 def _write_walk(path: Path) -> None:
     """A synthetic capture, as long as the example asks for."""
 
+    from habitus.body.shipped_prior import shipped_prior
     from habitus.io.captures.c3d_write import write_c3d
     from habitus.io.captures.read import Capture
     from habitus.io.layouts.files import load_layout
     from habitus.io.models.bodies import load_body
-    from habitus.io.models.priors import load_pose_prior
     from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
     body = load_body("default")
     layout = load_layout("cmu-41")
     rng = np.random.default_rng(1)
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 210, 120.0, rng)
     places = layout.vertices(body), layout.distances()
     truth = simulate_capture(body, np.zeros(body.num_betas), pose, trans, *places, Faults(), rng)

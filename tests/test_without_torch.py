@@ -51,11 +51,11 @@ def test_a_capture_becomes_files_without_torch(tmp_path):
         import habitus
         from habitus.io.captures.c3d_write import write_c3d
         from habitus.io.captures.read import Capture
-        from habitus.io.models.priors import load_pose_prior
+        from habitus.body.shipped_prior import shipped_prior
         from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
         body, layout = habitus.load_body("default"), habitus.load_layout("cmu-41")
-        prior, rng = load_pose_prior().for_joints(body.joint_names), np.random.default_rng(0)
+        prior, rng = shipped_prior().for_joints(body.joint_names), np.random.default_rng(0)
         pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 24, 60.0, rng)
         betas, places = np.zeros(body.num_betas), layout.vertices(body)
         made = simulate_capture(body, betas, pose, trans, places, layout.distances(), Faults(), rng)

@@ -196,20 +196,12 @@ def _read_blendscape(path: Path) -> None:
     assert np.isfinite(load_blendscape(path).template).all()
 
 
-def _read_prior(path: Path) -> None:
-    from habitus.io.models.priors import load_pose_prior
-
-    assert np.isfinite(load_pose_prior(path).covariance).all()
-
-
 def _models(folder: Path) -> list[Target]:
     import scipy.sparse
     from synthetic import official_arrays, synthetic_body, with_features
     from worm_model import worm_model
 
-    from habitus.body.prior import PosePrior
     from habitus.io.models.bodies import save_body
-    from habitus.io.models.priors import save_pose_prior
     from habitus_lab.baselines.files import save_blendscape
 
     arrays = official_arrays("mano", 24, num_betas=2)
@@ -221,7 +213,6 @@ def _models(folder: Path) -> list[Target]:
         with_features(synthetic_body("mano", 24, num_betas=2), "quaternions", 1), folder / "own.npz"
     )
     save_blendscape(worm_model(np.random.default_rng(0), subdivisions=0), folder / "worm.npz")
-    save_pose_prior(PosePrior(("hip", "knee"), np.zeros(6), np.eye(6)), folder / "prior.npz")
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("official", "boxed", "own")]
     worm = (folder / "worm.npz").read_bytes()
     sparse = arrays | {
@@ -234,7 +225,6 @@ def _models(folder: Path) -> list[Target]:
         _alone("body.npz", _read_body, *npz),
         _alone("body.pkl", _read_body, *plain, _chumpy_pickle(arrays)),
         _alone("worm.npz", _read_blendscape, worm),
-        _alone("prior.npz", _read_prior, (folder / "prior.npz").read_bytes()),
     ]
 
 

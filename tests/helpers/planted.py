@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.markers import attach
 from habitus.observe.simulated_markers import misplace, smooth_motion
@@ -64,7 +64,7 @@ def layout_of(name: str = "cmu-41") -> MarkerLayout:
 
 @cache
 def prior_of_poses() -> PosePrior:
-    return load_pose_prior()
+    return shipped_prior()
 
 
 def surface(betas, pose, trans, vertices=None) -> np.ndarray:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import habitus as hb
+from habitus.body.shipped_prior import shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import load_pose_prior
 from habitus.io.streams.source import Frame, heading
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
@@ -59,7 +59,7 @@ def body():
 @pytest.fixture(scope="module")
 def truth(body):
     rng = np.random.default_rng(5)
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), FRAMES, RATE, rng)
     places = LAYOUT.vertices(body), LAYOUT.distances()

@@ -12,13 +12,12 @@ import pytest
 
 import habitus as hb
 from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import prior_of
+from habitus.body.shipped_prior import prior_of, shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 FRAMES = 60
@@ -33,7 +32,7 @@ def body():
 def truth(body):
     rng = np.random.default_rng(5)
     layout = load_layout("cmu-41")
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     betas = np.clip(rng.normal(size=body.num_betas), -2, 2)
     pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), FRAMES, 120.0, rng)
     return simulate_capture(

@@ -7,7 +7,7 @@ import torch
 from synthetic_fit import reference_vertices, tube_body
 
 import habitus as hb
-from habitus.io.models.priors import load_pose_prior
+from habitus.body.shipped_prior import shipped_prior
 from habitus.observe.markers import attach
 
 
@@ -50,7 +50,7 @@ def test_markers_off_the_skin_ride_on_their_triangles():
 
 
 def test_the_pose_prior_is_the_shipped_one_and_leaves_the_root_free():
-    prior = load_pose_prior().for_joints(hb.load_body("default").joint_names)
+    prior = shipped_prior().for_joints(hb.load_body("default").joint_names)
     pose = torch.as_tensor(0.3 * np.random.default_rng(4).normal(size=(24, 3)))
     off = pose[1:].flatten().numpy() - prior.mean
     residual = hb.terms.PosePrior()(pose)

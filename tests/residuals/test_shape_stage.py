@@ -7,11 +7,11 @@ import pytest
 import scipy.sparse
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import attach, default_markers
 from habitus.residuals.shape_stage import start_place
@@ -40,7 +40,7 @@ def stage(body) -> tuple[dict, dict, LatentMarkers]:
     trans = rng.normal(size=(FRAMES, 3))
     weights = rng.uniform(0.5, 1.0, size=(FRAMES, len(latent)))
     weights[1, 2] = 0.0
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     markers = LatentMarkers(body, attach(latent, body.rest_vertices(betas), body.faces).triangles)
     observed = rng.normal(size=(FRAMES, len(latent), 3))
     terms = shape_terms(body, markers, placement, observed, weights, prior, MoshSettings(), 2.0)

@@ -19,6 +19,8 @@ from ranges import range_prior
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.shipped_prior import shipped_prior
+from habitus.files import atomic_write
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.recordings import random_frames
 from habitus.fit.markers.sequence import fit_sequence
@@ -26,7 +28,6 @@ from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import read_capture
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior, save_pose_prior
 from habitus.jobs.subjects import person
 
 FRAMES = 120
@@ -118,7 +119,7 @@ def main() -> None:
     parser.add_argument("--body", default="default")
     options = parser.parse_args()
     body = load_body(options.body)
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     for round_ in range(options.rounds):
         by_person = groupby(sorted(options.captures), key=lambda path: path.stem[:5])
         loose = PosePrior(prior.joint_names, prior.mean, LOOSER**2 * prior.covariance)
@@ -128,7 +129,14 @@ def main() -> None:
             f"round {round_ + 1}: {len(people)} people, {sum(map(len, people))} captures",
             flush=True,
         )
-    save_pose_prior(completed(prior), options.out)
+    built = completed(prior)
+    with atomic_write(options.out) as temporary:
+        np.savez_compressed(
+            temporary,
+            joint_names=np.array(built.joint_names),
+            mean=built.mean,
+            covariance=built.covariance,
+        )
 
 
 if __name__ == "__main__":

@@ -4,6 +4,9 @@
 # pyright: reportAttributeAccessIssue=false
 # (pxr's modules are compiled and come without stubs)
 
+# The stubs of usd-core lack most of its names.
+# pyright: reportAttributeAccessIssue=false, reportMissingImports=false
+
 import os
 import re
 from pathlib import Path

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.io.models.priors import load_pose_prior
+from habitus.body.shipped_prior import prior_of
 from habitus.rotations import matrix_from_rotvec
 
 SAMPLES, WIDER, LOOSE = 1000, 2.0, 0.1
@@ -19,7 +19,7 @@ def sampled_rotations(body: BodyModel) -> Float[np.ndarray, "S J 3 3"]:
     From the body's own pose prior, or the one that comes along; wider, because animators go further
     than captures.
     """
-    prior = (body.pose_prior or load_pose_prior()).for_joints(body.joint_names)
+    prior = prior_of(body).for_joints(body.joint_names)
     spread = WIDER * prior.covariance + LOOSE**2 * np.eye(len(prior.mean))
     rng = np.random.default_rng(0)
     vectors = (

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
-from habitus.body.motion import BodyMotion
+from habitus.body.motion import Moving
 from habitus.report.shell import measurement_text
 from habitus.rotations import up_rotation
 
@@ -163,7 +163,7 @@ class MotionPanel:
     def __init__(
         self,
         server: Any,
-        motion: BodyMotion,
+        motion: Moving,
         node: str,
         markers: Float[np.ndarray, "T M 3"] | None = None,
     ):

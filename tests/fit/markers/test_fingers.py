@@ -7,11 +7,11 @@ import pytest
 
 from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.prior import UNKNOWN_JOINT_SD
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.markers.layouts import Marker
 from habitus.observe.markers import attach, default_markers, predict_markers
 from habitus.observe.simulated_markers import smooth_motion
@@ -23,8 +23,8 @@ RATE_HZ = 30.0
 @pytest.mark.parametrize("joints", ["smpl", "smplh", "smplx"])
 def test_the_prior_knows_every_joint_left_and_right_alike(joints):
     names = LAYOUTS[joints].joint_names
-    prior = load_pose_prior().for_joints(names)
-    assert set(prior.joint_names) <= set(load_pose_prior().joint_names)
+    prior = shipped_prior().for_joints(names)
+    assert set(prior.joint_names) <= set(shipped_prior().joint_names)
     assert np.linalg.eigvalsh(prior.covariance).min() > 0
     sd = np.sqrt(np.diag(prior.covariance)).reshape(-1, 3)
     mean = prior.mean.reshape(-1, 3)
@@ -40,7 +40,7 @@ def test_the_prior_knows_every_joint_left_and_right_alike(joints):
 
 def test_fingers_bend_towards_the_palm_one_joint_with_the_next():
     names = LAYOUTS["smplx"].joint_names
-    prior = load_pose_prior().for_joints(names)
+    prior = shipped_prior().for_joints(names)
     place = {name: 3 * k + 2 for k, name in enumerate(names[1:])}  # about z, forward
     sd = np.sqrt(np.diag(prior.covariance))
     for side, sign in (("left", -1.0), ("right", 1.0)):
@@ -75,7 +75,7 @@ def hands(body):
 def test_twenty_finger_markers_recover_both_hands():
     body = load_body("default", joints="smplh").with_betas(4)
     layout = hands(body)
-    prior = load_pose_prior()
+    prior = shipped_prior()
     rng = np.random.default_rng(0)
     own = prior.for_joints(body.joint_names)
     pose, trans = smooth_motion(own.mean, 0.6 * np.sqrt(np.diag(own.covariance)), 30, RATE_HZ, rng)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from marker_scene import degrees_apart
 
+from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.marker_sequence import DenseSequence, marker_sequence
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, ShapeWeights
 from habitus.fit.markers.shape import shape_stage
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
@@ -30,7 +30,7 @@ def planted():
     """A body with dual quaternion skinning, its shape, motion, and what 90 markers show of it."""
     rng = np.random.default_rng(0)
     body = replace(load_body("default").with_betas(BETAS), skinning="dqbs")
-    prior = load_pose_prior().for_joints(body.joint_names)
+    prior = shipped_prior().for_joints(body.joint_names)
     betas = np.array([0.8, -0.6, 0.5])
     chosen = rng.permutation(body.num_vertices)[:MARKERS]
     placement = Placement(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+from habitus.body.shipped_prior import shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import Recording, fit_markers, warm_up
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.io.models.priors import load_pose_prior
 
 
 def compiled() -> set[tuple[str, str, str]]:
@@ -46,6 +46,6 @@ def test_a_fit_finds_every_kernel_compiled(causal):
     settings = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=not causal, causal=causal)
     for markers in (observed, np.asfortranarray(observed)):
         fit_markers(
-            body, load_pose_prior(), layout, [Recording("still", markers, 100.0, "+y")], settings
+            body, shipped_prior(), layout, [Recording("still", markers, 100.0, "+y")], settings
         )
     assert compiled() == before

@@ -46,7 +46,7 @@ def write_relabelled(
     missing = ~np.all(np.isfinite(points), axis=2).T
     placed[:3] = np.nan_to_num(points.transpose(2, 1, 0)[:, :, :frames] / METRES[capture.unit])
     meta = file["data"]["meta_points"]
-    residuals = np.where(missing[:, :frames], -1.0, 0.0)[None]
+    residuals = np.expand_dims(np.where(missing[:, :frames], -1.0, 0.0), 0)
     masks = np.zeros((7, points.shape[1], frames), bool)
     file["data"]["points"] = np.concatenate([placed, file["data"]["points"][:, others]], axis=1)
     meta["residuals"] = np.concatenate([residuals, meta["residuals"][:, others]], axis=1)

@@ -275,7 +275,7 @@ def _confidence(value: Any) -> float:
     return float(value)
 
 
-def _lengths(entry: Mapping[str, Any]) -> dict[str, float]:
+def _lengths(entry: Mapping[str, Any]) -> dict[str, Any]:
     """The marker's lengths in metres; 9.5 is meant in millimetres and refused."""
     lengths = {
         key: float(entry[key])

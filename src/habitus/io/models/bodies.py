@@ -313,7 +313,7 @@ def _pose_shapes(arrays: ModelArrays, v: int, j: int, own: dict) -> dict:
     shapes = own.get("shape_features", 0)
     drivers = read_pose_joints(arrays, j)
     everyone = tuple(range(1, j))
-    official = drivers is not None and "weights" in arrays
+    official = "weights" in arrays
     count = features.count(j if drivers is None or official else 1 + len(drivers), shapes)
     posedirs = arrays.number("posedirs", v, 3, count)
     if official and drivers is not None:

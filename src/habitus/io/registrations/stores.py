@@ -63,7 +63,8 @@ def h5_array(file: Any, name: str, allowance: Allowance, *, whole: bool) -> Any:
     if data.chunks is None:
         check_present(size * width, data.id.get_storage_size(), what)
     if whole or data.chunks is not None:
-        allowance.take(size if whole else array_size(data.chunks), width, what)
+        pieces = () if data.chunks is None else tuple(data.chunks)
+        allowance.take(size if whole else array_size(pieces), width, what)
         _check_total(size * width, data.id.get_storage_size(), what)
     if data.chunks is not None:
         _check_h5_pieces(data, steps, allowance.most, what)
