@@ -21,8 +21,8 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.shipped_prior import shipped_prior
 from habitus.export.animation import Animation, animate, one_sided
+from habitus.export.correctives import sampled_rotations
 from habitus.export.driven import drivers
-from habitus.export.usual_poses import sampled_rotations
 from habitus.rotations import matrix_from_rotvec
 
 

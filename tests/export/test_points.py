@@ -2,7 +2,7 @@ import numpy as np
 from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
-from habitus.export.points import write_points
+from habitus.export.trc import write_points
 from habitus.io.captures.read import read_capture
 from habitus.rotations import up_rotation
 

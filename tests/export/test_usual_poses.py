@@ -1,7 +1,7 @@
 import numpy as np
 from synthetic_fit import tube_body
 
-from habitus.export.usual_poses import SAMPLES, sampled_rotations
+from habitus.export.correctives import SAMPLES, sampled_rotations
 
 
 def test_poses_are_rotations_always_the_same_and_knees_bend_backwards():

@@ -6,10 +6,9 @@ move it too. Both are linear in known coefficients, so they are folded, exactly,
 targets and (b) small joint translations.
 
 Skinning with joints J(t) = J + d(t), x' = A_j (x - J_j(t)) + P_j(t), equals skinning with the fixed
-J when each
-joint's node moves to P_j(t) - A_j d_j(t); relative to its parent that is  offset_j + (I - L_j) d_j(t)  with the
-local rotation L_j.
-"""  # noqa: E501
+J when each joint's node moves to P_j(t) - A_j d_j(t); relative to its parent that is
+offset_j + (I - L_j) d_j(t) with the local rotation L_j.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -30,8 +29,8 @@ from habitus.export.correctives import (
     furthest,
     morphs_of,
     principal,
+    sampled_rotations,
 )
-from habitus.export.usual_poses import sampled_rotations
 from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation
 

@@ -20,8 +20,8 @@ from habitus.export.glb import write_glb
 from habitus.export.mot import write_mot
 from habitus.export.npz import motion_arrays, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
-from habitus.export.points import write_points
 from habitus.export.rates import at_rate
+from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.fit.markers.result import MarkerFit
 from habitus.rotations import up_rotation

@@ -1,10 +1,8 @@
-"""A capture as a TRC file, the way OpenSim writes and reads them: tabs, five header lines, blanks
-where missing.
-"""
+"""Writes TRC files: the markers of a capture, or the joints and markers of a motion."""
 
 import os
 from collections.abc import Iterator, Sequence
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +11,10 @@ from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
 from habitus.rotations import up_rotation
+
+if TYPE_CHECKING:
+    from habitus.body.motion import Moving
+
 
 Unit = Literal["mm", "m"]
 _PER_METRE: dict[str, tuple[float, int]] = {
@@ -118,3 +120,26 @@ def _without_zeros(points: Float[np.ndarray, "T M 3"], least: float) -> Float[np
     rounded = np.where(seen[..., None], points, np.nan)
     rounded[seen & (np.abs(rounded) < least / 2).all(axis=2)] = least
     return rounded
+
+
+def write_points(fit: "Moving", path: str | os.PathLike[str]) -> Capture:
+    """Write the joints, and of a fit its markers where the body carries them, as .trc; what was
+    written comes back.
+
+    Millimetres, y up. Joints have the body's names, markers their labels; a joint of the same name
+    as a marker is called ``…_joint``. Raises HabitusError where the file cannot be written.
+    """
+    carried: Any = getattr(fit, "predicted_soft_tissue", None)
+    carried = getattr(fit, "predicted_pose_stage", None) if carried is None else carried
+    labels = () if carried is None else tuple(fit.labels)  # type: ignore[attr-defined]
+    names = tuple(f"{name}_joint" if name in labels else name for name in fit.body.joint_names)
+    points = [fit.joints()] if carried is None else [np.asarray(carried, np.float64), fit.joints()]
+    capture = Capture(
+        fit.capture_name,
+        (*labels, *names),
+        np.concatenate(points, axis=1),
+        fit.rate_hz,
+        fit.up_axis,
+    )
+    write_trc(capture, path)
+    return capture

@@ -11,7 +11,7 @@ from habitus.export.posing import OSC_PORT, UNITY_BONES, VMC_PORT, OscPoses, Vmc
 from habitus.fit.markers.live import Quality
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.subject import Subject
-from habitus.io.streams.addresses import host_and_port
+from habitus.io.streams.source import host_and_port
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now, Sink
 

@@ -21,7 +21,7 @@ from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings, MoshWeights
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.layouts.found import found_layout_text
+from habitus.io.layouts.draft import found_layout_text
 from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded, with_fingers

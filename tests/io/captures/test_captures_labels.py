@@ -8,8 +8,8 @@ from mannequin import LABELS, world_points, write_raw_c3d
 
 from habitus.errors import HabitusError
 from habitus.io.captures.labels import computed_labels, is_unlabelled
+from habitus.io.captures.people import split_subjects
 from habitus.io.captures.read import Capture, read_capture, read_captures
-from habitus.io.captures.subjects import split_subjects
 
 
 def _read(folder: Path, labels: tuple[str, ...], points: np.ndarray, **options: object) -> Capture:

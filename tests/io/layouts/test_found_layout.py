@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.fit.discover.result import Discovery
+from habitus.io.layouts.draft import found_layout_text
 from habitus.io.layouts.files import load_layout
-from habitus.io.layouts.found import found_layout_text
 from habitus.io.layouts.toml import parse_layout
 from habitus.io.names import plain_name
 from habitus.markers.layouts import Marker, MarkerLayout

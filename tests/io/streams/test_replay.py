@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.io.streams.open import open_source
-from habitus.io.streams.replay import Replay
+from habitus.io.streams.open import Replay, open_source
 
 
 @pytest.fixture

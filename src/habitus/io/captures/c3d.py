@@ -12,8 +12,15 @@ from itertools import product
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.io.captures.c3d_parameters import BLOCK, Header, Parameters, read_parameters, reals
-from habitus.io.captures.c3d_subjects import recorded_values, subject_names
+from habitus.io.captures.c3d_parameters import (
+    BLOCK,
+    Header,
+    Parameters,
+    read_parameters,
+    reals,
+    recorded_values,
+    subject_names,
+)
 from habitus.io.captures.points import RawPoints
 from habitus.parallel.blocks import mapped
 

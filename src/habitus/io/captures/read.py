@@ -1,8 +1,8 @@
 """Reading motion captures: one call for every format, the file's claims checked against its data.
 
-capture = read_capture("walk.c3d")
-capture.markers            # (T, M, 3) metres, the capture's own axes (right-handed), NaN where missing
-"""  # noqa: E501
+``read_capture("walk.c3d").markers`` are (T, M, 3) in metres and in the capture's own right-handed
+axes, NaN where missing.
+"""
 
 import os
 from collections.abc import Callable, Mapping

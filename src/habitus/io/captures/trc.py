@@ -1,13 +1,13 @@
-"""TRC files (Motion Analysis, OpenSim): a text table of points with their names and units in a
-header of five lines.
-"""
+"""Reads TRC files, whose headers and columns every tool writes its own way."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.tables import (
     agreed_rate,
@@ -18,7 +18,177 @@ from habitus.io.captures.tables import (
     number_table,
     read_text,
 )
-from habitus.io.captures.trc_columns import Columns, find_columns
+
+_AXIS = re.compile(r"([XYZ])[ _]?\d*", re.IGNORECASE)
+_TIME = re.compile(r"(frame\W*)?(time|t\b|sec)", re.IGNORECASE)
+_FIRST = 2  # after the frame's number and time
+_ODD_ROWS = 0.02  # so many rows may be damaged
+
+Place = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The label and the columns of x, y, z of each marker, and what is to be said of them."""
+
+    labels: tuple[str, ...]
+    places: tuple[Place, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def first(self) -> int:
+        """The first column that holds a coordinate."""
+        return min(map(min, self.places))
+
+    @property
+    def end(self) -> int:
+        """One past the last column that holds a coordinate."""
+        return 1 + max(map(max, self.places))
+
+
+def find_columns(
+    names: Sequence[str],
+    axes: Sequence[str],
+    spans: Sequence[tuple[int, int]],
+    spaced: bool,
+    name: str,
+) -> Columns:
+    """The columns of a TRC file ``name``, from its row of names, the row below and the ``spans`` of
+    its rows of data.
+
+    A span is the first column with a coordinate and one past the last; ``spaced``: blanks part the
+    cells, so that the names' columns mean nothing. Raises HabitusError where no reading of the
+    header fits the data.
+    """
+    named = [
+        (i, cell)
+        for i, cell in enumerate(names)
+        if cell and i and not (i == 1 and _TIME.match(cell))
+    ]
+    if not named:
+        raise HabitusError(
+            f"{name}: its 'Frame#' line names no markers; export it again with marker names"
+        )
+    triples = _triples(axes, name)
+    readings = [reading for reading in _readings(named, triples, spaced) if reading is not None]
+    first, end = _extent(spans)
+    fitting = [
+        one
+        for one in readings
+        if one.first <= first and end <= one.end and (one.end - end) % 3 == 0
+    ]
+    if not fitting:
+        axes_told = f" and its X1 Y1 Z1 row {len(triples)}" if triples else ""
+        raise HabitusError(
+            f"{name}: its header names {len(named)} markers{axes_told}, its rows hold numbers in "
+            f"columns {first + 1} "
+            f"to {end}, which are not x, y and z of these; export it again"
+        )
+    return fitting[0]
+
+
+def _readings(
+    named: list[tuple[int, str]], triples: list[Place], spaced: bool
+) -> Iterator[Columns | None]:
+    """The ways to read the header, the likeliest first."""
+    labels = tuple(cell for _, cell in named)
+    in_order = Columns(labels, tuple(_triple(_FIRST + 3 * i) for i in range(len(named))))
+    spread = (
+        not spaced
+        and len(named) > 1
+        and all(later - earlier == 3 for (earlier, _), (later, _) in pairwise(named))
+    )
+    if triples:
+        yield _named_triples(named, triples, spaced)
+        told = (
+            "the file's X1 Y1 Z1 row does not fit its numbers: the columns are those of the names"
+        )
+        in_order = replace(in_order, warnings=(told,))
+    if spread:
+        own = Columns(labels, tuple(_triple(i) for i, _ in named), in_order.warnings)
+        yield own
+        if own.places != in_order.places:
+            in_order = replace(in_order, warnings=(_beside(named[0][0], _FIRST),))
+    yield in_order
+
+
+def _named_triples(
+    named: list[tuple[int, str]], triples: list[Place], spaced: bool
+) -> Columns | None:
+    """The X1 Y1 Z1 row's columns with the names above them, or in order; None where that leaves a
+    doubt.
+    """
+    starts = [min(triple) for triple in triples]
+    columns = [i for i, _ in named]
+    warnings = []
+    if spaced or columns == [
+        *range(columns[0], columns[0] + len(columns))
+    ]:  # the names are not spread
+        columns = starts[: len(columns)] if len(columns) == len(starts) else []
+    elif len(columns) == len(starts) and columns != starts:
+        warnings.append(_beside(columns[0], starts[0]))
+        columns = starts
+    elif not set(columns) & set(starts):
+        warnings.append(_beside(columns[0], starts[0]))
+        columns = [column - columns[0] + starts[0] for column in columns]
+    at = {column: cell for column, (_, cell) in zip(columns, named, strict=False)}
+    if not set(at) & set(starts):
+        return None
+    lost = [shown(cell) for column, cell in at.items() if column not in starts]
+    nameless = sum(start not in at for start in starts)
+    if lost:
+        warnings.append(
+            f"{len(lost)} labels without x, y and z are left out: {', '.join(lost[:5])}"
+        )
+    if nameless:
+        warnings.append(f"{nameless} of {len(starts)} points have no name")
+    labels = tuple(at.get(start) or f"*{i}" for i, start in enumerate(starts))
+    return Columns(labels, tuple(triples), tuple(warnings))
+
+
+def _beside(names: int, numbers: int) -> str:
+    return (
+        f"the markers' names begin in column {names + 1}, their coordinates in column "
+        f"{numbers + 1}, which is used"
+    )
+
+
+def _triple(start: int) -> Place:
+    return start, start + 1, start + 2
+
+
+def _triples(axes: Sequence[str], name: str) -> list[Place]:
+    """The columns of x, y, z under each marker, as the X1 Y1 Z1 row has them; none where it is no
+    such row.
+    """
+    found = [
+        (i, match[1].upper()) for i, cell in enumerate(axes) if (match := _AXIS.fullmatch(cell))
+    ]
+    if not found or len(found) < sum(map(bool, axes)):
+        return []
+    shift = max(0, _FIRST - found[0][0])  # a row that leaves out the blanks under frame and time
+    triples = []
+    for k in range(0, len(found), 3):
+        place = {letter: i + shift for i, letter in found[k : k + 3]}
+        if len(place) < 3 or max(place.values()) - min(place.values()) != 2:
+            raise HabitusError(
+                f"{name}: the coordinates of its point {k // 3 + 1} are "
+                f"{' '.join(c for _, c in found[k : k + 3])}; "
+                "expected X, Y and Z of each; export it again"
+            )
+        triples.append((place["X"], place["Y"], place["Z"]))
+    return triples
+
+
+def _extent(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The columns that hold coordinates, but for a few damaged rows; (2, 2) where there are
+    none.
+    """
+    filled = np.array([span for span in spans if span[1] > span[0]]).reshape(-1, 2)
+    if not len(filled):
+        return _FIRST, _FIRST
+    first = np.percentile(filled[:, 0], 100 * _ODD_ROWS, method="higher")
+    return int(first), int(np.percentile(filled[:, 1], 100 * (1 - _ODD_ROWS), method="lower"))
 
 
 def parse_trc(content: bytes, name: str) -> RawPoints:

@@ -1,6 +1,4 @@
-"""A new layout file for a capture whose marker set nobody wrote down yet: what is known filled in,
-the rest to do.
-"""
+"""Layout files written for the user: a draft from a capture's labels, or one estimated by a fit."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import shown
+from habitus.fit.discover.result import Discovery
 from habitus.io.layouts.toml import key_text, marker_line, quoted
 from habitus.io.names import plain_name
 from habitus.markers.checks import other_side
@@ -18,11 +17,13 @@ from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted
 
 _HEADER = """\
-# A marker layout for habitus: one line a marker, LABEL = "landmark" or LABEL = {{ place = "landmark", … }}.
-# `habitus layout show --landmarks` lists the landmarks; docs/adding-a-marker-layout.md tells the rest.
-# {known} of {count} labels of {capture} are filled in, most as in {source}: look at each. The others are TODO lines:
-# remove the # and put the landmark that the marker sits on between the quotes, or delete the line to leave it out.
-"""  # noqa: E501
+# A marker layout for habitus: one line per marker, LABEL = "landmark" or
+# LABEL = {{ place = "landmark", … }}. `habitus layout show --landmarks` lists the landmarks;
+# docs/adding-a-marker-layout.md describes the format.
+# {known} of {count} labels of {capture} are filled in, most as in {source}: check each.
+# The others are TODO lines: remove the # and write the landmark that the marker sits on between the
+# quotes, or delete the line to leave the marker out.
+"""
 
 
 def draft_layout(
@@ -129,3 +130,45 @@ def nearest_markers(
         if other != column and len(seen):
             distances.append((other, float(np.median(seen))))
     return sorted(distances, key=lambda pair: pair[1])[:count]
+
+
+_FOUND_HEADER = """\
+# A marker layout that was estimated by fitting a body to {capture}. Placements are usually within
+# 5 cm, on hands and along limbs within 10 cm; a confidence is the probability that the marker is
+# within 5 cm of its placement. Check report.html, correct what is wrong
+# (`habitus layout show --landmarks` lists the landmarks), and fit again with --layout FILE.
+"""
+
+
+def found_layout_text(found: Discovery, capture_name: str) -> str:
+    """The text of a layout file: the least sure markers first, each with the labels that keep their
+    distance to it.
+    """
+    name = plain_name(capture_name)
+    layout = found.layout
+    lines = [
+        _FOUND_HEADER.format(capture=name),
+        *(f"# NOT SURE: {shown(doubt, 300)}" for doubt in found.doubts),
+        f"name = {quoted(f'discovered in {name}')}",
+        f"title = {quoted(f'Found by fitting a body to {name}')}",
+        *([] if layout.num_vertices is None else [f"num_vertices = {layout.num_vertices}"]),
+        "",
+        "[markers]",
+    ]
+    for marker in sorted(
+        layout.markers, key=lambda one: 1.0 if one.confidence is None else one.confidence
+    ):
+        mates = found.companions.get(marker.label, ())
+        note = (
+            f"  # keeps its distance to {', '.join(plain_name(mate) for mate in mates)}"
+            if mates
+            else ""
+        )
+        lines.append(marker_line(marker) + note)
+    if found.left_out:
+        lines += [
+            "",
+            "[left_out]",
+            *(f"{key_text(label)} = {quoted(why)}" for label, why in found.left_out.items()),
+        ]
+    return "\n".join(lines) + "\n"

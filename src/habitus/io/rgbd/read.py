@@ -11,8 +11,7 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.io.names import plain_name
-from habitus.io.rgbd.azure import resized
-from habitus.io.rgbd.cameras import COLOUR, DEPTH, Rig, placed, read_rig, scale_of
+from habitus.io.rgbd.cameras import COLOUR, DEPTH, Rig, placed, read_rig, resized, scale_of
 from habitus.io.rgbd.descriptions import read_description
 from habitus.io.rgbd.images import read_colour, read_depth, read_mask
 from habitus.io.rgbd.keypoints import read_keypoints

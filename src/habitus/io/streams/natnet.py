@@ -1,8 +1,9 @@
-"""OptiTrack's Motive over NatNet: unicast and multicast, as the server has it."""
+"""Reads markers live from OptiTrack's Motive over NatNet (UDP), multicast or unicast."""
 
 import select
 import socket
 import struct
+import sys
 import time
 from contextlib import suppress
 
@@ -10,9 +11,46 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.io.streams import natnet_packets as natnet
-from habitus.io.streams.addresses import host_and_port
-from habitus.io.streams.arrival import received, stamped
-from habitus.io.streams.source import Frame, heading
+from habitus.io.streams.source import Frame, heading, host_and_port
+
+_STAMP_NS = 35  # SO_TIMESTAMPNS, which the module socket does not name
+_ROOM = 1 << 22
+_LARGEST = 65_536
+_FORM = struct.Struct("@qq")
+
+
+def stamped(one: socket.socket) -> socket.socket:
+    """The socket with much room for what waits, its datagrams stamped with the time where that can
+    be had.
+    """
+    one.setblocking(False)
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
+    if sys.platform == "linux":
+        one.setsockopt(socket.SOL_SOCKET, _STAMP_NS, 1)
+    return one
+
+
+def received(one: socket.socket) -> tuple[bytes, float] | None:
+    """A datagram and its time of arrival on the clock of `time.perf_counter`; None where none is
+    there.
+    """
+    try:
+        if not hasattr(one, "recvmsg"):
+            return one.recv(_LARGEST), time.perf_counter()
+        packet, ancillary, _, _ = one.recvmsg(_LARGEST, 64)
+    except OSError:  # nothing is there, or the word of a port where nobody listens
+        return None
+    return packet, _arrived(ancillary)
+
+
+def _arrived(ancillary: list[tuple[int, int, bytes]]) -> float:
+    now = time.perf_counter()
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _STAMP_NS and len(data) == _FORM.size:
+            seconds, nanoseconds = _FORM.unpack(data)
+            return now - max(0.0, time.time() - seconds - 1e-9 * nanoseconds)
+    return now
+
 
 PORT = 1510
 PATIENCE_S = 3.0

@@ -12,8 +12,7 @@ import numpy as np
 from habitus.errors import HabitusError, require_extra
 from habitus.io.captures.points import RawPoints
 from habitus.io.limits import MOST_TEXT
-from habitus.io.streams.addresses import host_and_port
-from habitus.io.streams.source import Frame, heading
+from habitus.io.streams.source import Frame, heading, host_and_port
 from habitus.io.structured_text import read_xml
 
 PORT = 22223

@@ -1,13 +1,25 @@
-"""What every source of a live stream is: frames of points as they come, with what the stream says
-of its points.
-"""
+"""What every stream of markers offers, and the addresses it comes from."""
 
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
+from habitus.errors import HabitusError, shown
 from habitus.io.captures.points import RawPoints
+
+
+def host_and_port(address: object, port: int) -> tuple[str, int]:
+    """``HOST``, ``HOST:PORT`` or nothing, which is this machine; raises HabitusError for a port
+    that is none.
+    """
+    text = "" if address is None else str(address).strip()
+    host, colon, number = text.partition(":")
+    if colon and not (number.isdigit() and 0 < int(number) < 65536):
+        raise HabitusError(
+            f"the address {shown(text)!r} has no port after its colon; expected HOST or HOST:PORT"
+        )
+    return host or "127.0.0.1", int(number) if colon else port
 
 
 class Frame(NamedTuple):

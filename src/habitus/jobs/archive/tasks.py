@@ -18,7 +18,7 @@ from habitus.fit.markers.attempts import attempted
 from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
-from habitus.io.layouts.found import found_layout_text
+from habitus.io.layouts.draft import found_layout_text
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
     Done,
