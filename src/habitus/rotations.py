@@ -260,5 +260,14 @@ def up_rotation(up_axis: str) -> Float[np.ndarray, "3 3"]:
     """The rotation that takes a capture's own world to one whose +y is up; ``up_axis`` is "+z",
     "y", "-x", …
     """
-    signed = up_axis if up_axis[:1] in "+-" else f"+{up_axis}"
-    return np.array(UP_AXES[signed.lower()], dtype=np.float64)
+    signed = signed_axis(up_axis)
+    if signed is None:
+        raise KeyError(up_axis)
+    return np.array(UP_AXES[signed], dtype=np.float64)
+
+
+def signed_axis(text: str | None) -> str | None:
+    """An axis in any spelling ("Y", "+y", "-Z ") as "+y"; None where it names no axis."""
+    word = (text or "").strip().lower()
+    signed = word if word[:1] in ("+", "-") else f"+{word}"
+    return signed if signed in UP_AXES else None

@@ -15,7 +15,7 @@ import pytest
 import zarr
 
 from habitus.errors import HabitusError
-from habitus.io.archives import Archive, open_archive
+from habitus.io.archives import NpzArchive, open_archive
 from habitus.io.captures.read import read_captures
 from habitus.io.limits import GROWTH, ROOM, Allowance, array_size, check_inflated
 from habitus.io.meshes import read_mesh
@@ -138,7 +138,7 @@ def test_honest_archives_are_read(tmp_path):
     }
     for write in (np.savez, np.savez_compressed):
         write(tmp_path / "a.npz", **arrays)
-        found = Archive((tmp_path / "a.npz").read_bytes())
+        found = NpzArchive((tmp_path / "a.npz").read_bytes())
         assert all(np.array_equal(found[name], array) for name, array in arrays.items())
 
 

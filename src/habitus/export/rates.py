@@ -1,5 +1,5 @@
-"""A motion at another rate: every so manieth frame where that fits, else what lies between two
-frames.
+"""A motion resampled at another rate: every n-th frame where that fits, else interpolated between
+two frames.
 """
 
 from dataclasses import replace

@@ -87,7 +87,7 @@ def checked_texts(array: np.ndarray) -> np.ndarray:
             .view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
         )
         if numbers.max() > sys.maxunicode:
-            raise HabitusError("its texts hold numbers that are no characters; get the file anew")
+            raise HabitusError("its texts hold numbers that are not characters; get the file again")
     return array
 
 
@@ -96,7 +96,7 @@ def reason(error: BaseException) -> str:
     return shown(str(error).strip() or type(error).__name__, 120)
 
 
-class Archive:
+class NpzArchive:
     """The arrays of an npz. Errors are HabitusErrors that name the array; who reads a file adds the
     file's name.
     """
@@ -114,7 +114,7 @@ class Archive:
             }
         except Exception as error:  # a damaged archive may raise anything
             raise HabitusError(
-                f"no whole npz ({reason(error)}); save it again with numpy.savez"
+                f"not a complete npz ({reason(error)}); save it again with numpy.savez"
             ) from error
 
     @property
@@ -201,12 +201,12 @@ def _guarded(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def open_archive(path: Path) -> Iterator[Archive]:
+def open_archive(path: Path) -> Iterator[NpzArchive]:
     """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is
     none.
     """
     with path.open("rb") as file:
-        yield Archive(file)
+        yield NpzArchive(file)
 
 
 def read_npy(path: Path) -> np.ndarray:
@@ -228,7 +228,7 @@ def read_npy(path: Path) -> np.ndarray:
 
 
 def mapped_header(stream: BinaryIO, path: Path) -> ArrayHeader:
-    """The header of an npy file whose numbers are all there."""
+    """The header of a complete npy file."""
     header = read_header(stream)
     if header.dtype.hasobject:
         raise HabitusError("it is pickled; save plain arrays")

@@ -41,7 +41,7 @@ class Allowance:
             raise HabitusError(
                 f"{what} would fill {_size(size)}; a file of this size may fill "
                 f"{_size(self.most)} in all; "
-                "it is damaged or hostile: get it anew"
+                "it is damaged or malicious: get it again"
             )
         self._left -= size
 
@@ -89,7 +89,7 @@ def array_size(shape: tuple[int, ...]) -> int:
     none.
     """
     if not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 32:
-        raise HabitusError(f"a shape of {shown(shape)}; expected whole numbers; get the file anew")
+        raise HabitusError(f"a shape of {shown(shape)}; expected whole numbers; get the file again")
     count = 1
     for n in shape:
         count *= n

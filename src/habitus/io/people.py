@@ -38,6 +38,7 @@ from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import MarkerAttachment, predict_markers
+from habitus.rotations import UP_AXES
 
 BodyLike = BodyModel | str | os.PathLike[str] | None
 FIT_FILE = "body.npz"
@@ -68,7 +69,6 @@ _RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 _LAYOUTS = {3 * len(layout.joint_names): layout for layout in (SMPL, SMPLH, SMPLX)}
 _SAME_BODY = 1e-3
 """Metres between latent markers of one body: its files in float32 and float64 differ by 1e-6."""
-_UP_AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 _MAX_RATE = 1e6  # Hz
 _REST_RATE = 30.0  # Hz, of the two frames that show a person at rest
 
@@ -121,11 +121,11 @@ class BodyShape:
         )
 
 
-Person = MarkerFit | BodyMotion | BodyShape | BodyModel | Mesh
+PersonData = MarkerFit | BodyMotion | BodyShape | BodyModel | Mesh
 """What a file can hold."""
 
 
-def open_person(path: str | os.PathLike[str], body: BodyLike = None) -> Person:
+def open_person(path: str | os.PathLike[str], body: BodyLike = None) -> PersonData:
     """What the file holds, by its ending and the names inside; see the table of this module.
 
     path: a shipped body by name, a file, or a result folder, for its body.npz. body: the model that
@@ -205,7 +205,7 @@ def person_file(path: str | os.PathLike[str]) -> Path:
 
 
 def _is_body(path: str | os.PathLike[str]) -> bool:
-    """Whether the name alone tells that it is a body model."""
+    """Whether the name alone identifies a body model."""
     return str(path) in SHIPPED or Path(path).suffix.lower() == ".pkl"
 
 
@@ -410,7 +410,7 @@ def _checked_motion(motion: BodyMotion) -> BodyMotion:
     if not frames:
         raise ValueError("no frames")
     _check_rate(motion.rate_hz)
-    if motion.up_axis not in _UP_AXES:
+    if motion.up_axis not in UP_AXES:
         raise ValueError(f"up_axis is {shown(motion.up_axis)}")
     return motion
 

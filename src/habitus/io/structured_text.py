@@ -27,7 +27,7 @@ def read_toml(text: str, most: int = MOST_TEXT) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError, ArithmeticError, LookupError) as error:
-        raise HabitusError(_told(error)) from error
+        raise HabitusError(_explained(error)) from error
 
 
 def read_json(text: str, most: int = MOST_TEXT) -> Any:
@@ -38,7 +38,7 @@ def read_json(text: str, most: int = MOST_TEXT) -> Any:
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise HabitusError(_told(error)) from error
+        raise HabitusError(_explained(error)) from error
 
 
 def read_xml(text: str, most: int = MOST_TEXT) -> Element:
@@ -73,9 +73,9 @@ def read_xml(text: str, most: int = MOST_TEXT) -> Element:
     try:
         parser.Parse(text.lstrip("\ufeff"), True)
     except (expat.ExpatError, ValueError) as error:
-        raise HabitusError(_told(error)) from error
+        raise HabitusError(_explained(error)) from error
     return builder.close()
 
 
-def _told(error: Exception) -> str:
+def _explained(error: Exception) -> str:
     return "nested without end" if isinstance(error, RecursionError) else shown(error, 160)

@@ -127,7 +127,10 @@ def test_frames_that_do_not_follow_each_other_are_other_sequences(people, tmp_pa
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"name": np.array(["anna"] * 6)}, "anna tells no frame; expected names such as jump:17"),
+        (
+            {"name": np.array(["anna"] * 6)},
+            "no frame number in the name anna; expected names such as jump:17",
+        ),
         ({"rate_hz": np.array(0)}, "rate.* is 0 Hz"),
         ({"pose": np.zeros((5, 10, 3))}, r"pose is float64 of shape \(5, 10, 3\)"),
         ({"trans": np.full((6, 3), np.nan)}, "trans holds numbers that are not finite"),

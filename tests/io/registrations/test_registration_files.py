@@ -324,8 +324,8 @@ def test_what_is_no_set_of_registrations_is_refused_with_what_would_be(tmp_path)
     [
         ("file,sex\n0.ply,f\n", "its columns are 'file, sex'"),
         ("file,subject,Subject\n0.ply,a,a\n", "at most once"),
-        ("file,subject\n0.ply,\n", "row 2: tells no subject"),
-        ("file,subject\n,a\n", "row 2: tells no file"),
+        ("file,subject\n0.ply,\n", 'row 2: column "subject" is empty'),
+        ("file,subject\n,a\n", 'row 2: column "file" is empty'),
         ("file,subject\n0.ply,a\n9.ply,a\n", r"1 files of registrations.csv \(first 9.ply\)"),
         ("file,subject,sex\n0.ply,a,q\n", "row 2: sex is 'q'"),
         ("file,subject,unit\n0.ply,a,q\n", "row 2: unit is 'q'"),

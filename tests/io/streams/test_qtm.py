@@ -75,7 +75,7 @@ def test_labels_that_change_are_another_heading_and_the_end_is_the_end():
 
 def test_nobody_there_no_labels_and_no_package_are_told(monkeypatch):
     pytest.importorskip("qtm_rt")
-    with pytest.raises(HabitusError, match="nobody answers"):
+    with pytest.raises(HabitusError, match="no answer"):
         Qtm("127.0.0.1:9")
     with QtmServer(()) as server, pytest.raises(HabitusError, match="no labelled markers"):
         Qtm(server.address)

@@ -23,6 +23,7 @@ from habitus.io.captures.c3d_parameters import (
 )
 from habitus.io.captures.points import RawPoints
 from habitus.parallel.blocks import mapped
+from habitus.rotations import signed_axis
 
 NOT_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "MODELED_MARKERS", "REACTIONS")
 
@@ -78,7 +79,7 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
         points=points,
         rate_hz=rate,
         unit=next((unit for unit in parameters.texts("POINT", "UNITS") if unit), None),
-        up_claim=_axis(up[0]) if up else None,
+        up_claim=signed_axis(up[0]) if up else None,
         up_source="POINT:Y_SCREEN",
         groups=_groups(parameters),
         subjects=subject_names(parameters),
@@ -96,12 +97,6 @@ def find_points(content: bytes, name: str) -> tuple[DataPlace, str]:
     _refuse_pointless(place, header, parameters, name)
     available = max(0, (len(content) - place.start) // place.stride)
     return replace(place, frames=min(place.frames, available)), parameters.processor
-
-
-def _axis(text: str) -> str | None:
-    text = text.strip().lower()
-    text = text if text[:1] in "+-" and text else f"+{text}"
-    return text if text in ("+x", "+y", "+z", "-x", "-y", "-z") else None
 
 
 def _refuse_pointless(place: DataPlace, header: Header, parameters: Parameters, name: str) -> None:

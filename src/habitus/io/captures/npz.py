@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from habitus.errors import HabitusError, shown
-from habitus.io.archives import Archive
+from habitus.io.archives import NpzArchive
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.tables import number_of
+from habitus.rotations import signed_axis
 
 _POINTS = ("markers", "observed_markers", "markers_obs", "points", "marker_data", "positions")
 _LABELS = ("labels", "marker_labels", "labels_obs", "marker_names", "names")
@@ -34,12 +35,12 @@ def parse_npz(content: bytes, name: str) -> RawPoints:
     fit together, or are pickled.
     """
     try:
-        return _raw(Archive(content))
+        return _raw(NpzArchive(content))
     except HabitusError as error:
         raise HabitusError(f"{name}: {error}") from error
 
 
-def _raw(arrays: Archive) -> RawPoints:
+def _raw(arrays: NpzArchive) -> RawPoints:
     points = _find(arrays, _POINTS)
     if points is None:
         raise HabitusError(
@@ -59,21 +60,20 @@ def _raw(arrays: Archive) -> RawPoints:
     rate = _find(arrays, _RATES)
     unit = _find(arrays, _UNITS)
     up = _find(arrays, ("up_axis",))
-    axis = _one(up)
     return RawPoints(
         format="npz",
         labels=tuple(texts),
         points=points.astype(np.float64, copy=False),
         rate_hz=number_of(_one(rate)),
         unit=_one(unit),
-        up_claim=axis if axis in ("+x", "+y", "+z", "-x", "-y", "-z") else None,
+        up_claim=signed_axis(_one(up)),
         up_source="up_axis",
         subjects=tuple(filter(None, [_one(_find(arrays, ("subject",)))])),
         recorded=_recorded(arrays),
     )
 
 
-def _labelled(arrays: Archive, points: np.ndarray) -> tuple[list[str], np.ndarray]:
+def _labelled(arrays: NpzArchive, points: np.ndarray) -> tuple[list[str], np.ndarray]:
     """One label a column; fillers where the archive has none."""
     labels = _find(arrays, _LABELS)
     if labels is None:
@@ -91,7 +91,7 @@ def _labelled(arrays: Archive, points: np.ndarray) -> tuple[list[str], np.ndarra
     return texts, points
 
 
-def _find(arrays: Archive, names: tuple[str, ...]) -> np.ndarray | None:
+def _find(arrays: NpzArchive, names: tuple[str, ...]) -> np.ndarray | None:
     """The first of these arrays that is there."""
     name = next((name for name in names if name in arrays), None)
     return None if name is None else arrays.read(name)
@@ -125,7 +125,7 @@ def _by_label(labels: np.ndarray, points: np.ndarray) -> tuple[list[str], np.nda
     return [str(name) for name in names], sorted_points
 
 
-def _recorded(arrays: Archive) -> Mapping[str, float | str]:
+def _recorded(arrays: NpzArchive) -> Mapping[str, float | str]:
     found: dict[str, float | str] = {}
     for name in ("height_m", "mass_kg", "marker_diameter_m", "age_years"):
         value = number_of(_one(_find(arrays, (name,))))

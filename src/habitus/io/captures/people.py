@@ -15,12 +15,12 @@ from habitus.io.captures.labels import computed_labels, is_unlabelled
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.trajectories import (
     Tracks,
-    find_copies,
-    find_strangers,
+    duplicate_points,
     hide_far,
     hide_placeholders,
     hide_stuck,
     join_fragments,
+    off_body_points,
 )
 from habitus.io.names import plain_name
 from habitus.io.units import METRES, find_unit, restlessness
@@ -153,7 +153,7 @@ _NOISE = 0.27
 
 
 @dataclass(frozen=True)
-class Person:
+class SubjectTracks:
     """One subject's clean tracks, with the unit the file was in and the signed axis that is up."""
 
     subject: str | None
@@ -162,7 +162,7 @@ class Person:
     up_axis: str
 
 
-def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
+def find_people(raw: RawPoints, name: str) -> tuple[SubjectTracks, ...]:
     """Every person in a file's points, the one with most markers first; ``name`` is what errors
     call the file.
 
@@ -191,14 +191,13 @@ def find_people(raw: RawPoints, name: str) -> tuple[Person, ...]:
     ]
     if not found:
         raise HabitusError(
-            f"{name}: its points are kilometres apart, none near another; it is damaged, export "
-            "it again"
+            f"{name}: its points are kilometres from each other; it is damaged, export it again"
         )
     axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
     drop_pages(*(tracks.points for _, tracks in found))
     told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
     return tuple(
-        Person(
+        SubjectTracks(
             owner.name,
             _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes),
             unit,
@@ -267,8 +266,8 @@ def _clean(tracks: Tracks, metres: float) -> Tracks:
         return join_fragments(tracks)
     tracks = hide_stuck(tracks)
     tracks = join_fragments(_visible(tracks, "never moves while the others do"))
-    tracks = tracks.without(find_copies(tracks.labels, tracks.points))
-    return tracks.without(find_strangers(tracks.labels, tracks.points))
+    tracks = tracks.without(duplicate_points(tracks.labels, tracks.points))
+    return tracks.without(off_body_points(tracks.labels, tracks.points))
 
 
 def _axis_warnings(raw: RawPoints, axes: Axes) -> list[str]:
@@ -284,7 +283,7 @@ def _axis_warnings(raw: RawPoints, axes: Axes) -> list[str]:
             if raw.up_claim
             else f"usual for {raw.format} files"
         )
-        warnings.append(f"the data do not tell which way is up: {axes.up} is taken, {source}")
+        warnings.append(f"the data do not determine the up axis: {axes.up} is assumed, {source}")
     if axes.mirrored:
         axis = "xyz"[_flipped(axes.up)]
         warnings.append(

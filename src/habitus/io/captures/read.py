@@ -16,7 +16,7 @@ from habitus.errors import LONGEST_MESSAGE, HabitusError, shown
 from habitus.io.captures.c3d import parse_c3d
 from habitus.io.captures.motive_csv import parse_motive_csv
 from habitus.io.captures.npz import parse_npz
-from habitus.io.captures.people import Person, find_people
+from habitus.io.captures.people import SubjectTracks, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
@@ -151,7 +151,7 @@ def _content(path: Path) -> bytes:
         raise HabitusError(f"{path}: cannot be read ({reason}); check its permissions") from None
 
 
-def _capture(person: Person, raw: RawPoints, name: str, rate_hz: float) -> Capture:
+def _capture(person: SubjectTracks, raw: RawPoints, name: str, rate_hz: float) -> Capture:
     unusual = (
         ()
         if USUAL_HZ[0] <= rate_hz <= USUAL_HZ[1]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from habitus.arrays import runs
 from habitus.markers.anatomy import place_of
 from habitus.parallel.blocks import blocks, drop_pages, mapped
 
@@ -126,7 +127,7 @@ def hide_stuck(tracks: Tracks) -> Tracks:
     named = ", ".join(
         f"{label} ({frames} frames)" for label, frames in list(counts.items())[:_NAMED]
     )
-    warning = f"points that stand still while their neighbours move are missing there: {named}"
+    warning = f"points fixed while their neighbours move are treated as missing there: {named}"
     return Tracks(tracks.labels, hidden, tracks.dropped, (*tracks.warnings, warning))
 
 
@@ -142,10 +143,7 @@ def _neighbours(points: np.ndarray, column: int) -> np.ndarray:
 
 def _runs(still: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
     """(first frame, last frame) of each run of at least ``least`` steps without movement."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        if stop - start >= least:
-            yield int(start), int(stop)
+    return ((start, stop) for start, stop in runs(still) if stop - start >= least)
 
 
 def _left_behind(points: np.ndarray, column: int, near: np.ndarray) -> bool:
@@ -222,7 +220,7 @@ _MOST_FOR_PAIRS = 200
 _STRANGE_M = 0.25
 
 
-def find_copies(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
+def duplicate_points(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
     """Labels whose points are exact copies of another's or exact midpoints of two others, with the
     reason; metres.
     """
@@ -232,7 +230,7 @@ def find_copies(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> di
     return found | _midpoints([labels[i] for i in rest], sample[:, rest])
 
 
-def find_strangers(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
+def off_body_points(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
     """Labels without meaning whose distance to every marker varies by more than 25 cm: props,
     hidden angles.
     """

@@ -7,10 +7,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from habitus.errors import HabitusError, shown
-from habitus.io.archives import Archive
+from habitus.io.archives import NpzArchive
 from habitus.io.limits import LONGEST_NAME, MOST_NAMES, Allowance
 from habitus.io.models.pickled_arrays import as_array
-from habitus.io.models.pickles import Record, read_pickle
+from habitus.io.models.pickles import PickledObject, read_pickle
 
 
 class ModelArrays:
@@ -25,7 +25,7 @@ class ModelArrays:
         magic = file.read(2)
         file.seek(0)
         if magic == b"PK":
-            archive = Archive(file)
+            archive = NpzArchive(file)
             self.allowance = archive.allowance
             self._read: dict[str, Callable[[], np.ndarray]] = {
                 name: partial(_from_archive, archive, name) for name in archive.names
@@ -76,7 +76,7 @@ class ModelArrays:
             )
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise HabitusError(
-                f"array {key!r} holds numbers that are not finite; get the file anew"
+                f"array {key!r} holds numbers that are not finite; get the file again"
             )
         return np.array(array, dtype=dtype, order="C")
 
@@ -103,7 +103,7 @@ def _text(word: str | bytes) -> str:
     return word.decode("utf-8", "replace") if isinstance(word, bytes) else word
 
 
-def _from_archive(archive: Archive, name: str) -> np.ndarray:
+def _from_archive(archive: NpzArchive, name: str) -> np.ndarray:
     """An array of an npz; one that is kept as a pickled object (a sparse matrix, say) from its
     inert records.
     """
@@ -126,7 +126,9 @@ def _from_pickle(name: str, value: Any, allowance: Allowance) -> np.ndarray:
 def _unboxed(value: Any) -> Any:
     """What an array of one object holds."""
     state = (
-        value.state if isinstance(value, Record) and value.name.endswith("._reconstruct") else None
+        value.state
+        if isinstance(value, PickledObject) and value.name.endswith("._reconstruct")
+        else None
     )
     if (
         isinstance(state, tuple)

@@ -8,7 +8,7 @@ import numpy as np
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
-from habitus.io.archives import Archive
+from habitus.io.archives import NpzArchive
 from habitus.io.models.arrays import ModelArrays
 
 
@@ -63,7 +63,7 @@ def add_dynamics(source: str | os.PathLike[str], dynamics: Dynamics, target: Pat
     Blend shapes are kept in float32. Raises HabitusError where the file is of another mesh.
     """
     with Path(source).open("rb") as file:
-        archive = Archive(file)
+        archive = NpzArchive(file)
         arrays = {
             name: archive.read(name) for name in archive.names if not name.startswith("dynamics")
         }
@@ -83,4 +83,4 @@ def has_levels(source: str | os.PathLike[str]) -> bool:
         if file.read(2) != b"PK":
             return False
         file.seek(0)
-        return "coarse_vertices" in Archive(file)
+        return "coarse_vertices" in NpzArchive(file)

@@ -8,7 +8,7 @@ import numpy as np
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import MOST_PICKLE_STEPS, Allowance, array_size
-from habitus.io.models.pickles import Record
+from habitus.io.models.pickles import PickledObject
 
 _NUMBER = re.compile(r"[<>=|]?([biuf][1248]|\?)")
 _DEEPEST = 32
@@ -28,18 +28,18 @@ def as_array(value: Any, allowance: Allowance | None = None) -> np.ndarray:
         raise
     except Exception as error:  # the state of a record may be anything
         told = shown(f"{type(error).__name__}: {error}", 120)
-        raise HabitusError(f"damaged array ({told}); get the file anew") from error
+        raise HabitusError(f"damaged array ({told}); get the file again") from error
     if array.dtype.kind not in "biufU":
         raise HabitusError(
-            f"an array of {array.dtype}; expected numbers or text; get the file anew"
+            f"an array of {array.dtype}; expected numbers or text; get the file again"
         )
     return array
 
 
 def _array(value: Any, allowance: Allowance, depth: int) -> np.ndarray:
     if depth > _DEEPEST:
-        raise HabitusError("a record within records without end; get the file anew")
-    if not isinstance(value, Record):
+        raise HabitusError("a record within records without end; get the file again")
+    if not isinstance(value, PickledObject):
         return _listed(value, allowance)
     kind, arguments, state = _unwrapped(value)
     if kind.startswith("scipy."):
@@ -91,7 +91,7 @@ def _weigh(value: Any, depth: int) -> tuple[int, int]:
     return total, widest
 
 
-def _unwrapped(record: Record) -> tuple[str, tuple[Any, ...], Any]:
+def _unwrapped(record: PickledObject) -> tuple[str, tuple[Any, ...], Any]:
     """Name, arguments and state, seen through Python 2's way to construct objects."""
     if record.name == "copyreg._reconstructor":
         return record.arguments[0].name, (), record.state
@@ -104,7 +104,7 @@ def _sparse(kind: str, state: Mapping[str, Any], allowance: Allowance, depth: in
     )
     counts = np.diff(starts)
     if (counts < 0).any() or counts.sum() != len(minor):
-        raise HabitusError("a sparse matrix whose rows do not add up; get the file anew")
+        raise HabitusError("a sparse matrix whose rows do not add up; get the file again")
     shape = tuple(int(n) for n in state.get("_shape", state.get("shape")))
     allowance.take(array_size(shape), data.itemsize, "it")
     major = np.repeat(np.arange(len(starts) - 1), counts)
@@ -118,7 +118,7 @@ def _bytes(data: Any) -> bytes:
     """Raw bytes, which Python 2 wrote as text and Python 3 at old protocols as a call that encodes
     text.
     """
-    if isinstance(data, Record):
+    if isinstance(data, PickledObject):
         data = data.arguments[0] if data.arguments else b""
     if not isinstance(data, str | bytes):
         raise HabitusError(
@@ -131,6 +131,6 @@ def _bytes(data: Any) -> bytes:
 def _dtype(record: Any) -> np.dtype:
     code = record.arguments[0]
     if not (isinstance(code, str) and _NUMBER.fullmatch(code)):
-        raise HabitusError(f"an array of {shown(code)!r}; expected numbers; get the file anew")
+        raise HabitusError(f"an array of {shown(code)!r}; expected numbers; get the file again")
     order = record.state[1] if record.state else "="
     return np.dtype(code).newbyteorder(order if order in ("<", ">") else "=")

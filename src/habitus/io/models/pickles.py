@@ -88,7 +88,7 @@ def _utf8(raw: bytes) -> str:
 def _quoted(line: bytes) -> str:
     line = line.strip()
     if len(line) < 2 or line[:1] not in b"'\"" or line[:1] != line[-1:]:
-        raise HabitusError("a text without its quotes; get the file anew")
+        raise HabitusError("a text without its quotes; get the file again")
     return _latin(codecs.escape_decode(line[1:-1])[0])  # type: ignore
 
 
@@ -160,7 +160,7 @@ class Name:
 
 
 @dataclass(eq=False)
-class Record:
+class PickledObject:
     """What stands in for anything a pickle would construct: it keeps what it is given and does
     nothing.
     """
@@ -184,12 +184,12 @@ def read_pickle(file: BinaryIO | bytes) -> Any:
         raise HabitusError(f"the pickle is refused: {error}") from error
     except Exception as error:  # a damaged pickle may raise anything
         told = shown(f"{type(error).__name__}: {error}", 120)
-        raise HabitusError(f"this is no whole pickle ({told}); get the file anew") from error
+        raise HabitusError(f"this is not a complete pickle ({told}); get the file again") from error
 
 
 def _checked(module: object, name: object) -> Name:
     if not (isinstance(module, str) and isinstance(name, str)):
-        raise HabitusError("a name that is no text; get the file anew")
+        raise HabitusError("a name that is not text; get the file again")
     qualified = f"{_PYTHON_2.get(module, module)}.{name}"
     if len(qualified) < 200 and _INERT.fullmatch(qualified):
         return Name(qualified)
@@ -202,21 +202,21 @@ def _checked(module: object, name: object) -> Name:
 def _made(name: object, arguments: object) -> Any:
     """What calling a name gives: a record of it; an ordered mapping of pairs is a mapping."""
     if not (isinstance(name, Name) and isinstance(arguments, tuple | list)):
-        raise HabitusError("it calls what is no name; nothing was run, get the file anew")
+        raise HabitusError("it calls something without a name; nothing was run, get the file again")
     if name.name == _MAPPING:
         filled: dict[Any, Any] = {}
         for pair in arguments[0] if arguments else ():
             key, value = pair
             filled[_key(key)] = value
         return filled
-    return Record(name.name, tuple(arguments))
+    return PickledObject(name.name, tuple(arguments))
 
 
 def _key(key: object) -> Any:
     """A key of a mapping: a text or small number; to hash anything else may take forever."""
     if isinstance(key, str) or (isinstance(key, int) and key.bit_length() <= 64):
         return key
-    raise HabitusError(f"a key of kind {type(key).__name__}; expected texts; get the file anew")
+    raise HabitusError(f"a key of kind {type(key).__name__}; expected texts; get the file again")
 
 
 class _Machine:
@@ -237,13 +237,13 @@ class _Machine:
     def pop(self) -> Any:
         """The value on top, taken off; never one below the last mark."""
         if len(self.stack) <= (self.marks[-1] if self.marks else 0):
-            raise HabitusError("it takes more than it has; get the file anew")
+            raise HabitusError("it takes more than it has; get the file again")
         return self.stack.pop()
 
     def since_mark(self) -> list[Any]:
         """All that was put since the last mark, taken off."""
         if not self.marks:
-            raise HabitusError("a mark is missing; get the file anew")
+            raise HabitusError("a mark is missing; get the file again")
         mark = self.marks.pop()
         taken = self.stack[mark:]
         del self.stack[mark:]
@@ -259,7 +259,7 @@ class _Machine:
         self.push(value)
         if not isinstance(value, kind):
             raise HabitusError(
-                f"it adds to a {type(value).__name__} as to a {kind.__name__}; get the file anew"
+                f"it adds to a {type(value).__name__} as to a {kind.__name__}; get the file again"
             )
         return value
 
@@ -283,7 +283,7 @@ class _Machine:
         """Add to the mapping on top."""
         filled = self.top(dict)
         if len(flat) % 2:
-            raise HabitusError("a key without its value; get the file anew")
+            raise HabitusError("a key without its value; get the file again")
         for key, value in zip(flat[::2], flat[1::2], strict=True):
             filled[_key(key)] = value
 
@@ -296,7 +296,7 @@ class _Machine:
     def build(self) -> None:
         """Give the record on top its state."""
         state = self.pop()
-        self.top(Record).state = state
+        self.top(PickledObject).state = state
 
     def old_object(self) -> None:
         """A name and its arguments since the last mark."""

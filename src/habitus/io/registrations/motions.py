@@ -1,4 +1,4 @@
-"""Opens registrations that are sequences of moving people, with what is told of their motion."""
+"""Opens registrations that are sequences of moving people, with their motion if files have it."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
-from habitus.io.archives import Archive, checked_texts, read_npy
+from habitus.io.archives import NpzArchive, checked_texts, read_npy
 from habitus.io.limits import Allowance, folder_bytes
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.stores import h5_array, zarr_array
@@ -78,7 +78,8 @@ def _runs(registrations: Registrations) -> list[tuple[str, np.ndarray]]:
         parts = _FRAME.fullmatch(name)
         if parts is None:
             raise HabitusError(
-                f"{shown(name)} tells no frame; expected names such as jump:17 or jump_0017"
+                f"no frame number in the name {shown(name)}; expected names such as jump:17 "
+                "or jump_0017"
             )
         here = (parts[1], subject, int(parts[2]))
         if before is None or here[:2] != before[:2] or here[2] != before[2] + 1:
@@ -103,8 +104,7 @@ def _sequence(
     )
     if not 1.0 <= rate <= 1e5:
         raise HabitusError(
-            f"the rate of {shown(name)} is {rate:g} Hz; tell how many frames a second: rate_hz, "
-            "--fps"
+            f"the rate of {shown(name)} is {rate:g} Hz; give the frames per second: rate_hz, --fps"
         )
     ids = found.get("vertex_ids")
     return MovingSurface(
@@ -176,7 +176,7 @@ def _still(told: Told, own: np.ndarray, beside: Vertices, rows: np.ndarray) -> _
 
 
 def _told_by(path: Path) -> Callable[[str], Told]:
-    """What a file tells of each of its sequences by their names."""
+    """What a file states about each of its sequences, by name."""
     if path.suffix in (".h5", ".hdf5"):
         return lambda name: {**_told_by_h5(path, name), "rows": lambda rows: np.arange(len(rows))}
     if path.is_dir():
@@ -191,7 +191,7 @@ def _told_by(path: Path) -> Callable[[str], Told]:
 
 def _told_by_npz(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
-        archive = Archive(file)
+        archive = NpzArchive(file)
         found: dict[str, Any] = {
             _key(name): archive.read(name)
             for name in archive.names

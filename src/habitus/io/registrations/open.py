@@ -90,7 +90,7 @@ def _archives(path: Path) -> list[Path]:
 
 
 def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
-    """The weights of all sources, 1 where one tells none; None where none tells any."""
+    """The weights of all sources, 1 where one has none; None where none has any."""
     if all(source.weights is None for source in sources):
         return None
     if len(sources) == 1:

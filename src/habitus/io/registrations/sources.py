@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
-from habitus.io.archives import Archive, checked_texts, read_npy, reason
+from habitus.io.archives import NpzArchive, checked_texts, read_npy, reason
 from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.names import inside
@@ -148,7 +148,7 @@ def _open_table(path: Path) -> Source:
 
 def _open_npz(path: Path) -> Source:
     with path.open("rb") as file:
-        archive = Archive(file)
+        archive = NpzArchive(file)
         _check_there(path, archive)
         arrays = {
             key: archive.read(key) for key in ("faces", "weights", *KEYS, *WORDS) if key in archive

@@ -168,7 +168,7 @@ def _zstd_claim(head: bytes) -> int:
     kind = head[4] >> 6
     single = head[4] >> 5 & 1
     if kind == 0 and not single:
-        raise HabitusError("a zstd frame that does not name its size; write it anew")
+        raise HabitusError("a zstd frame that does not name its size; write it again")
     begins = 5 + (0 if single else 1) + (0, 1, 2, 4)[head[4] & 3]
     return int.from_bytes(head[begins : begins + 2**kind], "little") + (256 if kind == 1 else 0)
 

@@ -1,4 +1,4 @@
-"""The table ``registrations.csv`` that says of each registration whose it is."""
+"""The table ``registrations.csv``: the subject of each registration."""
 
 import csv
 import io
@@ -96,7 +96,7 @@ def known_word(column: str, word: str, where: str) -> str:
             )
         return unit_of(word) or ""
     if column in ("subject", "file") and not word:
-        raise HabitusError(f"{where}: tells no {column}; expected one in every row")
+        raise HabitusError(f'{where}: column "{column}" is empty; expected a value in every row')
     return word
 
 

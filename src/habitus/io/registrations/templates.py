@@ -12,7 +12,7 @@ from jaxtyping import Int
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
-from habitus.io.archives import Archive
+from habitus.io.archives import NpzArchive
 from habitus.io.limits import check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
@@ -124,7 +124,7 @@ def _is_template(path: Path) -> bool:
     with path.open("rb") as file:
         if file.read(2) != b"PK":
             return False
-        return "vertices" in Archive(file)
+        return "vertices" in NpzArchive(file)
 
 
 def _from_npz(path: Path) -> Template:

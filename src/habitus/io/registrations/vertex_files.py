@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra
-from habitus.io.archives import Archive, mapped_header
+from habitus.io.archives import NpzArchive, mapped_header
 from habitus.io.meshes import read_mesh
 from habitus.mesh.registrations import Vertices
 
@@ -227,7 +227,7 @@ class JoinedVertices(FileVertices):
         return np.asarray(self.sources[place][k - (int(self.ends[place - 1]) if place else 0)])
 
 
-def array_in_zip(path: Path, archive: Archive, name: str) -> np.ndarray | MappedVertices:
+def array_in_zip(path: Path, archive: NpzArchive, name: str) -> np.ndarray | MappedVertices:
     """An array of an npz: mapped where it lies uncompressed, else read. Raises HabitusError for
     pickled ones.
     """

@@ -229,7 +229,8 @@ def read_rig(table: Any, where: str, size: tuple[int, int]) -> Rig:
         if way is None:
             notes = (
                 *notes,
-                f"{where}: tells no way from the depth to the colour camera; they are taken as "
+                f"{where}: no transformation from the depth to the colour camera; they are taken "
+                "as "
                 "one place",
             )
         else:
@@ -295,7 +296,7 @@ def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, f
     if matrix is not None and matrix.size == 4:
         return tuple(matrix.tolist())  # type: ignore[return-value]
     raise HabitusError(
-        f"{where}: tells no intrinsics; expected fx, fy, cx, cy (or ppx, ppy), or a camera matrix "
+        f"{where}: no intrinsics; expected fx, fy, cx, cy (or ppx, ppy), or a camera matrix "
         "of nine numbers"
     )
 
@@ -303,7 +304,7 @@ def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, f
 def _way(
     table: Mapping[str, Any], where: str
 ) -> tuple[tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]] | None, tuple[str, ...]]:
-    """Rotation and translation (m) from the depth camera to the colour camera, if told."""
+    """Rotation and translation (m) from the depth camera to the colour camera, if given."""
     for names, backwards in ((_WAY, False), (_FROM_COLOUR, True)):
         for name in names:
             if name in table:
@@ -374,7 +375,7 @@ def _orthogonal(turn: np.ndarray) -> np.ndarray:
 
 
 def scale_of(table: Any, where: str) -> float | None:
-    """Metres of one step of depth: told as such (0.001), or as steps a metre (1000, 5000)."""
+    """Metres of one step of depth: given as such (0.001), or as steps per metre (1000, 5000)."""
     for name in _SCALES:
         if isinstance(table, Mapping) and name in table:
             value = _numbers(table[name])

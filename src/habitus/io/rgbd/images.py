@@ -32,7 +32,7 @@ def read_image(path: Path) -> np.ndarray:
         raise HabitusError(f"{path}: {error}") from error
     except Exception as error:  # a damaged file may raise anything
         raise HabitusError(
-            f"{path}: cannot be read as an image ({reason(error)}); get it anew"
+            f"{path}: cannot be read as an image ({reason(error)}); get it again"
         ) from error
 
 

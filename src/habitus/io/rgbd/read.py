@@ -65,7 +65,7 @@ def read_views(
         (value for value in (depth_unit, rig.metres, files.metres) if value is not None), MILLIMETRE
     )
     if depth_unit is None and rig.metres is None and files.metres is None:
-        notes.append("no file tells the unit of depth; millimetres were assumed (--depth-unit)")
+        notes.append("no file names the unit of depth; millimetres were assumed (--depth-unit)")
     made = tuple(_view(one, files, rig, metres, source) for one in chosen)
     _check_distance(made, metres, source)
     if (
@@ -74,7 +74,7 @@ def read_views(
         and all(view.colour is None for view in made)
     ):
         notes.append(
-            "colour images were left out: no file tells their camera, and they are not of the "
+            "colour images were left out: no file describes their camera, and they are not of the "
             "depth's size"
         )
     return RgbdCapture(plain_name(source.resolve().name), made, tuple(notes))
@@ -116,7 +116,7 @@ def _rig(told: list[_Told], size: tuple[int, int], source: Path) -> Rig:
         if rig.depth is not None:
             return rig
         if rig.colour is not None:
-            notes = (*notes, f"{one.path}: tells only a colour camera; it was taken for both")
+            notes = (*notes, f"{one.path}: describes only a colour camera; it was used for both")
             return Rig(rig.colour, rig.colour, rig.metres, (*rig.notes, *notes))
     if problems:
         raise HabitusError(problems[0])

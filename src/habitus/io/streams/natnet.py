@@ -100,7 +100,7 @@ class NatNet:
             raise
 
     def poll(self, timeout: float) -> list[Frame]:
-        """The frames that are there; the server is told now and then that somebody listens."""
+        """The frames that are there; the server is asked now and then to go on sending."""
         now = time.perf_counter()
         if self._server.group is None and now - self._alive > _ALIVE_S:
             self._alive = now
@@ -208,7 +208,7 @@ class NatNet:
         raise HabitusError(
             f"{self.name}: no answer within {patience:g} s; is Motive running there, does it "
             "stream, "
-            "and does no firewall stand between?"
+            "and does no firewall block it?"
         )
 
     def _send(self, packet: bytes) -> None:

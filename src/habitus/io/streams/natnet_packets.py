@@ -62,7 +62,7 @@ class Model:
     ids: Mapping[int, str]
 
 
-class Markers(NamedTuple):
+class MarkerFrame(NamedTuple):
     """A frame: its number, points (P, 3), NaN where missing, and whether the server says that its
     models changed.
     """
@@ -238,7 +238,7 @@ def _camera(reader: _Reader, version: tuple[int, int]) -> None:
 _DESCRIPTIONS = {1: _bone, 2: _skeleton, 3: _plate, 4: _device, 5: _camera, 6: _asset}
 
 
-def read_frame(packet: bytes, version: tuple[int, int], model: Model) -> Markers:
+def read_frame(packet: bytes, version: tuple[int, int], model: Model) -> MarkerFrame:
     """A frame's markers on a model. Raises BadPacket."""
     reader = _Reader(packet)
     points = np.full((len(model.labels), 3), np.nan)
@@ -261,7 +261,7 @@ def read_frame(packet: bytes, version: tuple[int, int], model: Model) -> Markers
             for _ in range(reader.count(4)):
                 reader.skip(4 * reader.count(4))
     reader.skip(4 + 4 + 8 + 3 * 8 + (8 if sized else 0))
-    return Markers(number, points, bool(reader.take("H")[0] & _MODELS_CHANGED))
+    return MarkerFrame(number, points, bool(reader.take("H")[0] & _MODELS_CHANGED))
 
 
 def _section(reader: _Reader, sized: bool) -> int:

@@ -14,6 +14,7 @@ from habitus.io.captures.points import RawPoints
 from habitus.io.limits import MOST_TEXT
 from habitus.io.streams.source import Frame, heading, host_and_port
 from habitus.io.structured_text import read_xml
+from habitus.rotations import signed_axis
 
 PORT = 22223
 PATIENCE_S = 5.0
@@ -104,13 +105,13 @@ class Qtm:
         self._connection = await asyncio.wait_for(connect, PATIENCE_S)
         if self._connection is None:
             raise HabitusError(
-                f"{self.name}: nobody answers; is QTM running there, its real-time output on, and "
+                f"{self.name}: no answer; is QTM running there, its real-time output on, and "
                 "no firewall between?"
             )
         await self._describe()
         if self._heading is None or not self._heading.labels:
             raise HabitusError(
-                f"{self.name}: no labelled markers are told; apply an AIM model and open a "
+                f"{self.name}: no labelled markers are streamed; apply an AIM model and open a "
                 "measurement"
             )
         await self._connection.stream_frames(components=["3d"], on_packet=self._on_packet)
@@ -167,9 +168,7 @@ def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints
     labels = tuple(
         (label.findtext("Name") or "").strip() for label in root.iterfind(".//The_3D/Label")
     )
-    up = (root.findtext(".//The_3D/AxisUpwards") or "").strip().lower()
-    axis = up if up[:1] in ("+", "-") else f"+{up}"
-    claim = axis if axis[1:] in ("x", "y", "z") else None
+    claim = signed_axis(root.findtext(".//The_3D/AxisUpwards"))
     return heading(
         "qtm", labels, rate_hz or _number(root, ".//General/Frequency"), "mm", claim, "+z"
     )
