@@ -18,8 +18,12 @@ from shape_checks import checked_modules
 
 # Shapes in signatures are checked while tests run, in every module without compiled kernels.
 ROOMS = ("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel")
-for room in ROOMS:
-    install_import_hook(checked_modules(f"habitus.{room}"), "shape_checks.shapes_only")
+LAB_ROOMS = ("population", "baselines")
+for package in (
+    *(f"habitus.{room}" for room in ROOMS),
+    *(f"habitus_lab.{room}" for room in LAB_ROOMS),
+):
+    install_import_hook(checked_modules(package), "shape_checks.shapes_only")
 
 
 @pytest.hookimpl(wrapper=True)

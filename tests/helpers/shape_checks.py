@@ -7,19 +7,20 @@ from typing import Any, get_args
 from beartype import beartype
 from jaxtyping import AbstractArray
 
-SOURCE = Path(__file__).resolve().parents[2] / "src"
+ROOT = Path(__file__).resolve().parents[2]
 COMPILED = ("from habitus.kernels.jit import", "import numba", "from numba")
 
 
 def checked_modules(package: str) -> list[str]:
     """The modules of a package but those with compiled kernels, which a check would wrap."""
-    place = SOURCE / package.replace(".", "/")
+    source = ROOT / ("lab/src" if package.startswith("habitus_lab.") else "src")
+    place = source / package.replace(".", "/")
     names = []
     for path in sorted([place.with_suffix(".py"), *place.rglob("*.py")]):
         # The hook takes the name of a package for all that is in it.
         if path.exists() and path.stem != "__init__":
             compiled = any(words in path.read_text() for words in COMPILED)
-            name = ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+            name = ".".join(path.relative_to(source).with_suffix("").parts)
             if not compiled:
                 names.append(name)
     return names

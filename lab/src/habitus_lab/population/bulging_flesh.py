@@ -42,9 +42,9 @@ class FleshySurface:
 
     def __call__(
         self,
-        betas: Float[Tensor, "*batch B"],
-        pose: Float[Tensor, "*batch J 3"],
-        trans: Float[Tensor, "*batch 3"] | None = None,
+        betas: Float[Tensor, "*#batch B"],
+        pose: Float[Tensor, "*#batch J 3"],
+        trans: Float[Tensor, "*#batch 3"] | None = None,
     ) -> BodySurface:
         """Vertices and joints (m) of people with these shape coefficients in these poses (rad),
         moved by ``trans``.
