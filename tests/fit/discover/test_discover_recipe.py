@@ -5,10 +5,11 @@ import pytest
 from planted import plant, prior_of_poses
 
 from habitus.errors import HabitusError
-from habitus.fit.discover import places, recipe, starts
+from habitus.fit.discover import starts
 from habitus.fit.discover.description import describe
 from habitus.fit.discover.places import seated
 from habitus.fit.discover.recipe import _cheaper, discover
+from habitus.fit.discover.settings import DiscoverSettings
 from habitus.fit.discover.skin import spread_places
 from habitus.fit.markers.settings import MoshSettings
 
@@ -40,22 +41,21 @@ def test_labels_are_seated_where_they_sit(planted, near):
 
 
 def test_a_discovery_of_neutral_names_puts_markers_on_their_side_and_part(planted, monkeypatch):
-    for name, value in (
-        ("HEIGHTS", (1.0,)),
-        ("COARSE", 80),
-        ("FINE", 300),
-        ("FRAMES", 3),
-        ("_ALIKE", 1),
-    ):
-        monkeypatch.setattr(recipe, name, value)
-    monkeypatch.setattr(recipe, "ROUNDS", (0.06, 0.06))
-    monkeypatch.setattr(places, "_SETTINGS", MoshSettings(annealing=(1.0,)))
-    monkeypatch.setattr(recipe, "TOGETHER", recipe.TOGETHER[::3])
+    hasty = DiscoverSettings(
+        heights=(1.0,),
+        coarse=80,
+        fine=300,
+        frames=3,
+        alike=1,
+        start_frames=1,
+        place_spreads=(0.06, 0.06),
+        together=DiscoverSettings().together[::3],
+        fit=MoshSettings(annealing=(1.0,)),
+    )
     monkeypatch.setattr(starts, "_directions", lambda every=starts._directions: every()[::4])
-    monkeypatch.setattr(starts, "_LOOKED_AT", 1)
     monkeypatch.setattr(starts, "_POSES", starts._POSES[:2])
     labels = [f"m{k}" for k in range(len(planted.layout))]
-    found = discover(planted.body, prior_of_poses(), labels, planted.observed)
+    found = discover(planted.body, prior_of_poses(), labels, planted.observed, settings=hasty)
     template = np.asarray(planted.body.v_template)
     right = template[planted.layout.vertices(planted.body)][
         [labels.index(x) for x in found.layout.labels]

@@ -12,12 +12,11 @@ from habitus.body.model import BodyModel
 from habitus.errors import listed
 from habitus.fit.discover.places import OFF_SPREAD, Seated, within
 from habitus.fit.discover.result import Discovery
+from habitus.fit.discover.settings import DISCOVER
 from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.places_in_words import place_in_words
 
-DECIDED = 0.3
-"""Of a reading's cost: the least by which every other reading of the capture must cost more."""
 REACH = 0.05
 """Metres: a confidence is the chance that a marker sits within this of its place."""
 PLACE_SPREAD = 0.04
@@ -34,11 +33,12 @@ def describe(
     margin: float | None,
     known: Mapping[str, Marker],
     left_out: Mapping[str, str],
+    decided: float = DISCOVER.decided,
 ) -> Discovery:
     """Step 4: the layout in words, and what is not decided."""
     template = np.asarray(body.v_template, dtype=float)
     sure = within(found, skin, template, REACH)
-    undecided = margin is not None and margin < DECIDED
+    undecided = margin is not None and margin < decided
     across = template[found.vertices, 0]
     markers = tuple(
         replace(
@@ -58,14 +58,14 @@ def describe(
         if group
     }
     named = agreement(named_sides(labels), across)
-    doubts = (*_undecided(margin, named), *_contradicted(named, undecided), *_poor(mean))
+    doubts = (*_undecided(margin, named, decided), *_contradicted(named, undecided), *_poor(mean))
     notes = tuple(_notes(body, labels, found, known, left_out))
     layout = MarkerLayout("discovered", markers, "Found by fitting", num_vertices=len(template))
     return Discovery(layout, left_out, doubts, notes, groups, margin, 1e3 * mean)
 
 
-def _undecided(margin: float | None, named: float | None) -> list[str]:
-    if margin is None or margin >= DECIDED:
+def _undecided(margin: float | None, named: float | None, decided: float) -> list[str]:
+    if margin is None or margin >= decided:
         return []
     how = f"another reading of the capture costs only {100 * abs(margin):.0f} % more"
     if named is not None and named > 0.5:

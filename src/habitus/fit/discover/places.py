@@ -8,6 +8,7 @@ from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.fit.discover.settings import DISCOVER
 from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.fit.discover.starts import Known, places_of, squared_distances
 from habitus.fit.markers.energy import Placement
@@ -18,9 +19,6 @@ from habitus.observe.marker_prediction import marked_body, predict
 
 OFF_SPREAD = 0.006
 """How unsure a marker's distance from the skin is (metres), where nothing is known of it."""
-ROUNDS = (0.06, 0.06, 0.04, 0.04)
-"""How unsure places are, metres, round by round."""
-_SETTINGS = MoshSettings(annealing=(4.0, 2.0, 1.0))
 _SIGMA = 0.02  # metres: how well a body of the right shape tells a place
 # metres: the same where confidences are stated, so that they are right as often as they say
 _CERTAINTY = 0.025
@@ -53,7 +51,8 @@ def seated(
     pose: Float[np.ndarray, "F J 3"],
     trans: Float[np.ndarray, "F 3"],
     known: Known = 0.0,
-    rounds: tuple[float, ...] = ROUNDS,
+    rounds: tuple[float, ...] = DISCOVER.place_spreads,
+    settings: MoshSettings = DISCOVER.fit,
 ) -> Seated:
     """Labels each at its best place, then shape, latent markers and poses, round by round; in the
     end each label is where its latent marker came to lie.
@@ -65,7 +64,7 @@ def seated(
         ]
         lengths = (np.full(count, length) for length in (OFF_SKIN, OFF_SPREAD, spread))
         shape = shape_stage(
-            body, Placement(vertices, *lengths), observed, prior, pose, trans, _SETTINGS
+            body, Placement(vertices, *lengths), observed, prior, pose, trans, settings
         )
         betas = shape.betas
         pose = shape.pose

@@ -19,40 +19,15 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.discover.description import DECIDED, agreement, describe, named_sides
-from habitus.fit.discover.places import ROUNDS, Seated, off_body, seated
+from habitus.fit.discover.description import agreement, describe, named_sides
+from habitus.fit.discover.places import Seated, off_body, seated
 from habitus.fit.discover.result import Discovery
+from habitus.fit.discover.settings import DISCOVER, DiscoverSettings
 from habitus.fit.discover.skin import Skin, betas_of_height, known_places, popularity, spread_places
-from habitus.fit.discover.starts import Schedule, bodies_of_single_frames, in_all_frames, settled
+from habitus.fit.discover.starts import bodies_of_single_frames, in_all_frames, settled
 from habitus.fit.markers.recordings import ever_seen, spread_frames
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.types import Progress
-
-FEWEST = 12
-"""Labels; fewer do not tell a body from another that is turned."""
-TOGETHER: Schedule = tuple(
-    (sigma, firmness)
-    for sigma, firmnesses in (
-        (0.12, (20, 10)),
-        (0.10, (6, 6)),
-        (0.08, (4, 4)),
-        (0.06, (3, 3)),
-        (0.05, (2, 2)),
-        (0.04, (2, 2)),
-    )
-    for firmness in firmnesses
-)
-HEIGHTS = (0.91, 1.04)
-"""Sizes that are tried, as shares of the mean person's height."""
-COARSE = 150
-FINE = 1200
-FRAMES = 12
-# metres: places that differ by more than this on average are another reading of the capture
-_OTHER = 0.15
-_ALIKE = 3  # readings that are nearly the same and go through a first round of step 3
-# of the cost in step 2, a label: another reading that costs less more than this is gone after
-_CLOSE = 0.6
-_OFF = 0.08  # metres: a label further than this from the body is no marker on its skin
 
 
 @dataclass(frozen=True)
@@ -76,6 +51,7 @@ def discover(
     known: Mapping[str, Marker] | None = None,
     usual: Sequence[MarkerLayout] = (),
     progress: Progress = lambda stage, share: None,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Discovery:
     """The layout of labels (M,) with markers (T, M, 3), metres, NaN missing.
 
@@ -83,29 +59,31 @@ def discover(
     of them have one, a label is likelier to sit, by as much as a few centimetres of misfit. The
     labels are only identities, but for those known and, where the capture does not decide it, pairs
     such as LX and RX. Places of a poor or undecided discovery come with ``doubts``. Raises
-    HabitusError for fewer than `FEWEST` labels that are ever seen.
+    HabitusError for fewer than ``min_labels`` labels that are ever seen.
     """
     prior = prior.for_joints(body.joint_names)
-    coarse = spread_places(body, COARSE)
-    fine = spread_places(body, FINE)
+    coarse = spread_places(body, settings.coarse)
+    fine = spread_places(body, settings.fine)
     popular = popularity(body, fine, usual)
     here = ever_seen(markers)
-    if here.sum() < FEWEST:
+    if here.sum() < settings.min_labels:
         raise HabitusError(
             f"{int(here.sum())} labels are ever seen; discovering where they sit takes at least "
-            f"{FEWEST}: "
+            f"{settings.min_labels}: "
             "write a layout with `habitus layout new`"
         )
     unseen = {label: "never seen" for label, seen in zip(labels, here, strict=True) if not seen}
     labels = [label for label, seen in zip(labels, here, strict=True) if seen]
-    frames = markers[:, here][spread_frames(markers[:, here], FRAMES, 0)]
+    frames = markers[:, here][spread_frames(markers[:, here], settings.frames, 0)]
     readings = _readings(
-        body, prior, coarse, frames, known_places(body, coarse, labels, known), progress
+        body, prior, coarse, frames, known_places(body, coarse, labels, known), progress, settings
     )
     before = popular + known_places(body, fine, labels, known)
-    found, margin = _decided(body, prior, labels, fine, frames, readings, before, progress)
-    off = off_body(found, _OFF)
-    if off.any() and (~off).sum() >= FEWEST:
+    found, margin = _decided(
+        body, prior, labels, fine, frames, readings, before, progress, settings
+    )
+    off = off_body(found, settings.off_body)
+    if off.any() and (~off).sum() >= settings.min_labels:
         unseen |= {
             x: "lies off the body: no marker on the skin"
             for x, away in zip(labels, off, strict=True)
@@ -120,8 +98,10 @@ def discover(
             shape.trans,
             popular + known_places(body, fine, labels, known),
         )
-        found = seated(body, fine, frames, prior, *start)
-    return describe(body, labels, frames, found, fine, margin, known or {}, unseen)
+        found = seated(body, fine, frames, prior, *start, settings.place_spreads, settings.fit)
+    return describe(
+        body, labels, frames, found, fine, margin, known or {}, unseen, settings.decided
+    )
 
 
 def _readings(
@@ -131,17 +111,18 @@ def _readings(
     frames: np.ndarray,
     known: np.ndarray,
     progress: Progress,
+    settings: DiscoverSettings,
 ) -> list[_Reading]:
     """Steps 1 and 2: candidates, the cheapest first."""
     stature = float(np.ptp(np.asarray(body.v_template)[:, 1]))
     found = []
-    for index, share in enumerate(HEIGHTS):
-        progress("discover: bodies", 0.7 * index / len(HEIGHTS))
+    for index, share in enumerate(settings.heights):
+        progress("discover: bodies", 0.7 * index / len(settings.heights))
         betas = betas_of_height(body, share * stature)
         rig = skin.on(body, betas)
-        single = bodies_of_single_frames(body, rig, skin, frames, prior, known)
+        single = bodies_of_single_frames(body, rig, skin, frames, prior, known, settings)
         every = in_all_frames(body, rig, frames, single, prior)
-        joint = settled(rig, frames, prior, every.pose, every.trans, TOGETHER, known)
+        joint = settled(rig, frames, prior, every.pose, every.trans, settings.together, known)
         places = (
             joint.posterior
             @ skin.points
@@ -161,41 +142,49 @@ def _decided(
     readings: Sequence[_Reading],
     what: np.ndarray,
     progress: Progress,
+    settings: DiscoverSettings,
 ) -> tuple[Seated, float | None]:
     """Step 3: the best reading, and by what share of its cost the best other one costs more; None
     if it is far off.
     """
     best = readings[0]
     other = [
-        bool(np.linalg.norm(one.places - best.places, axis=1).mean() > _OTHER) for one in readings
+        bool(np.linalg.norm(one.places - best.places, axis=1).mean() > settings.other_reading)
+        for one in readings
     ]
-    alike = [one for one, differs in zip(readings, other, strict=True) if not differs][:_ALIKE]
+    alike = [one for one, differs in zip(readings, other, strict=True) if not differs][
+        : settings.alike
+    ]
     others = [
         one
         for one, differs in zip(readings, other, strict=True)
-        if differs and _near(one, best, labels)
+        if differs and one.cost - best.cost < settings.close * len(labels)
     ][:1]
     results: list[list[Seated]] = [[], []]
     for index, one in enumerate((*alike, *others)):
         progress("discover: places", 0.6 + 0.3 * index / (len(alike) + len(others)))
-        here = seated(body, fine, frames, prior, one.betas, one.pose, one.trans, what, ROUNDS[:1])
+        start = (one.betas, one.pose, one.trans, what)
+        here = seated(body, fine, frames, prior, *start, settings.place_spreads[:1], settings.fit)
         results[index >= len(alike)].append(here)
     first, margin = _cheaper(
-        body, labels, *(min(some, key=lambda one: one.cost, default=None) for some in results)
+        body,
+        labels,
+        *(min(some, key=lambda one: one.cost, default=None) for some in results),
+        settings.decided,
     )
     progress("discover: places", 0.9)
     shape = first.shape
-    return seated(
-        body, fine, frames, prior, shape.betas, shape.pose, shape.trans, what, ROUNDS[1:]
-    ), margin
-
-
-def _near(one: _Reading, best: _Reading, labels: Sequence[str]) -> bool:
-    return one.cost - best.cost < _CLOSE * len(labels)
+    start = (shape.betas, shape.pose, shape.trans, what)
+    rounds = settings.place_spreads[1:]
+    return seated(body, fine, frames, prior, *start, rounds, settings.fit), margin
 
 
 def _cheaper(
-    body: BodyModel, labels: Sequence[str], best: Seated | None, other: Seated | None
+    body: BodyModel,
+    labels: Sequence[str],
+    best: Seated | None,
+    other: Seated | None,
+    decided: float = DISCOVER.decided,
 ) -> tuple[Seated, float | None]:
     """The cheaper of two readings, or the one that agrees with the labels' names where they cost
     alike; and by what share of its cost the other costs more.
@@ -209,6 +198,6 @@ def _cheaper(
         agreement(named_sides(labels), np.asarray(body.v_template)[one.vertices, 0])
         for one in (best, other)
     ]
-    if margin < DECIDED and said[0] is not None and said[1] is not None and said[1] > said[0]:
+    if margin < decided and said[0] is not None and said[1] is not None and said[1] > said[0]:
         return other, margin
     return best, margin

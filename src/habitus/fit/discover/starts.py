@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.fit.discover.settings import DISCOVER, DiscoverSettings, Schedule
 from habitus.fit.discover.skin import Skin
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
@@ -39,8 +40,6 @@ _LEAST = 0.02  # a place that has less of all labels than this is nobody's
 
 Known = Float[np.ndarray, "M K"] | float
 """Logarithms of what is known of labels' places before: 0 where nothing is."""
-Schedule = tuple[tuple[float, float], ...]
-"""Steps of (sigma in metres, firmness of the pose prior)."""
 
 
 @dataclass(frozen=True)
@@ -163,18 +162,6 @@ def places_of(
     return predict(rig, pose.reshape(n * f, -1, 3), trans.reshape(n * f, 3)).reshape(n, f, -1, 3)
 
 
-SINGLE: Schedule = (
-    (0.15, 100.0),
-    (0.12, 50.0),
-    (0.12, 20.0),
-    (0.12, 6.0),
-    (0.09, 4.0),
-    (0.07, 3.0),
-    (0.06, 2.0),
-)
-_LOOKED_AT = 3  # frames: those in which the markers reach furthest
-_APART = 0.04  # metres: bodies whose labels sit nearer than this on average are one
-_KEPT = 8
 _POSES = (
     *PLAIN_POSES,
     {"hip": (-0.1, 0.0, 0.1), "knee": (1.7, 0.0, 0.0), "shoulder": (0.0, -0.3, -1.2)},
@@ -200,6 +187,7 @@ def bodies_of_single_frames(
     observed: Float[np.ndarray, "F M 3"],
     prior: PosePrior,
     known: Known = 0.0,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Bodies:
     """The cheapest bodies that differ, of single frames; each once more turned about (`turned`)."""
     directions = _directions()
@@ -209,14 +197,16 @@ def bodies_of_single_frames(
     pose[:, 0] = np.tile(directions, (len(_POSES), 1))
     around = np.median(places_of(rig, pose[:, None], np.zeros((len(pose), 1, 3)))[:, 0], axis=1)
     found = []
-    for frame in _widest(observed):
+    for frame in _widest(observed, settings.start_frames):
         here = observed[frame : frame + 1]
         trans = np.nanmedian(here[0], axis=0) - around
-        found.append(settled(rig, here, prior, pose[:, None], trans[:, None], SINGLE, known))
+        found.append(
+            settled(rig, here, prior, pose[:, None], trans[:, None], settings.single, known)
+        )
     fields = (
         np.concatenate([getattr(each, name) for each in found]) for name in Bodies.__annotations__
     )
-    kept = _that_differ(Bodies(*fields), skin)
+    kept = _that_differ(Bodies(*fields), skin, settings)
     about = turned(body, kept, skin)
     return Bodies(
         *(
@@ -302,20 +292,20 @@ def _directions() -> Float[np.ndarray, "D 3"]:
 _ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
-def _widest(observed: Float[np.ndarray, "F M 3"]) -> Int[np.ndarray, " f"]:
+def _widest(observed: Float[np.ndarray, "F M 3"], count: int) -> Int[np.ndarray, " f"]:
     """The frames in which the markers reach furthest from their middle."""
     away = np.linalg.norm(observed - np.nanmedian(observed, axis=1, keepdims=True), axis=2)
     seen = np.isfinite(away)
     return np.argsort(
         -np.nan_to_num(away).sum(axis=1) / np.maximum(seen.sum(axis=1), 1), kind="stable"
-    )[:_LOOKED_AT]
+    )[:count]
 
 
-def _that_differ(bodies: Bodies, skin: Skin) -> Bodies:
+def _that_differ(bodies: Bodies, skin: Skin, settings: DiscoverSettings) -> Bodies:
     """The cheapest bodies, none of which puts the labels where a cheaper one does."""
     places = bodies.posterior @ skin.points
 
     def alike(a: int, b: int) -> bool:
-        return bool(np.linalg.norm(places[a] - places[b], axis=1).mean() <= _APART)
+        return bool(np.linalg.norm(places[a] - places[b], axis=1).mean() <= settings.distinct)
 
-    return bodies.of(distinct_rows(bodies.cost, _KEPT, alike))
+    return bodies.of(distinct_rows(bodies.cost, settings.kept, alike))

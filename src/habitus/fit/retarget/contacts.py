@@ -14,13 +14,24 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 
 SIDES = ("left", "right")
-STILL = 0.2
-"""Metres a second below which a point of a sole stands."""
-SHORTEST, HOLE = 0.08, 0.04
-"""Seconds that a point stands at least, and seconds of more speed that do not interrupt it."""
 _DEEP = 0.015  # metres from a foot's lowest vertex up to which the sole reaches
 _ALONG = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))  # heel, ball and toes: shares of the foot's length
 _LEVEL = 0.04  # metres by which heights of one floor differ
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """When a point of a sole stands: slow for long enough."""
+
+    speed: float = 0.2
+    """Metres a second; feet of walking people move at 1 to 5 in the swing."""
+    shortest: float = 0.08
+    """Seconds of a stand, at least."""
+    hole: float = 0.04
+    """Seconds of more speed that do not interrupt a stand."""
+
+
+CONTACTS = ContactSettings()
 
 
 @dataclass(frozen=True)
@@ -74,8 +85,10 @@ def _sole(body: BodyModel, strongest: np.ndarray, side: str) -> tuple[np.ndarray
     return tuple(some if len(some) else ids[low] for some in found)
 
 
-def standing(points: Float[np.ndarray, "T ... 3"], rate_hz: float) -> Bool[np.ndarray, "T ..."]:
-    """When points stand: slower than `STILL` for at least `SHORTEST` seconds."""
+def standing(
+    points: Float[np.ndarray, "T ... 3"], rate_hz: float, settings: ContactSettings = CONTACTS
+) -> Bool[np.ndarray, "T ..."]:
+    """When points stand: slower than ``speed`` for at least ``shortest`` seconds."""
     frames = len(points)
     if frames < 2:
         return np.zeros(points.shape[:-1], bool)
@@ -83,9 +96,11 @@ def standing(points: Float[np.ndarray, "T ... 3"], rate_hz: float) -> Bool[np.nd
     before = np.maximum(np.arange(frames) - step, 0)
     after = np.minimum(np.arange(frames) + step, frames - 1)
     way = np.linalg.norm(points[after] - points[before], axis=-1)
-    still = way * rate_hz / (after - before).reshape(-1, *[1] * (way.ndim - 1)) < STILL
-    line = np.ones((2 * max(0, round(0.5 * HOLE * rate_hz)) + 1, *[1] * (way.ndim - 1)), bool)
-    run = np.ones((max(1, round(SHORTEST * rate_hz)), *[1] * (way.ndim - 1)), bool)
+    still = way * rate_hz / (after - before).reshape(-1, *[1] * (way.ndim - 1)) < settings.speed
+    line = np.ones(
+        (2 * max(0, round(0.5 * settings.hole * rate_hz)) + 1, *[1] * (way.ndim - 1)), bool
+    )
+    run = np.ones((max(1, round(settings.shortest * rate_hz)), *[1] * (way.ndim - 1)), bool)
     return binary_opening(still | binary_closing(still, line), run)
 
 

@@ -6,7 +6,7 @@ hang in the air or in the ground, so here the way of the root is scaled with the
 moved to where they stood, and legs follow.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,16 +16,33 @@ from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import FROM
 from habitus.errors import HabitusError
-from habitus.fit.retarget.contacts import Soles, corrections, find_soles, ground_height, standing
+from habitus.fit.retarget.contacts import (
+    ContactSettings,
+    Soles,
+    corrections,
+    find_soles,
+    ground_height,
+    standing,
+)
 from habitus.fit.retarget.legs import Leg, Skeleton, bones, legs_of, reach, skeleton_of
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix, up_rotation
 
-STRAIGHT = 0.998
-"""Share of its length to which a leg may be stretched where the source's was less."""
-SMOOTH = 0.25
-"""Seconds over which the root gives way to what legs and ground ask."""
-ROUNDS = 2
-"""Times that feet are corrected: skin follows joints nearly, not exactly."""
+
+@dataclass(frozen=True)
+class RetargetSettings:
+    """Settings of retargeting."""
+
+    straight: float = 0.998
+    """Share of its length to which a leg may be stretched where the source's was less: a straight
+    knee pops."""
+    smooth: float = 0.25
+    """Seconds over which the root gives way to what legs and ground ask."""
+    rounds: int = 2
+    """Corrections of the feet: skin follows joints nearly, not exactly."""
+    contacts: ContactSettings = field(default_factory=ContactSettings)
+
+
+RETARGET = RetargetSettings()
 
 
 @dataclass(frozen=True)
@@ -46,7 +63,11 @@ class Retargeting:
 
 
 def retargeted(
-    source: BodyMotion, body: BodyModel, betas: Float[np.ndarray, " B"], name: str
+    source: BodyMotion,
+    body: BodyModel,
+    betas: Float[np.ndarray, " B"],
+    name: str,
+    settings: RetargetSettings = RETARGET,
 ) -> Retargeting:
     """The motion of ``source`` on ``body`` of shape ``betas``; soft tissue, rate and world are the
     source's.
@@ -60,15 +81,15 @@ def retargeted(
     before = _turned(source, turn)
     there = before.points(soles.used)
     points = soles.means(there)
-    still = standing(points, source.rate_hz)
+    still = standing(points, source.rate_hz, settings.contacts)
     ground = ground_height(points[..., 1], still)
     plain, scale = _plain(before, body, betas, ground)
     lowest = _lowest(before)
     plain_lowest = _lowest(plain)
     wanted = np.where([False, True, False], ground + scale * (points - ground), points)
     allowed = np.minimum(0.0, scale * (lowest - ground))
-    moved = _standing(plain, soles, still, wanted, ground + allowed)
-    moved = _above(moved, plain, soles, still, wanted, ground + allowed)
+    moved = _standing(plain, soles, still, wanted, ground + allowed, settings)
+    moved = _above(moved, plain, soles, still, wanted, ground + allowed, settings)
     done = (plain, moved)
     slips = (_slip(before, soles, still), *(_slip(each, soles, still) for each in done))
     below = (
@@ -166,6 +187,7 @@ def _standing(
     still: Bool[np.ndarray, "T 2 P"],
     wanted: np.ndarray,
     least: np.ndarray,
+    settings: RetargetSettings,
 ) -> BodyMotion:
     """The motion with feet at their places: the root gives way where legs are too short, then legs
     follow.
@@ -178,9 +200,9 @@ def _standing(
     lows = soles.lowest(points)
     shifts = [corrections(feet[:, k], still[:, k], wanted[:, k]) for k in range(2)]
     moved = plain
-    for _ in range(ROUNDS):
+    for _ in range(settings.rounds):
         shifts = [_lifted(shift, low, least) for shift, low in zip(shifts, lows, strict=True)]
-        moved = _with_feet(plain, legs, shifts)
+        moved = _with_feet(plain, legs, shifts, settings)
         missed = soles.means(moved.points(soles.used)) - feet - np.stack(shifts, 1)[:, :, None]
         shifts = [shift - missed[:, k].mean(axis=1) for k, shift in enumerate(shifts)]
     return moved
@@ -194,13 +216,18 @@ def _lifted(
     return out
 
 
-def _with_feet(plain: BodyMotion, legs: tuple[Leg, Leg], shifts: list[np.ndarray]) -> BodyMotion:
+def _with_feet(
+    plain: BodyMotion,
+    legs: tuple[Leg, Leg],
+    shifts: list[np.ndarray],
+    settings: RetargetSettings,
+) -> BodyMotion:
     skeleton = skeleton_of(plain)
     goals = [
         skeleton.world[:, leg.ankle, :, 3] + shift for leg, shift in zip(legs, shifts, strict=True)
     ]
     trans = plain.trans.copy()
-    trans[:, 1] -= _sunk(skeleton, legs, goals, plain.rate_hz)
+    trans[:, 1] -= _sunk(skeleton, legs, goals, plain.rate_hz, settings)
     pose = plain.pose
     lowered = replace(plain, trans=trans)
     skeleton = skeleton_of(lowered)
@@ -210,7 +237,11 @@ def _with_feet(plain: BodyMotion, legs: tuple[Leg, Leg], shifts: list[np.ndarray
 
 
 def _sunk(
-    skeleton: Skeleton, legs: tuple[Leg, Leg], goals: list[np.ndarray], rate_hz: float
+    skeleton: Skeleton,
+    legs: tuple[Leg, Leg],
+    goals: list[np.ndarray],
+    rate_hz: float,
+    settings: RetargetSettings,
 ) -> Float[np.ndarray, " T"]:
     """How far the root sinks so that both legs reach their goals, smoothly."""
     needed = np.zeros(len(skeleton.rest))
@@ -218,16 +249,16 @@ def _sunk(
         length = sum(np.linalg.norm(bone, axis=1) for bone in bones(skeleton, leg))
         hip = skeleton.world[:, leg.hip, :, 3]
         ankle = skeleton.world[:, leg.ankle, :, 3]
-        most = np.maximum(STRAIGHT * length, np.linalg.norm(ankle - hip, axis=1))
+        most = np.maximum(settings.straight * length, np.linalg.norm(ankle - hip, axis=1))
         way = goal - hip
         across = np.minimum(np.hypot(way[:, 0], way[:, 2]), most)
         needed = np.maximum(needed, -way[:, 1] - np.sqrt(most**2 - across**2))
-    return _above_smoothly(needed, rate_hz)
+    return _above_smoothly(needed, settings.smooth * rate_hz)
 
 
-def _above_smoothly(needed: Float[np.ndarray, " T"], rate_hz: float) -> Float[np.ndarray, " T"]:
+def _above_smoothly(needed: Float[np.ndarray, " T"], frames: float) -> Float[np.ndarray, " T"]:
     """A smooth course that is nowhere below what is needed, nor below 0."""
-    size = 2 * max(1, round(0.5 * SMOOTH * rate_hz)) + 1
+    size = 2 * max(1, round(0.5 * frames)) + 1
     highest = maximum_filter1d(np.maximum(needed, 0.0), size, mode="nearest")
     return uniform_filter1d(highest, size, mode="nearest")
 
@@ -239,15 +270,17 @@ def _above(
     still: Bool[np.ndarray, "T 2 P"],
     wanted: np.ndarray,
     least: np.ndarray,
+    settings: RetargetSettings,
 ) -> BodyMotion:
     """The motion with its root higher where hands, knees or a back would go below the ground.
 
     Feet stay where they stand as far as legs reach; then the whole body goes up.
     """
-    lift = _above_smoothly(least - _lowest(moved), moved.rate_hz)
+    frames = settings.smooth * moved.rate_hz
+    lift = _above_smoothly(least - _lowest(moved), frames)
     if lift.any():
-        moved = _standing(_raised(plain, lift), soles, still, wanted, least)
-        moved = _raised(moved, _above_smoothly(least - _lowest(moved), moved.rate_hz))
+        moved = _standing(_raised(plain, lift), soles, still, wanted, least, settings)
+        moved = _raised(moved, _above_smoothly(least - _lowest(moved), frames))
     return moved
 
 
