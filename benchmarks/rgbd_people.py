@@ -25,11 +25,11 @@ from common import in_words, machine, parser, write_json, written_rows
 from scipy.optimize import lsq_linear
 
 from habitus.body.model import BodyModel
+from habitus.fit.offsets import along_normals
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_start import arm_poses
-from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.settings import RgbdSettings
-from habitus.fit.points.skin_offsets import along_normals
 from habitus.io.models.bodies import load_body
 from habitus.observe.depth_views import RgbdCapture
 from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
@@ -181,7 +181,7 @@ def _far(body: BodyModel, scene: Scene, rng: np.random.Generator) -> np.ndarray:
     """
     poses = []
     for view, surface in zip(scene.capture.views, scene.surfaces, strict=True):
-        sight = Sight.of(view, segment(view))
+        sight = PreparedView.of(view, segment(view))
         pose = next(arm_poses(body, ((45.0, 0.0, 0.0),)))
         way = _turn(body.rest_vertices(body.people_mean), surface @ sight.turn.T + sight.shift)
         pose[0] = [0.0, way + np.deg2rad(30.0) * rng.choice([-1.0, 1.0]), 0.0]

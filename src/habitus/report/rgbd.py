@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from habitus.errors import shown
 from habitus.export.png import png
 from habitus.fit.points.appearance import Appearance, moved, to_linear
-from habitus.fit.points.prepared_views import Sight
+from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.harmonics import harmonics
@@ -239,7 +239,7 @@ def view_pictures(fit: "RgbdFit") -> list[ViewPictures]:
 
 
 def _of_view(
-    sight: Sight,
+    sight: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     appearance: Appearance | None,
@@ -259,7 +259,10 @@ def _of_view(
 
 
 def _colour_pictures(
-    sight: Sight, vertices: Float[np.ndarray, "V 3"], triangles: Triangles, appearance: Appearance
+    sight: PreparedView,
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Triangles,
+    appearance: Appearance,
 ) -> dict[str, Picture]:
     assert sight.colour_camera is not None and sight.view.colour is not None
     camera = moved(sight.colour_camera, appearance.shift.shift)
@@ -336,7 +339,7 @@ def _smoothed(depth: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _depth_difference(
-    sight: Sight, model: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"]
+    sight: PreparedView, model: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"]
 ) -> Picture:
     """Observed depth less the body's: red where the person is closer, blue where farther, grey
     where only one of the two is there.

@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from habitus.body.gender import female_probability
+from habitus.body.state import BodyState
 from habitus.body.surface_files import write_textured
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.export.png import png
 from habitus.files import whole_folder, write_text
+from habitus.fit.offsets import along_normals
 from habitus.fit.points.depth_result import RgbdFit, ViewEvidence
-from habitus.fit.points.skin_offsets import along_normals
-from habitus.fit.points.state import State
 from habitus.fit.points.texture import Skin, bake, spread
 from habitus.observe.srgb import srgb_bytes
 from habitus.results.metrics import gender_entry, measurements_csv, write_json
@@ -136,7 +136,7 @@ def _baked_skin(fit: RgbdFit) -> Skin | None:
     image = fit.sights[0].view.colour
     height = 0 if image is None else len(image)
     size = next(size for least, size in TEXTURE_SIZES.items() if height >= least)
-    state = State(fit.betas, fit.pose, fit.trans)
+    state = BodyState(fit.betas, fit.pose, fit.trans)
     return bake(fit.body, state, fit.sights, fit.appearance, size, fit.skin)
 
 

@@ -9,6 +9,7 @@ import pytest
 from rgbd_scene_small import small_scene
 from scipy import sparse
 
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import edges_of, find_appearance, log_smoothness
 from habitus.fit.points.colour_terms import (
@@ -22,12 +23,11 @@ from habitus.fit.points.colour_terms import (
     view_rows,
 )
 from habitus.fit.points.depth import SURE, _chosen, _Coarse, _with_colour, fit_state
-from habitus.fit.points.depth_energy import Coated, Energy
+from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
 from habitus.fit.points.depth_start import arm_poses
-from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.settings import RgbdSettings
-from habitus.fit.points.skin_offsets import OffModel
-from habitus.fit.points.state import State
+from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.shapes import sphere
 from habitus.observe.depth_views import RgbdCapture
 from habitus.render.triangles import Triangles
@@ -46,46 +46,52 @@ def plain():
     )
 
 
+def skinned(state: BodyState, field: SkinField) -> SkinnedState:
+    return SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
+
+
 def test_colour_brings_the_surface_nearer(plain):
     body, scene, found = plain
-    energy = Energy.of(body, found.sights, replace(RgbdSettings(), colour_levels=(4, 2, 2)))
-    off = OffModel.of(body, energy.settings)
-    begun = Coated(found.state, np.zeros(off.count))
-    after, _, costs, _ = energy.with_colour(begun, Look.of(found.appearance), found.state.pose, off)
+    energy = DepthEnergy.of(body, found.sights, replace(RgbdSettings(), colour_levels=(4, 2, 2)))
+    off = SkinField.of(body, energy.settings)
+    begun = skinned(found.state, off)
+    looks = Look.of(found.appearance)
+    fit, after, _ = energy.with_colour(begun, looks, found.state.pose, off)
     true = np.stack(
         [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)]
     )
     before, after = (
-        np.linalg.norm(energy.surfaces(one.state) - true, axis=-1).mean() for one in (begun, after)
+        np.linalg.norm(energy.surfaces(one) - true, axis=-1).mean() for one in (begun, after)
     )
     assert after < 0.9 * before and "colour" not in found.terms
-    assert costs[-1] < costs[1]  # both of the finest level
+    assert fit.history[-1] < fit.history[1]  # both of the finest level
+    assert {"colour", "depth", "skin"} <= set(fit.costs)
 
 
 def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
     body, _, found = plain
-    alone = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
-    energy = Energy.of(body, found.sights[:1], RgbdSettings())
-    off = OffModel.of(body, RgbdSettings())
-    begun = Coated(alone, np.zeros(off.count))
-    after, appearance, costs, _ = _with_colour(energy, begun, alone.pose, off)
-    assert after is begun and appearance is not None and costs == []
+    alone = BodyState(found.state.betas, found.state.pose[:1], found.state.trans[:1])
+    energy = DepthEnergy.of(body, found.sights[:1], RgbdSettings())
+    off = SkinField.of(body, RgbdSettings())
+    begun = energy.with_skin(skinned(alone, off), alone.pose, off)
+    fit, after, appearance = _with_colour(energy, begun, alone.pose, off)
+    assert fit is begun and after is begun.state and appearance is not None
 
 
 def test_rows_are_what_small_steps_show(plain):
     body, scene, found = plain
-    sight = Sight.of(scene.capture.views[0], segment(scene.capture.views[0]))
+    sight = PreparedView.of(scene.capture.views[0], segment(scene.capture.views[0]))
     settings = RgbdSettings()
     surface = body(found.state.betas, found.state.pose[0], found.state.trans[0]).vertices
     seen = find_appearance([sight], surface[None], body.faces)
     look = Look.of(seen)
-    state = State(found.state.betas, found.state.pose[:1], found.state.trans[:1])
+    state = BodyState(found.state.betas, found.state.pose[:1], found.state.trans[:1])
     level = ColourLevel.of(sight, surface, look.shift, 2)
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
 
-    off = OffModel.of(body, replace(settings, skin_places=3))
+    off = SkinField.of(body, replace(settings, skin_places=3))
 
-    def rows(state: State, look: Look, numbers: np.ndarray) -> ViewRows:
+    def rows(state: BodyState, look: Look, numbers: np.ndarray) -> ViewRows:
         moving = Moving.of(body, state, 0, off, numbers)
         shifted = replace(
             level, camera=level.camera.replace(translation=level.camera.translation + look.shift)
@@ -94,7 +100,7 @@ def test_rows_are_what_small_steps_show(plain):
 
     rng = np.random.default_rng(0)
     still = replace(look, shift=np.zeros(3))
-    size = len(state.vector) + 3
+    size = len(state.betas) + state.pose.size + state.trans.size + 3
     here = rows(state, still, np.zeros(3))
     body_way = 0.01 * rng.normal(size=size + 3)
     body_way[: len(state.betas)] *= 10.0
@@ -127,9 +133,9 @@ def test_rows_are_what_small_steps_show(plain):
     assert np.median(np.abs(told - found)[inner]) < 0.1 * np.median(np.abs(found[inner]))
 
 
-def _moved(state: State, step: np.ndarray) -> State:
+def _moved(state: BodyState, step: np.ndarray) -> BodyState:
     head = len(state.betas)
-    return State(
+    return BodyState(
         state.betas + step[:head],
         state.pose + step[head + 3 :].reshape(state.pose.shape),
         state.trans + step[head : head + 3],
@@ -142,7 +148,7 @@ def test_eliminating_albedo_changes_no_step():
     settings = RgbdSettings()
     edges = edges_of(np.asarray(ball.faces))
     count = len(ball.vertices)
-    state = State(np.zeros(2), np.zeros((1, 1, 3)), np.zeros((1, 3)))
+    state = BodyState(np.zeros(2), np.zeros((1, 1, 3)), np.zeros((1, 3)))
     look = Look(
         rng.uniform(0.45, 0.55, (count, 3)),
         WHITE[:, None] + 0.01 * rng.normal(size=(9, 3)),
@@ -185,7 +191,7 @@ def test_the_body_that_explains_the_views_is_taken(plain):
 
 def test_bodies_that_explain_the_views_alike_leave_the_first():
     near, far = (
-        _Coarse(name, None, None, [9.0, cost])
+        _Coarse(name, None, None, (9.0, cost))
         for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * SURE))
     )
     assert _chosen([far, near]) is near and _chosen([near]) is near

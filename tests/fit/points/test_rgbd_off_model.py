@@ -8,25 +8,27 @@ import numpy as np
 import pytest
 from rgbd_scene_small import small_scene
 
+from habitus.body.state import BodyState
+from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.depth import fit_state
-from habitus.fit.points.depth_energy import Energy, Priors
-from habitus.fit.points.depth_limbs import second_try
+from habitus.fit.points.depth_energy import DepthEnergy
+from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.floor import LIFTED, Footpads
-from habitus.fit.points.scan_fitting import offset_spread
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import (
-    OffModel,
-    along_normals,
-    off_equations,
-    spread_out,
-    uncoated,
-    worn,
+    SkinDepth,
+    SkinField,
+    clothing,
+    moved_back,
+    skin_depth_term,
 )
-from habitus.fit.points.state import State
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, points_on_surface
+from habitus.solve.minimize import minimize
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import Term
 
 SETTINGS = RgbdSettings(clothes=0.0, hair=0.0)
 
@@ -37,37 +39,32 @@ def body():
 
 
 @pytest.fixture(scope="module")
-def off(body):
-    return OffModel.of(body, SETTINGS)
+def field(body):
+    return SkinField.of(body, SETTINGS)
 
 
-def test_the_field_is_as_wide_as_told_and_alike_nearby(body, off):
+def test_the_field_is_as_wide_as_told_and_alike_nearby(body, field):
     rest = body.rest_vertices(np.zeros(body.num_betas))
     told = SETTINGS.skin * offset_spread(body)
-    spread = np.sqrt((off.basis**2).sum(1))
+    spread = np.sqrt((field.basis**2).sum(1))
     trunk = (
         body.skinning_weights[:, [body.joint_names.index(f"spine{k}") for k in (1, 2)]].sum(1) > 0.8
     )
     assert 0.7 < np.median(spread[trunk] / told[trunk]) < 1.1
     navel = np.flatnonzero(trunk)[np.argmax(rest[trunk, 2])]
-    alike = (off.basis @ off.basis[navel]) / (spread * spread[navel]).clip(1e-9)
+    alike = (field.basis @ field.basis[navel]) / (spread * spread[navel]).clip(1e-9)
     away = np.linalg.norm(rest - rest[navel], axis=1)
     assert alike[away < 0.03].min() > 0.8
     assert np.abs(alike[away > 0.6]).max() < 0.1
 
 
-def test_soles_have_no_offset(body, off):
+def test_soles_have_no_offset(body, field):
     pads = Footpads.of(body)
-    assert np.abs(off.basis[body.faces[pads.face, pads.corner]]).max() == 0.0
+    assert np.abs(field.basis[body.faces[pads.face, pads.corner]]).max() == 0.0
 
 
-def test_places_are_far_from_each_other():
-    points = np.stack([np.arange(9.0), np.zeros(9), np.zeros(9)], 1)
-    assert sorted(spread_out(points, 3)) == [0, 4, 8]
-
-
-def test_clothes_and_hair_lie_where_they_are_worn(body):
-    layer = worn(body, 0.001, 0.003)
+def test_clothes_and_hair_lie_where_they_are_clothing(body):
+    layer = clothing(body, 0.001, 0.003)
     rest = body.rest_vertices(np.zeros(body.num_betas))
     assert np.isclose(layer[rest[:, 1].argmax()], 0.003, atol=2e-4)
     head = body.skinning_weights[:, body.joint_names.index("head")] > 0.9
@@ -78,18 +75,18 @@ def test_clothes_and_hair_lie_where_they_are_worn(body):
         np.testing.assert_allclose(layer[part], told, atol=1e-4)
 
 
-def test_an_offset_is_found_and_the_shape_stays(body, off):
+def test_an_offset_is_found_and_the_shape_stays(body, field):
     """Points on the front of a planted person; what the field tells elsewhere is the likeliest, not
     the truth.
     """
     rng = np.random.default_rng(3)
     pose = np.zeros((2, body.num_joints, 3))
     trans = np.zeros((2, 3))
-    planted = rng.normal(size=off.count)
-    state = State(np.zeros(body.num_betas), pose, trans)
-    numbers = np.zeros(off.count)
+    planted = rng.normal(size=field.count)
+    state = BodyState(np.zeros(body.num_betas), pose, trans)
+    numbers = np.zeros(field.count)
     model = body(state.betas, pose, trans).vertices
-    seen = along_normals(model, off.offset(planted), body)
+    seen = along_normals(model, field.offset(planted), body)
     facing = vertex_normals(model[0], body.faces)[:, 2]
     front = np.flatnonzero(facing[body.faces].min(1) > 0.5)
     face = np.repeat(front, 2)
@@ -102,18 +99,27 @@ def test_an_offset_is_found_and_the_shape_stays(body, off):
             PointObservations.to_planes(face, share, target, normal, np.full(len(face), 1e6))
         ] * len(surface)
 
-    priors = Priors.of(body, state, SETTINGS).weights()
-    found = off_equations(off, state, numbers, matches(model), model, model)
-    held = found.matrix + np.diag(np.concatenate([priors + 1e-6, np.zeros(off.count)]))
-    step = -np.linalg.solve(held, found.gradient)
-    size = len(state.vector)
+    energy = DepthEnergy.of(body, [], SETTINGS)
+    views = [
+        SkinDepth.of(field, state, k, numbers, each, model[k], model[k])
+        for k, each in enumerate(matches(model))
+    ]
+    count = field.count
+    terms = {
+        "depth": skin_depth_term(body, views, count),
+        **energy.priors(pose),
+        "skin": Term(lambda skin: (skin, {"skin": np.eye(count)})),
+    }
+    start = {"betas": state.betas, "pose": pose, "trans": trans, "skin": numbers}
+    solve = {"max_accepted": 1, "stretch": False}
+    found = minimize(terms, start, Levenberg(1e-9), blocks=("pose", "trans"), **solve).state
+    alone = minimize(
+        terms, start, Levenberg(1e-9), blocks=("pose", "trans"), fixed=("skin",), **solve
+    ).state
     told = facing > 0.6
-    assert np.std((off.offset(step[size:]) - off.offset(planted))[told]) < 0.4 * np.std(
-        off.offset(planted)[told]
-    )
-    alone = -np.linalg.solve(held[:size, :size], found.gradient[:size])
-    head = body.num_betas
-    assert np.linalg.norm(step[:head]) < 0.7 * np.linalg.norm(alone[:head])
+    left = field.offset(found["skin"]) - field.offset(planted)
+    assert np.std(left[told]) < 0.4 * np.std(field.offset(planted)[told])
+    assert np.linalg.norm(found["betas"]) < 0.7 * np.linalg.norm(alone["betas"])
 
 
 def test_targets_move_back_by_what_lies_between(body):
@@ -124,9 +130,7 @@ def test_targets_move_back_by_what_lies_between(body):
     one = PointObservations.to_planes(
         face, share, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), np.ones(5)
     )
-    np.testing.assert_allclose(
-        uncoated({"outline": one}, model, seen, body)["outline"].target, -0.01
-    )
+    np.testing.assert_allclose(moved_back(one, model, seen, body).target, -0.01)
 
 
 def test_soles_stand_as_high_as_they_are_at_rest(body):
@@ -166,12 +170,12 @@ def test_a_start_with_other_arms_comes_home(fitted):
 
 def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
     scene, found = fitted
-    energy = Energy.of(body, found.sights, SETTINGS)
+    energy = DepthEnergy.of(body, found.sights, SETTINGS)
     state = found.state
     pose = found.state.pose.copy()
     arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
     pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]
-    again, _ = second_try(energy, replace(state, pose=pose), pose)
+    again, _ = limbs_tried_again(energy, replace(state, pose=pose), pose)
     true = scene.surfaces[1] @ found.sights[1].turn.T + found.sights[1].shift
     before, after = (energy.surfaces(one)[1] for one in (replace(state, pose=pose), again))
     away = [np.linalg.norm(surface - true, axis=1).mean() for surface in (before, after)]
@@ -180,7 +184,7 @@ def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
 
 def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
     _, found = fitted
-    energy = Energy.of(body, found.sights[1:], SETTINGS)
-    alone = State(found.state.betas, found.state.pose[1:], found.state.trans[1:])
-    same, means = second_try(energy, alone, alone.pose)
+    energy = DepthEnergy.of(body, found.sights[1:], SETTINGS)
+    alone = BodyState(found.state.betas, found.state.pose[1:], found.state.trans[1:])
+    same, means = limbs_tried_again(energy, alone, alone.pose)
     assert same is alone and means is alone.pose

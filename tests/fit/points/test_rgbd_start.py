@@ -10,8 +10,13 @@ import torch
 from rgbd_scene_small import small_scene
 
 from habitus.fit.points.depth_correspondences import look, misfit
-from habitus.fit.points.depth_start import arm_poses, pose_of_keypoints, seen_joints, tall_as
-from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.depth_start import (
+    arm_poses,
+    pose_of_keypoints,
+    scaled_to_height,
+    seen_joints,
+)
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.settings import FOLDED
 from habitus.render.triangles import Triangles
 
@@ -23,7 +28,7 @@ def seen():
     """
     body, scene = small_scene()
     view = scene.capture.views[1]
-    sight = Sight.of(view, segment(view))
+    sight = PreparedView.of(view, segment(view))
     surface = scene.surfaces[1] @ sight.turn.T + sight.shift
     joints = (
         body.joint_regressor @ scene.rest
@@ -74,7 +79,7 @@ def test_keypoints_lead_near_the_person(seen):
 
 def test_height_is_read_off_the_mask(seen):
     body, sight, surface, _ = seen
-    betas = tall_as(body, [sight])
+    betas = scaled_to_height(body, [sight])
     assert abs(np.ptp(body.rest_vertices(betas)[:, 1]) - np.ptp(surface[:, 1])) < 0.08
 
 

@@ -23,7 +23,7 @@ from scipy import sparse
 from scipy.ndimage import binary_erosion, binary_opening, gaussian_filter, label, map_coordinates
 from scipy.sparse.linalg import splu
 
-from habitus.fit.points.prepared_views import Sight
+from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.harmonics import harmonics
@@ -55,7 +55,7 @@ class ColourShift:
     overlap: float | None
 
 
-def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
+def person_in_colour(sight: PreparedView) -> Bool[np.ndarray, "h w"] | None:
     """Pixels of the colour image that differ from the empty room's; None without that."""
     view = sight.view
     if view.colour is None or view.background_colour is None:
@@ -70,7 +70,7 @@ def person_in_colour(sight: Sight) -> Bool[np.ndarray, "h w"] | None:
 
 
 def find_shift(
-    sights: list[Sight], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles
+    sights: list[PreparedView], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles
 ) -> ColourShift:
     """The shift at which the model's outline in colour is the person's, by Gauss-Newton through the
     renderer.
@@ -177,7 +177,7 @@ class Samples:
 
 
 def find_appearance(
-    sights: Sequence[Sight],
+    sights: Sequence[PreparedView],
     vertices: Float[np.ndarray, "K V 3"],
     faces: Int[np.ndarray, "F 3"],
     shift: ColourShift | None = None,
@@ -299,6 +299,12 @@ def log_smoothness(
     return smooth, smooth @ log
 
 
+def smoothness_cost(edges: sparse.csr_array, albedo: Float[np.ndarray, " V"]) -> float:
+    """E_Q of one channel, robust (Geman-McClure)."""
+    square = (edges @ np.log(albedo)) ** 2
+    return 0.5 * float((square / (1.0 + square / EDGE**2)).sum()) / SMOOTH_SD**2
+
+
 ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
 
 
@@ -323,7 +329,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 def sample(
-    sight: Sight,
+    sight: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     shift: Float[np.ndarray, " 3"],
@@ -348,7 +354,7 @@ def depth_of(
 
 
 def look_up(
-    sight: Sight,
+    sight: PreparedView,
     camera: Camera,
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],

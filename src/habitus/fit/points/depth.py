@@ -10,19 +10,20 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import Appearance, ColourShift, find_appearance
 from habitus.fit.points.colour_terms import Look
-from habitus.fit.points.depth_energy import Coated, Energy
-from habitus.fit.points.depth_limbs import second_try
+from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
+from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_result import RgbdFit, gather
-from habitus.fit.points.depth_start import find_start, tall_as
-from habitus.fit.points.prepared_views import Sight, segment
+from habitus.fit.points.depth_start import find_start, scaled_to_height
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.settings import STANDARD, RgbdSettings
-from habitus.fit.points.skin_offsets import OffModel
-from habitus.fit.points.state import State
+from habitus.fit.points.skin_offsets import SkinField
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
+from habitus.solve.minimize import Minimized
 
 SURE = 20.0
 """By how much the energy of a woman's or a man's body must be the lower one: 28 of 28 made people
@@ -41,16 +42,17 @@ class ViewsFit:
 
     body: BodyModel
     kind: str
-    state: State
+    state: BodyState
     skin: Float[np.ndarray, " V"]
     seen: Float[np.ndarray, "K V 3"]
-    sights: tuple[Sight, ...]
+    sights: tuple[PreparedView, ...]
     appearance: Appearance | None
     costs: tuple[float, ...]
     terms: Mapping[str, float]
     tried: Mapping[str, float]
     start_misfit: tuple[float, ...]
     seconds: Mapping[str, float]
+    status: str
 
 
 def fit_state(
@@ -89,39 +91,45 @@ def _fitted(
     given: Float[np.ndarray, "K J 3"] | None,
 ) -> ViewsFit:
     clock = [time.perf_counter()]
-    sights = [Sight.of(view, segment(view)) for view in capture.views]
+    sights = [PreparedView.of(view, segment(view)) for view in capture.views]
     clock.append(time.perf_counter())
     first = next(iter(bodies))
-    energy = Energy.of(bodies[first], sights, settings)
-    start, means, misfits = find_start(
-        energy.body, energy.solver, energy.triangles, sights, settings, turns, given
-    )
+    energy = DepthEnergy.of(bodies[first], sights, settings)
+    start, means, misfits = find_start(energy, turns, given)
     clock.append(time.perf_counter())
     rivals = [
         _rival(name, body, energy, start, means) for name, body in bodies.items() if name != first
     ]
-    chosen = _chosen(rivals) or _Coarse(
-        first, energy, *energy.descend(start, means, settings.stages[:-1])
-    )
+    chosen = _chosen(rivals) or _coarse(first, energy, start, means)
     energy = chosen.energy
-    off = OffModel.of(chosen.energy.body, settings)
-    state, means = second_try(energy, chosen.state, means)
-    state, fine = energy.descend(state, means, settings.stages[-1:])
+    field = SkinField.of(energy.body, settings)
+    state, means = limbs_tried_again(energy, chosen.state, means)
+    fine = energy.minimized(state, means, settings.stages[-1:])
+    state = fine.state
     clock.append(time.perf_counter())
-    coated, settled = energy.settle(Coated(state, np.zeros(off.count)), means, off)
+    unskinned = SkinnedState(state.betas, state.pose, state.trans, np.zeros(field.count))
+    settled = energy.with_skin(unskinned, means, field)
     clock.append(time.perf_counter())
-    coated, shown, more, colour = _with_colour(energy, coated, means, off)
+    ended, skinned, shown = _with_colour(energy, settled, means, field)
     clock.append(time.perf_counter())
     seconds = dict(
         zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True)
     )
-    tried = {one.name: one.costs[-1] for one in rivals}
-    terms = {**energy.costs(coated.state, means), **colour}
-    skin = off.offset(coated.numbers)
-    seen = off.seen(energy.surfaces(coated.state), coated.numbers)
-    found = (energy.body, chosen.name, coated.state, skin, seen, energy.sights, shown)
+    history = (*chosen.history, *fine.history, *settled.history)
     return ViewsFit(
-        *found, (*chosen.costs, *fine, *settled, *more), terms, tried, tuple(misfits), seconds
+        body=energy.body,
+        kind=chosen.name,
+        state=skinned.body,
+        skin=field.offset(skinned.skin),
+        seen=field.seen(energy.surfaces(skinned), skinned.skin),
+        sights=energy.views,
+        appearance=shown,
+        costs=history if ended is settled else (*history, *ended.history),
+        terms=dict(ended.costs),
+        tried={one.name: one.history[-1] for one in rivals},
+        start_misfit=tuple(misfits),
+        seconds=seconds,
+        status=ended.status,
     )
 
 
@@ -130,48 +138,56 @@ class _Coarse:
     """Where a body's coarse stages led."""
 
     name: str
-    energy: Energy
-    state: State
-    costs: list[float]
+    energy: DepthEnergy
+    state: BodyState
+    history: tuple[float, ...]
 
 
-def _rival(name: str, body: BodyModel, first: Energy, start: State, means: np.ndarray) -> _Coarse:
+def _rival(
+    name: str, body: BodyModel, first: DepthEnergy, start: BodyState, means: np.ndarray
+) -> _Coarse:
     """Another body from the first one's poses."""
-    energy = Energy.of(body, first.sights, first.settings)
-    state = replace(start, betas=tall_as(body, list(first.sights)))
-    return _Coarse(name, energy, *energy.descend(state, means, first.settings.stages[:-1]))
+    energy = DepthEnergy.of(body, first.views, first.settings)
+    state = replace(start, betas=scaled_to_height(body, list(first.views)))
+    return _coarse(name, energy, state, means)
+
+
+def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray) -> _Coarse:
+    found = energy.minimized(state, means, energy.settings.stages[:-1])
+    return _Coarse(name, energy, found.state, found.history)
 
 
 def _chosen(rivals: list[_Coarse]) -> _Coarse | None:
     """Of women's and men's bodies the one that explains the views much better than the other; None
     where none does.
     """
-    ranked = sorted(rivals, key=lambda one: one.costs[-1])
+    ranked = sorted(rivals, key=lambda one: one.history[-1])
     sure = len(ranked) == 1 or (
-        len(ranked) > 1 and ranked[1].costs[-1] - ranked[0].costs[-1] > SURE
+        len(ranked) > 1 and ranked[1].history[-1] - ranked[0].history[-1] > SURE
     )
     return ranked[0] if sure else None
 
 
 def _with_colour(
-    energy: Energy, coated: Coated, means: Float[np.ndarray, "K J 3"], off: OffModel
-) -> tuple[Coated, Appearance | None, list[float], dict[str, float]]:
-    """Steps with colour, where there is colour of the person and of the empty room; light and
+    energy: DepthEnergy, settled: Minimized, means: Float[np.ndarray, "K J 3"], field: SkinField
+) -> tuple[Minimized, SkinnedState, Appearance | None]:
+    """Steps with colour, where there is colour of the person and of the background; light and
     albedo at the end.
 
-    Colour of one view alone is not asked for the shape, since albedo explains there what the shape
+    Colour of one view alone does not enter the shape, since albedo explains there what the shape
     should: waists of twelve people were 4.3 cm off (RMSE) with these steps, 1.7 without.
     """
     faces = energy.body.faces
-    sights = energy.sights
-    shown = find_appearance(sights, off.seen(energy.surfaces(coated.state), coated.numbers), faces)
-    few = len(sights) < 2 or not energy.settings.colour_levels
+    state = settled.state
+    views = energy.views
+    shown = find_appearance(views, field.seen(energy.surfaces(state), state.skin), faces)
+    few = len(views) < 2 or not energy.settings.colour_levels
     if few or shown is None or shown.shift.overlap is None:
-        return coated, shown, [], {}
-    coated, look, costs, colour = energy.with_colour(coated, Look.of(shown), means, off)
-    place = ColourShift(look.shift, shown.shift.overlap)
-    seen = off.seen(energy.surfaces(coated.state), coated.numbers)
-    return coated, find_appearance(sights, seen, faces, place), costs, {"colour": colour}
+        return settled, state, shown
+    found, state, seen_look = energy.with_colour(state, Look.of(shown), means, field)
+    shift = ColourShift(seen_look.shift, shown.shift.overlap)
+    seen = field.seen(energy.surfaces(state), state.skin)
+    return found, state, find_appearance(views, seen, faces, shift)
 
 
 def fit_views(
@@ -199,21 +215,22 @@ def fit_views(
         name = gender = found.kind
         told = (_who(found),)
     return RgbdFit(
-        capture.name,
-        name or found.body.name,
-        found.body,
-        state.betas,
-        state.pose,
-        state.trans,
-        found.sights,
-        evidence,
-        found.appearance,
-        found.terms,
-        {**found.seconds, "judge": time.perf_counter() - began},
-        asdict(settings),
-        (*capture.notes, *told, *_lost(found.sights, found.appearance)),
-        gender,
+        capture_name=capture.name,
+        body_name=name or found.body.name,
+        body=found.body,
+        betas=state.betas,
+        pose=state.pose,
+        trans=state.trans,
+        sights=found.sights,
+        evidence=evidence,
+        appearance=found.appearance,
+        costs=found.terms,
+        stage_seconds={**found.seconds, "judge": time.perf_counter() - began},
+        settings=asdict(settings),
+        warnings=(*capture.notes, *told, *_lost(found.sights, found.appearance)),
+        gender=gender,
         skin=found.skin,
+        status=found.status,
     )
 
 
@@ -230,7 +247,7 @@ def _who(found: ViewsFit) -> str:
     )
 
 
-def _lost(sights: tuple[Sight, ...], appearance: Appearance | None) -> tuple[str, ...]:
+def _lost(sights: tuple[PreparedView, ...], appearance: Appearance | None) -> tuple[str, ...]:
     """What was not there, and what that costs."""
     notes = []
     if len(sights) == 1:

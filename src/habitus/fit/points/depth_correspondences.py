@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from habitus.fit.points.prepared_views import Grid
-from habitus.fit.points.settings import RgbdSettings, Stage
+from habitus.fit.points.settings import DepthStage, RgbdSettings
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations
@@ -65,7 +65,7 @@ class Matching:
 def match(
     grid: Grid,
     drawn: Drawn,
-    stage: Stage,
+    stage: DepthStage,
     reach: float,
     noise: float,
     settings: RgbdSettings,

@@ -1,360 +1,252 @@
-"""The energy of T eq. 4.3 without colour, as named terms over one shape and a pose and place for
-each view.
-
-Each term gives a cost, a gradient and a Gauss-Newton matrix over betas (B), then trans (3) and pose
-(3 J) of each view.
-
-The whole energy of one body before its views (T eq. 4.3), and steps down it.
+"""The energy of a body before depth views (T eq. 4.3), as named terms, and its minimisation.
 
     E = E_C + E_D + E_F + E_P + E_S + E_Q
 
-`Energy.geometry` names what depth says: "depth" (E_D), "outline" (pixels of the model where the
-room was seen) and "floor" (E_F), new at each step, as which pixel belongs to which point changes.
-`Priors` are E_P and E_S; E_C and E_Q, which know albedo and light, join for the last steps.
-"""
+    "depth"    E_D, robust (T eq. 4.5): pixels against the surface (`depth_correspondences`), with
+               skin offsets in the last stages (`skin_offsets`)
+    "outline"  points of the model before background that was seen, against the silhouette
+    "floor"    E_F (T eq. 4.6): soles on the floor (`floor`)
+    "shape"    E_S, "pose" E_P (T 4.6.1): Gaussians (`priors`)
+    "skin"     1/2 |z|^2, the prior of the skin offsets
+    "colour"   E_C + E_Q (T eqs 4.4 and 4.7) with the priors of light and colour camera (`colour_terms`)
+
+Weights are those of `settings.RgbdSettings`. Correspondences are found anew before each step
+(`habitus.solve.alternate`); a step that raises the cost at its correspondences is refused.
+"""  # noqa: E501
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import sparse
+from jaxtyping import Float
 
 from habitus.body.model import BodyModel
+from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
-from habitus.fit.points.colour_terms import (
-    ColourEquations,
-    ColourLevel,
-    Look,
-    Moving,
-    colour_equations,
-    view_rows,
-)
+from habitus.fit.points.colour_terms import ColourEnergy, ColourLevel, Look, Moving
 from habitus.fit.points.depth_correspondences import look, match
 from habitus.fit.points.floor import Footpads
-from habitus.fit.points.prepared_views import Grid, Sight
-from habitus.fit.points.settings import STIFF, RgbdSettings, Stage
-from habitus.fit.points.skin_offsets import OffModel, off_equations, uncoated
-from habitus.fit.points.state import State
+from habitus.fit.points.prepared_views import Grid, PreparedView
+from habitus.fit.points.settings import STIFF, DepthStage, RgbdSettings
+from habitus.fit.points.skin_offsets import SkinDepth, SkinField, moved_back, skin_depth_term
+from habitus.fit.points.terms import points_around, pose_prior, shape_prior
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations, PointSolver
-from habitus.solve.arrow import ArrowMatrix
+from habitus.solve.alternate import Stage, alternate
+from habitus.solve.minimize import Minimized
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import Term
+
+BLOCKS = ("trans", "pose")
+"""Unknowns of single views, which meet only in shape and skin."""
 
 
 @dataclass(frozen=True, eq=False)
-class Priors:
-    """E_S and E_P: Gaussians over betas and over each view's pose (T 4.6.1)."""
+class SkinnedState:
+    """A state of K views, and the numbers z (C,) of the skin offsets."""
 
-    betas_mean: Float[np.ndarray, " B"]
-    pose_mean: Float[np.ndarray, "K J 3"]
-    pose_sd: Float[np.ndarray, " J"]
-    settings: RgbdSettings
+    betas: Float[np.ndarray, " B"]
+    pose: Float[np.ndarray, "K J 3"]
+    trans: Float[np.ndarray, "K 3"]
+    skin: Float[np.ndarray, " C"]
 
-    @staticmethod
-    def of(body: BodyModel, start: State, settings: RgbdSettings) -> "Priors":
-        """Those around a start."""
-        stiff = [any(part in name for part in STIFF) for name in body.joint_names]
-        sd = np.where(stiff, settings.stiff_sd, settings.pose_sd)
-        mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
-        return Priors(mean, start.pose, sd, settings)
-
-    def weights(self) -> Float[np.ndarray, " n"]:
-        """The matrix, which is diagonal; the root is free."""
-        joints = self.settings.pose / np.repeat(self.pose_sd, 3) ** 2
-        joints[:3] = 0.0
-        view = np.concatenate([np.zeros(3), joints])
-        return np.concatenate(
-            [np.full(len(self.betas_mean), self.settings.shape), np.tile(view, len(self.pose_mean))]
-        )
-
-    def apart(self, state: State) -> Float[np.ndarray, " n"]:
-        """The state less the means."""
-        return (
-            state.vector - State(self.betas_mean, self.pose_mean, np.zeros_like(state.trans)).vector
-        )
-
-    def costs(self, state: State) -> dict[str, float]:
-        """E_S and E_P."""
-        each = 0.5 * self.weights() * self.apart(state) ** 2
-        count = len(self.betas_mean)
-        return {"shape": float(each[:count].sum()), "pose": float(each[count:].sum())}
-
-
-def merged(terms: Mapping[str, PointObservations]) -> PointObservations:
-    """Terms of one view as one, with as many directions a point as the most of them."""
-    given = [one for one in terms.values() if len(one.face)]
-    if not given:
-        return NOTHING
-    most = max(one.directions.shape[1] for one in given)
-    padded = [
-        replace(
-            one,
-            directions=np.pad(
-                one.directions, ((0, 0), (0, most - one.directions.shape[1]), (0, 0))
-            ),
-        )
-        for one in given
-    ]
-    return PointObservations(
-        *(np.concatenate([getattr(one, name) for one in padded]) for name in _FIELDS)
-    )
-
-
-NOTHING = PointObservations(
-    np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 1, 3))
-)
-"""No points at all."""
-_FIELDS = ("face", "barycentric", "target", "directions")
-
-
-def gauss_newton_step(
-    solver: PointSolver,
-    state: State,
-    terms: list[Mapping[str, PointObservations]],
-    priors: Priors,
-    moves: str,
-) -> tuple[State, float]:
-    """One step of all that ``moves`` ("place", "pose", "all"); the state it leads to, and the cost
-    before it.
-    """
-    cost, gradient, matrix = data_equations(solver, state, terms)
-    weights = priors.weights()
-    gradient = gradient + weights * priors.apart(state)
-    free = _free(state, moves)
-    damping = np.where(free, weights + 1e-6 * (1.0 + matrix.diagonal()), 0.0)
-    matrix = _restricted(matrix, free)
-    step = matrix.solve(damping + ~free, np.where(free, -gradient, 0.0))
-    return state.moved(step), cost + sum(priors.costs(state).values())
-
-
-def data_equations(
-    solver: PointSolver, state: State, terms: list[Mapping[str, PointObservations]]
-) -> tuple[float, np.ndarray, ArrowMatrix]:
-    """Each term apart, as one with few directions need not pay for one with many."""
-    found = [
-        solver.together(
-            state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms]
-        )
-        for name in terms[0]
-        if any(len(one[name].face) for one in terms)
-    ]
-    cost, gradient, matrix = found[0]
-    for more, slope, other in found[1:]:
-        cost = cost + more
-        gradient = gradient + slope
-        matrix = ArrowMatrix(
-            matrix.shared + other.shared, matrix.border + other.border, matrix.blocks + other.blocks
-        )
-    return cost, gradient, matrix
-
-
-def costs_of(
-    solver: PointSolver, state: State, terms: list[Mapping[str, PointObservations]]
-) -> dict[str, float]:
-    """The cost of each term, all views together."""
-    return {
-        name: solver.together(
-            state.betas, state.pose, state.trans, [merged({name: one[name]}) for one in terms]
-        )[0]
-        for name in terms[0]
-    }
-
-
-def _free(state: State, moves: str) -> Bool[np.ndarray, " n"]:
-    views = len(state.pose)
-    width = 3 + state.pose[0].size
-    own = np.arange(width) < (6 if moves == "place" else width)
-    return np.concatenate([np.full(len(state.betas), moves == "all"), np.tile(own, views)])
-
-
-def _restricted(matrix: ArrowMatrix, free: Bool[np.ndarray, " n"]) -> ArrowMatrix:
-    """The matrix without the rows and columns of what does not move."""
-    head = free[: len(matrix.shared)].astype(float)
-    tail = free[len(matrix.shared) :].reshape(matrix.blocks.shape[:2]).astype(float)
-    return ArrowMatrix(
-        matrix.shared * head[:, None] * head,
-        matrix.border * tail[:, :, None] * head,
-        matrix.blocks * tail[:, :, None] * tail[:, None, :],
-    )
-
-
-DAMPING = 1e-6
+    @property
+    def body(self) -> BodyState:
+        """Without the skin."""
+        return BodyState(self.betas, self.pose, self.trans)
 
 
 @dataclass(frozen=True, eq=False)
-class Coated:
-    """A state, and the numbers (C,) of the skin off its model."""
-
-    state: State
-    numbers: Float[np.ndarray, " C"]
-
-    def moved(self, step: Float[np.ndarray, " m"]) -> "Coated":
-        """Both a step further."""
-        size = len(step) - len(self.numbers)
-        return Coated(self.state.moved(step[:size]), self.numbers + step[size:])
-
-
-@dataclass(frozen=True, eq=False)
-class Energy:
-    """A body, what was seen, and the weights; `Energy.of` lays it out once."""
+class DepthEnergy:
+    """A body, what was seen, and the weights; `DepthEnergy.of` lays it out once."""
 
     body: BodyModel
-    sights: tuple[Sight, ...]
+    views: tuple[PreparedView, ...]
     settings: RgbdSettings
     solver: PointSolver
     triangles: Triangles
     pads: Footpads | None
 
     @staticmethod
-    def of(body: BodyModel, sights: Sequence[Sight], settings: RgbdSettings) -> "Energy":
+    def of(body: BodyModel, views: Sequence[PreparedView], settings: RgbdSettings) -> "DepthEnergy":
         """The energy of a body before some views."""
         triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
-        return Energy(
-            body, tuple(sights), settings, PointSolver.of(body), triangles, Footpads.of(body)
+        return DepthEnergy(
+            body, tuple(views), settings, PointSolver.of(body), triangles, Footpads.of(body)
         )
 
-    def surfaces(self, state: State) -> Float[np.ndarray, "K V 3"]:
-        """The surfaces of all views, each in its world (m)."""
-        return self.body(state.betas, state.pose, state.trans).vertices
-
-    def priors(self, state: State, means: Float[np.ndarray, "K J 3"]) -> Priors:
-        """E_P and E_S, poses being around ``means``."""
-        return Priors.of(self.body, replace(state, pose=means), self.settings)
+    def surfaces(self, state: BodyState | SkinnedState) -> Float[np.ndarray, "K V 3"]:
+        """The surfaces of all views, each in its world (m), without skin offsets."""
+        return np.asarray(self.body(state.betas, state.pose, state.trans).vertices)
 
     def grids(self, stride: int) -> list[Grid]:
         """Every stride-th pixel of each view."""
-        return [sight.grid(stride) for sight in self.sights]
+        return [view.grid(stride) for view in self.views]
 
-    def geometry(
-        self,
-        state: State,
-        grids: Sequence[Grid],
-        stage: Stage,
-        reach: float,
-        seen: Float[np.ndarray, "K V 3"] | None = None,
-    ) -> list[Mapping[str, PointObservations]]:
-        """What depth says of each view at a state, by name. seen: the surfaces, where they are off
-        the model.
+    def minimized(
+        self, state: BodyState, means: Float[np.ndarray, "K J 3"], stages: Sequence[DepthStage]
+    ) -> Minimized:
+        """The state after some stages by depth alone, without skin offsets.
+
+        means: of the pose prior.
         """
-        terms = []
-        settings = self.settings
-        for sight, grid, surface in zip(
-            self.sights, grids, self.surfaces(state) if seen is None else seen, strict=True
-        ):
-            noise = settings.noise if sight.noise is None else sight.noise
-            found = match(grid, look(grid, surface, self.triangles), stage, reach, noise, settings)
-            terms.append({**found.matches, "floor": self._floor(sight, surface, stage)})
-        return terms
+        priors = self.priors(means)
+        grids = {stage.stride: self.grids(stage.stride) for stage in stages}
 
-    def descend(
-        self, state: State, means: Float[np.ndarray, "K J 3"], stages: Sequence[Stage]
-    ) -> tuple[State, list[float]]:
-        """The state after some stages without colour, and the cost before each step."""
-        priors = self.priors(state, means)
-        costs = []
-        for stage in stages:
-            grids = self.grids(stage.stride)
-            for reach in np.linspace(*stage.reach, stage.steps):
-                terms = self.geometry(state, grids, stage, reach)
-                state, cost = gauss_newton_step(self.solver, state, terms, priors, stage.moves)
-                costs.append(cost)
-        return state, costs
+        def terms_at(values: dict[str, Any], stage: DepthStage, step: int) -> dict[str, Term]:
+            scale = float(np.linspace(*stage.scales, stage.steps)[step])
+            now = BodyState(**values)
+            found = self.observations(self.surfaces(now), grids[stage.stride], stage, scale)
+            return {**self.points_terms(now, found), **priors}
 
-    def settle(
-        self, coated: "Coated", means: Float[np.ndarray, "K J 3"], off: OffModel
-    ) -> tuple["Coated", list[float]]:
-        """The state and the skin off the model after some steps by depth alone."""
-        costs = []
-        for _ in range(self.settings.skin_steps):
-            cost, gradient, matrix = self._off(coated, means, off)
-            costs.append(cost)
-            coated = coated.moved(-np.linalg.solve(matrix, gradient))
-        return coated, costs
+        return alternate(
+            terms_at,
+            state,
+            [freed(stage, self.body, self.settings) for stage in stages],
+            steps=Levenberg(self.settings.damping),
+            blocks=BLOCKS,
+        )
+
+    def with_skin(
+        self, state: SkinnedState, means: Float[np.ndarray, "K J 3"], field: SkinField
+    ) -> Minimized:
+        """State and skin offsets after some steps by depth alone."""
+
+        def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
+            return self._skin_terms(SkinnedState(**values), means, field)
+
+        return alternate(
+            terms_at,
+            state,
+            [Stage(self.settings.skin_steps, max_step=self.settings.max_step)],
+            steps=Levenberg(self.settings.damping),
+            blocks=BLOCKS,
+        )
 
     def with_colour(
-        self, coated: "Coated", shown: Look, means: Float[np.ndarray, "K J 3"], off: OffModel
-    ) -> tuple["Coated", Look, list[float], float]:
-        """The state and what the person looks like after steps on the whole energy, coarse to fine
-        in the colours; the cost before each, and that of colour before the last.
+        self,
+        state: SkinnedState,
+        look: Look,
+        means: Float[np.ndarray, "K J 3"],
+        field: SkinField,
+    ) -> tuple[Minimized, SkinnedState, Look]:
+        """State, skin offsets, light, albedo and colour camera after steps on the whole energy,
+        coarse to fine in the colours.
         """
         edges = edges_of(self.body.faces)
-        costs = []
-        size = len(coated.state.vector) + off.count
-        for factor in self.settings.colour_levels:
-            colour = self._colour(coated, shown, edges, factor, off)
-            cost, gradient, matrix = self._off(coated, means, off)
-            whole = colour.matrix.copy()
-            slope = colour.gradient.copy()
-            whole[:size, :size] += matrix
-            slope[:size] += gradient
-            costs.append(colour.cost + cost)
-            step = -np.linalg.solve(whole + DAMPING * np.eye(len(slope)), slope)
-            coated = coated.moved(step[:size])
-            shown = colour.after(shown, step)
-        return coated, shown, costs, colour.cost
+        levels = self.settings.colour_levels
+        names = ("betas", "pose", "trans", "skin")
+        last: ColourEnergy | None = None
 
-    def _off(
-        self, coated: "Coated", means: Float[np.ndarray, "K J 3"], off: OffModel
-    ) -> tuple[float, Float[np.ndarray, " m"], Float[np.ndarray, "m m"]]:
-        """Cost, gradient and matrix of all but colour, over the state and the skin off the
-        model.
-        """
-        stage = self.settings.stages[-1]
-        state = coated.state
-        priors = self.priors(coated.state, means)
-        stage = replace(stage, stride=2)
+        def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
+            nonlocal last
+            now = SkinnedState(**{name: values[name] for name in names})
+            seen = look if last is None else last.look_at(values)
+            views = []
+            for k, view in enumerate(self.views):
+                moving = Moving.of(self.body, now.body, k, field, now.skin)
+                level = ColourLevel.of(view, moving.vertices, seen.shift, levels[step])
+                views.append(None if level is None else (moving, level))
+            last = ColourEnergy.of(
+                self.body, field, self.triangles, values, views, seen, edges, self.settings
+            )
+            return {**self._skin_terms(now, means, field), "colour": last.term()}
+
+        start = {
+            **vars(state),
+            "light": np.ascontiguousarray(look.light.T),
+            "shift": look.shift,
+        }
+        found = alternate(
+            terms_at,
+            start,
+            [Stage(len(levels), max_step=self.settings.max_step)],
+            steps=Levenberg(self.settings.damping),
+        )
+        assert last is not None
+        ended = SkinnedState(**{name: found.state[name] for name in names})
+        return found, ended, last.look_at(found.state)
+
+    def priors(self, means: Float[np.ndarray, "K J 3"]) -> dict[str, Term]:
+        """E_S about people's mean, and E_P about a pose for each view; the root is free."""
+        body = self.body
+        settings = self.settings
+        stiff = [any(part in name for part in STIFF) for name in body.joint_names]
+        sd = np.where(stiff, settings.stiff_sd, settings.pose_sd)
+        precision = settings.pose / np.repeat(sd, 3) ** 2
+        precision[:3] = 0.0
+        mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+        return {
+            "shape": shape_prior(mean, settings.shape),
+            "pose": pose_prior(means.reshape(len(means), -1), np.diag(precision)),
+        }
+
+    def observations(
+        self,
+        seen: Float[np.ndarray, "K V 3"],
+        grids: Sequence[Grid],
+        stage: DepthStage,
+        scale: float,
+    ) -> list[dict[str, PointObservations]]:
+        """Of each view the correspondences of its pixels on surfaces, by the term's name."""
+        found = []
+        for view, grid, surface in zip(self.views, grids, seen, strict=True):
+            noise = self.settings.noise if view.noise is None else view.noise
+            drawn = look(grid, surface, self.triangles)
+            here = dict(match(grid, drawn, stage, scale, noise, self.settings).matches)
+            if self.pads is not None and view.on_floor and stage.moves == "all":
+                weight = self.settings.floor / self.settings.floor_sd**2
+                here["floor"] = self.pads.on_floor(weight, surface, self.body)
+            found.append(here)
+        return found
+
+    def points_terms(
+        self, state: BodyState, views: Sequence[Mapping[str, PointObservations]]
+    ) -> dict[str, Term]:
+        """The terms of correspondences around a state, without those that have none."""
+        terms = {}
+        for name in ("depth", "outline", "floor"):
+            frames = [view.get(name) for view in views]
+            frames = [None if one is None or not len(one.face) else one for one in frames]
+            if any(one is not None for one in frames):
+                terms[name] = points_around(self.solver, state, frames)
+        return terms
+
+    def _skin_terms(
+        self, state: SkinnedState, means: Float[np.ndarray, "K J 3"], field: SkinField
+    ) -> dict[str, Term]:
+        """All terms but colour, correspondences being those of surfaces with skin and clothes."""
         settings = replace(self.settings, depth=self.settings.skin_depth)
-        model = self.surfaces(state)
-        seen = off.seen(model, coated.numbers)
-        terms = replace(self, settings=settings).geometry(
-            state, self.grids(stage.stride), stage, stage.reach[-1], seen
-        )
-        depth = off_equations(
-            off, state, coated.numbers, [one["depth"] for one in terms], model, seen
-        )
+        stage = replace(self.settings.stages[-1], stride=2)
+        models = self.surfaces(state)
+        seen = field.seen(models, state.skin)
+        energy = replace(self, settings=settings)
+        found = energy.observations(seen, self.grids(stage.stride), stage, stage.scales[-1])
+        depth = [
+            SkinDepth.of(field, state.body, k, state.skin, view["depth"], models[k], seen[k])
+            for k, view in enumerate(found)
+        ]
         rest = [
             {
-                **uncoated({"outline": one["outline"]}, model[k], seen[k], self.body),
-                "floor": one["floor"],
+                **{name: points for name, points in view.items() if name != "depth"},
+                "outline": moved_back(view["outline"], models[k], seen[k], self.body),
             }
-            for k, one in enumerate(terms)
+            for k, view in enumerate(found)
         ]
-        cost, gradient, matrix = data_equations(self.solver, state, rest)
-        weights = priors.weights()
-        size = len(gradient)
-        depth.matrix[:size, :size] += matrix.dense() + np.diag(
-            weights + DAMPING * (1.0 + matrix.diagonal())
-        )
-        depth.gradient[:size] += gradient + weights * priors.apart(state)
-        cost += depth.cost + sum(priors.costs(state).values())
-        return cost, depth.gradient, depth.matrix + DAMPING * np.eye(len(depth.gradient))
+        count = len(state.skin)
+        return {
+            "depth": skin_depth_term(self.body, depth, count),
+            **self.points_terms(state.body, rest),
+            **self.priors(means),
+            "skin": Term(lambda skin: (skin, {"skin": np.eye(count)})),
+        }
 
-    def costs(self, state: State, means: Float[np.ndarray, "K J 3"]) -> dict[str, float]:
-        """The cost of each term but colour at a state, by name."""
-        stage = self.settings.stages[-1]
-        terms = self.geometry(state, self.grids(stage.stride), stage, stage.reach[-1])
-        return {**costs_of(self.solver, state, terms), **self.priors(state, means).costs(state)}
 
-    def _colour(
-        self, coated: "Coated", shown: Look, edges: sparse.csr_array, factor: int, off: OffModel
-    ) -> ColourEquations:
-        views = []
-        state = coated.state
-        for k, sight in enumerate(self.sights):
-            moving = Moving.of(self.body, state, k, off, coated.numbers)
-            level = ColourLevel.of(sight, moving.vertices, shown.shift, factor)
-            views.append(
-                None
-                if level is None
-                else view_rows(moving, self.triangles, level, shown, self.settings)
-            )
-        return colour_equations(views, state, off.count, shown, edges, self.settings)
-
-    def _floor(
-        self, sight: Sight, surface: Float[np.ndarray, "V 3"], stage: Stage
-    ) -> PointObservations:
-        if self.pads is None or not sight.on_floor or stage.moves != "all":
-            return NOTHING
-        return self.pads.on_floor(
-            self.settings.floor / self.settings.floor_sd**2, surface, self.body
-        )
+def freed(stage: DepthStage, body: BodyModel, settings: RgbdSettings) -> DepthStage:
+    """The stage with what it moves: translation and root ("place"), pose ("pose"), all."""
+    fixed = () if stage.moves == "all" else ("betas",)
+    masks = {}
+    if stage.moves == "place":
+        masks["pose"] = (np.arange(body.num_joints) < 1)[:, None]
+    return replace(stage, fixed=fixed, masks=masks, max_step=settings.max_step)

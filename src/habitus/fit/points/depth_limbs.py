@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from habitus.body.state import BodyState
 from habitus.fit.points.depth_correspondences import Drawn, look, misfit
-from habitus.fit.points.depth_energy import Energy
+from habitus.fit.points.depth_energy import DepthEnergy
 from habitus.fit.points.depth_start import ASIDE, COARSE, Tried, arm_poses, refined
-from habitus.fit.points.prepared_views import Grid, Sight
-from habitus.fit.points.settings import Stage
-from habitus.fit.points.state import State
+from habitus.fit.points.prepared_views import Grid, PreparedView
+from habitus.fit.points.settings import DepthStage
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
@@ -36,28 +36,28 @@ PIXELS = 2000
 """Of the person, that are looked at; a quarter of them in coarse steps."""
 
 
-def _stride(sight: Sight) -> int:
+def _stride(sight: PreparedView) -> int:
     """Every how-manieth pixel leaves about so many of the person."""
     return int(np.clip(np.sqrt(sight.mask.sum() / PIXELS), 1, 4))
 
 
-def _coarse(stride: int) -> Stage:
+def _coarse(stride: int) -> DepthStage:
     return replace(COARSE[-1][1], stride=2 * stride)
 
 
-def _fine(stride: int) -> Stage:
-    return Stage("pose", "nearest", 6, stride, (0.12, 0.05))
+def _fine(stride: int) -> DepthStage:
+    return DepthStage(6, moves="pose", matching="nearest", stride=stride, scales=(0.12, 0.05))
 
 
-def second_try(
-    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"]
-) -> tuple[State, Float[np.ndarray, "K J 3"]]:
+def limbs_tried_again(
+    energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"]
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
     """The state with limbs in doubt where they explain their views best, and what the pose's prior
     is then around.
     """
     for _ in range(PASSES):
         before = state
-        for k in range(len(energy.sights)):
+        for k in range(len(energy.views)):
             state, means = _of_view(energy, state, means, k)
         if state is before:
             break
@@ -65,17 +65,17 @@ def second_try(
 
 
 def _of_view(
-    energy: Energy, state: State, means: Float[np.ndarray, "K J 3"], k: int
-) -> tuple[State, Float[np.ndarray, "K J 3"]]:
+    energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"], k: int
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
     """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state
     as it is where nothing is in doubt.
     """
     joints = _own_frames(energy, state)
-    grid = energy.sights[k].grid(_stride(energy.sights[k]))
+    grid = energy.views[k].grid(_stride(energy.views[k]))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
     lost = _unexplained(grid, drawn) > UNEXPLAINED
     first = Tried(
-        State(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
+        BodyState(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
         means[k],
         misfit(grid, drawn),
     )
@@ -99,10 +99,10 @@ def _of_view(
     trans = state.trans.copy()
     around = means.copy()
     pose[k], trans[k], around[k] = now.state.pose[0], now.state.trans[0], now.mean
-    return State(state.betas, pose, trans), around
+    return BodyState(state.betas, pose, trans), around
 
 
-def _own_frames(energy: Energy, state: State) -> Float[np.ndarray, "K J 3"]:
+def _own_frames(energy: DepthEnergy, state: BodyState) -> Float[np.ndarray, "K J 3"]:
     """Joints (m) from the pelvis, in its axes."""
     joints = np.asarray(energy.body(state.betas, state.pose, state.trans).joints)
     return np.stack(
@@ -120,7 +120,7 @@ def _unexplained(grid: Grid, drawn: Drawn) -> float:
     return float((KDTree(drawn.points).query(grid.points[grid.own])[0] > FAR).mean())
 
 
-def _rows(energy: Energy, side: str, limb: str) -> Int[np.ndarray, " j"]:
+def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:
     """Joints of a limb."""
     names = [f"{side}_{part}" for part in LIMBS[limb]]
     return np.array(
@@ -128,14 +128,16 @@ def _rows(energy: Energy, side: str, limb: str) -> Int[np.ndarray, " j"]:
     )
 
 
-def _ways(energy: Energy, state: State, k: int, limb: str) -> list[Float[np.ndarray, "J 3"]]:
+def _ways(
+    energy: DepthEnergy, state: BodyState, k: int, limb: str
+) -> list[Float[np.ndarray, "J 3"]]:
     """Poses that have a limb otherwise: those of other views, and the usual ones of arms."""
     others = [pose for j, pose in enumerate(state.pose) if j != k]
     return others + (list(arm_poses(energy.body, energy.settings.arms)) if limb == "arm" else [])
 
 
 def _best_way(
-    energy: Energy,
+    energy: DepthEnergy,
     k: int,
     now: Tried,
     rows: Int[np.ndarray, " j"],
@@ -144,7 +146,7 @@ def _best_way(
     """The way to hold a limb that explains view k best after some steps, coarse for all and fine
     for the best; ``now`` itself where none is better.
     """
-    stride = _stride(energy.sights[k])
+    stride = _stride(energy.views[k])
     tried = [_stepped(energy, k, _held(now, way, rows), _coarse(stride)) for way in ways]
     tried = sorted(tried, key=lambda one: one.misfit)[:KEPT]
     stays, *others = (_stepped(energy, k, one, _fine(stride)) for one in (now, *tried))
@@ -172,14 +174,11 @@ def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]
     return replace(now, state=replace(now.state, pose=pose), mean=mean)
 
 
-def _stepped(energy: Energy, k: int, one: Tried, stage: Stage) -> Tried:
+def _stepped(energy: DepthEnergy, k: int, one: Tried, stage: DepthStage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
-    sight = energy.sights[k]
-    grid = sight.grid(stage.stride)
+    sight = energy.views[k]
     fine = sight.grid(_stride(sight))
     prepared = energy.body.prepare(one.state.betas)
-    one = refined(
-        energy.body, prepared, energy.solver, energy.triangles, grid, one, stage, energy.settings
-    )
+    one = refined(energy, k, prepared, one, stage)
     surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
     return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles)))

@@ -20,11 +20,11 @@ from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Frames, Moving
+from habitus.body.state import BodyState
+from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance
 from habitus.fit.points.depth_correspondences import look, wrong_rows
-from habitus.fit.points.prepared_views import Sight
-from habitus.fit.points.skin_offsets import along_normals
-from habitus.fit.points.state import State
+from habitus.fit.points.prepared_views import PreparedView
 from habitus.fit.verdict import (
     DOUBTFUL,
     GOOD,
@@ -94,8 +94,8 @@ class Evidence:
 
 def gather(
     body: BodyModel,
-    state: State,
-    sights: Sequence[Sight],
+    state: BodyState,
+    sights: Sequence[PreparedView],
     noise: float,
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
@@ -148,7 +148,7 @@ def body_evidence(
     }
 
 
-def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:
+def _limb_apart(body: BodyModel, state: BodyState) -> tuple[float, str] | None:
     """People who are seen twice stand alike: a limb that one view has elsewhere is lost in one of
     them.
     """
@@ -172,7 +172,7 @@ def _limb_apart(body: BodyModel, state: State) -> tuple[float, str] | None:
 
 
 def _of_view(
-    sight: Sight,
+    sight: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     root: np.ndarray,
@@ -363,10 +363,11 @@ class RgbdFit(Moving):
 
     Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights``
     hold what was seen, in the same world. ``appearance``: light and albedo, None without colour.
-    ``evidence``: what the verdict is drawn from. ``costs``: of the last step, by term. ``skin``:
-    how far the person's skin is off the body of betas, outwards along its normals (m); `vertices`
-    and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of markers calls
-    frame k: ``vertices(k)``.
+    ``evidence``: what the verdict is drawn from. ``costs``: after the last step, by term;
+    ``status``: how it ended (`habitus.minimize`: "converged", "iterations", "stalled", …).
+    ``skin``: how far the person's skin is off the body of betas, outwards along its normals (m);
+    `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
+    markers calls frame k: ``vertices(k)``.
     """
 
     capture_name: str
@@ -375,7 +376,7 @@ class RgbdFit(Moving):
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "K J 3"]
     trans: Float[np.ndarray, "K 3"]
-    sights: tuple[Sight, ...]
+    sights: tuple[PreparedView, ...]
     evidence: Evidence
     appearance: Appearance | None = None
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -386,6 +387,7 @@ class RgbdFit(Moving):
     rate_hz: float = 1.0
     up_axis: str = "+y"
     skin: Float[np.ndarray, " V"] | None = None
+    status: str = "iterations"
     soft_tissue: None = None
     dynamics: None = None
 

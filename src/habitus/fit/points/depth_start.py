@@ -1,38 +1,44 @@
-"""Where the fit starts: place by the middle of the person's pixels, turn and arms by trying, height
-by the mask.
+"""Where a fit to depth views starts: a multi-start search of each view over turns and arms.
 
-A start from 2D keypoints: joints lie a little behind the depth that is seen at them.
+Translation by the middle of the person's pixels, height by the mask; turns x arms, placed and
+scored by their misfit (`depth_correspondences.misfit`), the best refined in two rounds, front and
+back told apart at last. 2D keypoints, where a view has them, give a start in place of the search:
+joints lie a little behind the depth that is seen at them.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
-from habitus.body.state import BodySurface
+from habitus.body.state import BodyState, BodySurface
 from habitus.fit.points.depth_correspondences import Drawn, look, match, misfit
-from habitus.fit.points.depth_energy import Priors, gauss_newton_step
-from habitus.fit.points.prepared_views import Grid, Sight
-from habitus.fit.points.settings import RgbdSettings, Stage
-from habitus.fit.points.state import State
+from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
+from habitus.fit.points.prepared_views import Grid, PreparedView
+from habitus.fit.points.settings import DepthStage
+from habitus.fit.points.terms import pose_prior
 from habitus.render.triangles import Triangles
-from habitus.residuals.points import PointSolver
+from habitus.residuals.points import JointObservations, points_term
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus.solve.alternate import alternate
+from habitus.solve.minimize import minimize
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import Term
 
 STRIDE = 8
 COARSE = (
-    (12, Stage("pose", "nearest", 2, STRIDE, (0.3, 0.2))),
-    (4, Stage("pose", "nearest", 4, STRIDE, (0.2, 0.15))),
+    (12, DepthStage(2, moves="pose", matching="nearest", stride=STRIDE, scales=(0.3, 0.2))),
+    (4, DepthStage(4, moves="pose", matching="nearest", stride=STRIDE, scales=(0.2, 0.15))),
 )
 """How many starts go on, and the steps they then make."""
-FINE = Stage("pose", "nearest", 4, 4, (0.15, 0.1))
+FINE = DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.1))
 """Steps after which front and back are told apart."""
 FACING = 0.003
 APART = 7.0
@@ -51,7 +57,7 @@ class Tried:
     the view.
     """
 
-    state: State
+    state: BodyState
     mean: Float[np.ndarray, "J 3"]
     misfit: float
 
@@ -67,25 +73,21 @@ def _yaw(root: Float[np.ndarray, " 3"]) -> float:
 
 
 def find_start(
-    body: BodyModel,
-    solver: PointSolver,
-    triangles: Triangles,
-    sights: list[Sight],
-    settings: RgbdSettings,
+    energy: DepthEnergy,
     turns: tuple[float | None, ...],
     given: Float[np.ndarray, "K J 3"] | None = None,
-) -> tuple[State, Float[np.ndarray, "K J 3"], list[float]]:
+) -> tuple[BodyState, Float[np.ndarray, "K J 3"], list[float]]:
     """The state to start from, the poses that its priors are around, and each view's misfit.
 
     turns: degrees by which the person is turned from facing the camera, to the person's left; None:
     to be found. given: poses to start from, in place of those that are tried.
     """
-    betas = tall_as(body, sights)
-    found = []
-    for k, (sight, turn) in enumerate(zip(sights, turns, strict=True)):
-        own = None if given is None else given[k]
-        found.append(_best(body, solver, triangles, sight, betas, settings, turn, own))
-    state = State(
+    betas = scaled_to_height(energy.body, list(energy.views))
+    found = [
+        _best(energy, k, betas, turn, None if given is None else given[k])
+        for k, turn in enumerate(turns)
+    ]
+    state = BodyState(
         betas,
         np.concatenate([one.state.pose for one in found]),
         np.concatenate([one.state.trans for one in found]),
@@ -93,7 +95,7 @@ def find_start(
     return state, np.stack([one.mean for one in found]), [one.misfit for one in found]
 
 
-def tall_as(body: BodyModel, sights: list[Sight]) -> Float[np.ndarray, " B"]:
+def scaled_to_height(body: BodyModel, sights: list[PreparedView]) -> Float[np.ndarray, " B"]:
     """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot
     be seen.
     """
@@ -115,49 +117,43 @@ def tall_as(body: BodyModel, sights: list[Sight]) -> Float[np.ndarray, " B"]:
 
 
 def _best(
-    body: BodyModel,
-    solver: PointSolver,
-    triangles: Triangles,
-    sight: Sight,
+    energy: DepthEnergy,
+    k: int,
     betas: np.ndarray,
-    settings: RgbdSettings,
     turn: float | None,
     given: Float[np.ndarray, "J 3"] | None,
 ) -> Tried:
-    """The pose that is given or that keypoints tell; else, among arms and turns, what explains one
-    view best after some steps.
+    """The pose that is given or that of keypoints; else, among arms and turns, the candidate with
+    the smallest misfit after some steps.
     """
+    body = energy.body
+    view = energy.views[k]
+    settings = energy.settings
     turns = settings.turns if turn is None else (turn,)
     prepared = body.prepare(betas)
-    grid = sight.grid(STRIDE)
+    grid = view.grid(STRIDE)
     poses = list(arm_poses(body, settings.arms))
     if given is not None:
         turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in ASIDE)
         poses = [np.concatenate([np.zeros((1, 3)), given[1:]]), *poses]
-    told = pose_of_keypoints(body, sight, betas) if given is None else None
-    if told is not None:
-        pose, trans = told
-        one = Tried(State(betas, pose[None], trans[None]), pose, np.inf)
-        return refined(body, prepared, solver, triangles, grid, one, COARSE[-1][1], settings)
+    posed = pose_of_keypoints(body, view, betas) if given is None else None
+    if posed is not None:
+        pose, trans = posed
+        one = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
+        return refined(energy, k, prepared, one, COARSE[-1][1])
     started = [
-        _placed(grid, triangles, prepared(pose), betas, pose, degrees)
+        _placed(grid, energy.triangles, prepared(pose), betas, pose, degrees)
         for pose in poses
         for degrees in turns
     ]
     for kept, stage in COARSE:
         started = sorted(started, key=lambda one: one.misfit)[:kept]
-        started = [
-            refined(body, prepared, solver, triangles, grid, one, stage, settings)
-            for one in started
-        ]
+        started = [refined(energy, k, prepared, one, stage) for one in started]
     started = sorted(started, key=_doubt)
     opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
-    finer = sight.grid(FINE.stride)
     rivals = started[:1] + opposite[:1]
     if len(rivals) > 1:
-        rivals = [
-            refined(body, prepared, solver, triangles, finer, one, FINE, settings) for one in rivals
-        ]
+        rivals = [refined(energy, k, prepared, one, FINE) for one in rivals]
     return min(rivals, key=_doubt)
 
 
@@ -229,7 +225,7 @@ def _placed(
     drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
     found = pose.copy()
     found[0, 1] = yaw
-    return Tried(State(betas, found[None], (where - root)[None]), found, misfit(grid, drawn))
+    return Tried(BodyState(betas, found[None], (where - root)[None]), found, misfit(grid, drawn))
 
 
 def _planar_step(
@@ -265,26 +261,33 @@ def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
 
 
 def refined(
-    body: BodyModel,
-    prepared: PreparedBody,
-    solver: PointSolver,
-    triangles: Triangles,
-    grid: Grid,
-    one: Tried,
-    stage: Stage,
-    settings: RgbdSettings,
+    energy: DepthEnergy, k: int, prepared: PreparedBody, one: Tried, stage: DepthStage
 ) -> Tried:
-    """Joints let go, on few pixels."""
-    state = one.state
-    priors = Priors.of(body, replace(state, pose=one.mean[None]), settings)
-    for reach in np.linspace(*stage.reach, stage.steps):
-        drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
-        if not len(drawn.points):
-            return replace(one, misfit=np.inf)
-        matching = match(grid, drawn, stage, reach, settings.noise, settings)
-        state, _ = gauss_newton_step(solver, state, [matching.matches], priors, stage.moves)
-    drawn = look(grid, prepared(state.pose[0], state.trans[0]).vertices, triangles)
-    return Tried(state, one.mean, misfit(grid, drawn))
+    """A candidate of view k after the steps of a stage, by depth and outline."""
+    settings = energy.settings
+    grid = energy.views[k].grid(stage.stride)
+    prior = energy.priors(one.mean[None])["pose"]
+
+    def drawn_at(state: BodyState) -> Drawn:
+        surface = prepared(state.pose[0], state.trans[0]).vertices
+        return look(grid, surface, energy.triangles)
+
+    def terms_at(values: dict[str, Any], stage: DepthStage, step: int) -> dict[str, Term]:
+        scale = float(np.linspace(*stage.scales, stage.steps)[step])
+        now = BodyState(**values)
+        found = match(grid, drawn_at(now), stage, scale, settings.noise, settings).matches
+        return {**energy.points_terms(now, [found]), "pose": prior}
+
+    found = alternate(
+        terms_at,
+        one.state,
+        [freed(stage, energy.body, settings)],
+        steps=Levenberg(settings.damping),
+        blocks=BLOCKS,
+    )
+    drawn = drawn_at(found.state)
+    worst = misfit(grid, drawn) if len(drawn.points) else np.inf
+    return Tried(found.state, one.mean, worst)
 
 
 DEPTHS = {"shoulder": 0.06, "elbow": 0.04, "wrist": 0.03, "hip": 0.09, "knee": 0.06, "ankle": 0.05}
@@ -295,12 +298,12 @@ PIXELS = 6.0
 STEPS = 15
 JOINT_SD = 0.5
 POINT_SD = 0.03
-LONGEST = 0.6
+MAX_JOINT_STEP = 0.6
 FEWEST = 6
 
 
 def pose_of_keypoints(
-    body: BodyModel, sight: Sight, betas: Float[np.ndarray, " B"]
+    body: BodyModel, sight: PreparedView, betas: Float[np.ndarray, " B"]
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]] | None:
     """Pose and place at which the body's joints are where a view's keypoints say; None where too
     few say so.
@@ -315,7 +318,7 @@ def pose_of_keypoints(
 
 
 def seen_joints(
-    body: BodyModel, sight: Sight
+    body: BodyModel, sight: PreparedView
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Joints that keypoints name, and where they are in the world (m), by the depth beside them."""
     joints = []
@@ -339,27 +342,25 @@ def seen_joints(
 def _solved(
     body: BodyModel, betas: np.ndarray, joints: np.ndarray, points: np.ndarray, turn: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Gauss-Newton from a turn: pose, place and what is left."""
-    pose = np.zeros((body.num_joints, 3))
+    """Pose, translation and cost from a turn."""
+    pose = np.zeros((1, body.num_joints, 3))
+    pose[0, 0] = rotvec_from_matrix(matrix_from_rotvec(np.array([0.0, turn, 0.0])))
     trans = points.mean(0) - body.rest_joints(betas)[joints].mean(0)
-    pose[0] = rotvec_from_matrix(matrix_from_rotvec(np.array([0.0, turn, 0.0])))
-    prior = np.concatenate([np.zeros(3), np.full(pose.size, JOINT_SD**-2.0)])
-    prior[3:6] = 1e-6
-    for _ in range(STEPS):
-        found = surface_jacobian(body, betas, pose, trans, vertices=[0])
-        apart = (found.surface.joints[joints] - points).ravel()
-        rows = np.concatenate(
-            [
-                np.tile(np.eye(3), (len(joints), 1)),
-                found.joints_pose[joints].reshape(-1, pose.size),
-            ],
-            1,
-        )
-        gradient = rows.T @ apart / POINT_SD**2 + prior * np.concatenate(
-            [np.zeros(3), pose.ravel()]
-        )
-        step = -np.linalg.solve(rows.T @ rows / POINT_SD**2 + np.diag(prior + 1e-6), gradient)
-        step *= min(1.0, LONGEST / max(float(np.abs(step[3:]).max()), 1e-9))
-        trans = trans + step[:3]
-        pose = pose + step[3:].reshape(pose.shape)
-    return pose, trans, float(apart @ apart / POINT_SD**2 + (prior[3:] * pose.ravel() ** 2).sum())
+    precision = np.full(pose.size, JOINT_SD**-2.0)
+    precision[:3] = 1e-6
+    count = len(joints)
+    directions = np.tile(np.eye(3) / POINT_SD, (count, 1, 1))
+    seen = JointObservations(joints, np.zeros((count, 3)), points, directions)
+    found = minimize(
+        {
+            "joints": points_term(body, [seen]),
+            "pose": pose_prior(np.zeros(pose.size), np.diag(precision)),
+        },
+        BodyState(betas, pose, trans[None]),
+        "levenberg",
+        fixed=("betas",),
+        max_step={"pose": MAX_JOINT_STEP},
+        max_iterations=STEPS,
+        blocks=BLOCKS,
+    )
+    return found.state.pose[0], found.state.trans[0], found.cost

@@ -212,7 +212,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PreparedView:
     """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3),
     and who is where.
 
@@ -233,7 +233,7 @@ class Sight:
     way: str
 
     @staticmethod
-    def of(view: DepthView, found: Segment) -> "Sight":
+    def of(view: DepthView, found: Segment) -> "PreparedView":
         """The view in the world of its floor, or one whose y is the camera's own up."""
         if found.floor is not None:
             turn, shift = found.floor.world
@@ -245,7 +245,7 @@ class Sight:
         behind = seen_through(view, found.mask)
         on_floor = found.floor is not None
         camera = in_world(view.camera, turn, shift)
-        return Sight(
+        return PreparedView(
             view,
             camera,
             colour,

@@ -40,9 +40,15 @@ from habitus.fit.offsets import (
     offset_spread,
 )
 from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
-from habitus.fit.points.priors import about_root, pose_prior, shape_prior
 from habitus.fit.points.scan import Cloud, agreed
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
+from habitus.fit.points.terms import (
+    about_root,
+    by_unknown,
+    points_around,
+    pose_prior,
+    shape_prior,
+)
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
 from habitus.solve.alternate import alternate
@@ -121,7 +127,7 @@ class ScanFitter:
         def terms_at(values: dict[str, Any], stage: ScanStage, step: int) -> dict[str, Term]:
             now = BodyState(**values)
             points = [self._points(now, k, cloud, stage) for k, cloud in enumerate(clouds)]
-            return {"points": points_term(self.solver, points), **self._priors(stage)}
+            return {"points": points_around(self.solver, now, points), **self._priors(stage)}
 
         return self.minimized(terms_at, state, schedule).state
 
@@ -347,20 +353,3 @@ def offset_term(scans: Sequence[OffsetEquations]) -> Term:
         return Quadratic(cost, derivatives)
 
     return Term(residual, name="offset")
-
-
-def by_unknown(
-    body: BodyModel,
-    equations: Sequence[tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N N"]]],
-) -> tuple[dict[str, np.ndarray], dict[tuple[str, str], np.ndarray]]:
-    """Gradients and matrices over betas, trans and pose of T scans, by unknowns."""
-    head = body.num_betas
-    gradient, matrix = (np.stack(part) for part in zip(*equations, strict=True))
-    part = {"betas": slice(head), "trans": slice(head, head + 3), "pose": slice(head + 3, None)}
-    pairs = [("trans", "trans"), ("trans", "pose"), ("pose", "pose")]
-    pairs += [("trans", "betas"), ("pose", "betas")]
-    blocks = {(a, b): matrix[:, part[a], part[b]] for a, b in pairs}
-    blocks["betas", "betas"] = matrix[:, :head, :head].sum(0)
-    slopes = {name: gradient[:, where] for name, where in part.items()}
-    slopes["betas"] = slopes["betas"].sum(0)
-    return slopes, blocks

@@ -1,6 +1,7 @@
 """Settings of the fits to scans and to depth views: every constant with its unit and its reason."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
 from habitus.solve.alternate import Stage
@@ -10,30 +11,28 @@ ALL_BETAS = 1000
 """More than any body has."""
 
 
-@dataclass(frozen=True)
-class DepthStage:
-    """Some Gauss-Newton steps: what moves ("place", "pose" or "all"), how pixels find the surface,
-    how fine.
+@dataclass(frozen=True, kw_only=True)
+class DepthStage(Stage):
+    """Steps of the fit to depth views; `steps` correspondences are made in it.
 
-    matching: "nearest" (the surface point nearest in space) or "pixel" (the one at the same pixel).
-    stride: of pixels in both directions. reach: metres at which a pixel counts a quarter
-    (Geman-McClure's scale), at the first step and the last: the robust norm of T eq. 4.5, whose
-    loss ends below the absolute value.
+    moves: "place" (translation and root), "pose" or "all". matching: "nearest" (the closest surface
+    point in space) or "pixel" (the one at the same pixel). stride: of pixels in both directions.
+    scales: Geman-McClure's, at the first step and the last, m: a pixel so far off weighs a quarter.
+    It is the robust norm of T eq. 4.5, whose loss ends below the absolute value.
     """
 
     moves: str
     matching: str
-    steps: int
     stride: int
-    reach: tuple[float, float]
+    scales: tuple[float, float]
 
 
 STAGES = (
-    DepthStage("place", "nearest", 3, 4, (0.15, 0.15)),
-    DepthStage("pose", "nearest", 4, 4, (0.15, 0.10)),
-    DepthStage("all", "nearest", 2, 4, (0.10, 0.08)),
-    DepthStage("all", "pixel", 3, 4, (0.08, 0.06)),
-    DepthStage("all", "pixel", 6, 2, (0.06, 0.03)),
+    DepthStage(3, moves="place", matching="nearest", stride=4, scales=(0.15, 0.15)),
+    DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.10)),
+    DepthStage(2, moves="all", matching="nearest", stride=4, scales=(0.10, 0.08)),
+    DepthStage(3, moves="all", matching="pixel", stride=4, scales=(0.08, 0.06)),
+    DepthStage(6, moves="all", matching="pixel", stride=2, scales=(0.06, 0.03)),
 )
 """Nearest points forgive a start that is off but shrink girths under noise; the same pixel is
 unbiased near it.
@@ -72,7 +71,9 @@ class RgbdSettings:
     what no body of the model explains. skin: spread of the skin's offset from the model, in
     `registration.offset_stage`'s; skin_reach: metres from where on it is alike no more;
     skin_places: how many values tell it; skin_depth: E_D's share once the offset explains what
-    neighbours have in common; skin_steps: by depth, before those with colour. clothes, hair: metres
+    neighbours have in common; skin_steps: by depth, before those with colour. max_step: the
+    most that a number changes in a step (m, rad, sd). damping: Levenberg-Marquardt's at the start,
+    relative to the diagonal. clothes, hair: metres
     that tight clothes and flat hair under a cap lie on the skin, which are taken off. arms, turns:
     tried at the start: how arms are held, in degrees (below the level, bent at the elbow, turned
     inwards about the upper arm), and how far the person is turned from facing the camera.
@@ -105,6 +106,10 @@ class RgbdSettings:
     skin_places: int = 120
     skin_depth: float = 0.1
     skin_steps: int = 4
+    max_step: Mapping[str, float] = field(
+        default_factory=lambda: {"trans": 0.5, "pose": 0.4, "betas": 1.5}
+    )
+    damping: float = 1e-6
     clothes: float = 0.001
     hair: float = 0.003
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)

@@ -12,10 +12,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse.linalg import splu
 
 from habitus.body.model import BodyModel
+from habitus.body.state import BodyState
+from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance, depth_of, look_up, moved
-from habitus.fit.points.prepared_views import Sight
-from habitus.fit.points.skin_offsets import along_normals
-from habitus.fit.points.state import State
+from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.harmonics import harmonics
 from habitus.render import operators
@@ -41,8 +41,8 @@ class Skin:
 
 def bake(
     body: BodyModel,
-    state: State,
-    sights: tuple[Sight, ...],
+    state: BodyState,
+    sights: tuple[PreparedView, ...],
     appearance: Appearance,
     size: int,
     offset: Float[np.ndarray, " V"] | None = None,
@@ -89,7 +89,7 @@ def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarra
 def _texture(
     fine: BodyModel,
     surfaces: Float[np.ndarray, "K V 3"],
-    sights: tuple[Sight, ...],
+    sights: tuple[PreparedView, ...],
     appearance: Appearance,
     albedo: Float[np.ndarray, "V 3"],
     chart: tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]],
