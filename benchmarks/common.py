@@ -154,9 +154,9 @@ def compile_kernels(body: BodyModel) -> float:
     began = time.perf_counter()
     from habitus.fit.markers.recipe import fit_markers
     from habitus.fit.markers.settings import MoshSettings
-    from habitus.jobs.subjects import person
+    from habitus.jobs.subjects import person_of
 
-    someone = person([synthetic(body, "cmu-41", 48)], "auto")
+    someone = person_of([synthetic(body, "cmu-41", 48)], "auto")
     for causal in (False, True):
         settings = MoshSettings(annealing=(10.0,), frames=3, causal=causal, soft_tissue=not causal)
         fit_markers(body, shipped_prior(), someone.layout, someone.recordings, settings)

@@ -32,8 +32,9 @@ from habitus.fit.labels.recipe import label_points
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
-from habitus.jobs.label import SURE, known_person
-from habitus.jobs.subjects import person
+from habitus.jobs.label import known_person
+from habitus.jobs.marker_options import MIN_CONFIDENCE
+from habitus.jobs.subjects import person_of
 
 MOCAP = Path(__file__).resolve().parents[2] / "shared" / "mocap"
 LIKE = {
@@ -111,10 +112,10 @@ def main() -> None:
 
 
 def measure(
-    name: str, way: str, protocols: list[str], most: int, put_right: bool
+    name: str, way: str, protocols: list[str], most: int, relabelled: bool
 ) -> Iterator[Score]:
     """A capture's scores."""
-    whole = read(name, put_right)
+    whole = read(name, relabelled)
     body = load_body("default")
     prior = prior_of(body)
     cut = len(whole)
@@ -125,8 +126,8 @@ def measure(
         truth = corrected(whole)
     else:
         cut = len(whole) if name in LIKE else int(0.6 * len(whole))
-        other = read(LIKE[name], put_right) if name in LIKE else whole[cut:]
-        layout, known, names = known_person(body, person([other], "auto"))
+        other = read(LIKE[name], relabelled) if name in LIKE else whole[cut:]
+        layout, known, names = known_person(body, person_of([other], "auto"))
         truth = corrected(whole)
     columns = [truth[0].index(each) if each in truth[0] else None for each in names]
     markers = truth[1][: min(most, cut)]
@@ -139,7 +140,7 @@ def measure(
         result = label_points(body, prior, layout, clouds, known)
         seconds = time.process_time() - began
         label = np.where(
-            (result.label >= 0) & (result.confidence >= SURE), to_truth[result.label], -1
+            (result.label >= 0) & (result.confidence >= MIN_CONFIDENCE), to_truth[result.label], -1
         )
         right = (label == true) & (true >= 0)
         near = right | ((label >= 0) & (true >= 0) & (alike[label] == alike[true]))
@@ -163,12 +164,12 @@ def measure(
         )
 
 
-def read(name: str, put_right: bool) -> Capture:
+def read(name: str, relabelled: bool) -> Capture:
     """A capture of the shared ones, the person with most markers; labels that it exchanges
     throughout put right.
     """
     capture = read_captures(next(path for path in MOCAP.iterdir() if path.stem == name))[0]
-    if not put_right:
+    if not relabelled:
         return capture
     meant = {marker.label: marker.place for marker in match_layout(capture.labels).layout.markers}
     found = match_layout(capture.labels, capture.markers)

@@ -19,7 +19,7 @@ from habitus.body.shipped_prior import prior_of
 from habitus.fit.labels.recipe import label_people
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
-from habitus.jobs.label import SURE
+from habitus.jobs.marker_options import MIN_CONFIDENCE
 
 PAIRS = (
     ("85_02", "85_12", 0.4),
@@ -65,7 +65,7 @@ def measure(first: str, second: str, metres: float) -> dict:
     body = load_body("default")
     began = time.process_time()
     result = label_people(body, prior_of(body), layout, clouds, 2)
-    label = np.where(result.confidence >= SURE, result.label, -1)
+    label = np.where(result.confidence >= MIN_CONFIDENCE, result.label, -1)
     if np.mean(label[true >= 0] // len(layout) == true[true >= 0] // len(layout)) < 0.5:
         label = np.where(label >= 0, (label + len(layout)) % (2 * len(layout)), -1)
     said = label >= 0

@@ -36,7 +36,7 @@ from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture, read_captures
-from habitus.jobs.subjects import person
+from habitus.jobs.subjects import person_of
 
 FEWEST_SECONDS = 1.0
 """Shorter captures are left out."""
@@ -47,7 +47,7 @@ GAP_GOALS = {"gap 0.5 s": 0.5, "gap 2 s": 1.0, "limb gap 0.5 s": 0.5, "limb gap 
 
 def fitted(capture: Capture, body) -> MarkerFit:
     """The fit of one capture, its layout found from the labels."""
-    someone = person([capture], "auto")
+    someone = person_of([capture], "auto")
     return fit_markers(body, prior_of(body), someone.layout, someone.recordings, MoshSettings())[0]
 
 

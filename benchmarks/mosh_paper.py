@@ -44,7 +44,7 @@ from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
 from habitus.jobs.selection import Selection, select_markers
-from habitus.jobs.subjects import leave_out, person
+from habitus.jobs.subjects import leave_out, person_of
 from habitus.markers.placements import PlacementPrior
 from habitus.observe.markers import attach, triangle_bases
 from habitus.observe.simulated_markers import misplace, smooth_motion
@@ -132,7 +132,13 @@ def errors_mm(fit: MarkerFit, held: HeldMarkers, prior: PlacementPrior) -> dict[
 def of_synthetic(body: BodyModel, count: int, seed: int) -> Iterator[dict]:
     """Each synthetic person fitted to each number of markers."""
     chosen = select_markers(
-        MARKERS, "mosh-67", people=8, min_markers=min(COUNTS), keep=(), body=body, seed=seed
+        pool=MARKERS,
+        start="mosh-67",
+        people=8,
+        min_markers=min(COUNTS),
+        keep=(),
+        body=body,
+        seed=seed,
     )
     first = set(chosen.layout(max(COUNTS)).labels)
     held = chosen.pool.layout.restricted_to(
@@ -178,7 +184,7 @@ def of_real(body: BodyModel, folder: Path, names: Sequence[str], seed: int) -> I
         if not path.exists():
             print(f"{path}: not there; left out")
             continue
-        whole = person([thinned(path)], "auto")
+        whole = person_of([thinned(path)], "auto")
         rng = np.random.default_rng(seed)
         labels = [str(label) for label in rng.permutation(whole.layout.labels)]
         kept, held = leave_out(whole, labels[: len(labels) // 5])
@@ -202,7 +208,7 @@ def of_pairs(body: BodyModel, folder: Path) -> Iterator[dict]:
     fits: dict[str, MarkerFit] = {}
     for name in [name for pair in PAIRS for name in pair]:
         if (folder / f"{name}.c3d").exists():
-            one = person([thinned(folder / f"{name}.c3d")], "auto")
+            one = person_of([thinned(folder / f"{name}.c3d")], "auto")
             settings = MoshSettings(soft_tissue=False)
             fits[name] = fit_markers(body, prior_of(body), one.layout, one.recordings, settings)[0]
     for first, second in PAIRS:

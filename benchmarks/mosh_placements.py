@@ -34,7 +34,7 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.placements import learned
 from habitus.io.layouts.files import list_layouts, plain_layout
 from habitus.jobs.held_out import errors_of
-from habitus.jobs.subjects import leave_out, person
+from habitus.jobs.subjects import leave_out, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.placements import PlacementPrior
 
@@ -58,7 +58,7 @@ def held_out_mm(
     """Of each prior over all samples ("") and of each marker the mean held-out error of the pose
     stage.
     """
-    who = person([habitus.read_capture(path)], tuple(layouts))
+    who = person_of([habitus.read_capture(path)], tuple(layouts))
     parts = {way: [] for way in priors}
     for k in range(EVERY):
         kept, held = leave_out(who, who.layout.labels[k::EVERY])

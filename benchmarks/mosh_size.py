@@ -35,7 +35,7 @@ from habitus.body.shipped_prior import shipped_prior
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
-from habitus.jobs.subjects import person
+from habitus.jobs.subjects import person_of
 
 GOALS = {"peak_gb": 3.0, "slower_than_10000_frames": 1.2, "degrees": 0.01}
 PORTION = 8192
@@ -145,7 +145,7 @@ def command(capture: Capture, frames: int, folder: Path) -> dict:
 
 def agreement(capture: Capture) -> list[dict]:
     """Windows against one solve of all frames."""
-    someone = person([capture], "auto")
+    someone = person_of([capture], "auto")
     prior = shipped_prior()
     body = habitus.load_body("default")
     settings = MoshSettings(longest=1_000_000)

@@ -45,7 +45,7 @@ from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import Capture
-from habitus.jobs.subjects import Person, person
+from habitus.jobs.subjects import Person, person_of
 from habitus.observe.marker_rig import marker_rig
 
 GOALS = {
@@ -61,7 +61,7 @@ COMMAND_GOAL_GB = 2.0
 
 def stages(body: BodyModel, capture: Capture, runs: int) -> dict:
     """Medians of the three stages and of causal steps, in this process."""
-    someone = person([capture], "auto")
+    someone = person_of([capture], "auto")
     prior = shipped_prior()
     settings = MoshSettings()
     fits = [

@@ -59,7 +59,7 @@ class Bench:
     def command(self, seed: int, out: Path | None = None) -> list[str]:
         """A fit of both captures."""
         files = [str(self.folder / f"{name}.c3d") for name in ("one", "two")]
-        options = ["--out", str(out or self.out), "--seed", str(seed), "--no-soft-tissue"]
+        options = ["--out", str(out or self.out), "--seed", str(seed), "--soft-tissue", "none"]
         return [
             sys.executable,
             *(("-c", HASTY) if self.hasty else ("-m", "habitus")),

@@ -65,8 +65,8 @@ def motions(fit: MarkerResult) -> None:
 
 
 def selections() -> None:
-    hb.select_markers(114, "mosh-47", keep=(25,))
-    hb.select_poses("mosh-47", count=5)
+    hb.select_markers(pool=114, start="mosh-47", keep=(25,))
+    hb.select_poses(layout="mosh-47", count=5)
     assert_type(hb.label("walk.c3d", layout="cmu-41").capture(), Capture)
     hb.live("natnet", out="results")
     hb.archive("captures", "results")

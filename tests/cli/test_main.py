@@ -141,7 +141,7 @@ def test_a_capture_becomes_four_whole_files(walk, run, tmp_path):
 def test_python_gives_what_the_command_gives(quick, walk, run, tmp_path):
     import habitus
 
-    assert run("mosh", walk, "--no-soft-tissue", "--quiet")[0] == 0
+    assert run("mosh", walk, "--soft-tissue", "none", "--quiet")[0] == 0
     (fit,) = habitus.mosh(walk, soft_tissue=False)
     with np.load(tmp_path / "out" / "walk" / "body.npz") as arrays:
         np.testing.assert_allclose(arrays["trans"], fit.trans, atol=1e-5)
@@ -149,13 +149,13 @@ def test_python_gives_what_the_command_gives(quick, walk, run, tmp_path):
 
 
 def test_quiet_says_nothing(quick, walk, run, capsys):
-    assert run("mosh", walk, "--no-soft-tissue", "--quiet") == (0, "")
+    assert run("mosh", walk, "--soft-tissue", "none", "--quiet") == (0, "")
     assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize(("strict", "code"), [((), 0), (("--strict",), 3)])
 def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, strict, code):
-    assert run("mosh", walk, "--no-soft-tissue", "--fps", "15000", *strict)[0] == code
+    assert run("mosh", walk, "--soft-tissue", "none", "--fps", "15000", *strict)[0] == code
     verdict = json.loads((tmp_path / "out" / "walk" / "metrics.json").read_text())["verdict"]
     assert verdict["level"] == "failed" and any(
         "15000 frames a second" in reason for reason in verdict["reasons"]
@@ -179,7 +179,7 @@ def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, mo
         written(capture.markers[:20], capture.labels, tmp_path, name)
         for name in ("first", "second")
     )
-    code, said = run("mosh", first, second, "--no-soft-tissue")
+    code, said = run("mosh", first, second, "--soft-tissue", "none")
     assert code == 130 and said.count("\n") == 1 and "Traceback" not in said
     assert {path.name for path in (tmp_path / "out" / "first").iterdir()} == FILES
     assert not (tmp_path / "out" / "second").exists()
@@ -191,7 +191,7 @@ def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, mo
 @pytest.mark.parametrize("name", ODD)
 def test_odd_files_are_a_result_or_one_clear_line(quick, name, shared, body, run, tmp_path):
     path = next(path for path in (shared / "mocap-odd").iterdir() if path.stem == name)
-    code, said = run("mosh", path, "--no-soft-tissue", "--quiet")
+    code, said = run("mosh", path, "--soft-tissue", "none", "--quiet")
     if code:
         refused((code, said), name)
     else:
@@ -259,7 +259,9 @@ def test_paths_that_are_no_captures(name, words, run, tmp_path):
 
 def test_one_bad_capture_among_good_ones_is_named_and_left_behind(quick, walk, run, tmp_path):
     (tmp_path / "bad.c3d").write_text("text")
-    code, said = run("mosh", walk, tmp_path / "bad.c3d", tmp_path / "none.c3d", "--no-soft-tissue")
+    code, said = run(
+        "mosh", walk, tmp_path / "bad.c3d", tmp_path / "none.c3d", "--soft-tissue", "none"
+    )
     assert code == 1 and said.count("\n") == 2 and "bad.c3d" in said and "none.c3d" in said
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"walk", "index.html"}
     assert {path.name for path in (tmp_path / "out" / "walk").iterdir()} == FILES
@@ -288,7 +290,7 @@ def test_a_file_where_the_folder_should_be(walk, run, tmp_path):
 def test_a_file_where_the_captures_folder_should_be(quick, walk, run, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "walk").write_text("a file")
-    refused(run("mosh", walk, "--no-soft-tissue"), "walk")
+    refused(run("mosh", walk, "--soft-tissue", "none"), "walk")
 
 
 @pytest.mark.parametrize(
@@ -339,7 +341,7 @@ def test_options_that_do_not_exist(options, walk, run):
         ([], "mosh layout body.npz body.glb metrics.json report.html"),
         (
             ["mosh"],
-            "CAPTURE --out --layout --body --sex --no-soft-tissue --causal --hold-out "
+            "CAPTURE --out --layout --body --sex --soft-tissue --causal --hold-out "
             "--hold-out-every --seed",
         ),
         (["layout"], "show check new"),

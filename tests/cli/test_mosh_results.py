@@ -136,6 +136,6 @@ def test_failures_are_told_on_stderr_with_their_paths(capsys):
     )
     assert len(lines) == 2 and said == "note left out: deep/notes.csv: no capture\n"
     assert closing([outcome(), bad, crash, other], Path("out")) == (
-        "1 capture fitted, 2 failed, 1 that are no captures left out; results lie in out"
+        "1 capture fitted, 2 failed, 1 that are no captures skipped; results are in out"
     )
     assert exit_code([outcome(), other]) == 0 and exit_code([outcome(), bad]) == 1

@@ -12,7 +12,7 @@ from habitus.cli.train import Train
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.open import write_registrations
 from habitus.io.registrations.templates import save_template
-from habitus.jobs.training_callback import CheckpointingCallback
+from habitus.jobs.checkpoints import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus_lab.population.faults import spoil
 
@@ -87,7 +87,7 @@ def test_in_a_pipe_lines_are_not_broken_and_holes_are_a_note(run, tmp_path):
     steps = [line for line in said.splitlines() if re.match("model, round", line)]
     assert len(steps) == 5 and all(line.endswith(")") for line in steps)
     assert max(map(len, steps)) > 80 and re.search(r"│ *model +│ +1 +│", said)
-    assert f"results lie in {tmp_path / 'out'}\n" in said
+    assert f"results are in {tmp_path / 'out'}\n" in said
 
 
 def test_one_sex_alone_is_the_same_model_and_goes_on_from_there(run, tmp_path):
@@ -111,7 +111,7 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(run, tmp_path, monkeypatch):
     assert (
         code == 130
         and said.count("\n") == 1
-        and "goes on" in said
+        and "resumes" in said
         and str(tmp_path / "out") in said
     )
     code, said, _ = run(*QUICK)
@@ -150,8 +150,8 @@ def test_a_joint_that_never_bends_is_a_warning(run, tmp_path):
             ["--shape-features", "20", "--num-betas", "20"],
             ["too few people to learn shapes from", "expected 21 or more"],
         ),
-        (["--weight-joints", "-100"], ["joints is -100", "0 or more"]),
-        (["--weight-skinning", "nan"], ["skinning is nan"]),
+        (["--weights.joints", "-100"], ["joints is -100", "0 or more"]),
+        (["--weights.skinning", "nan"], ["skinning is nan"]),
         (["--tolerance", "-1"], ["tolerance is -1"]),
     ],
 )
@@ -193,8 +193,8 @@ def test_a_file_where_the_folder_should_be(run, tmp_path):
 
 def test_options_are_those_of_the_training():
     words = ["people.npz", "--out", "out"]
-    assert tyro.cli(Train, args=words).options == TrainOptions()
-    assert tyro.cli(Train, args=[*words, *COMMAND]).options == OPTIONS
+    assert tyro.cli(Train, args=words).training == TrainOptions()
+    assert tyro.cli(Train, args=[*words, *COMMAND]).training == OPTIONS
 
 
 def test_help_reads_well(capsys):

@@ -1,6 +1,5 @@
 """A folder of a few short captures of two people, and hasty fits of them."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,10 @@ from habitus.jobs.archive.run import Archive, archive
 from habitus.jobs.mosh import Mosh
 
 NAMES = ("ann/one", "ann/two", "ann/three", "ann/four", "bob/walk")
-RECIPE = Mosh("cmu-41", soft_tissue=False)
+HASTY = MoshSettings(annealing=(10.0,), frames=3)
+OPTIONS = {"layout": "cmu-41", "soft_tissue": "none", "settings": HASTY}
+RECIPE = Mosh(**OPTIONS)
 FRAMES = 8
-HASTY = partial(MoshSettings, annealing=(10.0,), frames=3)
 
 
 def write(folder: Path, name: str, seed: int, frames: int = FRAMES) -> Path:
@@ -41,9 +41,8 @@ def write_all(folder: Path) -> Path:
 def made(folder: Path, out: Path, **more) -> Archive:
     """The archive of the folder, in this process, by fits of few betas that are quick and bad."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("habitus.jobs.mosh.MoshSettings", HASTY)
         patch.setattr("habitus.jobs.archive.tasks.fitted_body", lambda *words: person())
-        return archive(folder, out, **{"mosh": RECIPE, "workers": 1, "minimal": True} | more)
+        return archive(folder, out, **OPTIONS | {"workers": 1, "minimal": True} | more)
 
 
 def arrays(out: Path) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ OPTIONS = TrainOptions(
     rounds=2, tolerance=0.0, num_betas=4, weights=EnergyWeights(joints=5.0, pose_shapes=1.0)
 )
 COMMAND = (
-    "--rounds 2 --tolerance 0 --num-betas 4 --weight-joints 5 --weight-pose-shapes 1 --workers 1"
+    "--rounds 2 --tolerance 0 --num-betas 4 --weights.joints 5 --weights.pose-shapes 1 --workers 1"
 ).split()  # the same on the command line
 
 

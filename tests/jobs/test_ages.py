@@ -4,7 +4,6 @@ it is none.
 
 import json
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,12 +17,14 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.jobs.ages import told_age
-from habitus.jobs.genders import of_sex
+from habitus.jobs.bodies import aged_body, of_sex
 from habitus.jobs.measuring import measure_file
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 AGE = 8.0
+
+
+HASTY = MoshSettings(annealing=(10.0,), frames=3)
 
 
 @pytest.fixture(scope="module")
@@ -49,24 +50,13 @@ def capture(child) -> Capture:
     )
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    monkeypatch.setattr(
-        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-    )
-
-
 @pytest.fixture(scope="module")
 def written(capture, tmp_path_factory):
     """The fit of a child whose file says sex and age, and the folder that it was written to."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-        )
-        out = tmp_path_factory.mktemp("child")
-        write_c3d(capture, out / "walk.c3d")
-        recipe = hb.Mosh(soft_tissue=False, sex="auto", age="auto")
-        return recipe.fit(out / "walk.c3d", out=out), out / "walk"
+    out = tmp_path_factory.mktemp("child")
+    write_c3d(capture, out / "walk.c3d")
+    recipe = hb.Mosh(soft_tissue="none", sex="auto", age="auto", settings=HASTY)
+    return recipe.fit(out / "walk.c3d", out=out), out / "walk"
 
 
 def numbers(glb: bytes) -> np.ndarray:
@@ -130,7 +120,7 @@ def test_the_model_of_a_sex_has_the_age_of_the_body_in_whose_place_it_comes():
 )
 def test_auto_believes_files_that_agree(said, age, note):
     captures = [SimpleNamespace(recorded={} if one is None else {"age_years": one}) for one in said]
-    body, notes = told_age(hb.load_body("male"), "auto", SimpleNamespace(captures=captures))
+    body, notes = aged_body(hb.load_body("male"), "auto", SimpleNamespace(captures=captures))
     assert body.age == age and len(notes) == 1 and note in notes[0]
 
 

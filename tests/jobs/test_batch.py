@@ -7,7 +7,6 @@ import os
 import signal
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -21,13 +20,14 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.jobs import batch
-from habitus.jobs.batch import FitOptions, fit_all
+from habitus.jobs.batch import fit_all
 from habitus.jobs.mosh import Mosh
 from habitus.jobs.results import save_fit
 from habitus.results.save import MARKER_FILES
 
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
-RECIPE = Mosh("cmu-41", soft_tissue=False)
+HASTY = MoshSettings(annealing=(10.0,), frames=3)
+RECIPE = Mosh("cmu-41", soft_tissue="none", settings=HASTY)
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +41,7 @@ def fitted(planted):
     fits.
     """
     capture = Capture("walk", planted.layout.labels, np.array(planted.observed), 30.0, "+y")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-        )
-        return RECIPE.fit(capture, person())
+    return RECIPE.fit(capture, person())
 
 
 @pytest.fixture(autouse=True)
@@ -212,7 +208,7 @@ def test_what_nothing_can_begin_with_is_raised(planted, tmp_path):
         fit([path], tmp_path / "out", recipe=Mosh("nonsense"))
     with locked(tmp_path / "out"), pytest.raises(HabitusError, match="another run is at work"):
         fit([path], tmp_path / "out")
-    assert fit([path], tmp_path / "out", options=FitOptions(obj=True))[0].error is None
+    assert fit([path], tmp_path / "out", recipe=replace(RECIPE, obj=True))[0].error is None
     assert (tmp_path / "out" / "walk" / "obj").is_dir()
 
 

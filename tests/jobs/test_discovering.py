@@ -2,8 +2,6 @@
 doubtful.
 """
 
-from functools import partial
-
 import numpy as np
 import pytest
 from planted import person, plant
@@ -14,8 +12,10 @@ from habitus.fit.discover.result import Discovery
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
-from habitus.jobs.discovering import known_labels
+from habitus.jobs.subjects import known_labels
 from habitus.markers.layouts import MarkerLayout
+
+HASTY = MoshSettings(annealing=(10.0,), frames=3)
 
 
 @pytest.fixture(scope="module")
@@ -44,26 +44,27 @@ def found(planted, capture, monkeypatch):
         ("Left and right are not decided.",),
         ("a note",),
     )
-    monkeypatch.setattr("habitus.jobs.discovering.discover", lambda *known: result)
-    monkeypatch.setattr(
-        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-    )
+    monkeypatch.setattr("habitus.jobs.subjects.discover", lambda *known: result)
     return result
 
 
 def test_what_was_found_is_fitted_written_and_fits_again(capture, found, tmp_path):
-    fit = hb.Mosh(layout="discover", soft_tissue=False).fit(capture, person(), out=tmp_path)
+    fit = hb.Mosh(layout="discover", soft_tissue="none", settings=HASTY).fit(
+        capture, person(), out=tmp_path
+    )
     assert fit.labels == found.layout.labels and fit.layout_confidence == pytest.approx(0.8)
     file = tmp_path / "walk" / "layout.toml"
     assert set(load_layout(file).markers) == set(found.layout.markers)
     assert "layout.toml" in (tmp_path / "walk" / "report.html").read_text("utf-8")
-    again = hb.Mosh(layout=file, soft_tissue=False).fit(capture, person())
+    again = hb.Mosh(layout=file, soft_tissue="none", settings=HASTY).fit(capture, person())
     np.testing.assert_allclose(again.pose, fit.pose, atol=1e-9)
     assert again.found_layout == "" and again.doubts == ()
 
 
 def test_what_is_not_decided_makes_a_fit_doubtful_and_is_kept_with_it(capture, found, tmp_path):
-    fit = hb.Mosh(layout="discover", soft_tissue=False).fit(capture, person(), out=tmp_path)
+    fit = hb.Mosh(layout="discover", soft_tissue="none", settings=HASTY).fit(
+        capture, person(), out=tmp_path
+    )
     assert fit.verdict.level != "good" and found.doubts[0] in fit.verdict.reasons
     read = hb.load_fit(tmp_path / "walk" / "body.npz", person())
     assert read.doubts == fit.doubts and read.verdict.level == fit.verdict.level
@@ -75,7 +76,7 @@ def test_markers_that_tell_their_own_places_cannot_be_held_out(capture, asked):
     with pytest.raises(
         HabitusError, match=r"each tells its own place; fit again with the layout.toml"
     ):
-        hb.Mosh(layout="discover", soft_tissue=False).fit(capture, person(), **asked)
+        hb.Mosh(layout="discover", **asked).fit(capture, person())
 
 
 def test_labels_that_layouts_know_help_and_others_do_not(planted):

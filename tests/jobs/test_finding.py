@@ -10,7 +10,7 @@ import pytest
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import Capture, read_capture
-from habitus.jobs.finding import Found, Worn, find_captures, grouped
+from habitus.jobs.finding import Found, MarkerSet, find_captures, grouped
 
 
 def touched(folder: Path, *names: str) -> Path:
@@ -86,7 +86,7 @@ def test_real_captures_are_grouped_by_who_wears_which_markers(shared):
     worn = [
         (
             Found(mocap / f"{name}.c3d", Path(), name, False),
-            Worn.of(read_capture(mocap / f"{name}.c3d")),
+            MarkerSet.of(read_capture(mocap / f"{name}.c3d")),
         )
         for name in names.split()
     ]
@@ -103,11 +103,11 @@ def test_real_captures_are_grouped_by_who_wears_which_markers(shared):
     assert {tuple(one.name for one in group) for group in grouped(nameless)} == found
 
 
-def rigid(scale=1.0, subject=None, noise=0.0, labels=12, seed=0) -> Worn:
+def rigid(scale=1.0, subject=None, noise=0.0, labels=12, seed=0) -> MarkerSet:
     rng = np.random.default_rng(seed)
     markers = scale * rng.uniform(0, 1, (1, labels, 3)) + rng.normal(size=(30, 1, 3))
     markers = markers + noise * rng.normal(size=markers.shape)
-    return Worn.of(
+    return MarkerSet.of(
         Capture("x", tuple(f"M{k}" for k in range(labels)), markers, 100.0, "+y", subject)
     )
 
@@ -138,5 +138,5 @@ def test_gaps_do_not_hide_what_is_rigid():
     holed = np.where(rng.random((30, 12, 1)) < 0.4, np.nan, markers)
     capture = Capture("x", tuple(f"M{k}" for k in range(12)), holed, 100.0, "+y")
     whole = replace(capture, markers=np.array(markers))
-    np.testing.assert_allclose(Worn.of(capture).rigid, Worn.of(whole).rigid, atol=1e-12)
-    assert not Worn.of(capture).like(one) and Worn.of(capture).like(Worn.of(whole))
+    np.testing.assert_allclose(MarkerSet.of(capture).rigid, MarkerSet.of(whole).rigid, atol=1e-12)
+    assert not MarkerSet.of(capture).like(one) and MarkerSet.of(capture).like(MarkerSet.of(whole))

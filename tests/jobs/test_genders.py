@@ -2,11 +2,9 @@
 from the markers.
 """
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 import habitus as hb
 from habitus.body.gender import said_of
@@ -15,7 +13,7 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
-from habitus.jobs.genders import choose, of_sex
+from habitus.jobs.bodies import choose_sex, of_sex
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 QUICK = MoshSettings(annealing=(10.0,), frames=3, soft_tissue=False)
@@ -34,15 +32,10 @@ def walk(whose: str, seed: int, betas: np.ndarray | None = None, **recorded: str
     return Capture("walk", layout.labels, truth.observed, 60.0, "+y", recorded=recorded)
 
 
-@pytest.fixture
-def hasty(monkeypatch):
-    monkeypatch.setattr(
-        "habitus.jobs.mosh.MoshSettings", lambda **known: replace(QUICK, soft_tissue=False)
+def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so():
+    fit = hb.Mosh(sex="auto", soft_tissue="none", settings=QUICK).fit(
+        walk("male", 3, np.zeros(1)), "default"
     )
-
-
-def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so(hasty):
-    fit = hb.Mosh(sex="auto").fit(walk("male", 3, np.zeros(1)), "default")
     probability = fit.female_probability
     assert probability is not None and probability < 0.5
     assert fit.gender == {"cannot tell": "neutral"}.get(said_of(probability), "male")
@@ -50,8 +43,10 @@ def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so(hasty):
     assert sum("sex auto" in warning for warning in fit.warnings) == 1
 
 
-def test_a_model_that_is_asked_for_is_fitted(hasty, tmp_path):
-    fit = hb.Mosh(sex="female").fit(walk("female", 1), "default", out=tmp_path)
+def test_a_model_that_is_asked_for_is_fitted(tmp_path):
+    fit = hb.Mosh(sex="female", soft_tissue="none", settings=QUICK).fit(
+        walk("female", 1), "default", out=tmp_path
+    )
     assert (fit.gender, fit.body_name, fit.female_probability) == ("female", "female", None)
     read = hb.load_fit(tmp_path / "walk" / "body.npz")
     assert read.gender == "female" and read.body.name == "female"
@@ -60,7 +55,7 @@ def test_a_model_that_is_asked_for_is_fitted(hasty, tmp_path):
 
 def test_a_file_that_says_the_sex_is_believed():
     person = SimpleNamespace(captures=(walk("male", 1, sex="male"), walk("male", 2)))
-    found = choose(load_body("default"), "auto", person, QUICK, lambda stage, share: None)
+    found = choose_sex(load_body("default"), "auto", person, QUICK, lambda stage, share: None)
     assert found.sex == found.body.name == "male" and "file says male" in found.notes[0]
 
 

@@ -12,9 +12,9 @@ from toy_people import toy
 from habitus.cli.evaluate import known_table
 from habitus.errors import HabitusError
 from habitus.evaluate.known_state import known_errors
-from habitus.jobs.evaluate_known import evaluate_known
+from habitus.jobs.checkpoints import CheckpointingCallback
+from habitus.jobs.evaluate import evaluate_known
 from habitus.jobs.train import train
-from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import EnergyWeights, TrainOptions
 from habitus.mesh.known import Known
 

@@ -13,7 +13,8 @@ from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import read_capture
-from habitus.jobs.label import check_labelling, label
+from habitus.jobs.label import label
+from habitus.jobs.marker_options import MoshOptions
 
 
 def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_path: Path) -> None:
@@ -71,9 +72,9 @@ def read_capture_like(points: np.ndarray):
 
 
 def test_labels_come_from_the_file_or_are_found() -> None:
-    check_labelling("auto")
+    MoshOptions(label="auto")
     with pytest.raises(HabitusError, match="expected 'given' or 'auto'"):
-        check_labelling("guess")
+        MoshOptions(label="guess")
 
 
 def test_the_command_tells_an_example(capsys) -> None:

@@ -4,7 +4,6 @@ survived and said.
 
 import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -82,11 +81,8 @@ def run(points, body, *given, **options):
 @pytest.fixture(scope="module")
 def fit(points, body):
     """A hasty shape stage: these tests ask what goes where, not how well the body fits."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "habitus.jobs.live.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-        )
-        return run(points, body, seconds=1.0)[0]
+    hasty = MoshSettings(annealing=(10.0,), frames=3)
+    return run(points, body, seconds=1.0, settings=hasty)[0]
 
 
 def test_a_stream_becomes_a_fit(fit, truth):
@@ -105,7 +101,7 @@ def test_a_file_is_played_and_the_result_written(fit, truth, tmp_path, body):
         tmp_path / "walk.npz",
         markers=truth.observed,
         labels=LABELS,
-        fps=RATE,
+        rate_hz=RATE,
         unit="m",
         up_axis="+y",
     )
@@ -122,7 +118,7 @@ def test_a_file_is_played_at_a_rate(fit, truth, tmp_path):
         tmp_path / "walk.npz",
         markers=truth.observed,
         labels=LABELS,
-        fps=RATE,
+        rate_hz=RATE,
         unit="m",
         up_axis="+y",
     )

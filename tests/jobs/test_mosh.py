@@ -4,7 +4,6 @@ follows its markers.
 
 import re
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +20,10 @@ from habitus.io.layouts.files import load_layout
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 FRAMES = 60
+
+
+HASTY = MoshSettings(annealing=(10.0,), frames=3)
+"""A hasty shape stage: these tests ask what goes where, not how well the body fits."""
 
 
 @pytest.fixture(scope="module")
@@ -45,16 +48,8 @@ def capture(truth) -> Capture:
     return Capture("walk", load_layout("cmu-41").labels, truth.observed, 120.0, "+y")
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    """A hasty shape stage: these tests ask what goes where, not how well the body fits."""
-    monkeypatch.setattr(
-        "habitus.jobs.mosh.MoshSettings", partial(MoshSettings, annealing=(10.0,), frames=3)
-    )
-
-
 def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
-    recipe = hb.Mosh(soft_tissue=False, sex="auto")
+    recipe = hb.Mosh(soft_tissue="none", settings=HASTY, sex="auto")
     fit = recipe.fit(capture, body)
     (again,) = recipe.fit([capture], body, out=tmp_path)
     np.testing.assert_array_equal(fit.pose, again.pose)
@@ -74,7 +69,7 @@ def test_one_capture_is_a_fit_and_a_list_is_a_list(body, capture, tmp_path):
 
 def test_a_file_and_its_capture_are_the_same(body, capture, tmp_path):
     write_c3d(capture, tmp_path / "walk.c3d")
-    recipe = hb.Mosh(soft_tissue=False, fps=60.0)
+    recipe = hb.Mosh(soft_tissue="none", settings=HASTY, fps=60.0)
     fit, again = (
         recipe.fit(one, body)
         for one in (tmp_path / "walk.c3d", hb.read_capture(tmp_path / "walk.c3d"))
@@ -85,9 +80,13 @@ def test_a_file_and_its_capture_are_the_same(body, capture, tmp_path):
 
 def test_weights_change_the_fit(body, capture):
     loose, stiff = (
-        hb.mosh(capture, body=body, soft_tissue=False, weights=hb.MoshWeights(acceleration=weight))[
-            0
-        ]
+        hb.mosh(
+            capture,
+            body=body,
+            soft_tissue="none",
+            settings=HASTY,
+            weights=hb.MoshWeights(acceleration=weight),
+        )[0]
         for weight in (0.0, 1e4)
     )
     shaking = [np.abs(np.diff(fit.pose[:, 1:], 2, axis=0)).mean() for fit in (loose, stiff)]
@@ -96,7 +95,9 @@ def test_weights_change_the_fit(body, capture):
 
 def test_held_out_markers_by_one_or_by_two_workers(body, capture):
     alone, shared = (
-        hb.Mosh(soft_tissue=False).fit(capture[:10], body, hold_out_every=2, workers=workers)
+        hb.Mosh(soft_tissue="none", settings=HASTY, hold_out_every=2).fit(
+            capture[:10], body, workers=workers
+        )
         for workers in (None, 2)
     )
     assert set(alone.held_out.labels) == set(capture.labels)
@@ -108,12 +109,12 @@ def test_a_body_with_a_prior_of_its_own_is_fitted_with_it(body, capture, monkeyp
     own = PosePrior(names, np.zeros(3 * len(names)), 1e-8 * np.eye(3 * len(names)))
     assert prior_of(SimpleNamespace(pose_prior=own)) is own and prior_of(body).joint_names
     monkeypatch.setattr("habitus.jobs.mosh.prior_of", lambda given: own)
-    fit = hb.Mosh(soft_tissue=False).fit(capture[:8], body)
+    fit = hb.Mosh(soft_tissue="none", settings=HASTY).fit(capture[:8], body)
     assert np.abs(fit.pose[:, 1:]).max() < 1e-2
 
 
 def test_a_live_fit_follows_its_markers(body, capture, truth):
-    live = hb.Mosh().start(capture[:40], body)
+    live = hb.Mosh(settings=HASTY).start(capture[:40], body)
     assert live.labels == capture.labels
     assert np.isnan(live.step(np.full((len(capture.labels), 3), np.nan)).pose).all()
     frames = [live.step(markers) for markers in capture.markers[40:]]

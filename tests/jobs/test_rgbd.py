@@ -70,7 +70,7 @@ def test_the_command_says_what_it_found(results, tmp_path, monkeypatch, capsys):
             "45",
             "--body",
             "female",
-            "--clothes",
+            "--clothes-mm",
             "2",
         ]
     )

@@ -11,7 +11,7 @@ import habitus as hb
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.layouts.files import load_layout, match_layout
-from habitus.jobs.marker_pools import find_layout, find_pool
+from habitus.jobs.selection import find_layout, find_pool
 
 
 def test_a_selection_and_what_it_leaves(tmp_path, capsys):
@@ -43,7 +43,7 @@ def test_a_real_capture_matches_a_selected_layout(shared, tmp_path):
     """What was chosen of a set's markers is a layout for captures with that set."""
     capture = hb.read_capture(shared / "mocap" / "85_02.c3d")[:5]
     found = hb.select_markers(
-        "cmu-41", "cmu-41", people=1, min_markers=36, keep=(36,), out=tmp_path / "s"
+        pool="cmu-41", start="cmu-41", people=1, min_markers=36, keep=(36,), out=tmp_path / "s"
     )
     layout = load_layout(tmp_path / "s" / "markers-36.toml")
     match = match_layout(capture.labels, capture.markers, [layout])
@@ -71,7 +71,9 @@ def test_pools():
 
 
 def test_poses_are_a_motion(tmp_path):
-    choice, poses = hb.select_poses("mosh-47", 3, candidates=6, out=tmp_path / "poses.npz")
+    choice, poses = hb.select_poses(
+        layout="mosh-47", count=3, candidates=6, out=tmp_path / "poses.npz"
+    )
     motion = hb.load_motion(tmp_path / "poses.npz")
     np.testing.assert_allclose(motion.pose, poses, atol=1e-12)
     assert motion.rate_hz == 1.0 and motion.up_axis == "+y" and len(choice.errors) == 3
@@ -81,4 +83,4 @@ def test_poses_are_a_motion(tmp_path):
         ({"out": "x.csv"}, r"\.npz"),
     ):
         with pytest.raises(HabitusError, match=said):
-            hb.select_poses("mosh-47", **({"count": 2, "candidates": 3} | given))
+            hb.select_poses(**({"layout": "mosh-47", "count": 2, "candidates": 3} | given))

@@ -7,7 +7,7 @@ import pytest
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import Capture, read_capture
-from habitus.jobs.subjects import gather, leave_out, person
+from habitus.jobs.subjects import gather, leave_out, person_of
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def test_captures_of_one_person_share_the_union_of_their_markers(capture):
     fewer = replace(
         capture, name="fewer", labels=capture.labels[:-1], markers=capture.markers[:, :-1]
     )
-    both = person([capture, fewer], "auto")
+    both = person_of([capture, fewer], "auto")
     assert set(both.layout.labels) == set(capture.labels)
     missing = both.layout.labels.index(capture.labels[-1])
     assert np.isnan(both.recordings[1].observed[:, missing]).all()
@@ -31,7 +31,7 @@ def test_captures_of_one_person_share_the_union_of_their_markers(capture):
 
 
 def test_held_out_markers_are_in_nothing_that_is_fitted(capture):
-    whole = person([capture], "auto")
+    whole = person_of([capture], "auto")
     kept, held = leave_out(whole, ["RANK", "LFHD"])
     assert set(kept.layout.labels) == set(whole.layout.labels) - {"RANK", "LFHD"}
     assert set(held.layout.labels) == {"RANK", "LFHD"}
@@ -43,14 +43,14 @@ def test_held_out_markers_are_in_nothing_that_is_fitted(capture):
 
 def test_labels_that_the_file_exchanges_are_put_right_before_they_are_held_out(capture):
     _, held = leave_out(
-        person([capture], "auto"), ["LWRA"]
+        person_of([capture], "auto"), ["LWRA"]
     )  # this file has its left wrist's pair the wrong way round
     assert held.layout.markers[0].landmark == "left_wrist_radial"
     np.testing.assert_array_equal(held.observed[0][:, 0], column(capture, "LWRB"))
 
 
 def test_what_cannot_be_held_out_or_found_is_named(capture):
-    whole = person([capture], "auto")
+    whole = person_of([capture], "auto")
     with pytest.raises(HabitusError, match="NOSUCH"):
         leave_out(whole, ["NOSUCH"])
     with pytest.raises(HabitusError, match="leave some"):

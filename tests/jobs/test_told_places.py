@@ -29,7 +29,7 @@ def planted():
 
 def run(one, other, **options):
     return mosh(
-        one, layout="cmu-41", body=person(), soft_tissue=False, placements_from=other, **options
+        one, layout="cmu-41", body=person(), soft_tissue="none", placements_from=other, **options
     )[0]
 
 

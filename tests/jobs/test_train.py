@@ -22,9 +22,8 @@ from habitus.files import locked
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.io.registrations.templates import save_template
-from habitus.jobs.checkpoints import Checkpoint
+from habitus.jobs.checkpoints import Checkpoint, CheckpointingCallback
 from habitus.jobs.train import Trainer, train
-from habitus.jobs.training_callback import CheckpointingCallback
 from habitus.learn.options import TrainOptions
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
@@ -144,7 +143,7 @@ import os, signal, sys
 sys.path.insert(0, {tests!r})
 from toy_people import OPTIONS
 from habitus.jobs.train import train
-from habitus.jobs.training_callback import CheckpointingCallback
+from habitus.jobs.checkpoints import CheckpointingCallback
 
 def dying(method):
     def call(callback, found):
@@ -272,7 +271,7 @@ def test_a_trainer_with_a_folder_is_the_command(files, quick):
 
 def test_a_trainer_fits_one_model_and_knows_its_options(files):
     with pytest.raises(HabitusError, match="sex 'each' means two models"):
-        Trainer(**vars(QUICK)).fit(files[0], files[1], sex="each")
+        Trainer(**vars(QUICK), sex="each").fit(files[0], files[1])
     with pytest.raises(HabitusError, match="rounds is 0"):
         Trainer(rounds=0)
 
@@ -446,7 +445,7 @@ def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"gender": "both"}, "gender is 'both'"),
+        ({"sex": "both"}, "sex is 'both'"),
         ({"workers": 0}, "0 threads"),
         ({"unit": "ells"}, "unit is 'ells'"),
         ({"template": "nothing.npz"}, "nothing.npz"),

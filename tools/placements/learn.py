@@ -37,7 +37,7 @@ from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import list_layouts, plain_layout
 from habitus.io.layouts.placements import placements_text
 from habitus.io.models.bodies import load_body
-from habitus.jobs.subjects import Person, leave_out, person
+from habitus.jobs.subjects import Person, leave_out, person_of
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.placements import PlacementPrior
 from habitus.observe.markers import default_markers
@@ -77,7 +77,7 @@ def markers_of(
     body: BodyModel, name: str, captures: Sequence[Capture], layouts: Sequence[MarkerLayout]
 ) -> list[Seen]:
     """Where one person's markers sat, from the places of ``layouts``."""
-    whole = person(captures, tuple(layouts))
+    whole = person_of(captures, tuple(layouts))
     found = []
     keys = {marker.label: marker for layout in reversed(layouts) for marker in layout.markers}
     own = next(layout for layout in layouts if layout.name == whole.layout.name)

@@ -28,7 +28,7 @@ from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.fit.markers.start import start_sequence
 from habitus.io.captures.read import read_capture
 from habitus.io.models.bodies import load_body
-from habitus.jobs.subjects import person
+from habitus.jobs.subjects import person_of
 
 FRAMES = 120
 TRUST_MEAN = 0.8
@@ -44,7 +44,7 @@ UNSEEN = (
 
 def poses_of(path: Path, prior: PosePrior, body: BodyModel) -> np.ndarray:
     """(F, 3 (J - 1)) joint rotations of some frames of a capture."""
-    someone = person([read_capture(path)], "auto")
+    someone = person_of([read_capture(path)], "auto")
     seen = np.isfinite(someone.recordings[0].observed[..., 0]).any(axis=0)
     layout = someone.layout.restricted_to(
         tuple(x for x, s in zip(someone.layout.labels, seen, strict=True) if s)

@@ -130,7 +130,7 @@ def exaggerated(motion: BodyMotion, factor: float) -> BodyMotion:
     if motion.soft_tissue is None and motion.dynamics is None:
         raise HabitusError(
             f"{motion.capture_name}: holds no soft tissue to exaggerate; fit with it (leave out "
-            "--no-soft-tissue)"
+            "--soft-tissue none)"
         )
     said = f"soft tissue {factor:g} times as far from its mean as it was found (exaggerated)"
     return replace(

@@ -4,86 +4,56 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
+from habitus.cli.mosh_results import FAILED_FIT
+from habitus.cli.screen import Strict, plain, progress_bar, say, screen
 from habitus.errors import HabitusError, shown
+from habitus.jobs.marker_options import ArchiveOptions
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from habitus.jobs.archive.run import Archive as Made
     from habitus.jobs.archive.run import Tally
-    from habitus.jobs.mosh import Mosh
 
 _EVERY = 30.0
 """Seconds between two lines about progress where there is no terminal."""
 
 
-@dataclass(frozen=True)
-class Archive:
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    folder: Annotated[Path, tyro.conf.Positional, metavar("FOLDER")]
+    """Where the captures are (C3D, TRC, Motive CSV, QTM TSV, npz), at any depth."""
+    out: Annotated[Path, metavar("FOLDER")]
+    """Folder for the results."""
+    workers: Annotated[int | None, unset("N")] = None
+    """Processes on this machine, one thread each; by default one per core."""
+    cluster: Annotated[str | None, unset("ADDRESS")] = None
+    """Dask scheduler (tcp://host:8786) whose machines share the work and see both folders under the
+    same paths.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Archive(Strict, ArchiveOptions, _Files):
     """Fit thousands of captures: each subject's shape once, then its captures, in parallel.
 
     habitus archive captures --out results --subjects subjects.csv --workers 8
 
-    OUT receives a folder a capture, as deep as it lay, with what habitus mosh writes, and
-    index.html, archive.parquet and archive.sqlite. The same command goes on where a run stopped,
-    and fits again only what changed. A bad capture is told and left behind; the exit code is then
-    1. `docs/archives.md` tells the rest.
+    OUT receives a folder for each capture, as deep as it lay, with what habitus mosh writes, and
+    index.html, archive.parquet and archive.sqlite. The same command resumes a stopped run, and
+    refits only what changed. A capture that fails is skipped and listed; the exit code is then 1.
+    See `docs/archives.md`.
     """
-
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
-    """Where the captures are (C3D, TRC, Motive CSV, QTM TSV, npz), at any depth."""
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results."""
-    subjects: Annotated[Path | None, unset("TABLE.csv")] = None
-    """Whose captures are whose: columns capture (a file or folder below FOLDER) and subject; by
-    itself, the files' subjects and folders.
-    """
-    workers: Annotated[int | None, unset("N")] = None
-    """Processes on this machine, one thread each; as many as it has cores by itself."""
-    cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """A Dask scheduler (tcp://host:8786) whose machines share the work, and see both folders under
-    the same paths.
-    """
-    layout: Annotated[str, tyro.conf.arg(metavar="auto|discover|NAME|FILE")] = "auto"
-    """Which marker sits where; see habitus mosh."""
-    body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
-    """The body model."""
-    sex: Literal["neutral", "female", "male", "auto"] = "neutral"
-    """Which model of the body; "auto": for each subject the sex that the files say or a neutral fit
-    is sure of.
-    """
-    age: Annotated[str | None, unset("YEARS|auto")] = None
-    """How old the people are; "auto" takes what the files say."""
-    joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
-    """Which joints the body has."""
-    soft_tissue: Literal["shape", "dynamics", "both"] = "shape"
-    """What soft tissue moves along in the last stage."""
-    no_soft_tissue: Flag = False
-    """Stop after the pose stage."""
-    fps: Annotated[float | None, unset("HZ")] = None
-    """Frames a second, where files do not say or say it wrong."""
-    minimal: Flag = False
-    """Of each capture only body.npz and metrics.json: no page, no animated mesh; a third of the
-    room.
-    """
-    npz_style: Literal["habitus", "amass"] = "habitus"
-    """What body.npz looks like."""
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Seed of what is drawn at random."""
-    strict: Flag = False
-    """End with exit code 3 where any fit has failed by its verdict."""
-    quiet: Flag = False
-    """Print nothing but errors."""
 
 
 OPTIONS = Archive
 ABOUT = Archive.__doc__
 NEEDS = ("habitus.jobs.archive.run", "rich.progress")
-FAILED_FIT = 3
 
 
 def run(options: Archive, console: "Console | None" = None) -> int:
@@ -94,7 +64,7 @@ def run(options: Archive, console: "Console | None" = None) -> int:
 
     if options.workers is not None and options.cluster is not None:
         raise HabitusError(
-            "--workers is about this machine and --cluster about others; give one of them"
+            "--workers and --cluster were given; expected one: processes here, or a cluster's"
         )
     console = console or screen(options.quiet)
     with progress_bar(console) as bar:
@@ -102,18 +72,14 @@ def run(options: Archive, console: "Console | None" = None) -> int:
         lines = _Lines(console)
 
         def progress(tally: "Tally") -> None:
-            bar.update(task, description=_told(tally), completed=tally.share)
+            bar.update(task, description=_progress_line(tally), completed=tally.share)
             lines(tally)
 
         made = archive(
             options.folder,
             options.out,
-            subjects=options.subjects,
-            mosh=_recipe(options),
-            body=options.body,
+            options=options,
             workers=options.cluster or options.workers,
-            minimal=options.minimal,
-            npz_style=options.npz_style,
             progress=progress,
             on_failure=lambda path, reason: print(
                 f"habitus: {shown(path, 300)}: {reason}", file=sys.stderr, flush=True
@@ -137,25 +103,11 @@ class _Lines:
         if self._console.is_terminal or time.monotonic() - self._last < _EVERY:
             return
         self._last = time.monotonic()
-        say(self._console, _told(tally))
+        say(self._console, _progress_line(tally))
 
 
-def _recipe(options: Archive) -> "Mosh":
-    from habitus.jobs.mosh import Mosh
-
-    return Mosh(
-        options.layout,
-        sex=options.sex,
-        soft_tissue=False if options.no_soft_tissue else options.soft_tissue,
-        fps=options.fps,
-        joints=options.joints,
-        seed=options.seed,
-        age=options.age,
-    )
-
-
-def _told(tally: "Tally") -> str:
-    """How far it is, in words."""
+def _progress_line(tally: "Tally") -> str:
+    """How far the run is, in words."""
     if tally.stage == "reading":
         return f"{tally.done} of {tally.captures} files read"
     words = f"{tally.done} of {tally.captures} captures"
@@ -171,7 +123,7 @@ def _duration(seconds: float) -> str:
 
 
 def _closing(made: "Made") -> list[str]:
-    """What became of all."""
+    """What became of all captures."""
     done = made.fitted + made.kept
     words = (
         f"{done} capture{'' if done == 1 else 's'} of {made.subjects} "
@@ -183,15 +135,15 @@ def _closing(made: "Made") -> list[str]:
         else f" in {_duration(made.seconds)}"
     )
     words += f", {len(made.failed)} failed" if made.failed else ""
-    words += f", {made.left_out} files that are no captures left out" if made.left_out else ""
+    words += f", {made.left_out} files that are no captures skipped" if made.left_out else ""
     levels = ", ".join(
         f"{made.levels[level]} {level}"
         for level in ("good", "doubtful", "failed")
         if level in made.levels
     )
-    return [words, *([f"verdicts: {levels}"] if levels else []), f"all of them: {plain(made.page)}"]
+    return [words, *([f"verdicts: {levels}"] if levels else []), f"results: {plain(made.page)}"]
 
 
 def left(options: Archive) -> str:
-    """What a run that was stopped has left."""
-    return "captures that were finished are whole; the same command goes on"
+    """What a stopped run leaves."""
+    return "finished captures are complete; the same command resumes"

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
 from habitus.errors import HabitusError
+from habitus.jobs.options import unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,9 +16,10 @@ _RARE = 3.0  # standard deviations at which a person is worth a remark
 
 @dataclass(frozen=True)
 class Body:
-    """Make the body of the likeliest person with some measurements, and say what these leave open.
+    """Estimate the most likely body of a person with some measurements, and report the remaining
+    uncertainty.
 
-    Any subset will do; `docs/measurements.md` lists the names that --also takes.
+    Any subset of measurements will do; `docs/measurements.md` lists the names that --also takes.
     """
 
     height: Annotated[float | None, unset("METRES")] = None
@@ -27,9 +27,9 @@ class Body:
     weight: Annotated[float | None, unset("KG")] = None
     """Mass."""
     sex: Literal["neutral", "female", "male"] = "neutral"
-    """Whose shape space."""
+    """Shape space of the body."""
     age: Annotated[float | None, unset("YEARS")] = None
-    """Where the body has ages."""
+    """Age of the person, where the body has ages."""
     chest: Annotated[float | None, unset("METRES")] = None
     """Circumference at the nipples."""
     waist: Annotated[float | None, unset("METRES")] = None
@@ -38,14 +38,12 @@ class Body:
     """Circumference at the fullest buttocks."""
     inseam: Annotated[float | None, unset("METRES")] = None
     """From sole to crotch."""
-    also: Annotated[
-        tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE …", help_behavior_hint="")
-    ] = ()
+    also: Annotated[tuple[str, ...], unset("NAME=VALUE …")] = ()
     """Other measurements in metres: hand_length=0.19 neck=0.38."""
     body: Annotated[str | None, unset("FILE")] = None
-    """Another body model than the ones that habitus brings along."""
+    """Another body model than the bundled ones."""
     out: Annotated[Path | None, unset("FILE.npz|ply|obj|glb")] = None
-    """Where the body is written: at rest as a mesh, or its betas (npz)."""
+    """File for the body: at rest as a mesh, or its betas (npz)."""
 
 
 OPTIONS = Body
@@ -98,5 +96,5 @@ def _also(pairs: tuple[str, ...]) -> dict[str, float]:
 
 
 def left(options: Body) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,26 +21,24 @@ class Compare:
 
     habitus compare results/walk soma/walk.npz --body-b smplh.npz
 
-    Says how far skins, joints, their rotations, markers, shapes and measurements are apart, and
-    when most. With --out it writes compare.html, both bodies on one clock, side by side or one over
-    the other (opens offline in a browser), and compare.json. `docs/comparing.md` says what the
-    numbers mean.
+    Reports the distances of skins, joints, their rotations, markers, shapes and measurements, and
+    the times of the largest. With --out it writes compare.html, both bodies on one clock, side by
+    side or overlaid (opens offline in a browser), and compare.json. `docs/comparing.md` explains
+    the numbers.
     """
 
-    a: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="A")]
-    """A folder that habitus mosh wrote, its body.npz, or an npz as AMASS has them."""
-    b: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="B")]
+    a: Annotated[Path, tyro.conf.Positional, metavar("A")]
+    """A folder that habitus mosh wrote, its body.npz, or an npz in AMASS's style."""
+    b: Annotated[Path, tyro.conf.Positional, metavar("B")]
     """The other one."""
-    out: Annotated[Path | None, unset("DIR")] = None
+    out: Annotated[Path | None, unset("FOLDER")] = None
     """Folder for compare.html and compare.json."""
-    offset: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 0.0
-    """From A's first frame to B's."""
+    offset: Annotated[float, metavar("SECONDS")] = 0.0
+    """Time from A's first frame to B's."""
     align: Literal["auto", "rigid", "none"] = "auto"
-    """Turn and move B as a whole: where the two plainly stand in different worlds, always, or
-    never.
-    """
+    """Rigid alignment of B: where the world frames clearly differ, always, or never."""
     body_a: Annotated[str | None, unset("FILE")] = None
-    """The body model of A, where it names none that comes along."""
+    """The body model of A, where it names no bundled one."""
     body_b: Annotated[str | None, unset("FILE")] = None
     """The body model of B."""
 
@@ -87,5 +86,5 @@ def run(options: Compare, console: "Console | None" = None) -> None:
 
 
 def left(options: Compare) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -2,22 +2,22 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
+from habitus.cli.screen import Quiet, Workers, plain, progress_bar, say, screen
 from habitus.errors import HabitusError
-from habitus.evaluate.counts import COUNTS
+from habitus.jobs.learn_options import EvaluationOptions
+from habitus.jobs.options import Flag, metavar
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from habitus.evaluate.generalisation import Generalisation
-    from habitus.jobs.evaluate import Evaluation
-    from habitus.jobs.evaluate_known import KnownEvaluation
+    from habitus.jobs.evaluate import Evaluation, KnownEvaluation
 
 _WIDE = 200  # columns of a table that goes to a file or a pipe
 _SPEED_OVER = (
@@ -25,51 +25,28 @@ _SPEED_OVER = (
 )
 
 
-@dataclass(frozen=True)
-class Evaluate:
-    """Measure body models on registrations of people that they have not seen: errors, run time,
-    variance, neck.
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    paths: Annotated[tuple[str, ...], tyro.conf.Positional, metavar("MODEL [MODEL …] DATASET")]
+    """Body models (npz, pkl, or "default"); last the registrations, as for
+    `habitus train`.
+    """
+    out: Annotated[Path, metavar("FOLDER")]
+    """Folder for the results."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Quiet, Workers, EvaluationOptions, _Files):
+    """Measure body models on registrations of unseen people: errors, run time, variance, neck.
 
     OUT receives report.html (opens offline in a browser), evaluation.json (every number),
     per_vertex.npz (mean errors of vertices), and the folder figures (SVG and PNG).
     """
 
-    paths: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="MODEL [MODEL …] DATASET")
-    ]
-    """Body models (npz, pkl, or "default"); last the registrations, as for
-    `habitus train`.
-    """
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results."""
-    counts: Annotated[tuple[int, ...], tyro.conf.arg(metavar="K1 K2 …")] = COUNTS
-    """Numbers of shape coefficients to fit with, as far as a model has them."""
-    split: Literal["test", "pose", "shape"] = "test"
-    """Which registrations of the dataset."""
-    sex: Annotated[Literal["female", "male"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Only those of this sex."""
-    clean: Annotated[Path | None, unset("DATASET")] = None
-    """The same registrations without noise, by the same names: errors are also reported against
-    these.
-    """
-    plain: Flag = False
-    """Measure each model without its pose blend shapes as well."""
     known: Flag = False
-    """Fit nothing: errors in the poses and shapes that the dataset tells, beside plain LBS and DQBS
+    """Fit nothing: errors in the known poses and shapes of the dataset, beside plain LBS and DQBS
     (known.json).
     """
-    unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
-    """Unit of the registrations, where the data do not tell it."""
-    repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20
-    """How often run times are taken."""
-    cluster: Annotated[str | None, unset("ADDRESS")] = None
-    """Fit on the Dask cluster whose scheduler has this address, tcp://host:8786 say, which you
-    trust.
-    """
-    workers: Annotated[int | None, unset("N")] = None
-    """Threads to fit with; as many as there are cores, if not told."""
-    quiet: Flag = False
-    """Print nothing but errors."""
 
 
 OPTIONS = Evaluate
@@ -97,22 +74,16 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
             models,
             dataset,
             options.out,
-            counts=options.counts,
-            split=options.split,
-            sex=options.sex,
-            clean=options.clean,
-            plain=options.plain,
-            unit=options.unit,
-            repeats=options.repeats,
-            workers=options.workers if options.cluster is None else options.cluster,
+            options=options,
+            workers=options.shared_by,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(summary(found))
-    say(console, f"results lie in {options.out}")
+    say(console, f"results are in {options.out}")
 
 
 def _run_known(options: Evaluate, console: "Console", models: list[str], dataset: str) -> None:
-    from habitus.jobs.evaluate_known import evaluate_known
+    from habitus.jobs.evaluate import evaluate_known
 
     with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
@@ -120,14 +91,12 @@ def _run_known(options: Evaluate, console: "Console", models: list[str], dataset
             models,
             dataset,
             options.out,
-            split=options.split,
-            sex=options.sex,
-            unit=options.unit,
-            workers=options.workers if options.cluster is None else options.cluster,
+            options=options,
+            workers=options.shared_by,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(known_table(found))
-    say(console, f"results lie in {options.out}")
+    say(console, f"results are in {options.out}")
 
 
 def known_table(found: "KnownEvaluation") -> "Table":
@@ -137,7 +106,7 @@ def known_table(found: "KnownEvaluation") -> "Table":
     table = Table(
         title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations"
     )
-    for heading in ("model", "people", "mean", "rms", "p95", "of plain LBS gone"):
+    for heading in ("model", "people", "mean", "rms", "p95", "less than plain LBS"):
         table.add_column(heading, justify="left" if heading in ("model", "people") else "right")
     for name, groups in found.models.items():
         for who, numbers in groups.items():
@@ -147,7 +116,7 @@ def known_table(found: "KnownEvaluation") -> "Table":
 
 
 def left(options: Evaluate) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return f"nothing was written to {options.out}"
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,23 +15,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Exaggerate:
-    """Make the soft tissue of a fit move more, or less, than it did.
+    """Scale the soft-tissue motion of a fit.
 
     habitus exaggerate results/walk/body.npz --factor 2 --out walk_x2.glb
 
-    Poses and places stay as they are. `docs/exaggerating-and-retargeting.md` shows it.
+    Poses and translations are unchanged. See `docs/exaggerating-and-retargeting.md`.
     """
 
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
+    source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
     """A fit's body.npz, or a motion that habitus wrote."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz|glb|FOLDER")]
-    """Where the motion is written; a folder receives an OBJ a frame."""
-    factor: Annotated[float, tyro.conf.arg(metavar="TIMES")] = 2.0
-    """How many times as far from its mean: 1.5 or 2 look natural, 4 seldom; 0 takes all of its
-    motion away.
+    out: Annotated[Path, metavar("FILE.npz|glb|FOLDER")]
+    """File for the motion; a folder receives an OBJ for each frame."""
+    factor: Annotated[float, metavar("FACTOR")] = 2.0
+    """Scale of the deviation from the mean: 1.5 or 2 look natural, 4 seldom; 0 removes all motion.
     """
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model, where the file names none that comes along."""
+    """The body model, where the file names no bundled one."""
 
 
 OPTIONS = Exaggerate
@@ -56,5 +56,5 @@ def run(options: Exaggerate, console: "Console | None" = None) -> None:
 
 
 def left(options: Exaggerate) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Export:
-    """Write a fit, or another motion, as a file that other programs read, by its ending.
+    """Write a fit, or another motion, as a file for other programs; the ending selects the format.
 
     habitus export results/walk/body.npz --out walk.fbx
 
@@ -24,27 +25,27 @@ class Export:
 
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
     joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names.
-    `docs/exporting.md` says how programs take them.
+    `docs/exporting.md` explains how programs import them.
     """
 
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them; for a rig at rest
+    source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style; for a rig at rest
     a person's npz, or neutral, female, male.
     """
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """Where it is written; the ending says in which format."""
+    out: Annotated[Path, metavar("FILE")]
+    """Output file; the ending selects the format."""
     fps: Annotated[float | None, unset("HZ")] = None
-    """Frames a second, where they shall be others than the capture's."""
-    bake_correctives: Annotated[str, tyro.conf.arg(metavar="auto|all|live:96|pca:16|none")] = "auto"
-    """Blend shapes: as few as leave no vertex off by 0.1 mm, all of the body's own, so many (live:
-    that bones can drive), or none.
+    """Frames a second, where other than the capture's."""
+    bake_correctives: Annotated[str, metavar("auto|all|live:96|pca:16|none")] = "auto"
+    """Blend shapes: the fewest that keep every vertex within 0.1 mm, all of the body's own, a
+    number (live: that bones can drive), or none.
     """
     detail: Literal["full", "coarse"] = "full"
     """The mesh: the body's full level, or the one that was fitted."""
     frame: Annotated[int | None, unset("K")] = None
-    """Of .obj and .ply: this frame, from 0 on, in the place of the person at rest."""
+    """Of .obj and .ply: this frame, from 0 on, instead of the person at rest."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model of the source, where it names none that comes along."""
+    """The body model of the source, where it names no bundled one."""
 
 
 OPTIONS = Export
@@ -85,5 +86,5 @@ def run(options: Export, console: "Console | None" = None) -> None:
 
 
 def left(options: Export) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

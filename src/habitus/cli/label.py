@@ -7,47 +7,31 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Flag, say, screen, unset
+from habitus.cli.screen import Quiet, say, screen
+from habitus.jobs.marker_options import LabelOptions
+from habitus.jobs.options import metavar
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-@dataclass(frozen=True)
-class Label:
-    """Name the points of a capture that nobody labelled: *1, *2, …, broken trajectories, or wrong
-    names.
-
-    What the file calls its points is not read. OUT is the file with the found labels, everything
-    else as it was, points without a likely label as *1, *2, …; beside it OUT's name with
-    .labels.json says how sure each label is. For instance: habitus label raw.c3d --like
-    static_labelled.c3d --out labelled.c3d
-    """
-
-    capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    capture: Annotated[Path, tyro.conf.Positional, metavar("CAPTURE")]
     """C3D, TRC, Motive CSV, QTM TSV or npz file."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
-    """Where the labelled capture is written."""
-    layout: Annotated[str, tyro.conf.arg(metavar="auto|NAME|FILE")] = "auto"
-    """Which markers there are; "auto" takes the shipped layout that fits best. With --like: of its
-    labels.
+    out: Annotated[Path, metavar("FILE.c3d|trc")]
+    """File of the labelled capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Label(Quiet, LabelOptions, _Files):
+    """Label the points of an unlabelled capture: *1, *2, …, broken trajectories, or wrong names.
+
+    The file's own labels are ignored. OUT is the file with the estimated labels, everything else
+    unchanged, points without a likely label as *1, *2, …; beside it OUT's name with .labels.json
+    gives the confidence of each label. For instance:
+    habitus label raw.c3d --like static_labelled.c3d --out labelled.c3d
     """
-    like: Annotated[Path | None, unset("LABELLED.c3d")] = None
-    """A labelled capture of the same person with the same markers: tells shape and places, and is
-    the surest way.
-    """
-    min_confidence: Annotated[float, tyro.conf.arg(metavar="0..1")] = 0.45
-    """Labels less likely than this are left out."""
-    people: Annotated[int, tyro.conf.arg(metavar="N")] = 1
-    """How many people are in the capture, all in the same markers; their labels begin with
-    person1:, person2:, …
-    """
-    body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
-    """The body model that labels are judged by."""
-    fps: Annotated[float | None, unset("HZ")] = None
-    """Frames a second, where the file does not say or says it wrong."""
-    quiet: Flag = False
-    """Print nothing but errors."""
 
 
 OPTIONS = Label
@@ -61,16 +45,7 @@ def run(options: Label, console: "Console | None" = None) -> None:
 
     console = console or screen(options.quiet)
     with told_of_compilation(options.quiet):
-        found = label(
-            options.capture,
-            options.out,
-            layout=options.layout,
-            like=options.like,
-            min_confidence=options.min_confidence,
-            people=options.people,
-            body=options.body,
-            fps=options.fps,
-        )
+        found = label(options.capture, options.out, options=options)
     for warning in found.source.warnings:
         say(console, warning, "warning:")
     by = (
@@ -83,5 +58,5 @@ def run(options: Label, console: "Console | None" = None) -> None:
 
 
 def left(options: Label) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -9,20 +9,21 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from habitus.cli.screen import Flag, plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
 from habitus.errors import HabitusError
 from habitus.files import write_text
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.draft import draft_layout
 from habitus.io.layouts.files import load_layout, match_layout, shipped_layouts
+from habitus.jobs.options import Flag, unset
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import LayoutMatch
 
 
 @dataclass(frozen=True)
 class Show:
-    """List the marker layouts, show one marker by marker, or list the landmarks that markers can
-    sit on.
+    """List the marker layouts, show one marker by marker, or list the landmarks for
+    markers.
     """
 
     layout: Annotated[str | None, tyro.conf.Positional, unset("NAME|FILE")] = None
@@ -35,23 +36,21 @@ class Show:
 
 @dataclass(frozen=True)
 class Check:
-    """Say how a layout (or "auto") fits a capture: labels, places, what the geometry says of
-    them.
-    """
+    """Check a layout (or "auto") against a capture: labels, placements, and their geometry."""
 
     layout: Annotated[str, tyro.conf.Positional]
     """A layout's name or file, or "auto" to choose by the capture's labels."""
     capture: Annotated[Path, tyro.conf.Positional]
     """The capture file."""
     subject: Annotated[str | None, unset("NAME")] = None
-    """Which person, where the capture holds several."""
+    """Person, where the capture holds several."""
     body: str = "default"
     """The body that the landmarks are looked up on: "default" or a model file."""
 
 
 @dataclass(frozen=True)
 class New:
-    """Start a layout file from a capture's labels: known ones filled in, unknown ones as TODO
+    """Draft a layout file from a capture's labels: known ones filled in, unknown ones as TODO
     lines.
     """
 
@@ -62,7 +61,7 @@ class New:
     name: Annotated[str | None, unset("NAME")] = None
     """The layout's name; by default that of the file."""
     subject: Annotated[str | None, unset("NAME")] = None
-    """Which person, where the capture holds several."""
+    """Person, where the capture holds several."""
     overwrite: Flag = False
     """Write even where the file exists."""
 
@@ -72,7 +71,7 @@ OPTIONS = (
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[New, tyro.conf.subcommand("new")]
 )
-ABOUT = "Show marker layouts, hold one against a capture, start a new one."
+ABOUT = "Show marker layouts, check one against a capture, draft a new one."
 NEEDS = ("habitus.io.layouts.files",)
 
 
@@ -92,7 +91,7 @@ def run(options: Show | Check | New, console: Console | None = None) -> None:
 
 
 def left(options: Show | Check | New) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"
 
 

@@ -12,44 +12,40 @@ from habitus.errors import HabitusError, TorchIsAnExtra, shown
 
 COMMANDS = {
     "mosh": "Fit a body to motion captures: body.npz, body.glb, metrics.json, report.html.",
-    "archive": "Fit every capture below a folder, in parallel, and go on where a run stopped: "
-    "page and table of all.",
-    "label": "Name the points of a capture that nobody labelled, by a layout or by a labelled "
-    "capture.",
-    "live": "Follow one person through a live stream of markers: a viewer, OSC and VMC, a result "
-    "at the end.",
-    "register": "Register scans of people to a body: surfaces in its topology, to train with and "
-    "to measure.",
-    "rgbd": "Find a person's body in the images of a depth camera: shape, pose, light, albedo, "
-    "measurements.",
+    "archive": "Fit every capture below a folder, in parallel, and resume a stopped run: page and "
+    "table of all results.",
+    "label": "Label the points of an unlabelled capture, by a layout or by a labelled capture.",
+    "live": "Follow one person through a live stream of markers: viewer, OSC and VMC, a result at "
+    "the end.",
+    "register": "Register scans of people to a body: surfaces in its topology, for training and "
+    "measuring.",
+    "rgbd": "Fit a body to images of a depth camera: shape, pose, light, albedo, measurements.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture "
     "of the tapes.",
-    "body": "Make the body of a person from some measurements: height, weight, sex, age, waist, …",
+    "body": "Estimate a person's body from some measurements: height, weight, sex, age, waist, …",
     "compare": "Compare two results of one capture: two fits, or those of two tools, on one page.",
-    "exaggerate": "Make the soft tissue of a fit move more or less than it did.",
-    "retarget": "Put another body or a character into the motion of a fit, its feet where they "
-    "stood.",
+    "exaggerate": "Scale the soft-tissue motion of a fit.",
+    "retarget": "Transfer the motion of a fit to another body or character, with foot contacts.",
     "export": "Write a fit for Blender, Maya, Unity, Unreal, OpenSim: FBX, USD, glTF, BVH, TRC, "
     "MOT.",
     "view": "Show bodies, results, motions and scans in the browser.",
-    "markers": "Write virtual markers of a body in motion, or a capture with its gaps filled from "
-    "its fit.",
-    "select-markers": "Choose the markers that tell a body best, for a goal of yours.",
-    "select-poses": "Choose the poses that tell a person's shape best.",
-    "layout": "Show marker layouts, hold one against a capture, start a new one.",
+    "markers": "Write virtual markers of a body in motion, or fill a capture's gaps from its fit.",
+    "select-markers": "Choose the marker set that constrains a body best, for a given goal.",
+    "select-poses": "Choose the poses that constrain a person's shape best.",
+    "layout": "Show marker layouts, check one against a capture, draft a new one.",
     "train": "Learn a body model from registrations of people in poses.",
     "train-dynamics": "Learn how soft tissue moves from registrations of people in motion.",
-    "evaluate": "Measure body models on registrations of people that they have not seen.",
+    "evaluate": "Measure body models on registrations of unseen people.",
 }
-"""Subcommands, each a module of this package (with _ for -), and what they do."""
+"""Subcommands and their summaries; each is a module of this package (with _ for -)."""
 VERBOSE = ("-v", "--verbose")
 PIPE_CLOSED = 141
 """A shell's exit code of a command that ends because nobody reads on."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line; bad input gives one clear line and exit code 2, Ctrl-C leaves what is
-    finished.
+    """Run the command line; bad input gives one clear line and exit code 2, Ctrl-C keeps finished
+    results.
 
     ``-v`` anywhere shows where an error was raised.
     """
@@ -130,18 +126,43 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
 def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
     """The command's module and its options; what the command needs is imported."""
     from importlib import import_module
+    from inspect import cleandoc
 
     import tyro
 
     command = import_module(f"habitus.cli.{name.replace('-', '_')}")
     config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     prog = f"habitus {name}"
-    options = tyro.cli(
-        command.OPTIONS, args=arguments, prog=prog, description=command.ABOUT, config=config
-    )
+    about = cleandoc(command.ABOUT)
+    with _unwrapped_help():
+        options = tyro.cli(
+            command.OPTIONS, args=arguments, prog=prog, description=about, config=config
+        )
     for module in command.NEEDS:
         import_module(module)
     return command, options
+
+
+@contextmanager
+def _unwrapped_help() -> Iterator[None]:
+    """Docstrings of options without the line breaks and indentation of the source, which tyro would
+    show in the help.
+    """
+    import docstring_parser
+
+    parse = docstring_parser.parse_from_object
+
+    def unwrapped(kind: object) -> Any:
+        parsed = parse(kind)
+        for option in parsed.params:
+            option.description = " ".join((option.description or "").split()) or None
+        return parsed
+
+    docstring_parser.parse_from_object = unwrapped
+    try:
+        yield
+    finally:
+        docstring_parser.parse_from_object = parse
 
 
 def _unknown(name: str) -> str:

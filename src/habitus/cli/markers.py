@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
 from habitus.errors import HabitusError
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,36 +20,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Markers:
-    """Write the markers that a body in motion would have shown, or a capture with its gaps filled
-    from its fit.
+    """Write the virtual markers of a body in motion, or a capture with its gaps filled from its
+    fit.
 
     habitus markers results/walk/body.npz --layout mosh-67 --out walk67.c3d
 
     habitus markers results/walk/body.npz --fill walk.c3d --out walk_filled.c3d
 
-    `docs/virtual-markers.md` tells what the files hold.
+    `docs/virtual-markers.md` describes the files.
     """
 
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.c3d|trc")]
-    """Where the markers are written."""
+    source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style."""
+    out: Annotated[Path, metavar("FILE.c3d|trc")]
+    """Output file for the markers."""
     layout: Annotated[str | None, unset("NAME|FILE")] = None
-    """Which markers; by itself the fit's own, at the places that were found for them."""
+    """Marker layout; by default the markers of the fit, at their estimated placements."""
     fill: Annotated[Path | None, unset("CAPTURE")] = None
-    """The capture that was fitted: it is written with its gaps filled, and a table of them beside
-    it.
-    """
-    noise: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
-    """Of every sample, each coordinate, standard deviation."""
-    placement: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
-    """How far markers sit from the layout's places along the skin, standard deviation."""
-    missing: Annotated[float, tyro.conf.arg(metavar="SHARE")] = 0.0
-    """Share of samples that are lost, in gaps of 12 frames."""
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Of what is drawn at random."""
+    """The fitted capture: it is written with its gaps filled, and a table of these beside it."""
+    noise: Annotated[float, metavar("MM")] = 0.0
+    """Standard deviation of each coordinate of every sample."""
+    placement: Annotated[float, metavar("MM")] = 0.0
+    """Standard deviation of the markers' placement along the skin."""
+    missing: Annotated[float, metavar("SHARE")] = 0.0
+    """Share of samples that are missing, in gaps of 12 frames."""
+    seed: Annotated[int, metavar("N")] = 0
+    """Seed of the random faults."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model, where the file names none that comes along."""
+    """The body model, where the file names no bundled one."""
 
 
 OPTIONS = Markers
@@ -128,5 +127,5 @@ def _told(found: "FilledCapture") -> list[str]:
 
 
 def left(options: Markers) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

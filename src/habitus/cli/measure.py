@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,22 +15,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure a person: height, mass, circumferences, breadths, depths and lengths, under the
-    field's names.
+    """Measure a person: height, mass, circumferences, breadths, depths and lengths, by their
+    standard names.
 
-    The person stands upright at rest, whatever pose the file has; a mesh must be at rest.
-    `docs/measurements.md` says what each is.
+    The person is measured upright at rest, whatever pose the file has; a mesh must be at rest.
+    `docs/measurements.md` defines each measurement.
     """
 
-    source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|default")]
+    source: Annotated[str, tyro.conf.Positional, metavar("FILE|default")]
     """A fit's body.npz, a body model (npz, pkl, "default"), or a mesh (ply, obj) in metres, y up.
     """
     body: Annotated[str | None, unset("NAME|FILE")] = None
-    """The body that betas or mesh belong to, where the file does not say it."""
+    """The body that betas or mesh belong to, where the file does not name it."""
     out: Annotated[Path | None, unset("FILE.json|csv")] = None
-    """Where the measurements are written."""
+    """File for the measurements."""
     picture: Annotated[Path | None, unset("FILE.svg")] = None
-    """Where the person is drawn with every tape."""
+    """File for a drawing of the person with every tape."""
 
 
 OPTIONS = Measure
@@ -66,5 +67,5 @@ def run(options: Measure, console: "Console | None" = None) -> None:
 
 
 def left(options: Measure) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -107,9 +107,9 @@ def _facts(outcome: "Outcome") -> Iterator[_Fact]:
     yield _Fact("error", _number(errors.get("mean"), 1), "mm")
     yield _Fact("p95", _number(errors.get("p95"), 1), "mm")
     yield _Fact("held out", _number(held["mean"], 1) if held else "", "mm")
-    told = _last(numbers.get("held_out_known_placement_mm") or {})
-    if told:
-        yield _Fact("held out, known placement", _number(told["mean"], 1), "mm")
+    known = _last(numbers.get("held_out_known_placement_mm") or {})
+    if known:
+        yield _Fact("held out, known placement", _number(known["mean"], 1), "mm")
     yield _Fact("height", _number(body.get("height_m"), 2), "m")
     yield _Fact("mass", _number(body.get("mass_kg"), 1), "kg")
     yield _Fact("suspects", str(len(numbers["suspect_markers"])))
@@ -127,10 +127,10 @@ def closing(outcomes: Sequence["Outcome"], out: Path) -> str:
     failed = sum(outcome.failed for outcome in outcomes)
     left_out = sum(outcome.left_out for outcome in outcomes)
     done = sum(outcome.folder is not None for outcome in outcomes)
-    told = f"{done} capture{'' if done == 1 else 's'} fitted"
-    told += f", {failed} failed" if failed else ""
-    told += f", {left_out} that are no captures left out" if left_out else ""
-    return f"{told}; results lie in {out}"
+    text = f"{done} capture{'' if done == 1 else 's'} fitted"
+    text += f", {failed} failed" if failed else ""
+    text += f", {left_out} that are no captures skipped" if left_out else ""
+    return f"{text}; results are in {out}"
 
 
 def exit_code(outcomes: Sequence["Outcome"], strict: bool = False) -> int:

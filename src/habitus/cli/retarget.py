@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import plain, say, screen, unset
+from habitus.cli.screen import plain, say, screen
+from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -14,25 +15,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Retarget:
-    """Put another body into the motion of a fit, with its soft tissue, its feet where they stood.
+    """Transfer the motion of a fit to another body, with its soft tissue and foot contacts.
 
     habitus retarget results/walk/body.npz --target character.obj --out character_walk.glb
 
     habitus retarget results/walk/body.npz --target female --out her_walk.npz
 
-    `docs/exaggerating-and-retargeting.md` shows it.
+    See `docs/exaggerating-and-retargeting.md`.
     """
 
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz as AMASS has them."""
-    target: Annotated[str, tyro.conf.arg(metavar="FILE|BETAS|NAME")]
+    source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
+    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style."""
+    target: Annotated[str, metavar("FILE|BETAS|NAME")]
     """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
     female, male.
     """
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.npz|glb|FOLDER")]
-    """Where the motion is written; a folder receives an OBJ a frame."""
+    out: Annotated[Path, metavar("FILE.npz|glb|FOLDER")]
+    """File for the motion; a folder receives an OBJ for each frame."""
     body: Annotated[str | None, unset("FILE")] = None
-    """The body model of the source, where it names none that comes along."""
+    """The body model of the source, where it names no bundled one."""
 
 
 OPTIONS = Retarget
@@ -64,5 +65,5 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
 
 
 def left(options: Retarget) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

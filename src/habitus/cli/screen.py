@@ -1,25 +1,49 @@
-"""What commands say: text from files as it may be shown, lines that no pipe wraps, help without
-noise.
-"""
+"""Output of commands: text from files made safe to show, lines that no pipe wraps."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from habitus.errors import shown
+from habitus.jobs.options import Flag, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
-"""An option that is there or not."""
 _ENDLESS = 1 << 16
 
 
-def unset(metavar: str) -> object:
-    """For options that say nothing unless they are given: no default is told in the help."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Of commands whose work is shared by threads, or by a cluster."""
+
+    workers: Annotated[int | None, unset("N")] = None
+    """Threads to work with; by default one per core."""
+    cluster: Annotated[str | None, unset("ADDRESS")] = None
+    """Work on the Dask cluster whose scheduler has this address (tcp://host:8786), which must be
+    trusted.
+    """
+
+    @property
+    def shared_by(self) -> int | str | None:
+        """As functions take it."""
+        return self.workers if self.cluster is None else self.cluster
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quiet:
+    """Of every command that prints."""
+
+    quiet: Flag = False
+    """Print nothing but errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strict(Quiet):
+    """Of commands whose results have a verdict."""
+
+    strict: Flag = False
+    """Exit with code 3 if any fit is judged failed."""
 
 
 def screen(quiet: bool = False) -> "Console":

@@ -1,50 +1,32 @@
-"""`habitus select-markers`: which markers tell a body best."""
+"""`habitus select-markers`: the markers that determine a body best."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
-from habitus.cli.screen import Flag, plain, progress_bar, say, screen
+from habitus.cli.screen import Quiet, plain, progress_bar, say, screen
+from habitus.jobs.marker_options import MarkerSelectionOptions
+from habitus.jobs.options import metavar
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-@dataclass(frozen=True)
-class SelectMarkers:
-    """Choose markers: from a set they go, or come, one by one, each the one that matters least, or
-    most.
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    out: Annotated[Path, metavar("FOLDER")]
+    """Receives selection.json, curve.svg, markers.svg, and layouts as TOML."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectMarkers(Quiet, MarkerSelectionOptions, _Files):
+    """Choose markers: from a set they are removed, or added, one by one, each time the one with the
+    least, or the greatest, effect on the error.
 
     habitus select-markers --from 114 --start 47 --out selection
 
-    Sets are judged on posed people that the body has not seen. `docs/selecting-markers.md` tells
-    how.
+    Sets are evaluated on posed people that the body has not seen. See `docs/selecting-markers.md`.
     """
-
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """Receives selection.json, curve.svg, markers.svg, and layouts as TOML."""
-    pool: Annotated[str, tyro.conf.arg(name="from", metavar="N|LAYOUT,…")] = "114"
-    """The candidates: so many, spread over the body, or those of layouts."""
-    start: Annotated[str, tyro.conf.arg(metavar="LAYOUT|47|67")] = "47"
-    """The set to start from: markers of it are removed, and candidates are added to it."""
-    goal: Literal["surface", "shape", "pose"] = "surface"
-    """What shall be right: the posed surface, the person's shape at rest, or the joints' places."""
-    region: Literal["all", "legs", "arms", "trunk", "head"] = "all"
-    """Where it shall be right."""
-    pairs: Flag = False
-    """Left and right markers go and come together."""
-    min_markers: Annotated[int, tyro.conf.arg(metavar="N")] = 5
-    """How far markers are removed."""
-    keep: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N …")] = (25, 67)
-    """The sizes of sets that are written as layouts."""
-    people: Annotated[int, tyro.conf.arg(metavar="N")] = 40
-    """How many posed people sets are judged on."""
-    body: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "default"
-    """The body model."""
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Of the people."""
 
 
 OPTIONS = SelectMarkers
@@ -56,29 +38,16 @@ def run(options: SelectMarkers, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from habitus.jobs.selection import select_markers
 
-    console = console or screen()
+    console = console or screen(options.quiet)
     with progress_bar(console) as bar:
         tasks: dict[str, int] = {}
 
-        def tell(stage: str, share: float) -> None:
+        def progress(stage: str, share: float) -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
-        found = select_markers(
-            options.pool,
-            options.start,
-            goal=options.goal,
-            region=options.region,
-            pairs=options.pairs,
-            min_markers=options.min_markers,
-            people=options.people,
-            keep=options.keep,
-            body=options.body,
-            seed=options.seed,
-            out=options.out,
-            progress=tell,
-        )
+        found = select_markers(options=options, out=options.out, progress=progress)
     for count, error in sorted(found.errors.items()):
         if count in (found.start, *options.keep) or count % 10 == 0 or count == min(found.errors):
             say(
@@ -94,5 +63,5 @@ def run(options: SelectMarkers, console: "Console | None" = None) -> None:
 
 
 def left(options: SelectMarkers) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

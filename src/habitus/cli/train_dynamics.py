@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Flag, plain, progress_bar, say, screen, unset
-from habitus.learn.dynamics.train import DynamicsOptions
+from habitus.cli.screen import Quiet, plain, progress_bar, say, screen
+from habitus.jobs.options import metavar, unset
+from habitus.jobs.train_dynamics import DynamicsTrainingOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,11 +17,19 @@ if TYPE_CHECKING:
 
     from habitus.jobs.train_dynamics import DynamicsTraining
 
-_OPTIONS = DynamicsOptions()
+
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    datasets: Annotated[tuple[Path, ...], tyro.conf.Positional, metavar("DATASET [DATASET …]")]
+    """Sequences in any format of "habitus train" (npz, zarr, Dyna's h5, …), with betas, pose, trans
+    and rate_hz where known.
+    """
+    out: Annotated[Path, metavar("FOLDER")]
+    """Folder for the results."""
 
 
-@dataclass(frozen=True)
-class TrainDynamics:
+@dataclass(frozen=True, kw_only=True)
+class TrainDynamics(Quiet, DynamicsTrainingOptions, _Files):
     """Learn how soft tissue moves: dynamic blend shapes of a body, and what predicts them from its
     motion (DMPL).
 
@@ -29,42 +38,8 @@ class TrainDynamics:
     on --test).
     """
 
-    datasets: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DATASET [DATASET …]")
-    ]
-    """Sequences in any format of "habitus train": npz, zarr, Dyna's h5, …, with betas, pose, trans
-    and rate_hz, if told.
-    """
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
-    """Folder for the results."""
-    body: Annotated[str, tyro.conf.arg(metavar="default|FILE")] = "default"
-    """The body whose soft tissue this is."""
-    test: Annotated[tuple[Path, ...], unset("DATASET …")] = ()
-    """Sequences that are kept out, to measure errors of the surface's velocity and acceleration on.
-    """
-    components: Annotated[int, tyro.conf.arg(metavar="D")] = _OPTIONS.components
-    """How many dynamic blend shapes."""
-    controls: Literal["joints", "smpl"] = _OPTIONS.controls  # type: ignore[assignment]
-    """What drives them: each joint's own acceleration, spin and angular acceleration, or what
-    SMPL's paper takes.
-    """
-    no_personal: Flag = False
-    """Take a person's mean residual for dynamics, not for the person's own form."""
-    fps: Annotated[float | None, unset("HZ")] = None
-    """Frames a second, where the data do not say or say it wrong."""
-    unit: Annotated[str, tyro.conf.arg(metavar="m|cm|mm|…")] = "m"
-    """Unit of the registrations, where the data do not tell it."""
     workers: Annotated[int | None, unset("N")] = None
-    """Threads to work with; as many as there are cores, if not told."""
-    quiet: Flag = False
-    """Print nothing but errors."""
-
-    @property
-    def options(self) -> DynamicsOptions:
-        """The options of the training itself. Raises HabitusError for numbers that make no
-        sense.
-        """
-        return DynamicsOptions(self.components, self.controls, personal=not self.no_personal)
+    """Threads to work with; by default one per core."""
 
 
 OPTIONS = TrainDynamics
@@ -82,22 +57,18 @@ def run(options: TrainDynamics, console: "Console | None" = None) -> None:
         found = train_dynamics(
             options.datasets,
             options.out,
-            body=options.body,
-            test=options.test,
-            options=options.options,
-            fps=options.fps,
-            unit=options.unit,
+            options=options,
             workers=options.workers,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
     console.print(learned(found))
     if found.errors:
         console.print(errors(found))
-    say(console, f"results lie in {options.out}")
+    say(console, f"results are in {options.out}")
 
 
 def left(options: TrainDynamics) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return f"nothing was written to {options.out}"
 
 

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import Flag, say, screen, unset
+from habitus.cli.screen import say, screen
+from habitus.jobs.options import Flag, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,21 +16,19 @@ if TYPE_CHECKING:
 class View:
     """Show bodies, results, motions and scans in the browser, side by side, until Ctrl-C.
 
-    A body comes with sliders for its shape and any joint, its landmarks and measurements; a result
-    and a motion play. For instance: habitus view default; habitus view results/walk/body.npz
-    scan.ply
+    A body has sliders for its shape and any joint, its landmarks and measurements; results and
+    motions play. For instance: habitus view default; habitus view results/walk/body.npz scan.ply
     """
 
-    sources: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="default|FILE")]
-    """A model that comes along or its file, a fit's body.npz, a motion (npz), a mesh or a cloud of
-    points.
+    sources: Annotated[tuple[str, ...], tyro.conf.Positional, metavar("default|FILE")]
+    """A bundled model or a model's file, a fit's body.npz, a motion (npz), a mesh or a point cloud.
     """
     body: Annotated[str | None, unset("default|FILE")] = None
     """The body of motions that do not name theirs."""
-    up: Annotated[str, tyro.conf.arg(metavar="+y|+z|…")] = "+y"
-    """The axis of meshes and clouds of points that points up."""
-    port: Annotated[int, tyro.conf.arg(metavar="N")] = 8080
-    """Where the page is served on this machine; the next free one where it is taken."""
+    up: Annotated[str, metavar("+y|+z|…")] = "+y"
+    """Up axis of meshes and point clouds."""
+    port: Annotated[int, metavar("N")] = 8080
+    """Port of the page on this machine; the next free one where it is taken."""
     quiet: Flag = False
     """Print nothing but errors."""
 
@@ -53,5 +52,5 @@ def run(options: View, console: "Console | None" = None) -> None:
 
 
 def left(options: View) -> str:
-    """What a run that was stopped has left."""
+    """What a stopped run leaves."""
     return "nothing was written"

@@ -11,16 +11,14 @@ from typing import Any
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
-from habitus.export.amass import check_npz_style
 from habitus.files import locked, tidy
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.names import file_name
 from habitus.jobs.bodies import with_fingers
-from habitus.jobs.discovering import check_layout
-from habitus.jobs.finding import SURE, Found, Worn, find_captures, grouped
-from habitus.jobs.held_out import silent
+from habitus.jobs.finding import SURE, Found, MarkerSet, find_captures, grouped
 from habitus.jobs.mosh import Mosh
+from habitus.jobs.options import silent
 from habitus.jobs.results import capture_folders, save_fit
 from habitus.jobs.subjects import Person, check_each, gather
 from habitus.report import write_index
@@ -66,23 +64,11 @@ class Outcome:
         )
 
 
-@dataclass(frozen=True)
-class FitOptions:
-    """What `fit_all` is asked for beside the recipe; see `Mosh.fit`."""
-
-    hold_out: Sequence[str] = ()
-    hold_out_every: int | None = None
-    obj: bool = False
-    npz_style: str = "habitus"
-    places_from: Sequence[PathLike] = ()
-
-
 def fit_all(
     recipe: Mosh,
     paths: Sequence[PathLike],
     out: PathLike,
     body: PathLike | BodyModel = "default",
-    options: FitOptions = FitOptions(),
     *,
     progress: Progress = silent,
     on_done: Callable[[Outcome], None] = lambda outcome: None,
@@ -101,16 +87,13 @@ def fit_all(
         )
     model = recipe.body(body)
     target = Path(out)
-    check_npz_style(options.npz_style, model)
-    check_layout(recipe.layout, options.hold_out, options.hold_out_every)
+    recipe.check(model)
     found = find_captures([Path(path) for path in paths], target)
     outcomes: list[Outcome] = []
     with locked(target, MARKER_FILES):
         for place in {one.place for one in found}:
             tidy(target / place, MARKER_FILES)
-        batch = _Batch(
-            recipe, model, body, target, options, _Counted(progress, len(found), outcomes)
-        )
+        batch = _Batch(recipe, model, body, target, _Counted(progress, len(found), outcomes))
         for outcome in batch.run(found):
             outcomes.append(outcome)
             on_done(outcome)
@@ -142,7 +125,6 @@ class _Batch:
     body: BodyModel
     given: PathLike | BodyModel
     out: Path
-    options: FitOptions
     progress: Progress
 
     def run(self, found: Sequence[Found]) -> Iterator[Outcome]:
@@ -150,7 +132,7 @@ class _Batch:
         given = [one for one in found if one.given]
         if given:
             yield from self._group(given)
-        worn: list[tuple[Found, Worn | None]] = []
+        worn: list[tuple[Found, MarkerSet | None]] = []
         for one in found:
             if not one.given:
                 self.progress("read", 0.0)
@@ -166,10 +148,10 @@ class _Batch:
         for group in grouped(worn):
             yield from self._group(group)
 
-    def _worn(self, found: Found) -> Worn | None:
+    def _worn(self, found: Found) -> MarkerSet | None:
         """None for a file of several people, which is fitted by itself."""
         captures = self.recipe.read(found.path)
-        return Worn.of(captures[0]) if len(captures) == 1 else None
+        return MarkerSet.of(captures[0]) if len(captures) == 1 else None
 
     def _group(self, group: Sequence[Found]) -> Iterator[Outcome]:
         files: dict[Found, tuple[Capture, ...]] = {}
@@ -199,10 +181,9 @@ class _Batch:
             return
         owners = {id(capture): one for one, captures in files.items() for capture in captures}
         left = {id(capture) for person in people for capture in person.captures}
-        asked = (self.options.hold_out, self.options.hold_out_every, None, self.progress)
-        told = self.recipe.read_all(self.options.places_from)
         try:
-            for capture, fit in self.recipe.each_fit(body, people, *asked, seconds, told):
+            fits = self.recipe.fit_people(body, people, seconds, progress=self.progress)
+            for capture, fit in fits:
                 left.discard(id(capture))
                 yield self._saved(owners[id(capture)], fit, folders[id(capture)])
         except Exception as error:
@@ -237,7 +218,7 @@ class _Batch:
 
     def _saved(self, found: Found, fit: MarkerFit, folder: Path) -> Outcome:
         try:
-            save_fit(fit, folder, self.options.obj, self.options.npz_style)
+            save_fit(fit, folder, self.recipe.obj, self.recipe.npz_style)
             numbers = json.loads((folder / "metrics.json").read_text("utf-8"))
         except Exception as error:
             return Outcome(found.path, folder.name, error=error)

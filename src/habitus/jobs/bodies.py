@@ -1,52 +1,86 @@
-"""The body of a fit: the one that is asked for, with fingers where markers tell how they bend."""
+"""The body model of a person: finger joints where markers need them; age and sex as given, as
+recorded in the capture, or estimated by a neutral fit.
+"""
 
 import os
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from habitus.body.gender import CANNOT_TELL, SURE, said_of
+from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
+from habitus.errors import HabitusError
+from habitus.fit.markers.recipe import iterate_fits
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import SHIPPED, load_body
-from habitus.jobs.ages import at_age
-from habitus.jobs.subjects import Person, person
-from habitus.types import PathLike
+from habitus.jobs.marker_options import SubjectOptions
+from habitus.jobs.subjects import Person, person_of
+from habitus.results.metrics import fit_female_probability
+from habitus.types import PathLike, Progress
 
-FEWEST = 3
-"""Markers on the fingers of one hand from which on a body that comes along is taken with finger
-joints by itself.
+MIN_FINGER_MARKERS = 3
+"""Markers on the fingers of one hand for which ``joints`` "auto" chooses a body with finger joints:
+fewer do not determine how fingers bend.
 """
+NEUTRAL = ("default", "neutral")
+"""Bundled bodies that have a model of each sex."""
+
+
+@dataclass(frozen=True)
+class PersonBody:
+    """The body model of one person: which, how likely the neutral shape is a woman's, and notes for
+    the fit's warnings.
+    """
+
+    body: BodyModel
+    sex: str
+    female_probability: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def noted(self, fit: MarkerFit) -> MarkerFit:
+        """A fit of this body that records the choice."""
+        warnings = (*fit.warnings, *self.notes)
+        return replace(
+            fit, gender=self.sex, female_probability=self.female_probability, warnings=warnings
+        )
 
 
 def loaded(body: PathLike | BodyModel, joints: str = "auto", age: float | None = None) -> BodyModel:
-    """The body itself, or the one that this names, with these joints, at an age in years. Raises
-    HabitusError.
+    """The body itself, or the one of this name or file, with these joints, at an age in years.
+    Raises HabitusError.
     """
     wanted = None if joints == "auto" else joints
     if not isinstance(body, BodyModel):
-        found = load_body(os.fspath(body), joints=wanted)
+        model = load_body(os.fspath(body), joints=wanted)
     else:
-        found = body if wanted is None else body.with_joints(wanted)
-    return at_age(found, age)
+        model = body if wanted is None else body.with_joints(wanted)
+    return at_age(model, age)
 
 
 def with_fingers(
     people: Sequence[Person], body: BodyModel, given: PathLike | BodyModel, joints: str
 ) -> tuple[list[Person], BodyModel]:
-    """The people with their markers on fingers, and a body that has fingers; both as they are where
-    there are none.
+    """The people with their finger markers, and a body that has fingers; both unchanged where there
+    are none.
 
-    A body that has finger joints uses the markers on fingers. With ``joints`` "auto", a body
-    ``given`` by one of the names of those that come along gets finger joints where somebody has
-    `FEWEST` markers on the fingers of one hand.
+    A body with finger joints uses the markers on fingers. With ``joints`` "auto", a bundled body
+    (``given`` by name) gets finger joints where a person has `MIN_FINGER_MARKERS` on one hand.
     """
-    named = joints == "auto" and str(given) in SHIPPED
-    if not any(one.left_fingers for one in people) or not (named or has_fingers(body)):
+    by_name = joints == "auto" and str(given) in SHIPPED
+    if not any(person.left_fingers for person in people) or not (by_name or has_fingers(body)):
         return list(people), body
-    found = [person(one.captures, one.wanted, fingers=True) for one in people]
+    fingered = [person_of(each.captures, each.layout_choice, fingers=True) for each in people]
     if has_fingers(body):
-        return found, body
-    if max(map(_on_one_hand, found)) < FEWEST:
+        return fingered, body
+    if max(map(_most_on_one_hand, fingered)) < MIN_FINGER_MARKERS:
         return list(people), body
-    return found, loaded(str(given), "smplh", body.age)
+    return fingered, loaded(str(given), "smplh", body.age)
 
 
 def has_fingers(body: BodyModel) -> bool:
@@ -54,9 +88,121 @@ def has_fingers(body: BodyModel) -> bool:
     return "left_index1" in body.joint_names
 
 
-def _on_one_hand(one: Person) -> int:
-    """The most markers on the fingers of a hand."""
+def _most_on_one_hand(person: Person) -> int:
     sides = Counter(
-        marker.place.partition("_")[0] for marker in one.layout.markers if marker.on_finger
+        marker.place.partition("_")[0] for marker in person.layout.markers if marker.on_finger
     )
     return max(sides.values(), default=0)
+
+
+# -- age -------------------------------------------------------------------------------------------
+
+
+def at_age(body: BodyModel, age: float | None) -> BodyModel:
+    """The body at an age in years; unchanged where there is none. Raises HabitusError."""
+    return body if age is None or body.age == age else body.at_age(age)
+
+
+def aged_body(
+    body: BodyModel, age: float | str | None, person: Person
+) -> tuple[BodyModel, tuple[str, ...]]:
+    """With "auto" the body at the age on which all files of a person agree, or at the nearest that
+    it supports; and a note about it.
+    """
+    if age != "auto":
+        return body, ()
+    if body.ages is None:
+        return body, (f"age auto: the body {body.called} has no ages",)
+    recorded = {
+        years
+        for capture in person.captures
+        if isinstance(years := capture.recorded.get("age_years"), float | int)
+    }
+    if len(recorded) != 1:
+        why = "the files differ" if recorded else "the capture's file gives none"
+        return body, (f"age auto: {why}: the body is an adult's",)
+    given = recorded.pop()
+    years = float(np.clip(given, *body.ages.years[[0, -1]]))
+    nearest = "" if years == given else f", the nearest age of the body is {years:g}"
+    return body.at_age(years), (f"age auto: the capture's file says {given:g} years{nearest}",)
+
+
+# -- sex -------------------------------------------------------------------------------------------
+
+
+def of_sex(body: BodyModel, sex: str) -> BodyModel:
+    """The model of a sex that belongs to this body. Raises HabitusError where it has none."""
+    if sex in ("neutral", body.name):
+        return body
+    if body.name not in NEUTRAL:
+        raise HabitusError(
+            f"{body.name} has no {sex} model, only its own; leave sex at neutral or auto"
+        )
+    layout = find_layout(body.parents)
+    model = load_body(sex, joints=layout and layout.name)
+    if model.num_betas != body.num_betas:
+        model = model.with_betas(min(model.num_betas, body.num_betas))
+    return at_age(model, body.age)
+
+
+def body_of(
+    body: BodyModel,
+    options: SubjectOptions,
+    person: Person,
+    settings: MoshSettings,
+    progress: Progress,
+) -> PersonBody:
+    """The model of a person, at the age given or recorded, of the sex given, recorded or
+    estimated.
+    """
+    aged, notes = aged_body(body, options.age, person)
+    choice = choose_sex(aged, options.sex, person, settings, progress)
+    return replace(choice, notes=(*notes, *choice.notes))
+
+
+def choose_sex(
+    body: BodyModel, sex: str, person: Person, settings: MoshSettings, progress: Progress
+) -> PersonBody:
+    """The model of a person: with "auto" that of the sex in the capture's file, or else of the sex
+    that a fit of the neutral model is sure of; the neutral one where it cannot tell.
+    """
+    if sex != "auto":
+        return PersonBody(of_sex(body, sex), sex)
+    if body.name not in NEUTRAL:
+        note = f"sex auto: the body {body.name} has one model, so none had to be chosen"
+        return PersonBody(body, "neutral", notes=(note,))
+    if (recorded := _recorded_sex(person)) is not None:
+        note = f"sex auto: the capture's file says {recorded}"
+        return PersonBody(of_sex(body, recorded), recorded, notes=(note,))
+    progress("sex", 0.0)
+    return _estimated_sex(body, person, settings)
+
+
+def _estimated_sex(body: BodyModel, person: Person, settings: MoshSettings) -> PersonBody:
+    quick = replace(settings, soft_tissue=False)
+    fit = next(iterate_fits(body, prior_of(body), person.layout, person.recordings, quick))
+    failed = fit.verdict.level == FAILED
+    probability = None if failed else fit_female_probability(fit)
+    if probability is None:
+        why = "the neutral fit failed" if failed else f"{body.called} has no classifier of sex"
+        note = f"sex auto: {why}, so the neutral model was kept"
+        return PersonBody(body, "neutral", notes=(note,))
+    sex = said_of(probability)
+    if sex == CANNOT_TELL:
+        note = (
+            f"sex auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): "
+            "the neutral model was kept"
+        )
+        return PersonBody(body, "neutral", probability, (note,))
+    certainty = probability if sex == "female" else 1.0 - probability
+    note = (
+        f"sex auto: the neutral shape is {sex} with probability {certainty:.2f}: fitted with "
+        f"the {sex} model"
+    )
+    return PersonBody(of_sex(body, sex), sex, probability, (note,))
+
+
+def _recorded_sex(person: Person) -> str | None:
+    """The sex on which all files that state one agree."""
+    recorded = {capture.recorded.get("sex") for capture in person.captures} & {"female", "male"}
+    return str(recorded.pop()) if len(recorded) == 1 else None

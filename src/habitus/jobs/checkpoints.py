@@ -1,13 +1,12 @@
-"""Checkpoints of training on disk: a stopped or killed run continues from the last one.
-
-Every file is written beside its place first, so that whatever happens the last whole state is
-there. Nothing is pickled.
+"""Checkpoints of a training: what is saved after every step, checked when read, and the callback
+that writes it.
 """
 
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,16 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write, tidy
 from habitus.io.archives import mapped_header, open_archive, reason
-from habitus.jobs.checkpoint_checks import checked_state
-from habitus.learn.callback import Record, TrainingState
+from habitus.learn.callback import NoCallback, Record, TrainingState
 from habitus.learn.energy import Energy
 from habitus.learn.estimate import Estimate
 from habitus.learn.options import STOPPING, TrainOptions
 from habitus.learn.posing.rig import Rig
+from habitus.learn.steps.alternation import STEPS
+from habitus.mesh.joint_tree import check_parents
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
+from habitus.types import Progress
 
 _DAMAGE = Exception  # whatever a spoilt file makes the readers of its parts raise
 _BEFORE = "before_"
@@ -42,7 +43,7 @@ def fingerprint(
     them where that is started from; the template; the options but those that say how long; the
     ``body`` that it starts from, if it does.
     """
-    ends = [registrations.read(k) for k in (0, len(registrations) - 1)]
+    ends: list[np.ndarray] = [registrations.read(k) for k in (0, len(registrations) - 1)]
     if registrations.known is not None and options.start == "body":
         ends += list(registrations.known.arrays().values())
         ends += list(registrations.known.rest.values())
@@ -277,3 +278,160 @@ def _damaged(path: Path, error: Exception) -> HabitusError:
     return HabitusError(
         f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder"
     )
+
+
+def checked_state(state: TrainingState, seconds: Any) -> tuple[TrainingState, list[float]]:
+    """The state and its seconds as they are. Raises ValueError, TypeError or HabitusError where
+    they cannot be.
+    """
+    if type(state.finished) is not bool:
+        raise ValueError("it does not say whether it is finished")
+    for record in state.history:
+        if type(record.round) is not int or record.round < 0 or not isinstance(record.step, str):
+            raise ValueError("its history is spoilt")
+        if not np.isfinite([float(value) for value in record.energy.terms.values()]).all():
+            raise ValueError("its energies are spoilt")
+    times = [float(second) for second in seconds]
+    if len(times) != len(state.history) or not np.isfinite(times).all():
+        raise ValueError("its seconds are spoilt")
+    for estimate in filter(None, (state.estimate, state.before)):
+        _check_estimate(estimate)
+    return state, times
+
+
+def _check_estimate(estimate: Estimate) -> None:
+    rig = estimate.rig
+    check_parents(rig.parents)
+    s = len(estimate.templates)
+    n = len(estimate.pose)
+    j = rig.num_joints
+    v = rig.num_vertices
+    shapes = {
+        "templates": (s, v, 3),
+        "joints": (s, j, 3),
+        "descriptors": (s, *estimate.descriptors.shape[1:]),
+        "pose": (n, j, 3),
+        "trans": (n, 3),
+    }
+    arrays = {key: getattr(estimate, key) for key in shapes} | {"value": rig.value}
+    shapes["value"] = rig.index.shape
+    if rig.posedirs is not None:
+        arrays["posedirs"], shapes["posedirs"] = rig.posedirs, (v, 3, *rig.posedirs.shape[2:])
+    for key, array in arrays.items():
+        if array.shape != shapes[key] or array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise ValueError(f"its {key} are {array.dtype} of shape {array.shape}, or not finite")
+    whole = rig.index.dtype.kind in "iu" and rig.index.ndim == 2 and rig.index.size > 0
+    if not whole or rig.index.min() < 0 or rig.index.max() >= j:
+        raise ValueError("its skinning names joints that are not there")
+
+
+@dataclass(frozen=True)
+class Callbacks:
+    """Whom a run tells how far it is, the energy after each step of a model, and warnings."""
+
+    progress: Progress
+    on_step: Callable[[str, Record], None]
+    on_warning: Callable[[str], None]
+
+    @staticmethod
+    def of(
+        progress: Progress | None,
+        on_step: Callable[[str, Record], None] | None,
+        on_warning: Callable[[str], None] | None,
+    ) -> "Callbacks":
+        """Those that are None do nothing."""
+        return Callbacks(
+            progress or (lambda stage, share: None),
+            on_step or (lambda model, record: None),
+            on_warning or (lambda text: None),
+        )
+
+
+class CheckpointingCallback:
+    """Stores checkpoints of a training, sums its seconds of work over all runs, and reports
+    progress.
+
+    Stages are "poses by edges", "rounds" (at most ``rounds`` of them), "shapes" and, where pose
+    blend shapes depend on shape, "rounds by shape", each preceded by ``title``. ``state`` is where
+    an earlier run stopped, or None. Without a ``checkpoint`` nothing is written and surfaces are
+    kept in memory.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        checkpoint: Checkpoint | None,
+        rounds: int,
+        progress: Progress,
+        on_step: Callable[[str, Record], None],
+    ):
+        self.title = title
+        self.checkpoint = checkpoint
+        self.progress = progress
+        self.on_step = on_step
+        self.state, self.seconds = checkpoint.load() if checkpoint else (None, [])
+        self._total_steps = rounds * len(STEPS)
+        self._steps = (
+            len(STEPS) * self.state.rounds + len(self.state.steps_done) if self.state else -1
+        )  # -1: not begun
+        self._ended: int | None = None  # steps of the first rounds, once these are over
+        self._kept = len(self.state.history) if self.state else 0  # records in the checkpoint
+        self._share = 0.0
+        self._surfaces = 0
+        self._stored = 0
+        self._earlier = max([0.0, *self.seconds[-1:], checkpoint.seconds if checkpoint else 0.0])
+        self._began = time.perf_counter()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds of work so far, including earlier runs."""
+        return self._earlier + time.perf_counter() - self._began
+
+    def on_item(self, done: int, total: int) -> None:
+        """After ``done`` of ``total`` items of a parallel map, which is part of a step."""
+        if self._stored < self._surfaces:
+            return
+        if self._steps < 0:
+            self.progress(f"{self.title}: poses by edges", done / total)
+            return
+        step = (self._steps - (self._ended or 0) + done / total) / self._total_steps
+        self._share = min(1.0, max(self._share, step))
+        self.progress(
+            f"{self.title}: rounds{'' if self._ended is None else ' by shape'}", self._share
+        )
+
+    def on_step_end(self, record: Record) -> None:
+        """Note the seconds and report the energy."""
+        steps = list(STEPS)
+        done = steps.index(record.step) + 1 if record.step in steps else len(steps)
+        self._steps = len(steps) * (record.round - 1) + done
+        self.seconds.append(self.elapsed)
+        self.on_step(self.title, record)
+
+    def on_state(self, state: TrainingState) -> None:
+        """Write the checkpoint."""
+        if self.checkpoint and len(state.history) > self._kept:
+            self.checkpoint.save(state, self.seconds)
+            self._kept = len(state.history)
+
+    def on_round_end(self, state: TrainingState) -> None:
+        """Write the checkpoint."""
+        self.on_state(state)
+        if state.finished:
+            self._ended = self._steps
+            self._share = 0.0
+
+    def surface_store(self, shape: tuple[int, int, int]) -> tuple[np.ndarray, int]:
+        """An array (S,V,3), on disk where there is a checkpoint, and how many surfaces it already
+        holds.
+        """
+        store, self._stored = (self.checkpoint or NoCallback()).surface_store(shape)
+        self._surfaces = shape[0]
+        return store, self._stored
+
+    def on_surfaces_stored(self, count: int) -> None:
+        """Write how many surfaces are stored, and report progress."""
+        self._stored = count
+        if self.checkpoint:
+            self.checkpoint.on_surfaces_stored(count, self.elapsed)
+        self.progress(f"{self.title}: shapes", count / self._surfaces)

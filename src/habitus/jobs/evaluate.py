@@ -3,32 +3,41 @@
 `habitus evaluate` calls this.
 """
 
-from collections.abc import Sequence
+import json
+import os
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from habitus.body.joint_layouts import LAYOUTS
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.evaluate.counts import COUNTS
 from habitus.evaluate.generalisation import (
     Generalisation,
     model_generalisation,
     pose_generalisation,
 )
+from habitus.evaluate.known_state import KnownErrors, known_errors
 from habitus.evaluate.neck_twist import NeckTwist, neck_twist, twist_joints
-from habitus.evaluate.posable import ComparedModel, PosableBody
+from habitus.evaluate.posable import ComparedModel, PosableBody, without_pose_shapes
 from habitus.evaluate.result import Evaluation, ForwardTimes, ModelEvaluation, time_forward
+from habitus.files import atomic_write, writable_folder
+from habitus.io.models.bodies import load_body
+from habitus.io.models.levels import has_levels
 from habitus.io.registrations.open import open_registrations
 from habitus.jobs.evaluation_models import (
     Loaded,
     check_topology,
     load_models,
+    model_names,
     rest_template,
     shape_variances,
 )
+from habitus.jobs.learn_options import DatasetOptions, EvaluationOptions
+from habitus.jobs.options import silent, takes
 from habitus.learn.checks import check_registrations, refuse
 from habitus.mesh.registrations import Registrations, Vertices
 from habitus.parallel.choose import WorkersLike, open_workers, thread_count
@@ -36,61 +45,55 @@ from habitus.parallel.workers import ReportingWorkers, Workers
 from habitus.types import PathLike, Progress
 
 
+@takes(EvaluationOptions)
 def evaluate(
     models: Sequence[PathLike | BodyModel | ComparedModel],
     dataset: PathLike | Registrations,
     out: PathLike | None = None,
     *,
-    split: str = "test",
-    sex: str | None = None,
-    counts: Sequence[int] = COUNTS,
-    clean: PathLike | Registrations | None = None,
-    plain: bool = False,
-    unit: str = "m",
-    repeats: int = 20,
+    options: EvaluationOptions,
     workers: WorkersLike = None,
-    seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Evaluation:
-    """Measure models on the registrations of the set ``split`` and, where ``out`` is given, write
-    the results (S 5).
+    """Measure models on the registrations of a set of the dataset; ``out`` receives the results (S
+    5).
 
     models: files, "default", BodyModel objects, or models of another kind
-    (`habitus.evaluate.posable.ComparedModel`). dataset and clean (the same registrations without
-    noise): what `open_registrations` takes, or open Registrations (m). sex: "female" or
-    "male", only registrations of these. plain: measure each model with pose blend shapes also
-    without them, as S 5.1 does. repeats and seed: of the run times, and of their random shapes and
-    poses. workers: number of threads (default: one per core), address of a Dask scheduler, or
-    Workers. ``out`` receives report.html, evaluation.json, per_vertex.npz and the folder figures.
-    Raises HabitusError, in one line, for bad input.
+    (`habitus.evaluate.posable.ComparedModel`). dataset and clean (the same registrations
+    without noise): what `open_registrations` takes, or open Registrations (m). workers: number of
+    threads (default: one per core), address of a Dask scheduler, or Workers. ``out`` receives
+    report.html, evaluation.json, per_vertex.npz and the folder figures. Raises HabitusError, in one
+    line, for bad input.
     """
-    progress = progress or (lambda stage, share: None)
     if not models:
         raise HabitusError("no model was given; expected one or more model files, or 'default'")
-    if repeats < 1:
-        raise HabitusError(f"{repeats} repeats asked for; expected at least 1")
+    if options.repeats < 1:
+        raise HabitusError(f"{options.repeats} repeats asked for; expected at least 1")
     if isinstance(workers, int):
         thread_count(workers)
-    loaded = load_models(models, plain)
+    loaded = load_models(models, options.plain)
     source = _source(dataset, "the dataset")
-    registrations = _opened(dataset, unit).where(set=split, sex=sex)
+    registrations = _chosen(dataset, options)
+    clean = options.clean
+    counts = options.counts
     if not len(registrations):
-        whose = f" of sex {sex!r}" if sex else ""
+        whose = f" of sex {options.sex!r}" if options.sex else ""
         raise HabitusError(
-            f"{source} has no registrations of the set {split!r}{whose}; "
-            "choose another with --split"
+            f"{source} has no registrations of the set {options.split!r}{whose}; choose another "
+            "with --split"
         )
     true = None
     if clean is not None:
-        clean_set = _opened(clean, unit).where(set=split, sex=sex)
-        true = _clean_vertices(clean_set, registrations, _source(clean, "the clean dataset"))
+        true = _clean_vertices(
+            _chosen(clean, options), registrations, _source(clean, "the clean dataset")
+        )
     for one in loaded:
         check_topology(one.model, registrations, source)
     refuse(check_registrations(registrations, rest_template(loaded[0].model), holes=False))
     with _prepared(out), open_workers(workers) as ready:
         fitted = _fitted(loaded, registrations, counts, true, ready, progress)
         progress("run time", 1.0)
-        found = _assembled(loaded, fitted, _times(loaded, counts, repeats, seed))
+        found = _assembled(loaded, fitted, _times(loaded, counts, options.repeats, options.seed))
         evaluation = Evaluation(source, registrations, true, found)
         if out is not None:
             from habitus.jobs.evaluation_files import write_evaluation
@@ -114,8 +117,16 @@ def _source(dataset: PathLike | Registrations, otherwise: str) -> str:
     return otherwise if isinstance(dataset, Registrations) else str(dataset)
 
 
-def _opened(dataset: PathLike | Registrations, unit: str) -> Registrations:
-    return dataset if isinstance(dataset, Registrations) else open_registrations(dataset, unit=unit)
+def _opened(dataset: PathLike | Sequence[PathLike] | Registrations, unit: str) -> Registrations:
+    if isinstance(dataset, Registrations):
+        return dataset
+    paths = [dataset] if isinstance(dataset, str | os.PathLike) else dataset
+    return open_registrations([os.fspath(path) for path in paths], unit=unit)
+
+
+def _chosen(dataset: PathLike | Registrations, options: DatasetOptions) -> Registrations:
+    """The registrations of the set and sex."""
+    return _opened(dataset, options.unit).where(set=options.split, sex=options.sex)
 
 
 def _clean_vertices(clean: Registrations, registrations: Registrations, path: str) -> Vertices:
@@ -230,3 +241,101 @@ def _twists(loaded: Sequence[Loaded]) -> list[NeckTwist | None]:
         )
     )
     return [found.get(one.model.name) for one in loaded]
+
+
+WHO = ("all", "new people", "known people")
+
+
+@dataclass(frozen=True, eq=False)
+class KnownEvaluation:
+    """For each model and group of people (`WHO`, those there are) mean, rms and p95 of vertex
+    distance (m), and the share of the first model's plain LBS error (mean) that is gone.
+    """
+
+    models: Mapping[str, Mapping[str, Mapping[str, float]]]
+    registrations: int
+    errors: Mapping[str, KnownErrors]
+
+
+@takes(DatasetOptions)
+def evaluate_known(
+    models: Sequence[PathLike | BodyModel],
+    dataset: PathLike | Sequence[PathLike] | Registrations,
+    out: PathLike | None = None,
+    *,
+    options: DatasetOptions,
+    workers: WorkersLike = None,
+    progress: Progress = silent,
+) -> KnownEvaluation:
+    """Errors of body models in the known poses and shapes of the registrations of a set.
+
+    The first model is also measured as plain LBS and plain DQBS, without its pose blend shapes. Of
+    a body of two levels of detail the one of the dataset's topology is taken. New people are those
+    of whom the dataset has no registration in another set. ``out`` receives known.json. Raises
+    HabitusError for bad input.
+    """
+    if not models:
+        raise HabitusError("no model was given; expected one or more model files, or 'default'")
+    split = options.split
+    everything = _opened(dataset, options.unit)
+    data = everything.where(set=split, sex=options.sex)
+    if not len(data):
+        raise HabitusError(
+            f"the dataset has no registrations of the set {split!r}; choose another with --split"
+        )
+    bodies = _bodies(models, data)
+    with open_workers(workers) as ready:
+        report = ReportingWorkers(ready, lambda done, total: progress("known poses", done / total))
+        errors = known_errors(bodies, data, report)
+    others = {
+        one for one, where in zip(everything.subject, everything.set, strict=True) if where != split
+    }
+    known = np.array([one in others for one in data.subject])
+    groups = {
+        name: rows
+        for name, rows in zip(WHO, (known | ~known, ~known, known), strict=True)
+        if rows.any()
+    }
+    plain = next(iter(errors))
+    found = {
+        name: {
+            who: {
+                **one.over(rows),
+                "removed": 1 - one.over(rows)["mean"] / errors[plain].over(rows)["mean"],
+            }
+            for who, rows in groups.items()
+        }
+        for name, one in errors.items()
+    }
+    evaluation = KnownEvaluation(found, len(data), errors)
+    if out is not None:
+        with atomic_write(writable_folder(Path(out)) / "known.json") as temporary:
+            told = {"registrations": len(data), "set": split, "metres": found}
+            temporary.write_text(json.dumps(told, indent=1, ensure_ascii=False), encoding="utf-8")
+    return evaluation
+
+
+def _bodies(models: Sequence[PathLike | BodyModel], data: Registrations) -> dict[str, BodyModel]:
+    """Plain LBS and DQBS of the first model, then all as they are."""
+    loaded = [_body(model, data) for model in models]
+    plain = replace(without_pose_shapes(loaded[0]), pose_joints=None)
+    found = {
+        "plain LBS": replace(plain, skinning="lbs"),
+        "plain DQBS": replace(plain, skinning="dqbs"),
+    }
+    return found | dict(zip(model_names(models), loaded, strict=True))
+
+
+def _body(model: PathLike | BodyModel, data: Registrations) -> BodyModel:
+    """A model with the joints and the level of detail of the dataset, where it has such."""
+    if not isinstance(model, BodyModel):
+        count = (
+            data.known.pose.shape[1]
+            if data.known is not None and data.known.pose is not None
+            else 0
+        )
+        joints = {len(layout.joint_names): name for name, layout in LAYOUTS.items()}.get(count)
+        body = load_body(str(model), joints=joints)
+        fine = body.num_vertices != data.num_vertices and has_levels(str(model))
+        return load_body(str(model), detail="full", joints=joints) if fine else body
+    return model

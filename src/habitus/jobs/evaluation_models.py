@@ -103,9 +103,9 @@ def check_topology(model: ComparedModel, registrations: Registrations, dataset: 
 
 
 def _same_faces(one: np.ndarray, other: np.ndarray) -> bool:
-    sides = [np.sort(np.asarray(faces, np.int64), axis=1) for faces in (one, other)]
-    return one.shape == other.shape and all(
-        np.array_equal(*(faces[np.lexsort(faces.T)][:, k] for faces in sides)) for k in range(3)
+    first, second = (np.sort(np.asarray(faces, np.int64), axis=1) for faces in (one, other))
+    return one.shape == other.shape and np.array_equal(
+        first[np.lexsort(first.T)], second[np.lexsort(second.T)]
     )
 
 

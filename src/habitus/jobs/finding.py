@@ -108,7 +108,7 @@ def _stem(path: Path, with_ending: bool) -> str:
 
 
 @dataclass(frozen=True)
-class Worn:
+class MarkerSet:
     """What tells whether two captures show one person with the same markers: ``rigid``, medians (M,
     M) in metres of the distances between markers that keep them, NaN for others.
     """
@@ -118,28 +118,28 @@ class Worn:
     rigid: Float[np.ndarray, "M M"]
 
     @staticmethod
-    def of(capture: Capture) -> "Worn":
+    def of(capture: Capture) -> "MarkerSet":
         """Of some of its frames."""
         markers = capture.markers[:: -(-len(capture) // _FRAMES)]
         with np.errstate(all="ignore"):
             between = np.linalg.norm(markers[:, :, None] - markers[:, None], axis=3)
             distances = _median(between)
             kept = (distances > _NEAR) & (_median(np.abs(between - distances)) < _RIGID * distances)
-        return Worn(capture.subject, capture.labels, np.where(kept, distances, np.nan))
+        return MarkerSet(capture.subject, capture.labels, np.where(kept, distances, np.nan))
 
-    def like(self, other: "Worn") -> bool:
+    def like(self, other: "MarkerSet") -> bool:
         """Whether markers that keep their distance in both captures are as far apart in one as in
         the other.
         """
         apart = self.apart(other)
         return self.subject == other.subject and apart is not None and apart < _ALIKE
 
-    def unlike(self, other: "Worn") -> bool:
+    def unlike(self, other: "MarkerSet") -> bool:
         """Whether such markers are not as far apart; False where too few can tell."""
         apart = self.apart(other)
         return apart is not None and apart >= _ALIKE
 
-    def apart(self, other: "Worn") -> float | None:
+    def apart(self, other: "MarkerSet") -> float | None:
         """The median of what such distances differ by, as a share; None where too few can tell.
 
         Measured on real captures: at most 1.5 % for one person in one session, and at least 4 % for
@@ -170,11 +170,11 @@ def _median(values: Float[np.ndarray, "T M M"]) -> Float[np.ndarray, "M M"]:
     return np.where(count > 0, middle, np.nan)
 
 
-def grouped(worn: Sequence[tuple[Found, Worn | None]]) -> list[list[Found]]:
+def grouped(worn: Sequence[tuple[Found, MarkerSet | None]]) -> list[list[Found]]:
     """Captures of one folder, of one recorded subject and with the same markers, together; each
     other one alone.
     """
-    groups: dict[Path, list[tuple[Worn | None, list[Found]]]] = defaultdict(list)
+    groups: dict[Path, list[tuple[MarkerSet | None, list[Found]]]] = defaultdict(list)
     for found, seen in worn:
         here = groups[found.path.parent]
         for first, members in here:

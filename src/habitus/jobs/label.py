@@ -17,28 +17,25 @@ from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
 from habitus.files import write_text
-from habitus.fit.labels.clouds import Clouds, packed, tracklets
+from habitus.fit.labels.clouds import Clouds, packed, telling_frames, tracklets
 from habitus.fit.labels.people import heaps, only
-from habitus.fit.labels.recipe import Known, Named, label_people, label_points
+from habitus.fit.labels.recipe import Known, Named, label_people, label_points, misfit
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_relabel import write_relabelled
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.captures.unlabelled import UnlabelledCapture, read_unlabelled
-from habitus.io.layouts.files import load_layout
+from habitus.io.layouts.files import load_layout, shipped_layouts
 from habitus.jobs.bodies import loaded
-from habitus.jobs.layout_choice import choose_layout
-from habitus.jobs.subjects import Person, person
+from habitus.jobs.marker_options import LabelOptions
+from habitus.jobs.options import takes
+from habitus.jobs.subjects import Person, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.types import PathLike
 
 DOUBTFUL = 0.9
 """Confidence below which a label is called doubtful."""
-SURE = 0.45
-"""Confidence below which a point stays without a name: a little under one half, which names two
-that are alike.
-"""
 
 
 @dataclass(frozen=True)
@@ -65,8 +62,8 @@ class LabelledCapture:
 
     def capture(self) -> Capture:
         """The labelled markers alone, as `habitus.mosh` takes them."""
-        seen = np.any(np.isfinite(self.markers[..., 0]), axis=0)
-        labels = tuple(label for label, there in zip(self.labels, seen, strict=True) if there)
+        seen = np.isfinite(self.markers[..., 0]).any(axis=0)
+        labels = tuple(self.labels[k] for k in np.flatnonzero(seen))
         source = self.source
         return Capture(
             source.name,
@@ -100,69 +97,49 @@ class LabelledCapture:
         write_text(out.with_suffix(".labels.json"), json.dumps(self.report, indent=1) + "\n")
 
 
+@takes(LabelOptions)
 def label(
-    capture: PathLike | Capture,
-    out: PathLike | None = None,
-    *,
-    layout: PathLike = "auto",
-    like: PathLike | Capture | None = None,
-    min_confidence: float = SURE,
-    people: int = 1,
-    body: PathLike | BodyModel = "default",
-    fps: float | None = None,
+    capture: PathLike | Capture, out: PathLike | None = None, *, options: LabelOptions
 ) -> LabelledCapture:
-    """Name the points of a capture, whatever they were called, and write the result where ``out``
-    is given.
+    """Label the points of a capture, whatever they were called; ``out`` receives the result.
 
-    layout: which markers there are, "auto" (the shipped layout that fits best), a shipped name or a
-    file. like: a labelled capture of the same person with the same markers, which tells shape and
-    places; the strongest. min_confidence: labels less likely than this are left out. people: how
-    many are in the capture, all in the same markers; their labels begin with ``person1:``,
-    ``person2:``, which readers take for subjects. Raises HabitusError with one clear line on bad
-    input.
+    Raises HabitusError with one clear line on bad input.
     """
-    _check_people(people, like)
-    if not 0.0 <= min_confidence <= 1.0:
-        raise HabitusError(f"min_confidence = {min_confidence:g}; expected a confidence of 0 to 1")
+    people = options.people
+    _check_people(people, options.like)
+    if not 0.0 <= options.min_confidence <= 1.0:
+        raise HabitusError(
+            f"min_confidence = {options.min_confidence:g}; expected a confidence of 0 to 1"
+        )
     if out is not None:
         _check_path(Path(out))
-    source = _anonymous(capture) if isinstance(capture, Capture) else read_unlabelled(capture, fps)
-    model = loaded(body)
+    source = (
+        _anonymous(capture)
+        if isinstance(capture, Capture)
+        else read_unlabelled(capture, options.fps)
+    )
+    model = loaded(options.body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
     one = clouds if people == 1 else only(clouds, heaps(clouds, tracklets(clouds), people) == 0)
-    chosen, known, names, how = _told(model, one, layout, like)
+    chosen, known, names, how = _reference(model, one, options.layout, options.like)
     if people == 1:
         found: Named = label_points(model, prior_of(model), chosen, clouds, known)
     else:
         found = label_people(model, prior_of(model), chosen, clouds, people)
         names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
-    source = replace(source, warnings=(*source.warnings, *(_alike(chosen) if like is None else ())))
-    result = _labelled(source, clouds, names, found, min_confidence, how)
+    notes = _alike(chosen) if options.like is None else ()
+    source = replace(source, warnings=(*source.warnings, *notes))
+    result = _labelled(source, clouds, names, found, options.min_confidence, how)
     if out is not None:
         result.save(out, None if isinstance(capture, Capture) else capture)
     return result
-
-
-def check_labelling(how: str) -> None:
-    """HabitusError for a way to get labels that is none."""
-    if how not in ("given", "auto"):
-        raise HabitusError(f"label = {how!r}; expected 'given' or 'auto'")
-
-
-def labelled_capture(source: PathLike | Capture, layout: PathLike, fps: float | None) -> Capture:
-    """A capture with the labels that were found for its points; what was found is told by a
-    warning.
-    """
-    return label(source, layout=layout, fps=fps).capture()
 
 
 def _check_people(people: int, like: object) -> None:
     if people < 1:
         raise HabitusError(f"people = {people}; expected how many are in the capture")
     if people > 1 and like is not None:
-        raise HabitusError(
-            "a labelled capture tells one person, and there are several; expected --layout alone"
-        )
+        raise HabitusError("--like supports one person, but the capture has several; use --layout")
 
 
 def _check_path(out: Path) -> None:
@@ -185,7 +162,7 @@ def _anonymous(capture: Capture) -> UnlabelledCapture:
     )
 
 
-def _told(
+def _reference(
     body: BodyModel, clouds: Clouds, layout: PathLike, like: PathLike | Capture | None
 ) -> tuple[MarkerLayout, Known | None, tuple[str, ...], dict[str, Any]]:
     """The layout, the person where one is known, the labels in the layout's order, and where all
@@ -203,7 +180,7 @@ def _told(
         chosen = load_layout(layout)
         return chosen, None, chosen.labels, {"layout": chosen.name}
     capture = like if isinstance(like, Capture) else read_captures(like)[0]
-    whole = person([capture], layout)
+    whole = person_of([capture], layout)
     return *known_person(body, whole), {"layout": whole.layout.name, "like": capture.name}
 
 
@@ -213,10 +190,9 @@ def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, t
     """
     prior = prior_of(body).for_joints(body.joint_names)
     recording = whole.recordings[0]
-    seen = np.any(np.isfinite(recording.observed[..., 0]), axis=0)
-    layout = replace(
-        whole.layout, markers=tuple(m for m, s in zip(whole.layout.markers, seen, strict=True) if s)
-    )
+    seen = np.isfinite(recording.observed[..., 0]).any(axis=0)
+    markers = whole.layout.markers
+    layout = replace(whole.layout, markers=tuple(markers[k] for k in np.flatnonzero(seen)))
     recording = replace(recording, observed=np.ascontiguousarray(recording.observed[:, seen]))
     subject = fit_subject(body, prior, layout, [recording], MoshSettings())
     names = list(layout.labels)
@@ -263,7 +239,7 @@ def _labelled(
 def _report(
     source: UnlabelledCapture,
     clouds: Clouds,
-    names: Sequence[str],
+    names: tuple[str, ...],
     found: Named,
     named: np.ndarray,
     how: dict[str, Any],
@@ -323,3 +299,43 @@ def _pieces(
         }
         for a, b, mean in zip(first, last, means, strict=True)
     ]
+
+
+FRAMES = 4
+UNLIKE = (0.6, 1.5)
+CLEAR = 0.10
+
+
+def choose_layout(body: BodyModel, clouds: Clouds) -> tuple[MarkerLayout, float]:
+    """The shipped layout, with or without its extras, that a few frames fit best; and how sure that
+    is, 0..1.
+
+    Raises HabitusError where none has nearly as many markers as there are points.
+    """
+    frames = telling_frames(clouds, FRAMES)
+    count = float(np.median(np.diff(clouds.start)[frames])) if len(frames) else 0.0
+    candidates = [each for layout in shipped_layouts() for each in forms(layout)]
+    candidates = [
+        each for each in candidates if UNLIKE[0] < len(each) / max(count, 1.0) < UNLIKE[1]
+    ]
+    if not candidates:
+        raise HabitusError(
+            f"no shipped layout has nearly {count:.0f} markers; give the layout of these points, "
+            "or a labelled capture "
+            "of the same person (--like)"
+        )
+    costs = np.array([misfit(body, prior_of(body), each, clouds, frames) for each in candidates])
+    best = int(np.argmin(costs))
+    rivals = [
+        cost
+        for cost, each in zip(costs, candidates, strict=True)
+        if each.name != candidates[best].name
+    ]
+    clear = 1.0 if not rivals else min(1.0, (min(rivals) / costs[best] - 1.0) / CLEAR)
+    return candidates[best], round(float(clear), 3)
+
+
+def forms(layout: MarkerLayout) -> list[MarkerLayout]:
+    """The layout with its extras, and without where it has any."""
+    core = tuple(marker.label for marker in layout.markers if not marker.optional)
+    return [layout] if len(core) in (0, len(layout)) else [layout, layout.restricted_to(core)]

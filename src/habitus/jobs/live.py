@@ -3,6 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,19 @@ from habitus.fit.subject import Subject
 from habitus.io.people import read_fit
 from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Source
-from habitus.jobs.ages import read_age
 from habitus.jobs.bodies import loaded
-from habitus.jobs.genders import check_sex
 from habitus.jobs.live_follow import Follower, Sink, status
-from habitus.jobs.live_start import IDLE_S, Asked, Say, gather, learn_meanwhile, silence
-from habitus.jobs.live_stream import Stream
-from habitus.jobs.live_subject import Wanted
+from habitus.jobs.live_start import (
+    IDLE_S,
+    LiveStart,
+    Say,
+    Stream,
+    gather_frames,
+    learn_meanwhile,
+    silence,
+)
+from habitus.jobs.marker_options import LiveOptions, read_age
+from habitus.jobs.options import takes
 from habitus.jobs.results import save_fit
 from habitus.types import PathLike
 
@@ -37,65 +44,51 @@ MakeSink = Callable[[Subject, Recording], Sink]
 """Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
 
 
+@takes(LiveOptions)
 def live(
     source: str | Source,
     address: PathLike | None = None,
     out: PathLike | None = None,
     *,
-    known: PathLike | MarkerFit | None = None,
-    layout: PathLike = "auto",
-    body: PathLike | BodyModel = "default",
-    subject: str | None = None,
-    sex: str = "neutral",
-    joints: str = "auto",
-    age: float | str | None = None,
-    fps: float | None = None,
-    seconds: float = 5.0,
-    stop_after: float | None = None,
+    options: LiveOptions,
     keep: bool = True,
     sinks: Sequence[MakeSink] = (),
     say: Say = lambda text, mark: None,
     on_status: Callable[[str], None] = lambda line: None,
 ) -> MarkerFit | None:
-    """Follow one person through a live stream of markers, and write what was found where ``out`` is
-    given.
+    """Follow one person through a live stream of markers; ``out`` receives the result.
 
     source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this
-    one without, with ``:port`` where that is another), or any `habitus.io.streams.source.Source`.
-    out: a file that ends in .npz or .glb, or a folder for all files of a fit. known: a fit or the
-    body.npz of one, whose shape and marker places are taken; without, they are found from the first
-    ``seconds``. fps: how fast a file is played (0: as fast as it can be followed), or the rate
-    of a stream that does not tell it. stop_after: seconds. sinks: told of every frame. say,
-    on_status: told what happens, and a line a second. It ends with the stream, or with Ctrl-C,
-    which is no error once somebody is followed. The fit that comes back holds all frames from the
-    first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is kept. Raises
-    HabitusError with one clear line on bad input.
+    one by default, with ``:port`` where it differs), or any `habitus.io.streams.source.Source`.
+    out: a file that ends in .npz or .glb, or a folder for all files of a fit. sinks: called with
+    every frame. say, on_status: called with what happens, and with a line a second. It ends with
+    the stream, or with Ctrl-C, which is no error once a person is followed. The fit holds all
+    frames from the first that was gathered, 1 kB each; with ``keep`` false and no ``out`` none is
+    kept. Raises HabitusError with one clear line on bad input.
     """
-    check_sex(sex)
     target = None if out is None else _checked(Path(out))
-    wanted = Wanted(layout, body, subject, sex, joints, age)
-    settings = MoshSettings(causal=True, soft_tissue=False)
-    named = isinstance(body, str) and body == "default"
-    fit_before = (
-        read_fit(known, None if named else body) if isinstance(known, str | os.PathLike) else known
+    settings = replace(options.settings or MoshSettings(), causal=True, soft_tissue=False)
+    start = LiveStart(options, _model(options), settings, source != "replay")
+    warm_up(start.model)
+    stream = Stream(
+        open_source(source, address, options.fps) if isinstance(source, str) else source
     )
-    model = (
-        fit_before.body
-        if isinstance(fit_before, MarkerFit)
-        else loaded(body, joints, read_age(age))
-    )
-    warm_up(model)
-    stream = Stream(open_source(source, address, fps) if isinstance(source, str) else source)
     try:
-        asked = Asked(
-            wanted, model, settings, fit_before, seconds, None if source == "replay" else fps
-        )
-        fit = _session(stream, asked, stop_after, keep or target is not None, sinks, say, on_status)
+        fit = _session(stream, start, keep or target is not None, sinks, say, on_status)
     finally:
         stream.source.close()
     if target is not None and fit is not None:
         export_motion(fit, target) if target.suffix else save_fit(fit, target)
     return fit
+
+
+def _model(options: LiveOptions) -> MarkerFit | BodyModel:
+    """The earlier fit whose shape is taken, or the body that is to be fitted."""
+    body = options.body
+    if isinstance(options.known, str | os.PathLike):
+        by_name = isinstance(body, str) and body == "default"
+        return read_fit(options.known, None if by_name else body)
+    return options.known or loaded(body, options.joints, read_age(options.age))
 
 
 def _checked(out: Path) -> Path:
@@ -109,31 +102,31 @@ def _checked(out: Path) -> Path:
 
 def _session(
     stream: Stream,
-    asked: Asked,
-    stop_after: float | None,
+    start: LiveStart,
     keep: bool,
     sinks: Sequence[MakeSink],
     say: Say,
     on_status: Callable[[str], None],
 ) -> MarkerFit | None:
     """Gather, learn, follow; the fit of it all."""
+    stop_after = start.options.stop_after
     until = np.inf if stop_after is None else time.perf_counter() + stop_after
     over = lambda: time.perf_counter() > until  # noqa: E731
     say(f"listening to {stream.source.name}", "")
-    gathered = gather(stream, asked, say, over)
+    gathered = gather_frames(stream, start, say, over)
     rate = gathered.rate_hz
     stream.behind = True
     say(
         f"{len(gathered.frames) / rate:.1f} s of somebody: finding the "
-        f"{'shape' if asked.fit is None else 'markers'}",
+        f"{'shape' if start.fit is None else 'markers'}",
         "",
     )
-    found = learn_meanwhile(stream, gathered, asked)
+    found = learn_meanwhile(stream, gathered, start)
     for text in found.recording.warnings:
         say(text, "warning:")
     made = [make(found.known, found.recording) for make in sinks]
     follower = Follower(found, gathered.heading, rate, say, made, keep)
-    say(_introduced(follower, found.known, asked), "")
+    say(_introduced(follower, found.known, start), "")
     try:
         _follow(stream, follower, rate, over, say, on_status)
     except KeyboardInterrupt:
@@ -149,13 +142,13 @@ def _session(
     notes = [*follower.notes, *([f"of the stream's frames, {trouble}"] if trouble else [])]
     if follower.record is None:
         return None
-    return follower.record.fit(found.known, found.recording, asked.settings, notes)
+    return follower.record.fit(found.known, found.recording, start.settings, notes)
 
 
-def _introduced(follower: Follower, known: Subject, asked: Asked) -> str:
+def _introduced(follower: Follower, known: Subject, start: LiveStart) -> str:
     measured = known.body.measure(known.shape.betas)
     who = f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg"
-    how = "as saved" if asked.fit is not None else f"shape in {known.seconds:.1f} s"
+    how = "as saved" if start.fit is not None else f"shape in {known.seconds:.1f} s"
     return (
         f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): "
         f"{follower.quality.verdict}"

@@ -1,23 +1,29 @@
-"""Following somebody through a stream, and saying what happens: who leaves and returns, what is
-lost or relabelled.
-"""
+"""Following a person frame by frame: the tracker's frames, what outputs receive, the record."""
 
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import listed
+from habitus.fit.markers.gaps import MarkerTargets
 from habitus.fit.markers.live import LiveFrame, Quality
-from habitus.fit.markers.recordings import FEWEST_MARKERS
+from habitus.fit.markers.recipe import PoseStage, assemble
+from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.sequence import SequenceResult
+from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.suspects import exchange
+from habitus.fit.subject import Subject
 from habitus.io.captures.points import RawPoints
 from habitus.io.streams.source import Frame
 from habitus.io.streams.wiring import rewired
-from habitus.jobs.live_record import Record
 from habitus.jobs.live_start import Followed, Say
+from habitus.residuals.robust import geman_mcclure_weight
 
 MOST_LOST_S = 60.0
 """Frames that are missing for longer are not filled in: the result has no time for them."""
@@ -181,3 +187,69 @@ def status(follower: Follower, trouble: str) -> str:
     )
     said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
     return f"{said}  frames {trouble}" if trouble else said
+
+
+class Record:
+    """Keeps the frames of a stream; about 1 kB each."""
+
+    def __init__(self) -> None:
+        self._poses: list[np.ndarray] = []
+        self._trans: list[np.ndarray] = []
+        self._costs: list[float] = []
+        self._observed: list[np.ndarray] = []
+
+    def __len__(self) -> int:
+        """How many frames there are."""
+        return len(self._poses)
+
+    def add(self, frame: LiveFrame, observed: np.ndarray) -> None:
+        """The next frame, with the markers (N, 3) that it was told; nobody's markers are not
+        kept.
+        """
+        self._poses.append(frame.pose)
+        self._trans.append(frame.trans)
+        self._costs.append(frame.cost)
+        self._observed.append(
+            (observed if frame.state != "nobody" else np.full_like(observed, np.nan)).astype("f4")
+        )
+
+    def fit(
+        self,
+        known: Subject,
+        recording: Recording,
+        settings: MoshSettings,
+        notes: Sequence[str],
+    ) -> MarkerFit:
+        """The fit of all frames; where nobody was seen the body stands as it was last, and the
+        frames are flagged.
+        """
+        standing = _held(np.isfinite(np.array(self._trans)[:, 0]))
+        pose = np.array(self._poses)[standing]
+        trans = np.array(self._trans)[standing]
+        observed = exchange(np.array(self._observed, dtype=np.float64), known.exchanged)
+        scale = np.full(observed.shape[1], settings.robust_scale[1])
+        costs = np.array(self._costs)
+        result = SequenceResult(
+            pose,
+            trans,
+            None,
+            {"frames": float(costs.sum())},
+            costs,
+            np.ones(observed.shape[:2]),
+            "causal",
+            len(costs),
+            (float(costs.sum()),),
+        )
+        found = PoseStage(result, observed, MarkerTargets(observed, None), scale)
+        recording = replace(recording, warnings=(*recording.warnings, *notes))
+        seconds = {"shape": known.seconds, "pose": None, "soft_tissue": None}
+        fit = assemble(recording, known, found, None, seconds, settings)
+        distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
+        return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
+
+
+def _held(valid: np.ndarray) -> np.ndarray:
+    """For each frame the last valid one up to it; of those before the first, the first."""
+    rows = np.where(valid, np.arange(len(valid)), -1)
+    rows = np.maximum.accumulate(rows)
+    return np.where(rows < 0, int(np.argmax(valid)), rows)

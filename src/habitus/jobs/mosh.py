@@ -6,9 +6,9 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TypedDict, Unpack, overload
+from typing import overload
 
 from habitus.body.model import BodyModel
 from habitus.body.shipped_prior import prior_of
@@ -19,20 +19,23 @@ from habitus.fit.markers.attempts import iterate_attempts
 from habitus.fit.markers.live import LiveFit
 from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings, MoshWeights
+from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.draft import found_layout_text
 from habitus.io.streams.wiring import find_wiring
-from habitus.jobs.ages import read_age
-from habitus.jobs.bodies import loaded, with_fingers
-from habitus.jobs.discovering import check_layout
-from habitus.jobs.genders import check_sex, model_of, of_sex
-from habitus.jobs.held_out import errors_of, rotate_hold_out, silent
-from habitus.jobs.label import check_labelling, labelled_capture
-from habitus.jobs.live_subject import Wanted, learnt
+from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
+from habitus.jobs.held_out import (
+    check_placements,
+    errors_of,
+    known_placement_errors,
+    rotate_hold_out,
+)
+from habitus.jobs.label import label
+from habitus.jobs.live_start import learn_subject
+from habitus.jobs.marker_options import MarkerOptions, MoshOptions, read_age
+from habitus.jobs.options import silent, takes
 from habitus.jobs.results import MarkerResult, capture_folders, save_fit
-from habitus.jobs.subjects import Person, check_each, gather, leave_out
-from habitus.jobs.told_places import check_told, told_errors
+from habitus.jobs.subjects import Person, check_each, check_layout, gather, leave_out
 from habitus.parallel.choose import WorkersLike
 from habitus.report import write_index
 from habitus.results.save import MARKER_FILES
@@ -41,84 +44,49 @@ from habitus.types import PathLike, Progress
 Source = Capture | PathLike
 
 
-class _Options(TypedDict, total=False):
-    out: PathLike | None
-    hold_out: Sequence[str]
-    hold_out_every: int | None
-    placements_from: Source | Sequence[Source]
-    obj: bool
-    npz_style: str
-    workers: WorkersLike
-    progress: Progress | None
-
-
 @dataclass(frozen=True)
-class Mosh:
-    """Fits a body to motion captures: shape, pose in every frame, soft tissue, and where each
-    marker sat (MoSh).
+class Mosh(MoshOptions):
+    """Fits a body to motion captures: shape, pose in every frame, soft tissue, and the placement of
+    each marker (MoSh).
 
-    The options are those of ``habitus mosh``. Raises HabitusError for a sex or an age that is
-    none.
+    The options are those of ``habitus mosh``. Raises HabitusError for an option without meaning.
     """
-
-    layout: PathLike = "auto"
-    """Which marker sits where: "auto" (by the capture's labels), "discover" (by fitting), a shipped
-    name or a file.
-    """
-    weights: MoshWeights = field(default_factory=MoshWeights)
-    """Of the energy's terms."""
-    sex: str = "neutral"
-    """Which model of the body: "neutral", "female", "male", or "auto": of the sex that a neutral
-    fit is sure of.
-    """
-    soft_tissue: bool | str = True
-    """Whether the last stage lets soft tissue move, and along what: "shape" (also True), "dynamics"
-    or "both".
-    """
-    causal: bool = False
-    """Frame after frame, never looking ahead, as a live system would (no soft tissue then)."""
-    subject: str | None = None
-    """Which person, where a file holds several."""
-    fps: float | None = None
-    """Frames a second, where a file does not say or says it wrong."""
-    joints: str = "auto"
-    """Of the body: "smpl", "smplh" (fingers), "smplx" (jaw, eyes), "auto" (fingers where they have
-    markers).
-    """
-    seed: int = 0
-    """Of what is drawn at random."""
-    age: float | str | None = None
-    """Of the person, in years, for a body that has ages; "auto": what the capture's file says."""
-    label: str = "given"
-    """Whose labels: "given" by the file, or "auto": found on ``layout``, whatever the file calls
-    its points.
-    """
-
-    def __post_init__(self) -> None:
-        check_labelling(self.label)
-        check_sex(self.sex)
-        read_age(self.age)
 
     @property
-    def settings(self) -> MoshSettings:
-        """The settings of the recipe."""
-        weights = self.weights
-        return MoshSettings(
-            shape=weights.shape_stage,
-            pose=weights.pose_stage,
-            soft_tissue=bool(self.soft_tissue) and not self.causal,
-            soft_space=self.soft_tissue if isinstance(self.soft_tissue, str) else SOFT_SPACE,
+    def recipe_settings(self) -> MoshSettings:
+        """The settings of the recipe, with the options that override them."""
+        base = self.settings or MoshSettings()
+        if self.weights is not None:
+            base = replace(base, shape=self.weights.shape_stage, pose=self.weights.pose_stage)
+        space = self.soft_tissue if isinstance(self.soft_tissue, str) else SOFT_SPACE
+        soft = bool(self.soft_tissue) and space != "none" and not self.causal
+        return replace(
+            base,
+            soft_tissue=soft,
+            soft_space=SOFT_SPACE if space == "none" else space,
             causal=self.causal,
             seed=self.seed,
         )
 
     @overload
     def fit(
-        self, captures: Source, body: PathLike | BodyModel = ..., **options: Unpack[_Options]
+        self,
+        captures: Source,
+        body: PathLike | BodyModel = ...,
+        *,
+        out: PathLike | None = ...,
+        workers: WorkersLike = ...,
+        progress: Progress | None = ...,
     ) -> MarkerResult: ...
     @overload
     def fit(
-        self, captures: Sequence[Source], body: PathLike | BodyModel = ..., **options: object
+        self,
+        captures: Sequence[Source],
+        body: PathLike | BodyModel = ...,
+        *,
+        out: PathLike | None = ...,
+        workers: WorkersLike = ...,
+        progress: Progress | None = ...,
     ) -> list[MarkerResult]: ...
     def fit(
         self,
@@ -126,28 +94,20 @@ class Mosh:
         body: PathLike | BodyModel = "default",
         *,
         out: PathLike | None = None,
-        hold_out: Sequence[str] = (),
-        hold_out_every: int | None = None,
-        placements_from: Source | Sequence[Source] = (),
-        obj: bool = False,
-        npz_style: str = "habitus",
         workers: WorkersLike = None,
         progress: Progress | None = None,
     ) -> MarkerResult | list[MarkerResult]:
         """The fit of one capture (read, or a file), or the list of fits of several, which are one
         subject.
 
-        Where the files of a list hold several people, each is fitted by itself. body: loaded,
+        Where the files of a list hold several people, each is fitted separately. body: loaded,
         "default" or a file. out: a folder that receives ``<capture's name>/`` with body.npz,
-        body.glb, metrics.json and report.html, and with ``obj`` a mesh a frame; npz_style "amass"
-        writes body.npz as AMASS scripts slice it. hold_out leaves markers out of everything and
-        reports their error; hold_out_every does so for all, one in so many at a time;
-        placements_from are other captures of the same person that tell where held-out markers sit,
-        for a second report; workers (a number of threads, the address of a Dask scheduler, or
-        `Workers`) share these fits, which without any follow each other, each on all cores.
-        progress: told (stage, share done). Raises HabitusError with one clear line on bad input.
+        body.glb, metrics.json and report.html. workers (a number of threads, the address of a Dask
+        scheduler, or `Workers`) share the fits of ``hold_out_every``; by default these follow each
+        other, each on all cores. progress: called with (stage, share done). Raises HabitusError
+        with one clear line on bad input.
         """
-        one = isinstance(captures, Capture | str | os.PathLike)
+        single = isinstance(captures, Capture | str | os.PathLike)
         sources = _listed(captures)
         if not sources:
             raise HabitusError(
@@ -156,8 +116,7 @@ class Mosh:
         model = self.body(body)
         folder = None if out is None else Path(out)
         progress = progress or silent
-        check_npz_style(npz_style, model)
-        check_layout(self.layout, hold_out, hold_out_every)
+        self.check(model)
         with nullcontext() if folder is None else locked(folder, MARKER_FILES):
             progress("read", 0.0)
             began = time.perf_counter()
@@ -165,68 +124,73 @@ class Mosh:
             read_seconds = time.perf_counter() - began
             people = gather(read, self.layout, self.subject, model, progress)
             people, model = with_fingers(people, model, body, self.joints)
-            found = [capture for person in people for capture in person.captures]
-            if one and len(found) > 1:
-                names = ", ".join(capture.subject or "(unnamed)" for capture in found)
+            together = [capture for person in people for capture in person.captures]
+            if single and len(together) > 1:
+                names = ", ".join(capture.subject or "(unnamed)" for capture in together)
                 raise HabitusError(
                     f"the capture holds several people: {names}; name one with subject, or give a "
                     "list"
                 )
-            folders = {} if folder is None else capture_folders(folder, found, len(people) > 1)
-            told = self.read_all(_listed(placements_from))
-            each = self.each_fit(
-                model, people, hold_out, hold_out_every, workers, progress, read_seconds, told
-            )
+            folders = {} if folder is None else capture_folders(folder, together, len(people) > 1)
+            fitted = self.fit_people(model, people, read_seconds, workers, progress)
             if folder is None:
-                fits = [MarkerResult.of(fit) for _, fit in each]
+                fits = [MarkerResult.of(fit) for _, fit in fitted]
             else:
                 fits = [
-                    MarkerResult.of(save_fit(fit, folders[id(capture)], obj, npz_style))
-                    for capture, fit in each
+                    MarkerResult.of(save_fit(fit, folders[id(capture)], self.obj, self.npz_style))
+                    for capture, fit in fitted
                 ]
                 write_index(folder)
-        return fits[0] if one else fits
+        return fits[0] if single else fits
 
-    def each_fit(
+    def check(self, body: BodyModel) -> None:
+        """Raises HabitusError for options that do not go together, or not with this body."""
+        check_npz_style(self.npz_style, body)
+        check_layout(self.layout, self.hold_out, self.hold_out_every)
+
+    def fit_people(
         self,
         body: BodyModel,
         people: Sequence[Person],
-        hold_out: Sequence[str],
-        hold_out_every: int | None,
-        workers: WorkersLike,
-        progress: Progress,
         read_seconds: float = 0.0,
-        told: Sequence[Capture] = (),
+        workers: WorkersLike = None,
+        progress: Progress = silent,
     ) -> Iterator[tuple[Capture, MarkerFit]]:
-        """Each capture of these people with its fit, as they are done; ``read_seconds`` were spent
-        on reading them, and ``told`` are captures that tell where held-out markers sit.
+        """Each capture of these people with its fit, as they are done; reading them took
+        ``read_seconds``.
 
         Raises HabitusError for a capture without enough markers, before anything is fitted.
         """
+        others = [capture for s in _listed(self.placements_from) for capture in self.read(s)]
         for person in people:
             check_each(person)
         if self.sex in ("female", "male"):
             body = of_sex(body, self.sex)
         progress("start", 0.0)
         startup = warm_up(body)
-        count = sum(len(person.captures) for person in people)
+        share = read_seconds / max(1, sum(len(person.captures) for person in people))
         for person in people:
-            notes = check_told(person, told, hold_out, hold_out_every)
-            model = model_of(body, self.age, self.sex, person, self.settings, progress)
-            fits = self._fits(
-                model.body, person, (hold_out, hold_out_every, told), workers, progress
-            )
+            notes = check_placements(person, others, self.hold_out, self.hold_out_every)
+            choice = body_of(body, self, person, self.recipe_settings, progress)
+            fits = self._fits(choice.body, person, others, workers, progress)
             for fit, capture in zip(fits, person.captures, strict=True):
-                found = (
+                layout = (
                     ""
                     if person.discovery is None
                     else found_layout_text(person.discovery, capture.name)
                 )
-                seconds = {"read": read_seconds / count, **fit.stage_seconds}
-                fit = replace(
-                    fit, stage_seconds=seconds, startup_seconds=startup, found_layout=found
+                yield (
+                    capture,
+                    choice.noted(
+                        replace(
+                            fit,
+                            stage_seconds={"read": share, **fit.stage_seconds},
+                            startup_seconds=startup,
+                            found_layout=layout,
+                            warnings=(*fit.warnings, *notes),
+                        )
+                    ),
                 )
-                yield capture, model.told(replace(fit, warnings=(*fit.warnings, *notes)))
 
     def start(self, captures: Source, body: PathLike | BodyModel = "default") -> LiveFit:
         """A live fit: shape and marker places from these frames now, then ``.step(markers)`` for
@@ -236,9 +200,8 @@ class Mosh:
         capture's labels. Raises HabitusError with one clear line on bad input.
         """
         read = self.read(captures)
-        settings = replace(self.settings, causal=True, soft_tissue=False)
-        wanted = Wanted(self.layout, body, self.subject, self.sex, self.joints, self.age)
-        known, recording, capture = learnt(read, self.body(body), wanted, settings)
+        settings = replace(self.recipe_settings, causal=True, soft_tissue=False)
+        known, recording, capture = learn_subject(read, self.body(body), body, self, settings)
         wiring = find_wiring(capture.markers, recording.observed, 1.0)
         return LiveFit(known, capture.labels, wiring.columns, settings, recording.rate_hz)
 
@@ -251,107 +214,78 @@ class Mosh:
     def read(self, source: Source) -> tuple[Capture, ...]:
         """The captures of a file, one a person. Raises HabitusError."""
         if self.label == "auto":
-            return (labelled_capture(source, self.layout, self.fps),)
+            return (label(source, layout=self.layout, fps=self.fps).capture(),)
         if not isinstance(source, Capture):
             return read_captures(source, fps=self.fps)
         return (source if self.fps is None else replace(source, rate_hz=self.fps),)
-
-    def read_all(self, sources: Sequence[Source]) -> list[Capture]:
-        """The captures of several files. Raises HabitusError."""
-        return [capture for source in sources for capture in self.read(source)]
 
     def _fits(
         self,
         body: BodyModel,
         person: Person,
-        held_out: tuple[Sequence[str], int | None, Sequence[Capture]],
+        others: Sequence[Capture],
         workers: WorkersLike,
         progress: Progress,
     ) -> Iterator[MarkerFit]:
-        """A person's fits, one after another, with the errors of held-out markers where they were
-        asked for.
+        """A person's fits, one after another, with the errors of held-out markers where asked
+        for.
         """
         prior = prior_of(body)
-        settings = self.settings
-        labels, every, told = held_out
-        if labels:
-            kept, held = leave_out(person, labels)
+        settings = self.recipe_settings
+        if self.hold_out:
+            kept, held = leave_out(person, self.hold_out)
             fits = iterate_attempts(body, prior, kept.layout, kept.recordings, settings, progress)
-            gone = held.layout.labels
-            at_told = (
-                told_errors(body, prior, person, gone, told, settings)
-                if told
+            labels = held.layout.labels
+            known = (
+                known_placement_errors(body, prior, person, labels, others, settings)
+                if others
                 else [None] * len(held.observed)
             )
-            for index, (fit, errors) in enumerate(zip(fits, at_told, strict=True)):
+            for index, (fit, errors) in enumerate(zip(fits, known, strict=True)):
                 yield replace(fit, held_out=errors_of(fit, held, index), held_out_told=errors)
             return
+        every = self.hold_out_every
         rotated = (
             None
             if every is None
-            else rotate_hold_out(body, person, every, settings, progress, workers, told)
+            else rotate_hold_out(body, person, every, settings, progress, workers, others)
         )
         for index, fit in enumerate(
             iterate_attempts(body, prior, person.layout, person.recordings, settings, progress)
         ):
-            default, at_told = (
+            default, known_placement = (
                 (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
             )
-            yield replace(fit, held_out=default, held_out_told=at_told)
+            yield replace(fit, held_out=default, held_out_told=known_placement)
 
 
 def _listed(sources: Source | Sequence[Source]) -> list[Source]:
     return [sources] if isinstance(sources, Capture | str | os.PathLike) else list(sources)
 
 
+@takes(MoshOptions)
 def mosh(
     captures: Source | Sequence[Source],
     out: PathLike | None = None,
-    *,
-    layout: PathLike = "auto",
-    weights: MoshWeights | None = None,
     body: PathLike | BodyModel = "default",
-    sex: str = "neutral",
-    soft_tissue: bool | str = True,
-    causal: bool = False,
-    hold_out: Sequence[str] = (),
-    hold_out_every: int | None = None,
-    placements_from: Source | Sequence[Source] = (),
-    subject: str | None = None,
-    fps: float | None = None,
-    joints: str = "auto",
-    obj: bool = False,
-    npz_style: str = "habitus",
-    seed: int = 0,
-    age: float | str | None = None,
-    label: str = "given",
+    *,
+    options: MoshOptions,
     workers: WorkersLike = None,
     progress: Progress | None = None,
 ) -> list[MarkerResult]:
-    """Fit a body to the captures of one subject and, where ``out`` is given, write what comes out:
-    a fit a capture.
+    """Fit a body to the captures of one subject: a fit for each; ``out`` receives the files of
+    each.
 
-    ``habitus mosh`` as a function; see `Mosh` and `Mosh.fit` for the options. Where a file holds
-    several people, each is fitted by itself, or only the one named ``subject``. Raises HabitusError
-    with one clear line on bad input.
+    ``habitus mosh`` as a function; see `Mosh` for the options and `Mosh.fit` for the rest. Where a
+    file holds several people, each is fitted separately, or only the one named ``subject``. Raises
+    HabitusError with one clear line on bad input.
     """
-    told = (
-        layout,
-        weights or MoshWeights(),
-        sex,
-        soft_tissue,
-        causal,
-        subject,
-        fps,
-        joints,
-        seed,
-        age,
-        label,
+    return recipe_of(options).fit(
+        _listed(captures), body, out=out, workers=workers, progress=progress
     )
-    held_out = _Options(
-        hold_out=hold_out, hold_out_every=hold_out_every, placements_from=placements_from
-    )
-    written = _Options(out=out, obj=obj, npz_style=npz_style)
-    return Mosh(*told).fit(
-        _listed(captures), body, **held_out, **written, workers=workers, progress=progress
-    )
+
+
+def recipe_of(options: MarkerOptions) -> Mosh:
+    """The recipe with the options that it shares with a job's."""
+    names = {field.name for field in fields(Mosh)}
+    return Mosh(**{f.name: getattr(options, f.name) for f in fields(options) if f.name in names})

@@ -20,7 +20,9 @@ from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
+from habitus.jobs.options import takes
 from habitus.jobs.results import ScanResult
+from habitus.jobs.surface_options import RegisterOptions
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.registrations import Registrations
 from habitus.results.save import SCAN_FILES, result_lock
@@ -31,61 +33,55 @@ DATASET = "registrations.npz"
 SEXES = ("female", "male")
 
 
+@takes(RegisterOptions)
 def register_scans(
     scans: Sequence[Scan | PathLike] | Scan | PathLike,
     body: BodyModel | PathLike = "default",
     *,
+    options: RegisterOptions,
     out: PathLike | None = None,
-    unit: str = "auto",
-    up: str = "auto",
-    separate: bool = False,
-    sequence: bool = False,
-    age: float | None = None,
-    sex: str = "",
-    texture: bool = False,
-    seed: int = 0,
-    settings: ScanSettings | None = None,
     progress: Progress = lambda stage, share: None,
 ) -> list[ScanResult]:
     """Scans of a person registered to a body: surfaces in its topology, one shape, a pose each (T
     5.4).
 
     scans: files (ply, obj, stl, glb, gltf, off, xyz), folders of such, or `Scan`\\ s: points (N, 3)
-    in any unit and axes. All are one person, unless ``separate``. sequence: in time order, each
-    beginning where the one before ended. body: a model, a file, "neutral", "female", "male", or
-    "default": the best of these three. unit: auto, m, cm, mm, in, ft. up: auto, or the axis that
-    points up ("+z"). age in years, for children. texture: colours of two scans or more of one
-    person make their correspondences sharper. settings: constants of the recipe. out: a folder that
-    receives ``SCAN/`` with body.npz, surface.ply, surface.glb, model.ply, rest.ply, metrics.json
-    and report.html, and registrations.npz, which ``habitus train`` reads, ``sex`` in it ("female",
-    "male" or "" for unknown). Raises HabitusError for what is no scan of a person, where that can
-    be known before a fit; after it, see the verdict and ``status``.
+    in any unit and axes. body: a model, a file, "neutral", "female", "male", or "default": the best
+    of these three. out: a folder that receives ``SCAN/`` with body.npz, surface.ply, surface.glb,
+    model.ply, rest.ply, metrics.json and report.html, and registrations.npz, which ``habitus
+    train`` reads. Raises HabitusError for data that are no scan of a person, where that can be
+    known before a fit; after it, see the verdict and ``status``.
     """
+    sex = options.sex or ""
     if sex not in ("", *SEXES):
         raise HabitusError(f"sex is {sex!r}; expected {' or '.join(SEXES)}, or nothing")
+    if options.separate and options.sequence:
+        raise HabitusError(
+            "separate and sequence were given; expected one: a sequence is of one person"
+        )
     given = [scans] if isinstance(scans, Scan | str | os.PathLike) else list(scans)
     if not given:
         raise HabitusError("no scans were given; expected files, folders or points")
     with result_lock(out, SCAN_FILES):
         read = [one for each in given for one in _read(each)]
-        if texture:
-            if separate:
+        if options.texture:
+            if options.separate:
                 raise HabitusError(
                     "texture and separate were given; expected one: colours are compared within "
                     "one person"
                 )
             check_colours(read)
         names = _folders(read) if out is not None else []
-        registrar = made_ready(body, age, settings or SCANS)
-        asked = {"unit": unit, "up": up, "seed": seed}
+        registrar = made_ready(body, options.age, options.settings or SCANS)
+        asked = {"unit": options.unit, "up": options.up, "seed": options.seed}
         with one_blas_thread():
-            if sequence:
+            if options.sequence:
                 fits = _in_time(registrar, read, asked, progress)
-            elif separate:
+            elif options.separate:
                 fits = [registrar.register([scan], **asked, progress=progress)[0] for scan in read]
             else:
                 fits = registrar.register(read, **asked, progress=progress)
-            if texture:
+            if options.texture:
                 progress("colours", 0.9)
                 fits = with_colours(
                     registrar.settled(next((fit for fit in fits if fit.person), fits[0])),
@@ -96,7 +92,9 @@ def register_scans(
         if out is not None:
             for fit, name in zip(results, names, strict=True):
                 fit.save(Path(out) / name)
-            subjects = names if separate else [file_name(Path(out).resolve().name)] * len(fits)
+            subjects = (
+                names if options.separate else [file_name(Path(out).resolve().name)] * len(fits)
+            )
             write_registrations(_dataset(fits, names, subjects, sex), Path(out) / DATASET)
         progress("done", 1.0)
         return results

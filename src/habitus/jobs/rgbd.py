@@ -1,6 +1,6 @@
 """Bodies from depth cameras: a folder of views in, a folder of results out (T 4.6.1)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Self
 
@@ -10,7 +10,9 @@ from habitus.fit.points.depth_result import RgbdFit
 from habitus.fit.points.settings import RgbdSettings
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
+from habitus.jobs.options import takes
 from habitus.jobs.results import Exportable, with_methods
+from habitus.jobs.surface_options import DepthOptions, RgbdOptions
 from habitus.observe.depth_views import RgbdCapture
 from habitus.report.rgbd import rgbd_page
 from habitus.results.depth import DEPTH_FILES, save_depth
@@ -35,66 +37,53 @@ class DepthResult(Exportable, RgbdFit):
         save_depth(self, folder, rgbd_page)
 
 
+@takes(DepthOptions)
 def fit_rgbd(
     views: RgbdCapture | PathLike,
     body: BodyModel | PathLike = "default",
     *,
-    turns: Sequence[float | None] | None = None,
-    settings: RgbdSettings | None = None,
-    age: float | None = None,
+    options: DepthOptions,
 ) -> DepthResult:
     """The body of a person whom a depth camera saw in one view or several (T 4.6.1), its poses,
     light and albedo.
 
-    views: what `habitus.read_views` gives, or the folder it reads. body: a model, a file,
+    views: the result of `habitus.read_views`, or the folder it reads. body: a model, a file,
     "neutral", "female", "male", or "default": women's or men's, whichever explains the views
-    better, the neutral one where neither does. turns: degrees by which the person was turned in
-    each view, to the person's left; None where unknown, as all are by themselves. age: in years, of
-    the body. Raises HabitusError for folders that hold no views, and where nobody is found in one.
+    better, the neutral one where neither does. ``turns``: None where unknown. Raises HabitusError
+    for folders without views, and where no person is found in one.
     """
     capture = views if isinstance(views, RgbdCapture) else read_views(views)
-    settings = settings or RgbdSettings()
+    settings = options.settings or RgbdSettings()
+    turns = options.turns or None
     if isinstance(body, str) and body == "default":
-        kinds = {name: loaded(name, "auto", age) for name in ("neutral", "female", "male")}
+        kinds = {name: loaded(name, "auto", options.age) for name in ("neutral", "female", "male")}
         return DepthResult.of(fit_views(capture, kinds, settings, turns))
-    model = loaded(body, "auto", age)
+    model = loaded(body, "auto", options.age)
     name = model.name if isinstance(body, BodyModel) else str(body)
-    gender = name if name in ("female", "male") else "neutral"
-    return DepthResult.of(fit_views(capture, model, settings, turns, name, gender))
+    sex = name if name in ("female", "male") else "neutral"
+    return DepthResult.of(fit_views(capture, model, settings, turns, name, sex))
 
 
+@takes(RgbdOptions)
 def rgbd(
     folder: PathLike,
     out: PathLike,
-    *,
     body: BodyModel | PathLike = "default",
-    views: Sequence[int] | None = None,
-    turns: Sequence[float | None] | None = None,
-    depth_unit: float | None = None,
-    cameras: PathLike | None = None,
-    age: float | None = None,
-    clothes_mm: float | None = None,
-    hair_mm: float | None = None,
-    progress: Callable[[str], Any] | None = None,
+    *,
+    options: RgbdOptions,
+    progress: Callable[[str], Any] = lambda text: None,
 ) -> DepthResult:
-    """Read a folder of views, fit, and write the results into the folder ``out``; what ``habitus
-    rgbd`` does.
-
-    views, depth_unit, cameras: as `habitus.read_views` takes them. clothes_mm, hair_mm: that lie on
-    the skin of trunk and thighs and on the head, and are taken off; as in `RgbdSettings` where not
-    given. Raises HabitusError.
+    """Read a folder of views, fit, and write the results into the folder ``out``, as ``habitus
+    rgbd`` does. Raises HabitusError.
     """
-    tell = progress or (lambda text: None)
     with result_lock(out, DEPTH_FILES):
-        tell("reading")
-        capture = read_views(folder, views, depth_unit, cameras)
-        tell(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
-        told = {"clothes": clothes_mm, "hair": hair_mm}
-        settings = replace(
-            RgbdSettings(),
-            **{name: 1e-3 * value for name, value in told.items() if value is not None},
-        )
-        fit = fit_rgbd(capture, body, turns=turns, settings=settings, age=age)
-        tell("writing")
+        progress("reading")
+        capture = read_views(folder, options.views or None, options.depth_unit, options.cameras)
+        progress(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
+        layers = {"clothes": options.clothes_mm, "hair": options.hair_mm}
+        metres = {name: 1e-3 * value for name, value in layers.items() if value is not None}
+        settings = replace(options.settings or RgbdSettings(), **metres)
+        fit = fit_rgbd(capture, body, turns=options.turns, settings=settings, age=options.age)
+        progress("writing")
         fit.save(out)
         return fit

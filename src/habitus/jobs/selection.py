@@ -1,6 +1,4 @@
-"""Marker sets and poses chosen for a goal (M 7, M 10). Names and files in, layouts, numbers and
-pictures out.
-"""
+"""Markers to choose among: those of layouts, or a set's own and landmarks spread over the body."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,18 +21,162 @@ from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
 from habitus.fit.selection.held_out import held_out_people
 from habitus.fit.selection.poses import PoseChoice, choose_poses
-from habitus.fit.selection.problem import NOISE, linearised
-from habitus.io.layouts.files import save_layout
+from habitus.fit.selection.problem import NOISE, Candidates, linearised
+from habitus.io.layouts.files import load_layout, save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.bodies import loaded
-from habitus.jobs.marker_pools import Pool, find_layout, find_pool
-from habitus.markers.layouts import MarkerLayout
+from habitus.jobs.marker_options import MarkerSelectionOptions, PoseSelectionOptions
+from habitus.jobs.options import silent, takes
+from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.report.diagrams import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 
+MIN_MARKER_DISTANCE = 0.015
+"""Metres below which two places are one."""
+_NOT_SKIN = (
+    "thumb",
+    "index",
+    "middle",
+    "ring",
+    "pinky",
+    "eye",
+    "ear",
+    "nose",
+    "tip",
+    "glabella",
+    "sellion",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Candidates, the layout that holds them all, and the groups to start from."""
+
+    candidates: Candidates
+    layout: MarkerLayout
+    start: tuple[int, ...]
+
+
+def find_layout(start: int | PathLike) -> MarkerLayout:
+    """A layout without its optional markers; a number is that of MoSh's sets. Raises
+    HabitusError.
+    """
+    text = str(start)
+    found = load_layout(f"mosh-{text}" if text.isdigit() else text)
+    return found.restricted_to(
+        tuple(marker.label for marker in found.markers if not marker.optional)
+    )
+
+
+def find_pool(
+    body: BodyModel, pool: int | str | Sequence[str], start: MarkerLayout, pairs: bool
+) -> Pool:
+    """The candidates that ``pool`` means (a number, or layouts), those of ``start`` first.
+
+    Raises HabitusError for fewer than the start has.
+    """
+    text = str(pool) if isinstance(pool, int | str) else ",".join(pool)
+    if text.isdigit():
+        markers = _spread(body, list(start.markers), int(text))
+    else:
+        others = [
+            marker for name in text.split(",") for marker in load_layout(name.strip()).markers
+        ]
+        markers = _apart(body, [*start.markers, *others])
+    layout = MarkerLayout("candidates", tuple(markers), num_vertices=start.num_vertices)
+    vertices = layout.vertices(body)
+    groups = _mirrored(body, vertices) if pairs else [(k,) for k in range(len(vertices))]
+    first = tuple(
+        k
+        for k, group in enumerate(groups)
+        if any(layout.labels[each] in start.labels for each in group)
+    )
+    return Pool(Candidates(layout.labels, vertices, tuple(groups)), layout, first)
+
+
+def _spread(body: BodyModel, markers: list[Marker], count: int) -> list[Marker]:
+    """``count`` markers: the given ones, then landmarks, each time the one farthest from all
+    others, with its twin.
+    """
+    if count < len(markers):
+        raise HabitusError(
+            f"{count} candidates, and a start of {len(markers)} markers; expected more candidates"
+        )
+    names = [name for name in body.landmarks if not any(part in name for part in _NOT_SKIN)]
+    places = {name: body.v_template[body.landmarks[name]] for name in names}
+    taken = [
+        body.v_template[vertex] for vertex in MarkerLayout("start", tuple(markers)).vertices(body)
+    ]
+    while len(markers) < count:
+        distance = {
+            name: np.linalg.norm(np.array(taken) - place, axis=1).min()
+            for name, place in places.items()
+        }
+        name = max(distance, key=lambda each: distance[each], default="")
+        if not name or distance[name] < MIN_MARKER_DISTANCE:
+            raise HabitusError(
+                f"{body.name} has landmarks for {len(markers)} candidates, {count} were asked for"
+            )
+        for one in dict.fromkeys((name, _other_side(name))):
+            if one in places and len(markers) < count:
+                markers.append(Marker(_label(one), landmark=one))
+                taken.append(places.pop(one))
+    return markers
+
+
+def _apart(body: BodyModel, markers: Sequence[Marker]) -> list[Marker]:
+    """The markers at least `MIN_MARKER_DISTANCE` from all before them, relabelled."""
+    numbered = MarkerLayout(
+        "all", tuple(replace(marker, label=f"{k}") for k, marker in enumerate(markers))
+    )
+    kept: dict[str, Marker] = {}
+    taken = np.zeros((0, 3))
+    for marker, point in zip(markers, body.v_template[numbered.vertices(body)], strict=True):
+        if (
+            marker.label not in kept
+            and np.linalg.norm(taken - point, axis=1).min(initial=np.inf) >= MIN_MARKER_DISTANCE
+        ):
+            kept[marker.label] = marker
+            taken = np.vstack([taken, point])
+    return list(kept.values())
+
+
+def _mirrored(body: BodyModel, vertices: np.ndarray) -> list[tuple[int, ...]]:
+    """Groups of a marker and its twin on the other side, where there is one."""
+    places = body.v_template[vertices]
+    groups = []
+    free = set(range(len(vertices)))
+    for k in range(len(vertices)):
+        if k not in free:
+            continue
+        away = np.linalg.norm(places - places[k] * [-1, 1, 1], axis=1)
+        twin = min((j for j in free if j != k), key=lambda j: away[j], default=k)
+        group = (
+            (k, twin)
+            if twin != k
+            and away[twin] < MIN_MARKER_DISTANCE
+            and abs(places[k, 0]) > MIN_MARKER_DISTANCE
+            else (k,)
+        )
+        groups.append(tuple(sorted(group)))
+        free -= set(group)
+    return groups
+
+
+def _other_side(name: str) -> str:
+    side, _, rest = name.partition("_")
+    other = {"left": "right", "right": "left"}.get(side)
+    return f"{other}_{rest}" if other else name
+
+
+def _label(landmark: str) -> str:
+    side, _, rest = landmark.partition("_")
+    return f"{side[0].upper()}_{rest.upper()}" if side in ("left", "right") else landmark.upper()
+
+
 SAMPLE = 500  # vertices at which the best state of a held-out surface is fitted
-APART = 0.06  # metres of an ankle from the body's middle, in poses that somebody holds
+MIN_ANKLE_OFFSET = 0.06  # metres from the sagittal plane, for poses that can be held
 FILES = ("selection.json", "curve.svg", "markers.svg")
 KINDS = ("of the start", "of the {count} best to add", "others that were considered")
 
@@ -91,59 +233,55 @@ class Selection:
         )
 
 
+@takes(MarkerSelectionOptions)
 def select_markers(
-    pool: int | str | Sequence[str] = 114,
-    start: int | PathLike = "mosh-47",
     *,
-    goal: str = "surface",
-    region: str = "all",
-    pairs: bool = False,
-    min_markers: int = 5,
-    people: int = 40,
-    keep: Sequence[int] = (25, 67),
-    body: PathLike | BodyModel = "default",
-    seed: int = 0,
-    workers: WorkersLike = None,
+    options: MarkerSelectionOptions,
     out: PathLike | None = None,
-    progress: Progress | None = None,
+    workers: WorkersLike = None,
+    progress: Progress = silent,
 ) -> Selection:
-    """Which markers tell a body best: from a set markers go one by one, and others come (M 7, eqs.
-    11 to 13).
+    """The markers that determine a body best: from a set markers are removed one by one, and others
+    added (M 7, eqs. 11 to 13).
 
-    pool: so many candidates, those of ``start`` and landmarks spread over the body, or the layouts
-    that have them. start: a layout (47 and 67 are MoSh's). goal: error of the posed "surface" (eq.
-    13), of the "shape" at rest, or of joints in their "pose"; region: of all, legs, arms, trunk or
-    head. pairs: left and right go together. people: posed, held out, drawn from other shape spaces
-    than the body's, with skin that no space explains. out: a folder for selection.json, curve.svg,
-    markers.svg and a layout for each number in ``keep``. progress: told (stage, share done). Raises
-    HabitusError for names that there are not, and for too small a pool.
+    pool: a number of candidates (those of ``start`` and landmarks spread over the body), or the
+    layouts that have them. start: a layout (47 and 67 are MoSh's). people: posed, held out, drawn
+    from other shape spaces than the body's, with skin that no space explains. out: a folder for
+    selection.json, curve.svg, markers.svg and a layout for each number in ``keep``. progress:
+    called with (stage, share done). Raises HabitusError for unknown names, and for too small a
+    pool.
     """
-    tell = progress or (lambda stage, share: None)
-    model = loaded(body)
+    pool = options.pool
+    start = options.start
+    goal = options.goal
+    region = options.region
+    pairs = options.pairs
+    tell = progress
+    model = loaded(options.body)
     prior = prior_of(model)
     found = find_pool(model, pool, find_layout(start), pairs)
     tell("people", 0.0)
     others = [load_body(name) for name in ("female", "male")] if _shares_mesh(model) else [model]
-    drawn = held_out_people(others, prior, people, seed)
+    drawn = held_out_people(others, prior, options.people, options.seed)
     vertices = np.unique(np.linspace(0, model.num_vertices - 1, SAMPLE).astype(int))
     known = best_states(model, prior, drawn, vertices)
     problem = linearised(model, prior, known, found.candidates, goal, region)
     with open_workers(workers) as shared:
-        least = min(len(found.start), max(1, -(-min_markers // (2 if pairs else 1))))
-        removed = _told(
+        least = min(len(found.start), max(1, -(-options.min_markers // (2 if pairs else 1))))
+        removed = _reported(
             removals(problem, found.start, least, shared), "remove", len(found.start) - least, tell
         )
         most = len(found.candidates.groups)
-        added = _told(
+        added = _reported(
             additions(problem, found.start, most, shared), "add", most - len(found.start), tell
         )
     selection = Selection(model, found, goal, region, removed, added)
     if out is not None:
-        _write(selection, Path(out), keep)
+        _write(selection, Path(out), options.keep)
     return selection
 
 
-def _told(steps: Iterator[Step], stage: str, count: int, tell: Progress) -> tuple[Step, ...]:
+def _reported(steps: Iterator[Step], stage: str, count: int, tell: Progress) -> tuple[Step, ...]:
     out = []
     for step in steps:
         out.append(step)
@@ -213,30 +351,28 @@ def _numbers(found: Selection) -> dict[str, object]:
     }
 
 
+@takes(PoseSelectionOptions)
 def select_poses(
-    layout: PathLike = "mosh-47",
-    count: int = 12,
-    *,
-    candidates: int = 200,
-    body: PathLike | BodyModel = "default",
-    seed: int = 0,
-    workers: WorkersLike = None,
-    out: PathLike | None = None,
+    *, options: PoseSelectionOptions, out: PathLike | None = None, workers: WorkersLike = None
 ) -> tuple[PoseChoice, Float[np.ndarray, "count J 3"]]:
-    """The ``count`` poses that together tell a person's shape best with a layout's markers: a body
-    scan (M 10).
+    """The poses that together determine a person's shape best with a layout's markers: a body scan
+    (M 10).
 
-    candidates: poses to choose among, plain ones (arms down, T-pose, sitting, crouching, arms up)
-    and others drawn from the pose prior, with both legs alike and the body over its feet, so that
-    they can be held. out: an .npz that receives the poses as a motion of one pose a second, with
-    AMASS's names. Returns the choice and the poses (rad). Raises HabitusError for a layout that the
-    body has not, and for fewer candidates than poses.
+    candidates: plain poses (arms down, T-pose, sitting, crouching, arms up) and others drawn from
+    the pose prior, with both legs alike and the body over its feet, so that they can be held. out:
+    an .npz that receives the poses as a motion of one pose a second, with AMASS's names. Returns
+    the choice and the poses (rad). Raises HabitusError for a layout that the body lacks, and for
+    fewer candidates than poses.
     """
+    layout = options.layout
+    count = options.count
+    candidates = options.candidates
+    seed = options.seed
     if not 0 < count <= candidates:
         raise HabitusError(
             f"{count} poses of {candidates}; expected 1 or more, and no more than there are"
         )
-    model = loaded(body)
+    model = loaded(options.body)
     prior = prior_of(model)
     found = find_layout(layout)
     poses = _candidate_poses(model, prior, candidates, seed)
@@ -277,7 +413,7 @@ def _stood(body: BodyModel, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray,
         for part in ("hip", "knee", "ankle", "foot")
         if f"left_{part}" in names
     }
-    if body((), out, vertices=[0]).joints[left["ankle"], 0] < APART:
+    if body((), out, vertices=[0]).joints[left["ankle"], 0] < MIN_ANKLE_OFFSET:
         out[left["hip"]] *= [1, -1, -1]
     for part, joint in left.items():
         out[names.index(f"right_{part}")] = out[joint] * [1, -1, -1]

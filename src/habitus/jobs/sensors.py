@@ -30,7 +30,7 @@ from habitus.io.rgbd.read import read_views
 from habitus.io.scans import read_scan
 from habitus.jobs.bodies import loaded
 from habitus.jobs.results import MarkerResult
-from habitus.jobs.subjects import Wanted, person
+from habitus.jobs.subjects import LayoutChoice, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.depth_views import DepthView, RgbdCapture
 from habitus.solve.terms import Term
@@ -49,7 +49,7 @@ class Markers:
     """
 
     capture: Capture | PathLike | np.ndarray
-    layout: Wanted = "auto"
+    layout: LayoutChoice = "auto"
     noise: float = 0.0115
     frames: Sequence[int] | None = None
     fps: float = 100.0
@@ -72,7 +72,7 @@ class Markers:
             recording = Recording("markers", np.asarray(self.capture, float), self.fps, "+y")
             return MarkerData(recording, self.layout, self.noise, frames)
         read = self.capture if isinstance(self.capture, Capture) else read_capture(self.capture)
-        known = person([read], self.layout)
+        known = person_of([read], self.layout)
         return MarkerData(known.recordings[0], known.layout, self.noise, frames)
 
 

@@ -1,4 +1,6 @@
-"""Captures grouped by person and brought to one marker layout."""
+"""Captures grouped by person and brought to one marker layout: given, matched by labels, or
+discovered by fitting.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -7,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.body.model import BodyModel
+from habitus.body.shipped_prior import prior_of
 from habitus.errors import HabitusError, listed
+from habitus.fit.discover.recipe import discover
 from habitus.fit.discover.result import Discovery
 from habitus.fit.markers.hold_out import HeldMarkers
 from habitus.fit.markers.recipe import Recording
@@ -15,13 +19,12 @@ from habitus.fit.markers.recordings import check_recordings
 from habitus.fit.markers.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts, shipped_layouts
-from habitus.jobs.discovering import asks_to_discover, discovered
-from habitus.markers.layouts import ON_A_FINGER, MarkerLayout
-from habitus.markers.matching import LayoutMatch
+from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
+from habitus.markers.matching import LayoutMatch, interpreted
 from habitus.parallel.blocks import mapped
 from habitus.types import PathLike, Progress
 
-Wanted = PathLike | MarkerLayout | Sequence[MarkerLayout]
+LayoutChoice = PathLike | MarkerLayout | Sequence[MarkerLayout]
 """A layout that is asked for: "auto", "discover", a shipped name, a file, the layout itself, or
 some to choose from.
 """
@@ -32,12 +35,12 @@ class Person:
     """One person's captures, brought to one layout: recordings share the layout's markers, in its
     order.
 
-    ``wanted``: the layout asked for; the one that was found, where ``discovery`` tells how.
+    ``layout_choice``: the layout asked for; ``discovery``: how an unknown layout was estimated.
     ``fingers``: whether markers on fingers count; ``left_fingers`` are those that were left out.
     """
 
     captures: tuple[Capture, ...]
-    wanted: Wanted
+    layout_choice: LayoutChoice
     layout: MarkerLayout
     recordings: tuple[Recording, ...]
     fingers: bool = False
@@ -47,7 +50,7 @@ class Person:
 
 def gather(
     files: Sequence[Sequence[Capture]],
-    layout: Wanted,
+    layout: LayoutChoice,
     subject: str | None,
     body: BodyModel | None = None,
     progress: Progress = lambda stage, share: None,
@@ -57,18 +60,18 @@ def gather(
 
     body: of that kind is who is fitted where the layout is to be discovered.
     """
-    return [someone(each, layout, body, progress) for each in _people(files, subject)]
+    return [subject_of(each, layout, body, progress) for each in _people(files, subject)]
 
 
-def someone(
-    captures: Sequence[Capture], layout: Wanted, body: BodyModel | None, progress: Progress
+def subject_of(
+    captures: Sequence[Capture], layout: LayoutChoice, body: BodyModel | None, progress: Progress
 ) -> Person:
     """`person`, whose layout is found by fitting a body first where that is asked for."""
     if not asks_to_discover(layout):
-        return person(captures, layout)
+        return person_of(captures, layout)
     found = discovered(captures, body, progress)
     return replace(
-        person(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found
+        person_of(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found
     )
 
 
@@ -90,9 +93,9 @@ def _people(files: Sequence[Sequence[Capture]], subject: str | None) -> list[lis
     return [[capture for capture in found if capture.subject == name] for name in names]
 
 
-def person(
+def person_of(
     captures: Sequence[Capture],
-    wanted: Wanted,
+    wanted: LayoutChoice,
     fingers: bool = False,
     notes: Sequence[str] = (),
     doubts: tuple[str, ...] = (),
@@ -226,13 +229,13 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
         raise HabitusError(
             f"cannot hold out all {len(whole.layout)} markers; leave some to fit the body to"
         )
-    captures = put_right(whole)
-    kept = person(
+    captures = relabelled(whole)
+    kept = person_of(
         [_only(capture, [x for x in capture.labels if x not in labels]) for capture in captures],
-        whole.wanted,
+        whole.layout_choice,
         whole.fingers,
     )
-    layouts = _given(whole.wanted, whole.fingers)
+    layouts = _given(whole.layout_choice, whole.fingers)
     matches = [match_layout(capture.labels, layouts=layouts) for capture in captures]
     union = _union(matches)
     gone = union.restricted_to(tuple(label for label in union.labels if label in labels))
@@ -245,12 +248,14 @@ def leave_out(whole: Person, labels: Sequence[str]) -> tuple[Person, HeldMarkers
     return kept, HeldMarkers(gone, observed, stay)
 
 
-def put_right(whole: Person) -> list[Capture]:
+def relabelled(whole: Person) -> list[Capture]:
     """A person's captures with exchanged labels put back, whether for a while or throughout."""
     captures = []
-    again = _checked(whole.captures, whole.wanted, whole.fingers)
+    again = _checked(whole.captures, whole.layout_choice, whole.fingers)
     for capture, checked in zip(whole.captures, again, strict=True):
-        plain = match_layout(capture.labels, layouts=_given(whole.wanted, whole.fingers)).layout
+        plain = match_layout(
+            capture.labels, layouts=_given(whole.layout_choice, whole.fingers)
+        ).layout
         markers = np.array(capture.markers)
         markers[:, checked.columns] = checked.select(capture.markers)
         renamed = dict(_exchanged(plain, checked.layout))
@@ -279,7 +284,7 @@ def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str
 
 
 def _checked(
-    captures: Sequence[Capture], wanted: Wanted, fingers: bool = False
+    captures: Sequence[Capture], wanted: LayoutChoice, fingers: bool = False
 ) -> Sequence[LayoutMatch]:
     """The captures matched by labels and geometry, judged together."""
     layouts = _given(wanted, fingers)
@@ -291,7 +296,7 @@ def _checked(
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
-def _given(wanted: Wanted, fingers: bool = False) -> list[MarkerLayout] | None:
+def _given(wanted: LayoutChoice, fingers: bool = False) -> list[MarkerLayout] | None:
     if isinstance(wanted, MarkerLayout):
         layouts = [wanted]
     elif not isinstance(wanted, str | os.PathLike):
@@ -361,3 +366,68 @@ def _matched(match: LayoutMatch) -> str:
     if match.missing_labels:
         words += f"; not in the capture: {listed(match.missing_labels)}"
     return words
+
+
+DISCOVER = "discover"
+_FRAMES = 2000  # of each capture that are looked at
+
+
+def asks_to_discover(layout: object) -> bool:
+    """Whether a layout that is asked for is to be found by fitting."""
+    return isinstance(layout, str) and layout == DISCOVER
+
+
+def check_layout(layout: PathLike, hold_out: Sequence[str] = (), every: int | None = None) -> None:
+    """Raises HabitusError for a layout that is neither there nor to be found, and where markers are
+    to be held out that would tell their own places.
+    """
+    if not asks_to_discover(layout) and str(layout) != "auto":
+        load_layout(layout)
+    if asks_to_discover(layout) and (hold_out or every is not None):
+        raise HabitusError(
+            "markers cannot be held out where their places are discovered, since each tells its "
+            "own place; "
+            "fit again with the layout.toml that was found"
+        )
+
+
+def discovered(
+    captures: Sequence[Capture], body: BodyModel | None, progress: Progress
+) -> Discovery:
+    """The layout of all captures of a person together; labels that known layouts understand as a
+    set help.
+
+    Raises HabitusError, naming the captures, where there are too few labels.
+    """
+    assert body is not None
+    labels = tuple(dict.fromkeys(label for capture in captures for label in capture.labels))
+    markers = np.concatenate([_some_frames(capture, labels) for capture in captures])
+    try:
+        known = known_labels(labels, body)
+        usual = shipped_layouts()
+        return discover(body, prior_of(body), labels, markers, known, usual, progress)
+    except HabitusError as error:
+        raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
+
+
+def known_labels(labels: Sequence[str], body: BodyModel) -> dict[str, Marker]:
+    """What some labels usually mean, by the layout that explains most of them and where others
+    agree; on this body.
+    """
+    found = interpreted(labels, shipped_layouts()).found
+    return {
+        labels[column]: marker
+        for column, marker in found.items()
+        if set(marker.landmarks) <= set(body.landmarks)
+    }
+
+
+def _some_frames(capture: Capture, labels: Sequence[str]) -> np.ndarray:
+    """(T, M, 3) evenly chosen frames with a column for each label, NaN where the capture lacks
+    it.
+    """
+    step = max(1, -(-len(capture.markers) // _FRAMES))
+    some = np.asarray(capture.markers[::step], dtype=float)
+    markers = np.full((len(some), len(labels), 3), np.nan)
+    markers[:, [labels.index(label) for label in capture.labels]] = some
+    return markers

@@ -10,9 +10,11 @@ from pathlib import Path
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.files import locked, tidy
-from habitus.jobs.checkpoints import Checkpoint, fingerprint
-from habitus.jobs.training_callback import Callbacks, CheckpointingCallback
+from habitus.jobs.checkpoints import Callbacks, Checkpoint, CheckpointingCallback, fingerprint
+from habitus.jobs.learn_options import TrainingOptions
+from habitus.jobs.options import takes
 from habitus.jobs.training_data import (
+    Training,
     by_sex,
     check_data,
     check_people,
@@ -20,7 +22,6 @@ from habitus.jobs.training_data import (
     open_training_data,
     two_levels,
 )
-from habitus.jobs.training_record import Training
 from habitus.learn.callback import Record
 from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody, train_body
@@ -37,9 +38,9 @@ _MUCH = 1e9  # bytes of vertices sent to a cluster's machines again and again
 
 
 @dataclass(frozen=True)
-class Trainer(TrainOptions):
-    """Training of body models from registrations (S 4, T 5.4); its keyword arguments are those of
-    `TrainOptions`.
+class Trainer(TrainingOptions):
+    """Training of body models from registrations (S 4, T 5.4); its keyword arguments are the
+    options of `habitus train`.
 
         model = Trainer(skinning="lbs", num_betas=20).fit("people.npz", template="template.npz")
         model.body, model.save("trained")
@@ -50,18 +51,11 @@ class Trainer(TrainOptions):
     def fit(
         self,
         registrations: PathLike | Sequence[PathLike] | Registrations,
-        template: PathLike | Template | BodyModel = "default",
+        template: PathLike | Template | BodyModel | None = None,
         *,
         out: PathLike | None = None,
-        detail: str = "coarse",
-        joints: str | None = None,
-        sex: str = "all",
-        baselines: bool = False,
-        unit: str = "m",
-        every: int = 1,
         restart: bool = False,
         workers: WorkersLike = None,
-        seed: int = 0,
         progress: Progress | None = None,
         on_step: Callable[[str, Record], None] | None = None,
         on_warning: Callable[[str], None] | None = None,
@@ -70,44 +64,24 @@ class Trainer(TrainOptions):
         `train` writes them.
 
         Arguments are those of `train`; ``sex`` "each", which means two models, is refused.
-        Training draws no random numbers: ``seed`` is accepted because the other verbs take one, and
-        changes nothing.
         """
-        if sex == "each":
+        if self.sex == "each":
             raise HabitusError(
                 "sex 'each' means two models; fit 'female' and 'male' in turn, or use habitus.train"
             )
-        (done,) = _train(
-            registrations,
-            None if out is None else Path(out),
-            template=template,
-            options=TrainOptions(
-                **{name: getattr(self, name) for name in TrainOptions.__dataclass_fields__}
-            ),
-            level=(detail, joints),
-            sex=sex,
-            baselines=baselines,
-            unit=unit,
-            every=every,
-            restart=restart,
-            workers=workers,
-            callbacks=Callbacks.of(progress, on_step, on_warning),
-        )
+        options = self if template is None else replace(self, template=template)
+        callbacks = Callbacks.of(progress, on_step, on_warning)
+        folder = None if out is None else Path(out)
+        (done,) = _train(registrations, folder, options, workers, callbacks, restart)
         return done
 
 
+@takes(TrainingOptions)
 def train(
     datasets: PathLike | Sequence[PathLike] | Registrations,
     out: PathLike,
     *,
-    template: PathLike | Template | BodyModel = "default",
-    options: TrainOptions | None = None,
-    detail: str = "coarse",
-    joints: str | None = None,
-    sex: str = "all",
-    baselines: bool = False,
-    unit: str = "m",
-    every: int = 1,
+    options: TrainingOptions,
     restart: bool = False,
     workers: WorkersLike = None,
     progress: Progress | None = None,
@@ -115,35 +89,21 @@ def train(
     on_warning: Callable[[str], None] | None = None,
 ) -> list[Training]:
     """Train body models from registrations and write them to the folder ``out``; one model for each
-    sex with "each".
+    sex with ``sex`` "each".
 
     datasets: what `open_registrations` opens, in one topology; or registrations already open (m).
-    template: what `load_template` loads, or a BodyModel: what that knows besides (landmarks, pose
-    prior, sex) is carried over. detail and joints: of a body's file, as in `load_body`; "full" of a
-    file of two levels gives such a file again. sex: "all" people together, "each", "female" or
-    "male"; the latter three use folders of those names in ``out``. baselines: also train models
-    without pose blend shapes. unit and every: see `open_registrations`. workers:
-    number of threads (default: one per core), address of a Dask scheduler, or Workers. progress:
-    (stage, share done). on_step: (model, record), the energy after each step. on_warning: (text).
+    template: what `load_template` loads, or a BodyModel: its landmarks, pose prior and sex are
+    carried over. ``sex`` "each", "female" and "male" use folders of those names in ``out``.
+    workers: number of threads (default: one per core), address of a Dask scheduler, or Workers.
+    progress: (stage, share done). on_step: (model, record), the energy after each step. on_warning:
+    (text).
 
     A stopped run continues when called again with the same arguments, a finished one when called
     with more rounds; ``restart`` discards its checkpoint. Raises HabitusError, in one line, for bad
     input and for faulty registrations, which it names.
     """
-    return _train(
-        datasets,
-        Path(out),
-        template=template,
-        options=options or TrainOptions(),
-        level=(detail, joints),
-        sex=sex,
-        baselines=baselines,
-        unit=unit,
-        every=every,
-        restart=restart,
-        workers=workers,
-        callbacks=Callbacks.of(progress, on_step, on_warning),
-    )
+    callbacks = Callbacks.of(progress, on_step, on_warning)
+    return _train(datasets, Path(out), options, workers, callbacks, restart)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,23 +125,16 @@ class _Run:
 def _train(
     datasets: PathLike | Sequence[PathLike] | Registrations,
     out: Path | None,
-    *,
-    template: PathLike | Template | BodyModel,
-    options: TrainOptions,
-    level: tuple[str, str | None],
-    sex: str,
-    baselines: bool,
-    unit: str,
-    every: int,
-    restart: bool,
+    options: TrainingOptions,
     workers: WorkersLike,
     callbacks: Callbacks,
+    restart: bool,
 ) -> list[Training]:
-    data, notes = open_training_data(datasets, unit, every, sex)
-    groups = by_sex(data, sex)
+    data, notes = open_training_data(datasets, options.unit, options.every, options.sex)
+    groups = by_sex(data, options.sex)
     for whose, group in groups.items():
         check_people(whose, group, options)
-    model, body, about = open_template(template, options, *level)
+    model, body, about = open_template(options.template, options, options.detail, options.joints)
     notes += about
     with open_workers(workers) as ready:
         if isinstance(workers, str) and (size := pickled_size(data.vertices)) > _MUCH:
@@ -193,9 +146,18 @@ def _train(
         notes += check_data(data, model, ready, callbacks.progress)
         for note in notes:
             callbacks.on_warning(note)
-        like = two_levels(template, level[0])
+        like = two_levels(options.template, options.detail)
         run = _Run(
-            out, model, body, options, baselines, ready, callbacks, restart, tuple(notes), like
+            out,
+            model,
+            body,
+            options.training,
+            options.baselines,
+            ready,
+            callbacks,
+            restart,
+            tuple(notes),
+            like,
         )
         with nullcontext() if out is None else locked(out):
             return [_train_one(run, whose, group) for whose, group in groups.items()]

@@ -6,9 +6,9 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
@@ -24,13 +24,37 @@ from habitus.evaluate.dynamics import (
 from habitus.files import atomic_write, locked
 from habitus.io.models.bodies import load_whole_body, save_body, save_dynamics
 from habitus.io.registrations.motions import open_moving_surfaces
+from habitus.jobs.learn_options import UnitOption
+from habitus.jobs.options import BodyOption, silent, takes, unset
 from habitus.learn.dynamics.sequences import MovingSurface
 from habitus.learn.dynamics.train import DynamicsOptions, LearnedDynamics, learn_dynamics
 from habitus.parallel.choose import WorkersLike, open_workers
 from habitus.parallel.workers import Workers
 from habitus.types import PathLike, Progress
 
+if TYPE_CHECKING:
+    Sequences = PathLike | Sequence[PathLike] | Sequence[MovingSurface]
+else:  # what a command line can say
+    Sequences = tuple[Path, ...]
+
 OURS = ("model.npz", "dynamics.json")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicsTrainingOptions(DynamicsOptions, UnitOption, BodyOption):
+    """Options of `habitus train-dynamics`."""
+
+    test: Annotated[Sequences, unset("DATASET …")] = ()
+    """Held-out sequences, on which the errors of the surface's velocity and acceleration are
+    measured.
+    """
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second, where the data give none or a wrong one."""
+
+    @property
+    def training(self) -> DynamicsOptions:
+        """The options of the training itself."""
+        return DynamicsOptions(**{f.name: getattr(self, f.name) for f in fields(DynamicsOptions)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,33 +97,27 @@ class DynamicsTraining:
         }
 
 
+@takes(DynamicsTrainingOptions)
 def train_dynamics(
     datasets: PathLike | Sequence[PathLike] | Sequence[MovingSurface],
     out: PathLike | None = None,
     *,
-    body: PathLike | BodyModel = "default",
-    test: PathLike | Sequence[PathLike] | Sequence[MovingSurface] = (),
-    options: DynamicsOptions | None = None,
-    fps: float | None = None,
-    unit: str = "m",
+    options: DynamicsTrainingOptions,
     workers: WorkersLike = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> DynamicsTraining:
-    """Learn dynamic blend shapes of a body, and what predicts them from motion, and write them to
-    the folder ``out``.
+    """Learn dynamic blend shapes of a body, and what predicts them from motion; ``out`` receives
+    model.npz (the body with dynamics) and dynamics.json.
 
-    datasets, and test, which is kept out of the training and gives the errors of S 6: what
-    `habitus.io.registrations.motions.open_moving_surfaces` opens, or such sequences. Where they
-    tell no betas, pose and trans, these are fitted first. body: a file, one of the bodies that come
-    along, or a BodyModel; a file's other arrays and levels of detail are kept. ``fps`` and
-    ``unit``: where the data do not tell them. ``out`` receives model.npz (the body with dynamics)
-    and dynamics.json. Raises HabitusError, in one line, for bad input.
+    datasets and the held-out ``test``: what
+    `habitus.io.registrations.motions.open_moving_surfaces` opens, or such sequences. Where these
+    have no betas, pose and trans, these are fitted first. Of a body's file other arrays and levels
+    of detail are kept. Raises HabitusError, in one line, for bad input.
     """
     began = time.perf_counter()
-    options = options or DynamicsOptions()
-    progress = progress or _silent
+    body = options.body
     model = body if isinstance(body, BodyModel) else load_whole_body(os.fspath(body))
-    given = [_opened(each, fps, unit) for each in (datasets, test)]
+    given = [_opened(each, options.fps, options.unit) for each in (datasets, options.test)]
     if not given[0]:
         raise HabitusError("no sequences to learn from; expected people in motion")
     folder = None if out is None else Path(out)
@@ -107,9 +125,9 @@ def train_dynamics(
         folder.mkdir(parents=True, exist_ok=True)
     with open_workers(workers) as ready:
         shown, kept = (_moving(model, each, ready, progress) for each in given)
-        learned = learn_dynamics(model, shown, options, ready, progress)
+        learned = learn_dynamics(model, shown, options.training, ready, progress)
         errors = evaluate_dynamics(learned.body, kept, ready) if kept else ()
-    training = DynamicsTraining(learned, errors, time.perf_counter() - began, options)
+    training = DynamicsTraining(learned, errors, time.perf_counter() - began, options.training)
     if folder is not None:
         with locked(folder, OURS):
             _write(training, body, folder)
@@ -157,7 +175,3 @@ def _told(one: DynamicsErrors) -> dict[str, Any]:
         "frames": len(one.fitted),
         "errors": errors,
     }
-
-
-def _silent(stage: str, share: float) -> None:
-    """Tells nobody."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Literal
 
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
@@ -26,17 +27,23 @@ STOPPING = ("rounds", "tolerance", "least_effect")
 
 @dataclass(frozen=True)
 class EnergyWeights:
-    """Weights of eq. 14 over metres squared: symmetry lambda_Y, joint_symmetry lambda_U, joints
-    lambda_J, pose_shapes lambda_P, and skinning. The last is 1 in the paper and alone depends on
-    the unit of length: like MoSh's weights it is taken against square centimetres. Against square
-    metres the weights could hardly leave their start.
+    """Weights of eq. 14, over metres squared.
+
+    That of skinning is 1 in the paper and alone depends on the unit of length: like MoSh's weights
+    it is taken against square centimetres. Against square metres the weights could hardly leave
+    their start.
     """
 
     symmetry: float = 100.0
+    """Symmetry of left and right (lambda_Y)."""
     joint_symmetry: float = 100.0
+    """Symmetry of joints relative to that of vertices (lambda_U)."""
     joints: float = 100.0
+    """Distance of joints from the centres of their rings (lambda_J)."""
     pose_shapes: float = 25.0
+    """Size of pose blend shapes (lambda_P); small datasets need less."""
     skinning: float = 1e-4
+    """Distance of the skinning weights from the template's (lambda_W)."""
 
     def __post_init__(self):
         _check_sizes(asdict(self))
@@ -44,41 +51,58 @@ class EnergyWeights:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Kind of model and stopping criteria. Raises HabitusError for values that do not make sense.
-
-    skinning: "lbs" or "dqbs". pose_shapes: "full" (S 3), "sparse" (driven only by the joints that
-    move a vertex, S 5.2), "local" (by the joints near it that matter: a joint lets go of a vertex
-    where that costs people left out less than ``least_effect``, m, root mean square over the
-    registrations), "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), "none"
-    (plain skinning). rotation_prior: weight mu of E_R, which keeps local pose blend shapes small at
-    rotations that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out,
-    .003 is what the default body's were damped with.
-    pose_features: what drives them (``body.features``). shape_features: how many shape coefficients
-    they depend on (T 5.6). influences: joints a vertex. num_betas: shape directions kept. rounds:
-    alternations at most; they end earlier when a round lowers the energy by less than ``tolerance``
-    of it. start: from the template's "parts" (S 4.1), or from the "body" that the template is of:
-    its skinning weights, joint regressor and pose blend shapes, and what is known of the
-    registrations. fixed: what of these stays as it is (some of `FIXED`). regressor: "convex"
-    (S 4.1), "signed" (weights below zero allowed), "auto" (for the joints where these pay on people
-    left out).
+    """Kind of model and stopping criteria. Raises HabitusError for values that do not make
+    sense.
     """
 
-    skinning: str = "lbs"
-    pose_shapes: str = "full"
-    pose_features: str = "rotations"
+    skinning: Literal["lbs", "dqbs"] = "lbs"
+    """Linear or dual quaternion blend skinning."""
+    pose_shapes: Literal["full", "sparse", "local", "low_rank", "l1", "none"] = "full"
+    """Pose blend shapes: "full" (S 3), "sparse" (driven by the joints that move a vertex, S 5.2),
+    "local" (by nearby joints that reduce the error on held-out people by ``least_effect``),
+    "low_rank" (of ``rank``), "l1" (with weight ``l1`` in place of lambda_P), or "none".
+    """
+    pose_features: Literal["rotations", "angles", "sin_cos", "quaternions", "polynomials"] = (
+        "rotations"
+    )
+    """Inputs of the pose blend shapes; only the rotations' entries are SMPL's."""
     shape_features: int = 0
+    """Number of shape coefficients on which they depend (T 5.6)."""
     rank: int = 32
+    """Directions of low_rank pose blend shapes."""
     l1: float = 0.05
+    """Weight of the l1 penalty."""
     least_effect: float = 1e-4
+    """Least effect, root mean square in metres over the registrations, for which local pose blend
+    shapes keep a joint.
+    """
     rotation_prior: float = 0.0
+    """Weight mu of E_R, which keeps local pose blend shapes small at rotations by 0 to 90 degrees
+    that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out, 0.003
+    damped those of the default body.
+    """
     influences: int = 4
+    """Most joints that move a vertex."""
     num_betas: int = 10
+    """Shape directions kept."""
     rounds: int = 20
+    """Most rounds of people, skinning weights, pose blend shapes and poses."""
     tolerance: float = 1e-3
-    start: str = "parts"
+    """Stop when a round lowers the energy by less than this share of it."""
+    start: Literal["parts", "body"] = "parts"
+    """Start from the template's parts (S 4.1), or from the skinning weights, joint regressor and
+    blend shapes of the body that it is of.
+    """
     fixed: tuple[str, ...] = ()
-    regressor: str = "auto"
+    """Held fixed: arrays of that body (skinning_weights, joint_regressor, posedirs, shapedirs), and
+    of registrations that have them, people (rest surfaces) and poses.
+    """
+    regressor: Literal["auto", "convex", "signed"] = "auto"
+    """Joints from vertices: convex combinations (S 4.1), signed ones, or signed where these have a
+    lower error on held-out people.
+    """
     weights: EnergyWeights = field(default_factory=EnergyWeights)
+    """Weights of eq. 14."""
 
     def __post_init__(self):
         for key, allowed in (

@@ -114,6 +114,8 @@ def test_a_body_without_dynamics_is_told_at_once():
     capture = replace(capture, body=replace(capture.body, dynamics=None))
     with pytest.raises(HabitusError, match="no dynamic blend shapes"):
         fit(capture, which=replace(MoshSettings(), soft_space="both"))
-    assert habitus.Mosh(soft_tissue="both").settings.soft_space == "both"
-    assert habitus.Mosh(soft_tissue=False).settings == replace(MoshSettings(), soft_tissue=False)
-    assert habitus.Mosh(soft_tissue=True).settings == MoshSettings()
+    assert habitus.Mosh(soft_tissue="both").recipe_settings.soft_space == "both"
+    assert habitus.Mosh(soft_tissue=False).recipe_settings == replace(
+        MoshSettings(), soft_tissue=False
+    )
+    assert habitus.Mosh(soft_tissue=True).recipe_settings == MoshSettings()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from planted import person
 from real_fit import real_capture
-from small_archive import HASTY, NAMES, RECIPE, arrays, made, write, write_all
+from small_archive import NAMES, RECIPE, arrays, made, write, write_all
 
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d_write import write_c3d
@@ -73,10 +73,9 @@ def sources(out: Path, subject: str) -> set[str]:
         return {key.partition(".")[0] for key in manifest.subject(subject)[2]}
 
 
-def test_a_killed_run_goes_on_and_finds_what_habitus_mosh_finds(whole, monkeypatch):
+def test_a_killed_run_goes_on_and_finds_what_habitus_mosh_finds(whole):
     captures, out, told = whole
     assert (told.fitted, told.kept, told.failed, told.subjects) == (3, 2, (), 2)
-    monkeypatch.setattr("habitus.jobs.mosh.MoshSettings", HASTY)
     found = arrays(out)
     for fit in RECIPE.fit([captures / f"{name}.c3d" for name in sorted(NAMES[:4])], person()):
         here = f"ann/{fit.capture_name}"

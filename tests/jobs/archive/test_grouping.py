@@ -4,17 +4,16 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from habitus.jobs.archive.grouping import grouped_by_subject
-from habitus.jobs.archive.table import SubjectsTable
-from habitus.jobs.finding import Worn
+from habitus.jobs.archive.grouping import SubjectsTable, grouped_by_subject
+from habitus.jobs.finding import MarkerSet
 
 LABELS = tuple(f"M{k}" for k in range(12))
 
 
-def worn(subject=None, larger: float = 1.0, rigid: bool = True) -> Worn:
+def worn(subject=None, larger: float = 1.0, rigid: bool = True) -> MarkerSet:
     points = np.random.default_rng(0).uniform(0, larger, (12, 3))
     distances = np.linalg.norm(points[:, None] - points, axis=2)
-    return Worn(
+    return MarkerSet(
         subject,
         LABELS,
         np.where(distances > 0.1, distances, np.nan) if rigid else np.full((12, 12), np.nan),

@@ -10,7 +10,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.subject import ShapeFit
 from habitus.io.layouts.files import list_layouts, load_layout
-from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
+from habitus.jobs.archive.items import BodyChoice, KnownSubject, read_known, write_known
 from habitus.jobs.subjects import Agreed
 from habitus.markers.layouts import Marker
 from habitus.observe.markers import attach

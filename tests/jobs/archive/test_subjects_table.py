@@ -6,7 +6,7 @@ import pytest
 
 from habitus.cli.main import main
 from habitus.errors import HabitusError
-from habitus.jobs.archive.table import read_subjects
+from habitus.jobs.archive.grouping import read_subjects
 
 FILES = [Path(name) for name in ("a/walk.c3d", "a/run.c3d", "b/deep/walk.trc", "c.c3d")]
 

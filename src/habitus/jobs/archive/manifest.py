@@ -15,7 +15,7 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped
-from habitus.jobs.finding import Found, Worn
+from habitus.jobs.finding import Found, MarkerSet
 
 FILE = "archive.sqlite"
 VERSION = 1
@@ -102,7 +102,7 @@ class Manifest:
 
     # -- captures ----------------------------------------------------------------------------------
 
-    def worn(self) -> Iterator[tuple[str, str, Worn]]:
+    def worn(self) -> Iterator[tuple[str, str, MarkerSet]]:
         """Path, person and what they wore of every capture, in the order of their paths."""
         rows = self._db.execute(
             "SELECT path, person, said, worn FROM captures ORDER BY path, person"
@@ -270,14 +270,14 @@ def _names(people: Sequence[Seen]) -> list[str]:
     return [""] if len(people) == 1 else [one.subject or "" for one in people]
 
 
-def _packed(worn: Worn) -> bytes:
+def _packed(worn: MarkerSet) -> bytes:
     upper = worn.rigid[np.triu_indices(len(worn.labels), 1)].astype(np.float32)
     return zlib.compress(json.dumps(worn.labels).encode() + b"\0" + upper.tobytes())
 
 
-def _unpacked(subject: str | None, packed: bytes) -> Worn:
+def _unpacked(subject: str | None, packed: bytes) -> MarkerSet:
     head, _, tail = zlib.decompress(packed).partition(b"\0")
     labels = tuple(json.loads(head))
     rigid = np.full((len(labels), len(labels)), np.nan)
     rigid[np.triu_indices(len(labels), 1)] = np.frombuffer(tail, np.float32)
-    return Worn(subject, labels, rigid)
+    return MarkerSet(subject, labels, rigid)

@@ -21,23 +21,25 @@ from habitus.io.captures.read import Capture
 from habitus.io.layouts.draft import found_layout_text
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
+    ArchiveJob,
+    BodyChoice,
     Done,
     Fit,
     Fitted,
+    KnownSubject,
     Look,
     Looked,
-    Order,
     Seen,
     Shape,
     Shaped,
     Taken,
     Task,
+    read_known,
+    write_known,
 )
-from habitus.jobs.archive.known import BodyChoice, KnownSubject, read_known, write_known
-from habitus.jobs.bodies import loaded, with_fingers
-from habitus.jobs.finding import SURE, Worn
-from habitus.jobs.genders import model_of, of_sex
-from habitus.jobs.held_out import silent
+from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
+from habitus.jobs.finding import SURE, MarkerSet
+from habitus.jobs.options import silent
 from habitus.jobs.results import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
 from habitus.kernels.threads import one_thread
@@ -49,12 +51,12 @@ capture.
 """
 
 
-def work(order: Order, task: Task) -> Done:
+def work(job: ArchiveJob, task: Task) -> Done:
     """What one process does with one item."""
     with one_thread():
         if isinstance(task, Look):
-            return _look(order, task.path)
-        return _shape(order, task) if isinstance(task, Shape) else _fit(order, task)
+            return _look(job, task.path)
+        return _shape(job, task) if isinstance(task, Shape) else _fit(job, task)
 
 
 def digest_of(path: Path) -> str:
@@ -84,18 +86,19 @@ def reason_of(error: Exception, path: Path) -> str:
     )
 
 
-def _look(order: Order, path: Path) -> Looked:
+def _look(job: ArchiveJob, path: Path) -> Looked:
     try:
         digest = digest_of(path)
-        people = order.recipe.read(path)
+        people = job.recipe.read(path)
         return Looked(
-            digest, tuple(Seen(one.subject, len(one), one.rate_hz, Worn.of(one)) for one in people)
+            digest,
+            tuple(Seen(one.subject, len(one), one.rate_hz, MarkerSet.of(one)) for one in people),
         )
     except Exception as error:
         return Looked(reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE)
 
 
-def _read(order: Order, taken: Taken) -> Capture:
+def _read(job: ArchiveJob, taken: Taken) -> Capture:
     """The capture, under its results' name. Raises HabitusError where the file has changed since it
     was looked at.
     """
@@ -103,7 +106,7 @@ def _read(order: Order, taken: Taken) -> Capture:
         raise HabitusError(
             "the file changed while the archive was made; give the same command again"
         )
-    people = order.recipe.read(taken.path)
+    people = job.recipe.read(taken.path)
     if taken.person is not None:
         people = tuple(one for one in people if (one.subject or "") == taken.person)
     return replace(people[0], name=file_name(taken.folder.name))
@@ -112,23 +115,23 @@ def _read(order: Order, taken: Taken) -> Capture:
 # -- a subject's shape -----------------------------------------------------------------------------
 
 
-def _shape(order: Order, task: Shape) -> Shaped:
+def _shape(job: ArchiveJob, task: Shape) -> Shaped:
     began = time.thread_time()
     try:
-        captures, bad = _some_captures(order, task.captures)
-        person, body = _together(order, captures, task, bad)
+        captures, bad = _some_captures(job, task.captures)
+        person, body = _together(job, captures, task, bad)
     except Exception as error:
         return Shaped(reason=reason_of(error, Path(task.name)))
     if person is None:
         return Shaped(bad=bad, reason="none of its captures can be fitted")
     try:
-        return _shaped(order, task, list(captures), person, body, bad, began)
+        return _shaped(job, task, list(captures), person, body, bad, began)
     except Exception as error:
         return Shaped(bad=bad, reason=reason_of(error, Path(task.name)))
 
 
 def _some_captures(
-    order: Order, taken: Sequence[Taken]
+    job: ArchiveJob, taken: Sequence[Taken]
 ) -> tuple[dict[int, Capture], dict[int, str]]:
     """Captures by number, evenly among all where they are more than is looked at, and why others
     cannot be read.
@@ -140,7 +143,7 @@ def _some_captures(
         if frames >= MOST_FRAMES:
             break
         try:
-            captures[k] = _read(order, taken[k])
+            captures[k] = _read(job, taken[k])
             frames += len(captures[k])
         except Exception as error:
             bad[k] = reason_of(error, taken[k].path)
@@ -154,34 +157,34 @@ def _spread_order(count: int) -> list[int]:
 
 
 def _together(
-    order: Order, captures: dict[int, Capture], task: Shape, bad: dict[int, str]
+    job: ArchiveJob, captures: dict[int, Capture], task: Shape, bad: dict[int, str]
 ) -> tuple[Person | None, BodyModel]:
     """The person of all captures that can be fitted; ``captures`` loses the others, ``bad`` gains
     them.
     """
-    body = fitted_body(order.body, order.recipe.joints, order.recipe.age, "neutral")
+    body = fitted_body(job.body, job.recipe.joints, job.recipe.age, "neutral")
     if not captures:
         return None, body
     try:
-        return _person(order, list(captures.values()), body), body
+        return _person(job, list(captures.values()), body), body
     except Exception:
         for k in list(captures):
             try:
-                _person(order, [captures[k]], body)
+                _person(job, [captures[k]], body)
             except Exception as error:
                 bad[k] = reason_of(error, task.captures[k].path)
                 del captures[k]
-        return (_person(order, list(captures.values()), body) if captures else None), body
+        return (_person(job, list(captures.values()), body) if captures else None), body
 
 
-def _person(order: Order, captures: Sequence[Capture], body: BodyModel) -> Person:
-    (person,) = gather([[capture] for capture in captures], order.recipe.layout, None, body)
+def _person(job: ArchiveJob, captures: Sequence[Capture], body: BodyModel) -> Person:
+    (person,) = gather([[capture] for capture in captures], job.recipe.layout, None, body)
     check_each(person)
     return person
 
 
 def _shaped(
-    order: Order,
+    job: ArchiveJob,
     task: Shape,
     numbers: Sequence[int],
     person: Person,
@@ -189,12 +192,12 @@ def _shaped(
     bad: dict[int, str],
     began: float,
 ) -> Shaped:
-    recipe = order.recipe
-    (person,), fingered = with_fingers([person], body, order.body, recipe.joints)
+    recipe = job.recipe
+    (person,), fingered = with_fingers([person], body, job.body, recipe.joints)
     joints = recipe.joints if fingered is body else "smplh"
-    model = model_of(fingered, recipe.age, recipe.sex, person, recipe.settings, silent)
+    model = body_of(fingered, recipe, person, recipe.recipe_settings, silent)
     found = known_subject(
-        model.body, prior_of(model.body), person.layout, person.recordings, recipe.settings
+        model.body, prior_of(model.body), person.layout, person.recordings, recipe.recipe_settings
     )
     _, subject = found
     layout = subject.layout
@@ -204,7 +207,7 @@ def _shaped(
     known = KnownSubject(
         choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told
     )
-    digest = write_known(known, order.out / task.file)
+    digest = write_known(known, job.out / task.file)
     betas = subject.shape.betas
     return Shaped(
         digest,
@@ -220,18 +223,21 @@ def _shaped(
 # -- a capture -------------------------------------------------------------------------------------
 
 
-def _fit(order: Order, task: Fit) -> Fitted:
+def _fit(job: ArchiveJob, task: Fit) -> Fitted:
     began = time.thread_time()
     clock = time.perf_counter()
     try:
-        capture = _read(order, task.capture)
+        capture = _read(job, task.capture)
         seconds = time.perf_counter() - clock
         fit = (
-            _alone(order, capture, seconds)
+            _alone(job, capture, seconds)
             if task.file is None
-            else _known(order, capture, task.file, seconds)
+            else _known(job, capture, task.file, seconds)
         )
-        fit = save_fit(fit, task.capture.folder, npz_style=order.npz_style, minimal=order.minimal)
+        options = job.options
+        fit = save_fit(
+            fit, task.capture.folder, npz_style=options.npz_style, minimal=options.minimal
+        )
         numbers = json.loads((task.capture.folder / "metrics.json").read_text("utf-8"))
         return Fitted(numbers, motion_picture(fit), time.thread_time() - began)
     except Exception as error:
@@ -240,16 +246,16 @@ def _fit(order: Order, task: Fit) -> Fitted:
         )
 
 
-def _alone(order: Order, capture: Capture, seconds: float) -> MarkerFit:
-    return replace(order.recipe, label="given").fit(capture, order.body)
+def _alone(job: ArchiveJob, capture: Capture, seconds: float) -> MarkerFit:
+    return job.recipe.fit(capture, job.body)
 
 
-def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerFit:
-    known = _kept(order.out / file, (order.out / file).stat().st_mtime_ns)
+def _known(job: ArchiveJob, capture: Capture, file: str, seconds: float) -> MarkerFit:
+    known = _kept(job.out / file, (job.out / file).stat().st_mtime_ns)
     choice = known.choice
-    settings = order.recipe.settings
+    settings = job.recipe.recipe_settings
     layout = known.agreed.layout
-    body = fitted_body(order.body, choice.joints, choice.age, choice.sex)
+    body = fitted_body(job.body, choice.joints, choice.age, choice.sex)
     prior = prior_of(body)
     recording = known.agreed.recording(capture)
     fit = fit_known(recording, known.subject(body), settings)
@@ -257,7 +263,7 @@ def _known(order: Order, capture: Capture, file: str, seconds: float) -> MarkerF
     fit = replace(
         fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout
     )
-    return known.chosen(body).told(fit)
+    return known.chosen(body).noted(fit)
 
 
 _kept = lru_cache(maxsize=4)(lambda path, changed: read_known(path))

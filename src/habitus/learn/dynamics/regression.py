@@ -15,6 +15,7 @@ holds, which are found in one pass.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,22 +28,24 @@ from habitus.errors import HabitusError
 class DynamicsOptions:
     """Options of the training of dynamic blend shapes (S 6).
 
-    ``components``: how many blend shapes. ``controls``: what drives them, "joints" (each joint's
-    own linear acceleration, spin and angular acceleration), or "smpl" (S 6: joint angles' rates,
-    the root's velocity and acceleration). ``shape_features``: how many shape coefficients the
-    regressor may depend on, ``ridge``: shares of the variance that are added to that of each
-    control; of both the training takes what runs free best on motions held out. ``rank``:
-    directions kept while surfaces are gone through. ``personal``: a person's mean residual is part
-    of the person's own template (S 6), not of the dynamics. Raises HabitusError for options that
-    make no sense.
+    Of ``shape_features`` and ``ridge`` the training takes what runs free best on held-out motions.
+    Raises HabitusError for options that make no sense.
     """
 
     components: int = 8
-    controls: str = "joints"
+    """Number of dynamic blend shapes."""
+    controls: Literal["joints", "smpl"] = "joints"
+    """Inputs: each joint's own linear acceleration, spin and angular acceleration, or those of S 6
+    (joint angles' rates, the root's velocity and acceleration).
+    """
     shape_features: tuple[int, ...] = (0, 1, 2, 4)
+    """Numbers of shape coefficients on which the regressor may depend."""
     ridge: tuple[float, ...] = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+    """Ridge terms to choose from, as shares of each control's variance."""
     rank: int = 64
+    """Directions kept while surfaces are read."""
     personal: bool = True
+    """Count a person's mean residual to the person's own template (S 6), not to the dynamics."""
 
     def __post_init__(self) -> None:
         if self.controls not in CONTROLS:
