@@ -8,6 +8,7 @@ import pytest
 from planted import fit, plant, settings
 
 import habitus as hb
+from habitus.jobs.results import MarkerResult
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "your-own-term.md"
 
@@ -25,7 +26,7 @@ def folder(tmp_path_factory):
         planted, planted.observed - [0.0, soles + 0.02, 0.0], settings(annealing=(10.0, 1.0))
     )
     folder = tmp_path_factory.mktemp("walk")
-    found.save(folder / "results" / "walk")
+    MarkerResult.of(found).save(folder / "results" / "walk")
     return folder
 
 
@@ -45,6 +46,23 @@ def test_the_code_of_the_page_lifts_the_feet(folder, monkeypatch, capsys):
     assert sunk[0] > 0.005 and sunk[1] < 0.2 * sunk[0]
     assert set(names["found"].costs) >= {"data", "pose", "acceleration", "soft_tissue", "floor"}
     assert "floor" in capsys.readouterr().out
+
+
+def test_the_page_puts_a_term_among_sensors(folder, monkeypatch, capsys):
+    """The second piece of code goes on from the first: wrists come to be 30 cm apart."""
+    pieces = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    found = loaded(folder / "results" / "walk" / "body.npz")
+    names: dict = {"hb": hb, "np": np, "fit": found, "layout": plant(frames=20).layout}
+    exec(compile(pieces[1], str(PAGE), "exec"), names)
+    assert "wrists" in capsys.readouterr().out
+
+    def apart(fit):
+        joints = [fit.joints(k)[names["joints"]] for k in (0, 1)]
+        return np.array([np.linalg.norm(left - right) for left, right in joints])
+
+    before = [found.joints(k)[names["joints"]] for k in (0, 10)]
+    before = np.array([np.linalg.norm(left - right) for left, right in before])
+    assert (np.abs(apart(names["both"]) - 0.30) < 0.3 * np.abs(before - 0.30)).all()
 
 
 def loaded(path):

@@ -53,6 +53,7 @@ MENU = {
         "selecting-markers",
         "your-own-term",
     ),
+    "How-to: several sensors": ("several-sensors",),
     "How-to: scans and images": ("registering-scans", "rgbd", "rendering", "gallery"),
     "How-to: bodies": (
         "measurements",
@@ -95,6 +96,7 @@ REFERENCE = {
             "habitus.fit.markers.live",
             "habitus.fit.points.scan_result",
             "habitus.fit.points.depth_result",
+            "habitus.fit.body_fit",
         ),
     ),
     "bodies": (
@@ -110,7 +112,14 @@ REFERENCE = {
     "terms": (
         "Terms and solvers",
         "Residual terms, and the function that minimises them.",
-        ("habitus.residuals.terms", "habitus.solve.terms", "habitus.solve.minimize"),
+        (
+            "habitus.residuals.terms",
+            "habitus.residuals.surface_terms",
+            "habitus.residuals.points",
+            "habitus.solve.terms",
+            "habitus.solve.minimize",
+            "habitus.solve.alternate",
+        ),
     ),
     "renderer": (
         "Renderer and cameras",

@@ -113,3 +113,21 @@ def test_rgbd_example_is_short_and_whole():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     assert callable(module.main)
+
+
+def test_two_sensors_together_are_better_than_either(monkeypatch):
+    """For one person; the law over several people is in tests/fit/test_problem.py."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    main = runpy.run_path(str(EXAMPLES / "two_sensors.py"))["main"]
+    errors = main(1)
+    assert (errors["both at once"] < errors["12 markers"]).all()
+    assert (errors["both at once"] < errors["2 depth views"]).all()
+
+
+def test_a_scan_gives_the_shape_of_a_captures_motion(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    main = runpy.run_path(str(EXAMPLES / "scan_and_capture.py"))["main"]
+    errors = main(str(tmp_path))
+    assert errors["with a scan: shape"] < 0.2 * errors["12 markers: shape"]
+    assert errors["with a scan: joints"] < errors["12 markers: joints"]
+    assert (tmp_path / "results" / "body.npz").exists()
