@@ -8,7 +8,7 @@ import numpy as np
 import planted
 
 from habitus.fit.labels.clouds import Clouds
-from habitus.fit.labels.clusters import clusters, told_apart
+from habitus.fit.labels.clusters import clusters, separated
 from habitus.fit.markers.energy import Placement, place
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
@@ -52,7 +52,7 @@ def test_each_marker_of_a_cluster_is_where_its_points_are():
     nameless = np.full(len(clouds.points), -1)
     frames = np.arange(12)
     state = (truth.pose, truth.trans)
-    found = told_apart(truth.body, truth.betas, usual, placement, clouds, nameless, frames, state)
+    found = separated(truth.body, truth.betas, usual, placement, clouds, nameless, frames, state)
     others = np.setdiff1d(np.arange(len(latent)), THREE)
     assert np.array_equal(found.coefficients[others], usual.coefficients[others])
     apart = np.linalg.norm(found.coefficients[THREE][:, None] - coefficients[THREE], axis=2)

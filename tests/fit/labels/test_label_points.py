@@ -10,7 +10,7 @@ import pytest
 
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, tracklets
-from habitus.fit.labels.exchanges import untangle
+from habitus.fit.labels.exchanges import resolve_exchanges
 from habitus.fit.labels.recipe import Known, label_points
 from habitus.fit.labels.settings import LabelSettings
 from habitus.observe.marker_prediction import marked_body
@@ -110,7 +110,9 @@ def test_twins_under_each_others_names_are_put_right():
     prior = truth.prior.for_joints(truth.body.joint_names)
     state = truth.pose[frames], truth.trans[frames]
     weights = np.full(len(truth.layout), 800.0)
-    right, sure = untangle(rig, prior, clouds, tracklets(clouds), wrong, frames, state, weights)
+    right, sure = resolve_exchanges(
+        rig, prior, clouds, tracklets(clouds), wrong, frames, state, weights
+    )
     looked = np.isin(clouds.frame, frames)
     assert np.array_equal(right[looked], label[looked])
     assert sure[[first, second]].min() > 0.6

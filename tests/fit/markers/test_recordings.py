@@ -4,7 +4,7 @@ import numpy as np
 import planted as p
 import pytest
 
-from habitus.fit.markers.recordings import Recording, within_reach
+from habitus.fit.markers.recordings import Recording, without_outliers
 
 LABELS = tuple("abcdefgh")
 
@@ -21,7 +21,7 @@ def observed():
 def test_samples_beyond_reach_are_left_out_and_named(observed):
     wild = observed.copy()
     wild[4:7, 2], wild[9, 5] = 1e6, [3.0, -200.0, 40.0]
-    found = within_reach(recorded(wild), LABELS)
+    found = without_outliers(recorded(wild), LABELS)
     gone = np.isnan(found.observed[..., 0])
     assert gone.sum() == 4 and gone[4:7, 2].all() and gone[9, 5]
     assert [(s.label, s.frames) for s in found.suspects] == [
@@ -35,7 +35,7 @@ def test_samples_beyond_reach_are_left_out_and_named(observed):
 def test_sound_samples_of_any_unit_and_gaps_are_left_alone(observed, scale):
     observed[3], observed[:, 1], observed[5, :6] = np.nan, np.nan, np.nan
     given = recorded(scale * observed)
-    assert within_reach(given, LABELS) is given
+    assert without_outliers(given, LABELS) is given
 
 
 def test_a_marker_a_thousand_kilometres_away_does_not_take_the_body_along():

@@ -7,7 +7,7 @@ import pytest
 from marker_scene import scene
 
 from habitus.fit.markers.gaps import bridged, fill_short_gaps, without
-from habitus.fit.markers.recordings import Recording, within_reach
+from habitus.fit.markers.recordings import Recording, without_outliers
 from habitus.fit.markers.suspects import find_flips, marker_noise, suspects
 from habitus.observe.marker_prediction import predict
 from habitus.parallel import blocks
@@ -68,7 +68,9 @@ def test_flips_are_found(gappy, both):
 
 
 def test_samples_out_of_reach_are_left_out(gappy, both):
-    plenty, short = both(lambda: within_reach(Recording("gappy", gappy.observed, 100.0), LABELS))
+    plenty, short = both(
+        lambda: without_outliers(Recording("gappy", gappy.observed, 100.0), LABELS)
+    )
     np.testing.assert_array_equal(short.observed, plenty.observed)
     assert short.suspects == plenty.suspects and [one.label for one in plenty.suspects] == ["M07"]
 

@@ -29,7 +29,7 @@ def clusters(placement: Placement) -> list[Int[np.ndarray, " k"]]:
     return [np.flatnonzero(place == k) for k in np.flatnonzero(np.bincount(place) > 1)]
 
 
-def told_apart(
+def separated(
     body: BodyModel,
     betas: Float[np.ndarray, " B"],
     attachment: MarkerAttachment,

@@ -17,7 +17,7 @@ from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 
 
-def untangle(
+def resolve_exchanges(
     rig: MarkedBody,
     prior: PosePrior,
     clouds: Clouds,

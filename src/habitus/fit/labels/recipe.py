@@ -12,8 +12,8 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
-from habitus.fit.labels.clusters import told_apart
-from habitus.fit.labels.exchanges import untangle
+from habitus.fit.labels.clusters import separated
+from habitus.fit.labels.exchanges import resolve_exchanges
 from habitus.fit.labels.people import heaps, nearest_bodies, only
 from habitus.fit.labels.registration import APART, at_height, plain_poses, register
 from habitus.fit.labels.settings import LABELS, LabelSettings
@@ -23,8 +23,8 @@ from habitus.fit.labels.votes import (
     best_seeds,
     distances,
     judged,
-    once,
     seed_votes,
+    without_duplicates,
 )
 from habitus.fit.markers.energy import Placement, place
 from habitus.fit.markers.sequence import SequenceResult, fit_long
@@ -196,7 +196,7 @@ def _person(
     best = seeds.of(best_seeds(seeds, agreed, settings.votes.shape_seeds))
     state = (best.pose, best.trans)
     weights = _place_weights(placement, settings.place_weight)
-    label, _ = untangle(
+    label, _ = resolve_exchanges(
         rig, prior, clouds, pieces, label, best.frames, state, weights, settings.exchanges
     )
     for _ in range(settings.shape_rounds):
@@ -205,12 +205,12 @@ def _person(
         state = (shape.pose, shape.trans)
         rig = _default(body, placement, shape.betas)
         before = label
-        label, sure = untangle(
+        label, sure = resolve_exchanges(
             rig, prior, clouds, pieces, label, best.frames, state, weights, settings.exchanges
         )
         if (label == before).all():
             break
-    attachment = told_apart(
+    attachment = separated(
         body, shape.betas, shape.attachment, placement, clouds, label, best.frames, state
     )
     return Known(shape.betas, attachment, shape.pose, sure)
@@ -242,10 +242,10 @@ def _voted(
         label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
         state = result.pose[looked], result.trans[looked]
         weights = np.full(count, settings.own_weight)
-        label, sure = untangle(
+        label, sure = resolve_exchanges(
             rig, prior, clouds, pieces, label, looked, state, weights, settings.exchanges
         )
-        label = once(label, -np.min(squared, axis=1), clouds)
+        label = without_duplicates(label, -np.min(squared, axis=1), clouds)
     result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings.fit)
     squared = distances(clouds, predict(rig, result.pose, result.trans))
     sure = sure if known.sure is None else np.minimum(sure, known.sure)

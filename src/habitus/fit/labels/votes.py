@@ -106,10 +106,10 @@ def seed_votes(
         weight = own * agreed**4
     strength = votes.max(axis=1)
     label = np.where((strength > 0) & (strength > settings.clear * total), winner, -1)[tracklet]
-    return once(label, strength[tracklet], clouds), agreed
+    return without_duplicates(label, strength[tracklet], clouds), agreed
 
 
-def once(
+def without_duplicates(
     label: Int[np.ndarray, " P"], strength: Float[np.ndarray, " P"], clouds: Clouds
 ) -> Int[np.ndarray, " P"]:
     """No label twice in a frame: the stronger point keeps it."""

@@ -1,5 +1,5 @@
-"""What speaks for a fit and against it, as numbers: errors, trust, shape, limbs without markers,
-tilt, rate.
+"""Evidence on a marker fit, as numbers: errors, robust weights, shape, limbs without markers, tilt,
+rate.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of one fit. Shares are 0..1; what cannot be told is None.
+    """Numbers measured of one fit. Shares are 0..1; what cannot be measured is None.
 
     mean_mm, p95_mm: of the pose stage's errors; motion: how fast markers move against the body's
     middle, m/s, at the median. distrusted: share of samples that the robust loss counts for less
@@ -124,10 +124,10 @@ def limbs_of(fit: MarkerSolution) -> Bool[np.ndarray, "M J"]:
 
 
 def _unseen(fit: MarkerSolution, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
-    told = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
+    determined = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
     return {
         name: float(1.0 - share)
-        for name, share in zip(fit.body.joint_names, told.mean(axis=0), strict=True)
+        for name, share in zip(fit.body.joint_names, determined.mean(axis=0), strict=True)
     }
 
 

@@ -87,8 +87,8 @@ State = Literal["nobody", "started", "tracked", "held"]
 
 
 class LiveFrame(NamedTuple):
-    """What a stream's frame told: pose (J, 3) rad, trans (3,) m, its cost, and how far each marker
-    is off (M,) m.
+    """The fit of one frame of a stream: pose (J, 3) rad, trans (3,) m, its cost, and the distance
+    (M,) of each marker from the body, m.
 
     state: "tracked"; "started" in the first frame of somebody who comes, or where a body that was
     astray begins anew; "held" where too few markers are seen for a moment and the motion is carried
@@ -132,15 +132,15 @@ class Tracker:
             return self._begin(observed, seen)
         found = self._solver.step(observed)
         if self._blind:
-            return self._told(found, observed, "held")
-        frame = self._told(found, observed, "tracked")
+            return self._frame(found, observed, "held")
+        frame = self._frame(found, observed, "tracked")
         self._astray = (
             self._astray + 1
             if 2 * np.count_nonzero(frame.distances > self._settings.live.astray) > seen
             else 0
         )
         return (
-            self._anew(observed, frame)
+            self._restarted(observed, frame)
             if self._astray and self._astray % self._look == 0
             else frame
         )
@@ -161,9 +161,9 @@ class Tracker:
             return _nobody(self._subject, len(observed))
         self._waited = self._astray = 0
         self._solver = self._started(observed)
-        return self._told(self._solver.step(observed), observed, "started")
+        return self._frame(self._solver.step(observed), observed, "started")
 
-    def _anew(self, observed: np.ndarray, frame: LiveFrame) -> LiveFrame:
+    def _restarted(self, observed: np.ndarray, frame: LiveFrame) -> LiveFrame:
         """The better one of the track and a new beginning."""
         other = self._started(observed)
         found = other.step(observed)
@@ -171,9 +171,9 @@ class Tracker:
             return frame
         self._solver = other
         self._astray = 0
-        return self._told(found, observed, "started")
+        return self._frame(found, observed, "started")
 
-    def _told(self, found: CausalFrame, observed: np.ndarray, state: State) -> LiveFrame:
+    def _frame(self, found: CausalFrame, observed: np.ndarray, state: State) -> LiveFrame:
         assert self._solver is not None
         distances = np.sqrt(np.square(self._solver.markers() - observed).sum(axis=1))
         return LiveFrame(found.pose, found.trans, found.cost, state, distances)

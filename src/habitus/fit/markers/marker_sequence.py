@@ -137,8 +137,8 @@ class MarkerSequence:
         return {"data": data, "pose": pose, "soft_tissue": soft}, weights * slope
 
 
-class _Same:
-    """A rig that is told from others by being that very one."""
+class _ByIdentity:
+    """A rig, compared by identity."""
 
     def __init__(self, rig: MarkerRig):
         self.rig = rig
@@ -147,13 +147,13 @@ class _Same:
         return id(self.rig)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.rig is self.rig
+        return isinstance(other, _ByIdentity) and other.rig is self.rig
 
 
 @lru_cache(maxsize=2)
-def _laid_out(same: _Same, betas: int) -> tuple[SimdRig, Slots, Offsets]:
-    """What the kernels are told of a rig: one fit asks for it again and again, and it takes as long
-    as many frames.
+def _laid_out(same: _ByIdentity, betas: int) -> tuple[SimdRig, Slots, Offsets]:
+    """The kernels' layout of a rig; cached, since a fit asks for it repeatedly and it takes as
+    long as many frames.
     """
     rig = simd_rig(same.rig, betas)
     slots = marker_slots(rig)
@@ -167,7 +167,7 @@ class KernelSequence(MarkerSequence):
         super().__init__(marked, *problem)
         self.threads = num_threads()
         self.lanes = LANES
-        self.simd_rig, self.slots, self.offsets = _laid_out(_Same(marked), self.betas)
+        self.simd_rig, self.slots, self.offsets = _laid_out(_ByIdentity(marked), self.betas)
         self._workspaces: list[np.ndarray] = []
 
     def cost(self, frames, states):

@@ -29,10 +29,10 @@ from habitus.fit.markers.recordings import (
     few_markers,
     first_frame,
     flag_warning,
-    labels_put_back,
     of_markers,
     shape_frames,
-    within_reach,
+    with_labels_restored,
+    without_outliers,
 )
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
@@ -136,14 +136,14 @@ def known_subject(
     """
     check_space(body, settings.soft_space)
     recordings = [
-        within_reach(recording, layout.labels, settings.outliers) for recording in recordings
+        without_outliers(recording, layout.labels, settings.outliers) for recording in recordings
     ]
     seen = np.any([ever_seen(r.observed) for r in recordings], axis=0)
     layout = replace(
         layout, markers=tuple(m for m, s in zip(layout.markers, seen, strict=True) if s)
     )
     recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
-    recordings = _put_right(recordings, layout, settings)
+    recordings = _cleaned(recordings, layout, settings)
     with threadpool_limits(
         1, user_api="blas"
     ):  # the matrices are small: more threads only wait for each other
@@ -157,14 +157,14 @@ def fit_known(recording: Recording, subject: Subject, settings: MoshSettings) ->
     Raises HabitusError when no frame holds enough markers.
     """
     layout = subject.layout
-    (recording,) = _put_right(
-        [within_reach(recording, layout.labels, settings.outliers)], layout, settings
+    (recording,) = _cleaned(
+        [without_outliers(recording, layout.labels, settings.outliers)], layout, settings
     )
     with threadpool_limits(1, user_api="blas"):
         return _fit_recording(recording, subject, settings)
 
 
-def _put_right(
+def _cleaned(
     recordings: list[Recording], layout: MarkerLayout, settings: MoshSettings
 ) -> list[Recording]:
     """The recordings, once they are sound, with labels that were exchanged for a time put back,
@@ -173,7 +173,9 @@ def _put_right(
     check_recordings(recordings)
     if settings.causal:
         return recordings
-    return [labels_put_back(recording, layout.labels, settings.flips) for recording in recordings]
+    return [
+        with_labels_restored(recording, layout.labels, settings.flips) for recording in recordings
+    ]
 
 
 def fit_subject(

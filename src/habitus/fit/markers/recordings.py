@@ -57,7 +57,7 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
         )
 
 
-def labels_put_back(
+def with_labels_restored(
     recording: Recording, labels: tuple[str, ...], settings: FlipSettings = FLIPS
 ) -> Recording:
     """The recording with labels that change places for a time put back, and the suspects that tell
@@ -66,8 +66,8 @@ def labels_put_back(
     flips = find_flips(recording.observed, settings)
     if not flips:
         return recording
-    told = (*recording.suspects, *put_back(labels, flips))
-    return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=told)
+    suspects = (*recording.suspects, *put_back(labels, flips))
+    return replace(recording, observed=undo_swaps(recording.observed, flips), suspects=suspects)
 
 
 def shape_frames(
@@ -125,7 +125,7 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     )
 
 
-def within_reach(
+def without_outliers(
     recording: Recording, labels: Sequence[str], settings: OutlierSettings = OUTLIERS
 ) -> Recording:
     """The recording without samples that lie further from a frame's other markers than anybody
@@ -135,7 +135,7 @@ def within_reach(
     says how many.
     """
     observed = recording.observed
-    far = mapped(lambda part: _out_of_reach(part, settings), observed)
+    far = mapped(lambda part: _outliers(part, settings), observed)
     frames = far.sum(axis=0)
     if not frames.any():
         return recording
@@ -155,7 +155,7 @@ def within_reach(
     )
 
 
-def _out_of_reach(
+def _outliers(
     observed: Float[np.ndarray, "T M 3"], settings: OutlierSettings
 ) -> Bool[np.ndarray, "T M"]:
     far = np.zeros(observed.shape[:2], bool)
