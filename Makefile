@@ -24,6 +24,7 @@ test: $(STAMP)
 
 types: $(STAMP)
 	$(VENV)/bin/python -m mypy
+	$(VENV)/bin/python -m pyright --pythonpath $(VENV)/bin/python
 
 fuzz: $(STAMP)
 	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000

@@ -220,7 +220,7 @@ def _marker(label: str, entry: Mapping[str, Any], side: int, count: int) -> Mark
             raise ValueError(
                 f"{text!r} has two sides but the label has one; write [LR] in the label"
             )
-        return both[side] if len(both) > 1 else both[0]
+        return both[side if len(both) > 1 else 0]
 
     if ("place" in entry) == ("between" in entry) and ("place" in entry or "vertex" not in entry):
         raise ValueError("expected one place: place, between or vertex")

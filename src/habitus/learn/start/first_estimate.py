@@ -281,9 +281,10 @@ def _known_fits(shared: tuple[Problem, Rig, list[RestPerson]], rows: np.ndarray)
     data = problem.registrations
     fits = []
     places = known.told("trans", len(data))
+    assert known.pose is not None
     for row in rows:
         pose = known.pose[row]
-        if places[row]:
+        if known.trans is not None and places[row]:
             fits.append(PoseFit(pose, known.trans[row], np.nan))
             continue
         target, weight = data.read_seen(row)

@@ -50,7 +50,8 @@ def kept_groups(
         halves.append(_Half(inverse, inverse @ pull, other, away))
     while len(left):
         moves = [half.without(groups) for half in halves]
-        costs = sum(half.rises(move) for half, move in zip(halves, moves, strict=True))
+        rises = [half.rises(move) for half, move in zip(halves, moves, strict=True)]
+        costs = np.asarray(sum(rises))
         least = int(np.argmin(costs))
         if costs[least] >= limit:
             break
