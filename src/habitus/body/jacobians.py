@@ -114,7 +114,7 @@ def surface_jacobian(
     directions = unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     by_betas = directions[..., : body.num_betas]
     if prepared.rows.posedirs is not None:
-        feature = body.features.of_pose(pose, skeleton.rotations, body.drivers)
+        feature = body.features.of_pose(angles, skeleton.rotations, body.drivers)
         rest = add_blend_shapes(
             rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs
         )
@@ -125,7 +125,7 @@ def surface_jacobian(
     move = _linear if body.skinning == "lbs" else _dual
     moved, turn, by_pose, by_shifts = move(prepared, skeleton, rest)
     if prepared.rows.posedirs is not None:
-        offsets = flatten(_offsets_by_pose(prepared, skeleton, pose), -2)
+        offsets = flatten(_offsets_by_pose(prepared, skeleton, angles), -2)
         by_pose = by_pose + unflatten(turn @ offsets, -1, (-1, 3))
     joints = skeleton.world[..., 3]
     arms = skeleton.below.T[..., None] * (joints[..., :, None, :] - joints[..., None, :, :])
