@@ -253,7 +253,8 @@ def _cameras(kind: DepthSensor, rng: np.random.Generator) -> tuple[Camera, Camer
     return depth, Camera.of(kind.width, kind.height, focal, translation=aside + wrong), wrong
 
 
-Mesh = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"], Float[np.ndarray, "V 3"]]
+Mesh = tuple[Float[np.ndarray, "_ 3"], Int[np.ndarray, "_ 3"], Float[np.ndarray, "_ 3"]]
+"""Vertices, faces and albedo: a person's and the room's are of different sizes."""
 
 
 def _shots(
