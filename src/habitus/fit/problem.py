@@ -280,7 +280,7 @@ class _Problem:
     def _start_views(self, views) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
         """Betas, poses, places in the cameras' frames, and masks, by the recipe of depth views."""
         capture = RgbdCapture("views", tuple(each.view for each in views)).without("colour")
-        found = fit_state(capture, self.body, replace(STANDARD, skin_steps=0))
+        found = fit_state(capture, self.body, replace(STANDARD, skin_steps=1))
         state = found.state
         moved = [
             _in_frame(
