@@ -14,7 +14,6 @@ mesh                      .ply, .obj                                  `Mesh`
 ========================  ==========================================  ======================
 """
 
-import json
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -31,13 +30,12 @@ from habitus.body.motion import BodyMotion
 from habitus.body.recentred import recentred
 from habitus.errors import HabitusError, shown
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.suspects import Suspect
 from habitus.io.archives import open_archive, reason
+from habitus.io.marker_fit_arrays import check_rate, checked_fit, latent_marker_distance, marker_fit
 from habitus.io.meshes import ENDINGS as MESH_ENDINGS
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.markers import MarkerAttachment, predict_markers
 from habitus.rotations import UP_AXES
 
 BodyLike = BodyModel | str | os.PathLike[str] | None
@@ -69,7 +67,6 @@ _RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 _LAYOUTS = {3 * len(layout.joint_names): layout for layout in (SMPL, SMPLH, SMPLX)}
 _SAME_BODY = 1e-3
 """Metres between latent markers of one body: its files in float32 and float64 differ by 1e-6."""
-_MAX_RATE = 1e6  # Hz
 _REST_RATE = 30.0  # Hz, of the two frames that show a person at rest
 
 
@@ -409,21 +406,16 @@ def _checked_motion(motion: BodyMotion) -> BodyMotion:
             raise ValueError(f"{name} of shape {array.shape}; expected finite numbers {shape}")
     if not frames:
         raise ValueError("no frames")
-    _check_rate(motion.rate_hz)
+    check_rate(motion.rate_hz)
     if motion.up_axis not in UP_AXES:
         raise ValueError(f"up_axis is {shown(motion.up_axis)}")
     return motion
 
 
-def _check_rate(rate: float) -> None:
-    if not 0 < rate < _MAX_RATE:
-        raise ValueError(f"the rate is {rate:g} Hz; expected mocap_framerate in frames per second")
-
-
 def _marker_fit(file: _PersonFile, body: BodyLike) -> MarkerFit:
     file.require(_FIT_ARRAYS, "the body.npz of a marker fit")
     with _guarded(file):
-        return _checked_fit(_fit_data(file, _fitted_model(file, body)))
+        return checked_fit(marker_fit(file.arrays, _fitted_model(file, body)))
 
 
 def _fitted_model(file: _PersonFile, body: BodyLike) -> BodyModel:
@@ -437,7 +429,7 @@ def _fitted_model(file: _PersonFile, body: BodyLike) -> BodyModel:
             f"{file.source}: was fitted with the body {file.body_name!r} of {expected[0]} joints "
             f"and {expected[1]} betas; {model.name} has {counts[0]} and {counts[1]}"
         )
-    distance = _latent_marker_distance(arrays, model)
+    distance = latent_marker_distance(arrays, model)
     if distance > _SAME_BODY:
         where = f"{1e3 * distance:.0f} mm away" if np.isfinite(distance) else "of another mesh"
         raise HabitusError(
@@ -446,112 +438,6 @@ def _fitted_model(file: _PersonFile, body: BodyLike) -> BodyModel:
             "that was fitted, load_fit(path, body=FILE)"
         )
     return model
-
-
-def _latent_marker_distance(arrays: Mapping[str, np.ndarray], body: BodyModel) -> float:
-    """The largest distance (m) of the file's latent markers from those on this body at rest."""
-    triangles = arrays["marker_triangles"]
-    if not len(triangles):
-        return 0.0
-    if not 0 <= triangles.min() <= triangles.max() < body.num_vertices:
-        return np.inf
-    attachment = MarkerAttachment(triangles, arrays["marker_coefficients"])
-    carried = predict_markers(body.rest_vertices(arrays["betas"]), attachment)
-    return float(np.linalg.norm(carried - arrays["markers_latent"], axis=1).max())
-
-
-def _fit_data(file: _PersonFile, body: BodyModel) -> MarkerFit:
-    arrays = file.arrays
-    pose = arrays["poses"].reshape(len(arrays["poses"]), -1, 3)
-    trans = arrays["trans"]
-    predicted = arrays["markers_sim"].astype(np.float64)
-    soft = arrays.get("soft_tissue_betas")
-    pose_stage, predicted_pose_stage = (pose, trans), predicted
-    if soft is not None:
-        pose_stage = arrays["poses_pose_stage"].reshape(pose.shape), arrays["trans_pose_stage"]
-        predicted_pose_stage = arrays["markers_sim_pose_stage"].astype(np.float64)
-    return MarkerFit(
-        capture_name=str(arrays["capture"]),
-        body_name=str(arrays["surface_model_type"]),
-        layout_name=str(arrays["layout"]),
-        body=body,
-        up_axis=str(arrays["up_axis"]),
-        rate_hz=float(arrays["mocap_frame_rate"]),
-        labels=tuple(arrays["latent_labels"].tolist()),
-        betas=arrays["betas"],
-        latent_markers=arrays["markers_latent"],
-        attachment=MarkerAttachment(arrays["marker_triangles"], arrays["marker_coefficients"]),
-        pose=pose,
-        trans=trans,
-        soft_tissue=soft,
-        dynamics=arrays.get("soft_tissue_dynamics"),
-        pose_stage=pose_stage,
-        observed_markers=arrays["markers_obs"].astype(np.float64),
-        predicted_pose_stage=predicted_pose_stage,
-        predicted_soft_tissue=None if soft is None else predicted,
-        marker_weights=arrays["marker_weights"].astype(np.float64),
-        marker_noise=arrays["marker_noise"],
-        flagged_frames=arrays["flagged_frames"],
-        suspects=_suspects(arrays),
-        warnings=tuple(arrays["warnings"].tolist()),
-        settings=json.loads(str(arrays["settings"])),
-        status=str(arrays["status"]),
-        seed=int(arrays["seed"]),
-        gender=str(arrays["gender"]),
-        female_probability=_number(arrays.get("female_probability")),
-        **_evidence(arrays),
-    )
-
-
-def _suspects(arrays: Mapping[str, np.ndarray]) -> tuple[Suspect, ...]:
-    columns = [arrays[f"suspect_{name}"].tolist() for name in ("labels", "reasons", "frames")]
-    corrected = arrays.get("suspect_corrected", np.zeros(len(columns[0]), bool)).tolist()
-    return tuple(Suspect(*row) for row in zip(*columns, corrected, strict=True))
-
-
-def _evidence(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What the verdict needs beside the fit itself; older files lack it."""
-    if "recorded" not in arrays:
-        return {}
-    return {
-        "recorded": json.loads(str(arrays["recorded"])),
-        "layout_confidence": _number(arrays["layout_confidence"]),
-        "displaced": arrays.get("displaced"),
-        "tried": tuple(arrays["tried"].tolist()),
-        "left_out": tuple(arrays["left_out"].tolist()),
-        "doubts": tuple(arrays["doubts"].tolist()) if "doubts" in arrays else (),
-    }
-
-
-def _checked_fit(fit: MarkerFit) -> MarkerFit:
-    """The fit unchanged. Raises ValueError where its arrays do not fit together."""
-    frames = len(fit.trans)
-    markers = len(fit.labels)
-    joints = fit.body.num_joints
-    shapes = {
-        "poses": (fit.pose, (frames, joints, 3)),
-        "trans": (fit.trans, (frames, 3)),
-        "poses_pose_stage": (fit.pose_stage[0], (frames, joints, 3)),
-        "trans_pose_stage": (fit.pose_stage[1], (frames, 3)),
-        "betas": (fit.betas, (fit.body.num_betas,)),
-        "soft_tissue_betas": (fit.soft_tissue, (frames, fit.body.num_betas)),
-        "soft_tissue_dynamics": (fit.dynamics, (frames, fit.body.num_dynamics)),
-        "markers_latent": (fit.latent_markers, (markers, 3)),
-        "markers_obs": (fit.observed_markers, (frames, markers, 3)),
-        "markers_sim": (fit.predicted_soft_tissue, (frames, markers, 3)),
-        "markers_sim_pose_stage": (fit.predicted_pose_stage, (frames, markers, 3)),
-        "marker_weights": (fit.marker_weights, (frames, markers)),
-        "marker_noise": (fit.marker_noise, (markers,)),
-    }
-    for name, (array, shape) in shapes.items():
-        if array is not None and (array.shape != shape or array.dtype.kind != "f"):
-            raise ValueError(f"{name} are {array.dtype} of shape {array.shape}; expected {shape}")
-    _check_rate(fit.rate_hz)
-    return fit
-
-
-def _number(value: np.ndarray | None) -> float | None:
-    return None if value is None or np.isnan(value) else float(value)
 
 
 def _optional(arrays: Mapping[str, np.ndarray], name: str) -> np.ndarray | None:

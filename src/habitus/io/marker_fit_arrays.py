@@ -1,0 +1,126 @@
+"""A marker fit from the arrays of its body.npz, and the checks that these fit together."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.suspects import Suspect
+from habitus.observe.markers import MarkerAttachment, predict_markers
+
+_MAX_RATE = 1e6  # Hz
+
+
+def latent_marker_distance(arrays: Mapping[str, np.ndarray], body: BodyModel) -> float:
+    """The largest distance (m) of the file's latent markers from those on this body at rest."""
+    triangles = arrays["marker_triangles"]
+    if not len(triangles):
+        return 0.0
+    if not 0 <= triangles.min() <= triangles.max() < body.num_vertices:
+        return np.inf
+    attachment = MarkerAttachment(triangles, arrays["marker_coefficients"])
+    carried = predict_markers(body.rest_vertices(arrays["betas"]), attachment)
+    return float(np.linalg.norm(carried - arrays["markers_latent"], axis=1).max())
+
+
+def marker_fit(arrays: Mapping[str, np.ndarray], body: BodyModel) -> MarkerFit:
+    """The fit whose arrays these are, on its body."""
+    pose = arrays["poses"].reshape(len(arrays["poses"]), -1, 3)
+    trans = arrays["trans"]
+    predicted = arrays["markers_sim"].astype(np.float64)
+    soft = arrays.get("soft_tissue_betas")
+    pose_stage, predicted_pose_stage = (pose, trans), predicted
+    if soft is not None:
+        pose_stage = arrays["poses_pose_stage"].reshape(pose.shape), arrays["trans_pose_stage"]
+        predicted_pose_stage = arrays["markers_sim_pose_stage"].astype(np.float64)
+    return MarkerFit(
+        capture_name=str(arrays["capture"]),
+        body_name=str(arrays["surface_model_type"]),
+        layout_name=str(arrays["layout"]),
+        body=body,
+        up_axis=str(arrays["up_axis"]),
+        rate_hz=float(arrays["mocap_frame_rate"]),
+        labels=tuple(arrays["latent_labels"].tolist()),
+        betas=arrays["betas"],
+        latent_markers=arrays["markers_latent"],
+        attachment=MarkerAttachment(arrays["marker_triangles"], arrays["marker_coefficients"]),
+        pose=pose,
+        trans=trans,
+        soft_tissue=soft,
+        dynamics=arrays.get("soft_tissue_dynamics"),
+        pose_stage=pose_stage,
+        observed_markers=arrays["markers_obs"].astype(np.float64),
+        predicted_pose_stage=predicted_pose_stage,
+        predicted_soft_tissue=None if soft is None else predicted,
+        marker_weights=arrays["marker_weights"].astype(np.float64),
+        marker_noise=arrays["marker_noise"],
+        flagged_frames=arrays["flagged_frames"],
+        suspects=_suspects(arrays),
+        warnings=tuple(arrays["warnings"].tolist()),
+        settings=json.loads(str(arrays["settings"])),
+        status=str(arrays["status"]),
+        seed=int(arrays["seed"]),
+        gender=str(arrays["gender"]),
+        female_probability=_number(arrays.get("female_probability")),
+        **_evidence(arrays),
+    )
+
+
+def _suspects(arrays: Mapping[str, np.ndarray]) -> tuple[Suspect, ...]:
+    columns = [arrays[f"suspect_{name}"].tolist() for name in ("labels", "reasons", "frames")]
+    corrected = arrays.get("suspect_corrected", np.zeros(len(columns[0]), bool)).tolist()
+    return tuple(Suspect(*row) for row in zip(*columns, corrected, strict=True))
+
+
+def _evidence(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What the verdict needs beside the fit itself; older files lack it."""
+    if "recorded" not in arrays:
+        return {}
+    return {
+        "recorded": json.loads(str(arrays["recorded"])),
+        "layout_confidence": _number(arrays["layout_confidence"]),
+        "displaced": arrays.get("displaced"),
+        "tried": tuple(arrays["tried"].tolist()),
+        "left_out": tuple(arrays["left_out"].tolist()),
+        "doubts": tuple(arrays["doubts"].tolist()) if "doubts" in arrays else (),
+    }
+
+
+def checked_fit(fit: MarkerFit) -> MarkerFit:
+    """The fit unchanged. Raises ValueError where its arrays do not fit together."""
+    frames = len(fit.trans)
+    markers = len(fit.labels)
+    joints = fit.body.num_joints
+    shapes = {
+        "poses": (fit.pose, (frames, joints, 3)),
+        "trans": (fit.trans, (frames, 3)),
+        "poses_pose_stage": (fit.pose_stage[0], (frames, joints, 3)),
+        "trans_pose_stage": (fit.pose_stage[1], (frames, 3)),
+        "betas": (fit.betas, (fit.body.num_betas,)),
+        "soft_tissue_betas": (fit.soft_tissue, (frames, fit.body.num_betas)),
+        "soft_tissue_dynamics": (fit.dynamics, (frames, fit.body.num_dynamics)),
+        "markers_latent": (fit.latent_markers, (markers, 3)),
+        "markers_obs": (fit.observed_markers, (frames, markers, 3)),
+        "markers_sim": (fit.predicted_soft_tissue, (frames, markers, 3)),
+        "markers_sim_pose_stage": (fit.predicted_pose_stage, (frames, markers, 3)),
+        "marker_weights": (fit.marker_weights, (frames, markers)),
+        "marker_noise": (fit.marker_noise, (markers,)),
+    }
+    for name, (array, shape) in shapes.items():
+        if array is not None and (array.shape != shape or array.dtype.kind != "f"):
+            raise ValueError(f"{name} are {array.dtype} of shape {array.shape}; expected {shape}")
+    check_rate(fit.rate_hz)
+    return fit
+
+
+def _number(value: np.ndarray | None) -> float | None:
+    return None if value is None or np.isnan(value) else float(value)
+
+
+def check_rate(rate: float) -> None:
+    """Raises ValueError for what is no frame rate."""
+    if not 0 < rate < _MAX_RATE:
+        raise ValueError(f"the rate is {rate:g} Hz; expected mocap_framerate in frames per second")
