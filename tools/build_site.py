@@ -79,6 +79,7 @@ MENU = {
         "how-accurate",
         "accuracy-of-scans-and-depth",
         "accuracy-of-measurements",
+        "accuracy-of-marker-workflows",
         "evaluation-of-mosh",
         "compared",
         "benchmarks",
