@@ -80,6 +80,7 @@ MENU = {
         "accuracy-of-scans-and-depth",
         "accuracy-of-measurements",
         "accuracy-of-marker-workflows",
+        "accuracy-of-training",
         "evaluation-of-mosh",
         "compared",
         "benchmarks",
