@@ -81,6 +81,7 @@ MENU = {
         "accuracy-of-measurements",
         "accuracy-of-marker-workflows",
         "accuracy-of-training",
+        "accuracy-of-rendering",
         "evaluation-of-mosh",
         "compared",
         "benchmarks",
