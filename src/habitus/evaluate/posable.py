@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -86,7 +86,11 @@ class PosableBody(FittedToSurfaces):
 
     body: BodyModel
     label: str = ""
-    kind: ClassVar[str] = "blend shapes"
+
+    @property
+    def kind(self) -> str:
+        """What tables call it."""
+        return "blend shapes"
 
     @property
     def name(self) -> str:

@@ -69,7 +69,7 @@ def field_precision(
 
 def field_basis(precision: csc_array, places: Int[np.ndarray, " C"]) -> Float[np.ndarray, "V C"]:
     """Z with h = Z z, z ~ N(0, I): the field given its values at some vertices (Nystroem)."""
-    count = precision.shape[0]
+    count = precision.shape[0]  # pyright: ignore[reportOptionalSubscript]  (SciPy has no annotations)
     unit = csc_array((np.ones(len(places)), (places, np.arange(len(places)))), (count, len(places)))
     covariance = factored(precision).solve(unit.toarray())
     root = np.linalg.cholesky(covariance[places] + 1e-9 * np.eye(len(places)))

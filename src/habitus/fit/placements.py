@@ -205,12 +205,12 @@ def _told_by_twins(
     twins.
     """
     both = [
-        (one, means[one.place])
+        (one.offset, one.twin, means[one.place])
         for one in everything
         if one.twin is not None and is_free(one.marker) == free
     ]
-    own = np.array([np.subtract(one.offset, mean) for one, mean in both]).reshape(-1, 3)
-    twin = np.array([np.subtract(one.twin, mean) for one, mean in both]).reshape(-1, 3)
+    own = np.array([np.subtract(offset, mean) for offset, _, mean in both]).reshape(-1, 3)
+    twin = np.array([np.subtract(twin, mean) for _, twin, mean in both]).reshape(-1, 3)
     shares = np.linspace(0.0, 1.0, 101)
     return float(
         shares[np.argmin([np.linalg.norm(own - share * twin, axis=1).sum() for share in shares])]

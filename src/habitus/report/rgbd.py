@@ -3,7 +3,7 @@ the body in 3D. Pictures show what was observed, the rendered model and their di
 and albedo separately (T Fig. 4-9).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -102,7 +102,7 @@ RELIEF_BLUR = 1.5
 Picture = UInt8[np.ndarray, "h w 3"]
 
 
-def rgbd_page(fit: "RgbdFit", numbers: dict[str, Any], skin: "Skin | None" = None) -> str:
+def rgbd_page(fit: "RgbdFit", numbers: Mapping[str, Any], skin: "Skin | None" = None) -> str:
     """The report as text. numbers: `habitus.results.depth.depth_metrics` of the fit."""
     numbers = finite(numbers)
     below = [
@@ -121,7 +121,7 @@ def rgbd_page(fit: "RgbdFit", numbers: dict[str, Any], skin: "Skin | None" = Non
     )
 
 
-def _head(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
+def _head(fit: "RgbdFit", numbers: Mapping[str, Any]) -> str:
     count = len(numbers["views"])
     facts = [
         f"{count} view{'s' * (count != 1)}",
@@ -133,7 +133,7 @@ def _head(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
     )
 
 
-def _tiles(fit: "RgbdFit", numbers: dict[str, Any]) -> Iterable[Tile]:
+def _tiles(fit: "RgbdFit", numbers: Mapping[str, Any]) -> Iterable[Tile]:
     error = numbers["depth_error_mm"]
     explained = 100 * min(view["explained_fraction"] for view in numbers["views"])
     yield "Depth error", f"{error['median']:.1f}", "mm", "median, across the surface"
@@ -183,7 +183,7 @@ def _light(fit: "RgbdFit") -> str:
     return card("Light", inside)
 
 
-def _solution(fit: "RgbdFit", numbers: dict[str, Any]) -> str:
+def _solution(fit: "RgbdFit", numbers: Mapping[str, Any]) -> str:
     rows = [
         (name.replace("_", " ").capitalize(), f"{value:.2f} s")
         for name, value in numbers["stage_seconds"].items()

@@ -12,16 +12,8 @@ from scipy import sparse
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import edges_of, find_appearance, log_smoothness
-from habitus.fit.points.colour_terms import (
-    ALBEDO_DAMPING,
-    WHITE,
-    ColourLevel,
-    Look,
-    Moving,
-    ViewRows,
-    colour_equations,
-    view_rows,
-)
+from habitus.fit.points.colour_terms import ALBEDO_DAMPING, WHITE, colour_equations
+from habitus.fit.points.colour_views import ColourLevel, Look, Moving, ViewRows, view_rows
 from habitus.fit.points.depth import SURE, _chosen, _Coarse, _with_colour, fit_state
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
 from habitus.fit.points.depth_start import arm_poses

@@ -166,12 +166,8 @@ def _decided(
         start = (one.betas, one.pose, one.trans, what)
         here = seated(body, fine, frames, prior, *start, settings.place_spreads[:1], settings.fit)
         results[index >= len(alike)].append(here)
-    first, margin = _cheaper(
-        body,
-        labels,
-        *(min(some, key=lambda one: one.cost, default=None) for some in results),
-        settings.decided,
-    )
+    cheapest, rival = (min(some, key=lambda one: one.cost, default=None) for some in results)
+    first, margin = _cheaper(body, labels, cheapest, rival, settings.decided)
     progress("discover: places", 0.9)
     shape = first.shape
     start = (shape.betas, shape.pose, shape.trans, what)

@@ -4,8 +4,6 @@ A wrong label pulls the fit along and then looks right, so poses are solved agai
 in some frames.
 """
 
-from types import SimpleNamespace
-
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -15,6 +13,7 @@ from habitus.fit.labels.settings import EXCHANGES, ExchangeSettings
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
+from habitus.solve.sequence.level import LevelFrames
 
 
 def resolve_exchanges(
@@ -149,9 +148,7 @@ def exchange_costs(
     return level.costs.reshape(len(orders), len(observed))
 
 
-def side_by_side(
-    states: Float[np.ndarray, "F N"], pose_end: int, damping: float
-) -> SimpleNamespace:
+def side_by_side(states: Float[np.ndarray, "F N"], pose_end: int, damping: float) -> LevelFrames:
     """States as a level of `habitus.solve.sequence.level` without links: each frame by itself.
 
     A special case of `habitus.fit.markers.sequence` at one level: the terms "data" and "pose" of
@@ -160,7 +157,7 @@ def side_by_side(
     damping grows), so that a fixed number of visits can stop early but not diverge.
     """
     count = len(states)
-    return SimpleNamespace(
+    return LevelFrames(
         frames=np.arange(count),
         states=states,
         links=np.zeros((count + 2, states.shape[1])),

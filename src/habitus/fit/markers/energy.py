@@ -179,7 +179,11 @@ def _bending(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, 
     """Second differences x_t - 2 x_{t-1} + x_{t-2}, and their Jacobian."""
     flat = values.reshape(len(values), -1)
     shape = (len(flat) - 2, len(flat))
-    stencil = scipy.sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=shape)
+    stencil = scipy.sparse.diags_array(
+        [1.0, -2.0, 1.0],
+        offsets=[0, 1, 2],  # pyright: ignore[reportArgumentType]  (SciPy has no annotations)
+        shape=shape,
+    )
     return np.diff(flat, 2, axis=0), {
         name: scipy.sparse.kron(stencil, scipy.sparse.eye_array(flat.shape[1]))
     }

@@ -5,7 +5,6 @@ itself, for bodies that the kernels do not cover. `marker_sequence` chooses.
 """
 
 from functools import lru_cache
-from types import SimpleNamespace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -36,7 +35,7 @@ from habitus.observe.marker_slots import (
     workspace_offsets,
 )
 from habitus.solve.sequence.dense_visits import DenseVisits
-from habitus.solve.sequence.level import Level
+from habitus.solve.sequence.level import LevelFrames
 
 
 class MarkerSequence:
@@ -194,7 +193,7 @@ class KernelSequence(MarkerSequence):
         self._workspaces.append(workspace)
         return out
 
-    def visit(self, level: Level, block):
+    def visit(self, level: LevelFrames, block):
         """One damped Gauss-Newton step of the frames `block`."""
         self._visit(
             LevelArrays(*(getattr(level, name) for name in LevelArrays._fields)), block, 1, 0.0
@@ -270,7 +269,7 @@ class DenseSequence(DenseVisits, MarkerSequence):
         """Visit one frame of a level up to so many times, until it moves by less than
         `tolerance`.
         """
-        arrays = SimpleNamespace(**level._asdict(), measured=slice(3, self.pose_end))
+        arrays = LevelFrames(**level._asdict(), measured=slice(3, self.pose_end))
         for _ in range(times):
             self.visit(arrays, np.array([frame]))
             if level.moved[frame] < tolerance:
@@ -287,8 +286,10 @@ def marker_sequence(
     betas: int,
 ) -> KernelSequence | DenseSequence:
     """The problem in the form that suits the body; arguments as in `MarkerSequence`."""
-    form = KernelSequence if isinstance(marked, MarkerRig) else DenseSequence
-    return form(marked, observed, weights, scales, prior, settings, betas)
+    problem = (observed, weights, scales, prior, settings, betas)
+    if isinstance(marked, MarkerRig):
+        return KernelSequence(marked, *problem)
+    return DenseSequence(marked, *problem)
 
 
 def marker_data(

@@ -200,18 +200,22 @@ class _Stage:
 
     def problem(self, frames: slice | np.ndarray):
         """The problem of some frames, and their start."""
-        observed, weights, pose, trans, soft = (
-            None
-            if array is None
-            else array[frames]
-            if isinstance(frames, slice)
-            else take_frames(array, frames)
-            for array in (self.observed, self.weights, *self.start, self.soft_tissue)
-        )
+
+        def chosen(array: np.ndarray) -> np.ndarray:
+            return array[frames] if isinstance(frames, slice) else take_frames(array, frames)
+
         problem = marker_sequence(
-            self.marked, observed, weights, self.scales, self.prior, self.settings, self.betas
+            self.marked,
+            chosen(self.observed),
+            None if self.weights is None else chosen(self.weights),
+            self.scales,
+            self.prior,
+            self.settings,
+            self.betas,
         )
-        return problem, problem.pack(pose, trans, soft)
+        pose, trans = map(chosen, self.start)
+        soft_tissue = None if self.soft_tissue is None else chosen(self.soft_tissue)
+        return problem, problem.pack(pose, trans, soft_tissue)
 
     def solutions(self, parts: list[Window]) -> Iterator[tuple]:
         """Problem and solution of each window."""

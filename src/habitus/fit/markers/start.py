@@ -161,7 +161,8 @@ def start_frame(
     bank = _bank(known_poses, joint_names)
     each = np.repeat(observed[None], len(bank), axis=0)
     pose, trans = align_root(rig, bank, each, np.ones(len(observed)))
-    return best_of_tries(_misfit(rig, pose, trans, each), pose, trans)
+    pose, trans = best_of_tries(_misfit(rig, pose, trans, each), pose, trans)
+    return pose, trans
 
 
 def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:

@@ -29,6 +29,7 @@ from habitus.observe.camera import Camera
 from habitus.observe.harmonics import harmonics
 from habitus.observe.srgb import linear_from_srgb
 from habitus.render.draw import draw
+from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
 
@@ -116,6 +117,7 @@ def _difference(
     """Blurred outlines' difference, its derivative by the translation, and their overlap."""
     points = torch.from_numpy(vertices)
     frame = draw(camera, points, triangles)
+    assert isinstance(frame, Frame)  # one camera, one surface
     drawn = frame.silhouette().numpy()
     rows = (
         (np.arange(camera.height) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[0] - 1)
@@ -375,7 +377,7 @@ def look_up(
     at = pixels.T[::-1] - 0.5
     inside = ((at > 1) & (at < np.array(depth.shape)[:, None] - 2)).all(0)
     cell = np.where(inside, np.round(at), 0).astype(int)
-    solid = np.asarray(binary_erosion(np.isfinite(depth), iterations=3))
+    solid = np.asarray(binary_erosion(np.isfinite(depth), iterations=3), dtype=bool)
     shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + BEHIND) & (cosine > STEEPEST)
     assert sight.view.colour is not None
     linear = to_linear(sight.view.colour)

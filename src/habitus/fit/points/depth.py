@@ -13,7 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import Appearance, ColourShift, find_appearance
-from habitus.fit.points.colour_terms import Look
+from habitus.fit.points.colour_views import Look
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
 from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_result import RgbdFit, gather
@@ -112,9 +112,8 @@ def _fitted(
     clock.append(time.perf_counter())
     ended, skinned, shown = _with_colour(energy, settled, means, field)
     clock.append(time.perf_counter())
-    seconds = dict(
-        zip(("segment", "start", "depth", "skin", "colour"), np.diff(clock).tolist(), strict=True)
-    )
+    stages = ("segment", "start", "depth", "skin", "colour")
+    seconds: dict[str, float] = dict(zip(stages, np.diff(clock).tolist(), strict=True))
     history = (*chosen.history, *fine.history, *settled.history)
     return ViewsFit(
         body=energy.body,

@@ -24,7 +24,8 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
-from habitus.fit.points.colour_terms import ColourEnergy, ColourLevel, Look, Moving
+from habitus.fit.points.colour_terms import ColourEnergy
+from habitus.fit.points.colour_views import ColourLevel, Look, Moving
 from habitus.fit.points.depth_correspondences import look, match
 from habitus.fit.points.floor import Footpads
 from habitus.fit.points.prepared_views import Grid, PreparedView

@@ -85,7 +85,7 @@ def cleaned(
     """
     if unit != "auto" and unit not in UNITS:
         raise HabitusError(f"unit is {unit!r}; expected auto, {', '.join(UNITS)}")
-    finite = np.isfinite(scan.points).all(1)
+    finite = np.asarray(np.isfinite(scan.points).all(1))
     if finite.sum() < settings.min_points:
         raise HabitusError(
             f"{scan.name}: {int(finite.sum())} points; expected the scan of a person, "
@@ -173,7 +173,7 @@ def _cloud(
     good = length[:, 0] > 0.5
     points = points[good]
     normals = normals[good] / length[good]
-    near = KDTree(points).query(points, k=min(16, len(points)))[1]
+    near = np.asarray(KDTree(points).query(points, k=min(16, len(points)))[1])
     return Cloud(points, outward(points, normals, near, carry=False))
 
 

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from typing import TypedDict
 
 import numpy as np
 from jaxtyping import Float
@@ -141,14 +142,15 @@ class Registrar:
         progress("read", 0.0)
         with clock("clean"):
             ready = [cleaned(scan, unit, seed, self.settings.cleaning) for scan in scans]
-        started = []
+        started: list[Registered] = []
         with clock("start"):
             for k, scan in enumerate(ready):
                 progress("start", 0.1 + 0.4 * k / len(ready))
                 last = None if previous is None else previous[_last(k, previous)]
                 started.append(self._started(scan, up, last))
         people = [k for k, scan in enumerate(started) if scan.person]
-        best, fitted = self, []
+        best = self
+        fitted: list[Registered] = []
         if people:
             progress("model", 0.5)
             with clock("model"):
@@ -357,15 +359,23 @@ class Clock:
         self.seconds[name] = time.perf_counter() - began
 
 
+class ScanDistances(TypedDict):
+    """The fields of `ScanFit` that `compared` gives."""
+
+    to_surface: Float[np.ndarray, " M"]
+    to_model: Float[np.ndarray, " M"]
+    far_from_surface: Float[np.ndarray, " N"]
+    matched: float
+    lost: float
+
+
 def compared(
     fitter: ScanFitter,
     cloud: Cloud,
     surface: Float[np.ndarray, "V 3"],
     model: Float[np.ndarray, "V 3"],
-) -> dict[str, np.ndarray | float]:
-    """Distances of a scan from surface and model, and the shares that are matched and lost, as
-    `ScanFit` holds them.
-    """
+) -> ScanDistances:
+    """Distances of a scan from surface and model, and the shares that are matched and lost."""
     settings = fitter.settings
     there, near = (
         find_correspondences(fitter.topology, each, cloud.points, cloud.normals)

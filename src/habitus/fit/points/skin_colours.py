@@ -62,7 +62,7 @@ class SkinGrid:
     @property
     def size(self) -> int:
         """G."""
-        return self.spread.shape[0]
+        return self.spread.shape[0]  # pyright: ignore[reportOptionalSubscript]  (SciPy has no annotations)
 
     def placed(self, corners: Float[np.ndarray, "V C"]) -> Float[np.ndarray, "G C"]:
         """What the mesh's vertices have (their places), at the nodes, straight in between."""

@@ -3,6 +3,7 @@ found.
 """
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
@@ -118,9 +119,10 @@ def _texture(
     image[pixel] = total / weights[:, None]
     covered = np.zeros(size * size, bool)
     covered[pixel] = True
-    rows, columns = distance_transform_edt(
+    nearest = distance_transform_edt(
         ~covered.reshape(size, size), return_distances=False, return_indices=True
     )
+    rows, columns = cast(np.ndarray, nearest)
     return image.reshape(size, size, 3)[rows, columns]
 
 

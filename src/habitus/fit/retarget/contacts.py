@@ -133,9 +133,8 @@ def stands(still: Bool[np.ndarray, "T P"]) -> Iterator[Stand]:
     now = -1
     for frame, here in enumerate(still):
         if now < 0 or not here[now]:
-            now = int(
-                max(np.flatnonzero(here), key=lambda point: _until(still, frame, point), default=-1)
-            )
+            points = np.flatnonzero(here).tolist()
+            now = max(points, key=lambda point: _until(still, frame, point), default=-1)
         active[frame] = now
     edges = np.flatnonzero(np.diff((active >= 0).astype(np.int8), prepend=0, append=0))
     for first, end in zip(edges[::2], edges[1::2], strict=True):

@@ -90,8 +90,11 @@ def retargeted(
     allowed = np.minimum(0.0, scale * (lowest - ground))
     moved = _standing(plain, soles, still, wanted, ground + allowed, settings)
     moved = _above(moved, plain, soles, still, wanted, ground + allowed, settings)
-    done = (plain, moved)
-    slips = (_slip(before, soles, still), *(_slip(each, soles, still) for each in done))
+    slips = (
+        _slip(before, soles, still),
+        _slip(plain, soles, still),
+        _slip(moved, soles, still),
+    )
     below = (
         float((lowest - ground).min()),
         float((plain_lowest - ground).min()),

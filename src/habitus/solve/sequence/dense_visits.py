@@ -4,7 +4,7 @@ frames.
 
 import numpy as np
 
-from habitus.solve.sequence.level import FLOOR, NOISE, Level
+from habitus.solve.sequence.level import FLOOR, NOISE, LevelFrames
 
 
 class DenseVisits:
@@ -27,7 +27,7 @@ class DenseVisits:
         """Own costs (F,)."""
         raise NotImplementedError
 
-    def visit(self, level: Level, block: np.ndarray) -> None:
+    def visit(self, level: LevelFrames, block: np.ndarray) -> None:
         """One damped Gauss-Newton step of the frames `block`, their neighbours held."""
         here = level.states[block]
         frames = level.frames[block]
@@ -54,7 +54,7 @@ class DenseVisits:
         level.damping[block] = next_damping(damping, taken, ratio)
 
 
-def coupling(level: Level, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def coupling(level: LevelFrames, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient (F, N) and diagonal curvature (F, N) of the second differences that each frame is
     part of.
     """

@@ -32,7 +32,7 @@ class SequenceProblem(Protocol):
     lanes: int
     """Frames that are best handed over together."""
 
-    def visit(self, level: "Level", block: Int[np.ndarray, " F"]) -> None:
+    def visit(self, level: "LevelFrames", block: Int[np.ndarray, " F"]) -> None:
         """One damped Gauss-Newton step of the frames `block` (indices into the level), their
         neighbours held.
 
@@ -87,14 +87,30 @@ class SequenceOptions:
     relaxation: float = 1.3
 
 
-class Level:
-    """The frames of one stride while they are being solved (F of them, N unknowns).
+@dataclass(eq=False, repr=False)
+class LevelFrames:
+    """What a visit reads and sets of a level (F frames, N unknowns).
 
     frames (F,) are their indices in the sequence; states (F, N); links (F + 2, N) weigh the second
     differences that end at each; costs (F,) are the frames' own; damping (F,); moved (F,) is the
     length that the last step tried would have without damping, cost_decrease (F,) how much it
-    lowered the total cost; relaxations (F,) make the next one longer.
+    lowered the total cost; relaxations (F,) make the next one longer; measured: the unknowns whose
+    steps count for ``moved``.
     """
+
+    frames: Int[np.ndarray, " F"]
+    states: Float[np.ndarray, "F N"]
+    links: Float[np.ndarray, "F2 N"]
+    costs: Float[np.ndarray, " F"]
+    damping: Float[np.ndarray, " F"]
+    moved: Float[np.ndarray, " F"]
+    cost_decrease: Float[np.ndarray, " F"]
+    relaxations: Float[np.ndarray, " F"]
+    measured: slice
+
+
+class Level(LevelFrames):
+    """The frames of one stride while they are being solved."""
 
     def __init__(self, problem, frames, states, stride, damping, measured, options, pool):
         self.problem = problem
