@@ -110,6 +110,15 @@ def test_the_files_say_the_same(results):
     )
 
 
+def test_metrics_hold_the_status_and_the_cost_of_each_term(results):
+    out, _, _, fit = results
+    numbers = json.loads((out / "metrics.json").read_text())
+    assert numbers["status"] == fit.status
+    assert numbers["status"] in ("converged", "iterations", "stalled")
+    assert {"depth", "floor", "shape", "pose", "skin", "colour"} <= numbers["costs"].keys()
+    assert numbers["costs"] == pytest.approx(dict(fit.costs))
+
+
 def test_the_glb_carries_the_texture(results):
     out, _, _, _ = results
     document = Glb(out / "body.glb")

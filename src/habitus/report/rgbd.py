@@ -54,6 +54,7 @@ TERMS = {
     "floor": "E_F: soles on the floor",
     "shape": "E_S: shape prior",
     "pose": "E_P: pose prior",
+    "skin": "Prior of the skin offsets",
 }
 FILES = {
     "body.npz": "shape, poses, albedo and light, for Python",
@@ -188,7 +189,7 @@ def _solution(fit: "RgbdFit", numbers: Mapping[str, Any]) -> str:
         (name.replace("_", " ").capitalize(), f"{value:.2f} s")
         for name, value in numbers["stage_seconds"].items()
     ]
-    solution = solution_card(numbers.get("status") or "", numbers["costs"], TERMS, rows=rows)
+    solution = solution_card(numbers["status"], numbers["costs"], TERMS, rows=rows)
     return columns(card("Notes", notes_list(fit.warnings)), solution)
 
 

@@ -61,6 +61,7 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
         },
         "segmentation": fit.evidence.way,
         "appearance": _appearance(fit),
+        "status": fit.status,
         "costs": dict(fit.costs),
         "stage_seconds": {**seconds, "total": sum(seconds.values())},
         "body_measurements": dict(fit.measurements),

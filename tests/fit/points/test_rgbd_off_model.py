@@ -15,6 +15,7 @@ from habitus.fit.points.depth_energy import DepthEnergy
 from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.floor import LIFTED, Footpads
+from habitus.fit.points.prepared_views import segment
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import (
     SkinDepth,
@@ -188,3 +189,21 @@ def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
     alone = BodyState(found.state.betas, found.state.pose[1:], found.state.trans[1:])
     same, means = limbs_tried_again(energy, alone, alone.pose)
     assert same is alone and means is alone.pose
+
+
+def test_a_person_cut_out_of_the_background_is_fitted_by_depth_alone():
+    """No floor and nothing behind the person: there are no floor or outline points in any view."""
+    body, scene = small_scene()
+    views = []
+    for view in scene.capture.views:
+        mask = segment(view).mask
+        cut = replace(
+            view, depth=np.where(mask, view.depth, 0.0), mask=mask, background=None, colour=None,
+            colour_camera=None, background_colour=None,
+        )  # fmt: skip
+        views.append(cut)
+    few = replace(SETTINGS, skin_steps=1, turns=(0.0,), arms=((45.0, 0.0, 0.0),))
+    found = fit_state(replace(scene.capture, views=tuple(views)), body, few)
+    assert not any(view.on_floor for view in found.sights)
+    assert set(found.terms) == {"depth", "shape", "pose", "skin"}
+    assert found.terms["depth"] > 0.0 and np.isfinite(sum(found.terms.values()))
