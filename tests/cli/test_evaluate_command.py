@@ -203,7 +203,7 @@ def test_variances_are_those_of_the_training_where_it_told_them(files, tmp_path)
 
 
 def test_numbers_of_coefficients_default_to_those_of_the_papers_figures():
-    assert Evaluate(("m.npz", "d.npz"), out=None).counts == (1, 2, 5, 10, 20, 50, 100)
+    assert Evaluate(paths=("m.npz", "d.npz"), out=None).counts == (1, 2, 5, 10, 20, 50, 100)
 
 
 # -- bad input -------------------------------------------------------------------------------------
