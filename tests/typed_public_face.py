@@ -112,6 +112,9 @@ def errors() -> str:
 
 
 def sensors(body: hb.BodyModel, points: np.ndarray) -> None:
-    given = [hb.Markers("walk.c3d"), hb.Depth("views", frames=(10, 45)), hb.Scan(points)]
-    fit = hb.Fit(body, given, settings=hb.FitSettings(frames=8)).solve()
+    fit = hb.Fit(
+        body,
+        [hb.Markers("walk.c3d"), hb.Depth("views", frames=(10, 45)), hb.Scan(points)],
+        settings=hb.FitSettings(frames=8),
+    ).solve()
     print(fit.vertices("frame 10").shape, fit.motion, fit.residuals_mm, fit.measurements)
