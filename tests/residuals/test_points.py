@@ -244,3 +244,15 @@ def test_markers_are_a_special_case():
     ours = solver.at(betas, pose, trans, observed)
     np.testing.assert_allclose(ours.gradient, rows.T @ residual, atol=1e-9)
     np.testing.assert_allclose(ours.matrix, rows.T @ rows, atol=1e-9)
+
+
+def test_a_state_that_changes_in_place_is_a_new_one():
+    body = synthetic_body("smpl", 120)
+    (betas, pose, trans), points = some_state(body), some_points(body, 0.1)
+    solver = PointSolver.of(body)
+    first = solver.cost(betas, pose, trans, points)
+    betas += 0.5
+    again = solver.cost(betas, pose, trans, points)
+    assert first != again
+    assert again == PointSolver.of(body).cost(betas, pose, trans, points)
+    assert solver.at(betas - 0.5, pose, trans, points).cost == pytest.approx(first)

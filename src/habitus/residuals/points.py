@@ -14,7 +14,7 @@ dense matrix over the joints that move that part, and nothing as wide as the bod
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ from habitus.types import Array
 
 ROWS = 2048
 """Rows of the Jacobian at once, which a core's cache has room for."""
+RECENT = 16
+"""Posed skeletons that a solver keeps: two states of up to eight views."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +157,7 @@ class PointSolver:
     rig: SurfaceRig | None
     part: Int[np.ndarray, " F"]
     part_joints: tuple[Int[np.ndarray, " j"], ...]
+    _recent: list[tuple[bytes, _State]] = field(default_factory=list, repr=False)
 
     @staticmethod
     def of(body: BodyModel) -> "PointSolver":
@@ -250,7 +253,24 @@ class PointSolver:
         pose: Float[np.ndarray, "J 3"],
         trans: Float[np.ndarray, " 3"],
     ) -> _State:
-        """The posed skeleton and pose features, as the kernels take them."""
+        """The posed skeleton and pose features, as the kernels take them; the latest are kept, as
+        several terms and the next step ask for the same.
+        """
+        key = b"".join(np.asarray(part, float).tobytes() for part in (betas, pose, trans))
+        for known, state in tuple(self._recent):
+            if known == key:
+                return state
+        state = self._new_state(betas, pose, trans)
+        self._recent.insert(0, (key, state))
+        del self._recent[RECENT:]
+        return state
+
+    def _new_state(
+        self,
+        betas: Float[np.ndarray, " B"],
+        pose: Float[np.ndarray, "J 3"],
+        trans: Float[np.ndarray, " 3"],
+    ) -> _State:
         body = self.body
         skeleton = posed_skeleton(body, body.rest_joints(betas), pose)
         feature = np.zeros((body.num_joints, 9))
@@ -271,7 +291,7 @@ class PointSolver:
             change,
         )
         arrays = (np.ascontiguousarray(array) for array in moved)
-        return _State(np.asarray(betas, float), np.asarray(trans, float), *arrays)
+        return _State(np.array(betas, float), np.array(trans, float), *arrays)
 
     def _table(
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray, used: np.ndarray
