@@ -349,7 +349,7 @@ class _Problem:
         off = np.linalg.norm(latent(**state) - filled, axis=2)
         weights = np.isfinite(observed[..., 0]) * geman_mcclure_weight(off, 3.0 * stage.reach)
         lam = self.settings
-        per_cm2 = 1.0 / (energy.PER_CM2 * self.markers.data.noise**2)
+        per_cm2 = 1.0 / (energy.per_m2(1.0) * self.markers.data.noise**2)
         return {
             "markers": energy.data(latent, filled, weights, per_cm2),
             "surface": energy.surface_distance(

@@ -1,7 +1,8 @@
-"""The terms of MoSh's shape stage (M 5, T 3.5): functions that make a `Term` each.
+"""The terms of MoSh's shape stage (MoSh sec. 5, thesis sec. 3.5; full citations in
+`habitus.fit.markers.energy`): functions that make a `Term` each.
 
 Unknowns: betas (B,), latent_markers (M, 3), pose (F, J, 3) rad and trans (F, 3). Lengths are
-metres. MoSh states the weights per cm²; ``PER_CM2`` converts them, here and nowhere else.
+metres. MoSh states the weights per cm²; `per_m2` converts them, here and for all other modules.
 """
 
 import numpy as np
@@ -14,7 +15,10 @@ from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.markers import default_markers
 from habitus.solve.terms import Term
 
-PER_CM2 = 1e4
+
+def per_m2(weight_cm2: float) -> float:
+    """A weight of squared lengths per cm² as one per m²."""
+    return 1e4 * weight_cm2
 
 
 def data(
@@ -23,7 +27,7 @@ def data(
     weights: Float[np.ndarray, "F M"],
     scale: float,
 ) -> Term:
-    """E_D (eq. 3): simulated against observed markers; ``weights`` are 0 where a marker is
+    """E_D (MoSh eq. 3): simulated against observed markers; ``weights`` are 0 where a marker is
     missing.
     """
     root = np.sqrt(weights)[..., None]
@@ -49,7 +53,7 @@ def data(
 
         return root * (markers(betas, latent_markers, pose, trans) - observed), jacobians
 
-    return Term(residual, PER_CM2 * scale)
+    return Term(residual, per_m2(scale))
 
 
 def surface_distance(
@@ -58,8 +62,8 @@ def surface_distance(
     spread: Float[np.ndarray, " M"],
     scale: float,
 ) -> Term:
-    """E_S (eq. 4): latent markers keep the layout's distance from the skin, to within ``spread``
-    (paper: 1 mm).
+    """E_S (MoSh eq. 4): latent markers keep the layout's distance from the skin, to within
+    ``spread`` (paper: 1 mm).
     """
     root = 1e-3 / spread
 
@@ -77,7 +81,7 @@ def surface_distance(
 
         return root * (near.distance - distance), jacobians
 
-    return Term(residual, PER_CM2 * scale)
+    return Term(residual, per_m2(scale))
 
 
 def start_place(
@@ -87,8 +91,8 @@ def start_place(
     spread: Float[np.ndarray, " M"],
     scale: float,
 ) -> Term:
-    """E_I (eq. 5): latent markers stay near the layout's places v_i(betas), to within ``spread``
-    (paper: 2 cm).
+    """E_I (MoSh eq. 5): latent markers stay near the layout's places v_i(betas), to within
+    ``spread`` (paper: 2 cm).
 
     The normals in v_i are held in the derivative.
     """
@@ -100,18 +104,18 @@ def start_place(
         start = default_markers(body, betas, vertices, distance)
         return root * (latent_markers - start), {"betas": by_betas, "latent_markers": by_latent}
 
-    return Term(residual, PER_CM2 * scale)
+    return Term(residual, per_m2(scale))
 
 
 def shape_prior(num_betas: int, scale: float) -> Term:
-    """E_beta (eq. 6); betas are unit normal by construction of the body."""
+    """E_beta (MoSh eq. 6); betas are unit normal by construction of the body."""
     return Term(lambda betas: (betas, {"betas": np.eye(num_betas)}), scale)
 
 
 def pose_prior(
     mean: Float[np.ndarray, " n"], whitening: Float[np.ndarray, "n n"], frames: int, scale: float
 ) -> Term:
-    """E_theta (eq. 7) with ``whitening`` W, WᵀW the prior's precision; the root is free."""
+    """E_theta (MoSh eq. 7) with ``whitening`` W, WᵀW the prior's precision; the root is free."""
     block = np.concatenate([np.zeros((len(mean), 3)), whitening], axis=1)
     by_pose = diagonal(np.tile(block, (frames, 1, 1)))
 

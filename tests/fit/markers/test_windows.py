@@ -11,7 +11,12 @@ from habitus.export.npz import write_npz
 from habitus.fit.markers.causal import fit_causally
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.sequence import fit_long, fit_sequence, windows
-from habitus.fit.markers.settings import WINDOWS, MoshSettings, SequenceSettings
+from habitus.fit.markers.settings import (
+    WINDOWS,
+    MoshSettings,
+    SequenceSettings,
+    WindowSettings,
+)
 from habitus.fit.markers.start import start_long, start_sequence
 from habitus.parallel import blocks
 from habitus.solve.sequence.solver import SequenceOptions
@@ -159,6 +164,22 @@ def test_the_causal_mode_is_the_same_where_memory_is_short(long, monkeypatch):
     monkeypatch.setattr(blocks, "BLOCK", 16)
     short = fit_causally(*given, SequenceSettings())
     assert np.array_equal(plenty.pose, short.pose) and np.array_equal(plenty.weights, short.weights)
+
+
+def test_every_stage_of_a_fit_uses_the_windows_of_its_settings(monkeypatch):
+    planted = plant(frames=40)
+    recording = Recording("short", planted.observed, 30.0, "+y")
+    cut = WindowSettings(overlap=48)
+    settings = MoshSettings(annealing=(1.0,), frames=3, soft_tissue=True, windows=cut)
+    used = []
+
+    def recorded(*values, **options):
+        used.append(options.get("cut"))
+        return fit_long(*values, **options)
+
+    monkeypatch.setattr("habitus.fit.markers.recipe.fit_long", recorded)
+    fit_markers(person(), prior_of_poses(), planted.layout, [recording], settings)
+    assert used == [cut, cut, cut]  # the pose stage twice, the soft-tissue stage
 
 
 def test_a_recipe_that_is_short_of_memory_gives_the_same_fit(monkeypatch, tmp_path):

@@ -31,9 +31,9 @@ from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
 from habitus.solve.sequence.solver import SequenceOptions
 
-DATA = 7500.0
-"""Weight of squared distances where places are known well (M eq. 3), per m^2; less by how firm the
-pose prior is.
+DATA = SequenceSettings.data
+"""Weight of squared distances where places are known well (MoSh eq. 3), per m^2; less by how firm
+the pose prior is.
 """
 OUTLIER = 3.5
 _LEAST = 0.02  # a place that has less of all labels than this is nobody's

@@ -53,7 +53,7 @@ class _Case:
         return tuple(
             label
             for label, error in zip(held.layout.labels, middle, strict=True)
-            if error < self.settings.retry.near
+            if error < self.settings.retry.return_distance
         )
 
     def _only(self, labels: Sequence[str]) -> "_Case":

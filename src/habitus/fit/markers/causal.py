@@ -1,5 +1,5 @@
 """Marker fit for live use: each frame from its own markers and the two frames before it, as MoSh
-filters (M 6).
+filters (MoSh sec. 6).
 
 The energy of a step is that of `habitus.fit.markers.energy` for three frames, the first two
 held.
@@ -23,7 +23,7 @@ from habitus.residuals.robust import geman_mcclure_weight
 
 class CausalFrame(NamedTuple):
     """Pose (J, 3) rad and trans (3,) m of a frame, and its own cost as in
-    `habitus.fit.markers.sequence`.
+    `energy.sequence_terms`.
     """
 
     pose: Float[np.ndarray, "J 3"]
@@ -35,7 +35,7 @@ class CausalSolver:
     """Fits frames one by one, from what it has seen so far; for one stream and one thread.
 
     start_pose (J, 3), start_trans (3,): a rough guess of the first frame (30 degrees off will do).
-    scales: s of each marker in metres (`habitus.fit.markers.sequence`), None for squares.
+    scales: s of each marker in metres (`energy.sequence_terms`), None for squares.
     iterations: most steps of a later frame.
     """
 
@@ -131,7 +131,7 @@ def fit_causally(
     settings: SequenceSettings,
     live: LiveSettings = LIVE,
 ) -> SequenceResult:
-    """Frame after frame, each from itself and the two before it, as the paper filters (M 6).
+    """Frame after frame, each from itself and the two before it, as MoSh filters (sec. 6).
 
     start: pose and trans, of which the first frame's are used.
     """

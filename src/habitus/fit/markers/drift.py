@@ -2,9 +2,10 @@
 mean.
 
 A marker's residual in its limb's own axes has no trend while it stays where it is, except for what
-skin and pose do to it. A trend is called drift when it is long (``far``), steady against its own
-scatter (``steady``) and longer than other markers' (``alone``), measured from poses that were
-fitted without the marker. The limits are `DriftSettings`.
+skin and pose do to it. A trend is called drift when it
+is long (``min_trend``), steady against its own scatter (``min_standard_errors``) and longer than
+other markers' (``min_ratio``), measured from poses that were fitted without the marker.
+The limits are `DriftSettings`.
 """
 
 import warnings
@@ -43,7 +44,7 @@ def find_drifts(
     posed: SequenceResult,
     settings: SequenceSettings,
     limits: DriftSettings = DRIFT,
-    gross: float = SUSPECTS.gross,
+    large_residual: float = SUSPECTS.large_residual,
 ) -> tuple[Drift, ...]:
     """Markers that slide, longest way first; observed in metres, NaN where missing; scale of the
     robust loss (m).
@@ -65,7 +66,7 @@ def find_drifts(
         found = fit_sequence(rig, markers, weights, scale, prior, pose, trans, apart)
         off = markers - predict(rig, found.pose, found.trans)
         in_limb = np.einsum("tmji,tmj->tmi", limb_axes(body, found.pose)[:, limbs], off)
-        return trends(in_limb, limits, gross)
+        return trends(in_limb, limits, large_residual)
 
     return _one_by_one(trends_without, len(limbs), limits)
 
@@ -81,18 +82,22 @@ def _one_by_one(
     found: list[Drift] = []
     cleared = np.zeros(count, dtype=bool)
     way, steady = trends_without([])
-    for _ in range(limits.tries):
+    for _ in range(limits.max_candidates):
         out = [drift.marker for drift in found]
-        open_to_doubt = np.where((steady > 0.5 * limits.steady) & ~cleared, way, 0.0)
+        open_to_doubt = np.where((steady > 0.5 * limits.min_standard_errors) & ~cleared, way, 0.0)
         open_to_doubt[out] = 0.0
         worst = int(np.argmax(open_to_doubt))
-        if open_to_doubt[worst] < limits.likely:
+        if open_to_doubt[worst] < limits.candidate_trend:
             break
         alone, sure = trends_without([*out, worst])
         others = np.sort(np.delete(alone, [*out, worst]))[::-1]
         if (
-            alone[worst] > max(limits.far, limits.alone * others[limits.company :].max(initial=0.0))
-            and sure[worst] > limits.steady
+            alone[worst]
+            > max(
+                limits.min_trend,
+                limits.min_ratio * others[limits.ignored_others :].max(initial=0.0),
+            )
+            and sure[worst] > limits.min_standard_errors
         ):
             found.append(Drift(worst, float(alone[worst])))
             way = alone
@@ -105,7 +110,7 @@ def _one_by_one(
 def trends(
     off: Float[np.ndarray, "T M 3"],
     limits: DriftSettings = DRIFT,
-    gross: float = SUSPECTS.gross,
+    large_residual: float = SUSPECTS.large_residual,
 ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
     """How far each marker's residual (in its limb's axes, metres, NaN where missing) goes through
     all frames, and that in standard errors. 0 where a marker is far off in many frames, or hardly
@@ -115,7 +120,7 @@ def trends(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a part without samples is NaN
         middle = np.stack([np.nanmedian(off[part], axis=0) for part in parts])
-        rough = np.nanmean(np.linalg.norm(off, axis=2) > gross, axis=0)
+        rough = np.nanmean(np.linalg.norm(off, axis=2) > large_residual, axis=0)
     seen = np.isfinite(middle[..., 0])
     count = np.maximum(seen.sum(axis=0), 1)
     time = np.where(seen, np.linspace(-0.5, 0.5, limits.parts)[:, None], 0.0)

@@ -1,30 +1,56 @@
-"""The energies of the marker fit as dictionaries of terms: every term with its equation, weight and
-source.
+"""The energies of the marker fit: every term with its equation, source and weight.
 
-Shape stage, over betas, latent markers and poses of a few frames (`shape_terms`, M eq. 9, T eq.
-3.9); the weights of E_I, E_beta and E_theta are annealed (`MoshSettings.annealing`):
+Sources: "MoSh" is Loper, Mahmood, Black, *MoSh: Motion and Shape Capture from Sparse Markers* (ACM
+Transactions on Graphics 33(6), 2014); "thesis" is Loper's PhD thesis (University of Tuebingen,
+2017); "SMPL" is Loper, Mahmood, Romero, Pons-Moll, Black, *SMPL: A Skinned Multi-Person Linear
+Model* (ACM Transactions on Graphics 34(6), 2015). All of `habitus.fit.markers` cites them so.
 
-    term      E        equation          weight               what it asks
-    data      E_D      M 3, T 3.3        ShapeWeights.data    predicted markers at the observed ones
-    surface   E_S      M 4, T 3.4        .surface             latent markers as far from the skin
-                                                              as the layout says
-    start     E_I      M 5, T 3.5        .start               latent markers at the layout's places
-    betas     E_beta   M 6, T 3.6        .betas               likely shapes
-    pose      E_theta  M 7, T 3.7        .pose                likely poses
+A term costs 1/2 weight |residual|^2, summed over all its rows; lengths are metres, angles radians.
+The papers state weights per cm^2, and so do `ShapeWeights`, `PoseWeights` and `MoshWeights`;
+`habitus.residuals.shape_stage.per_m2` converts them (0.75 per cm^2 = 7500 per m^2).
 
-Pose stage and, with soft tissue, soft-tissue stage, over all frames (`sequence_terms`, M eqs. 9 and
-10, T eqs. 3.9 and 3.10):
+Shape stage (`shape_terms`; MoSh eq. 9, thesis eq. 3.9), over betas, latent markers and the poses of
+a few frames. Weights are fields of `ShapeWeights`; a is the step of `MoshSettings.annealing`:
 
-    data      E_D      M 3, T 3.3        PoseWeights.data     predicted markers at the observed ones
-    pose      E_theta  M 7, T 3.7        .pose                likely poses
-    acceleration  E_u  M 8, T 3.8        .acceleration        constant velocity from frame to frame
-    soft_tissue E_Delta  M 10, T 3.10    .soft_tissue         small changes of shape
+    term     symbol   MoSh   thesis    default     effective weight          residual
+    data     E_D      eq. 3  eq. 3.3   0.75/cm^2   7500/m^2 w                predicted - observed
+                                                                             marker, each frame
+    surface  E_S      eq. 4  eq. 3.4   100/cm^2    1e6/m^2 (1 mm/spread)^2   distance of latent
+                                                                             marker - layout's
+    start    E_I      eq. 5  eq. 3.5   0.25/cm^2   a 2500/m^2 (2 cm/spr.)^2  latent marker - its
+                                                                             place in the layout
+    betas    E_beta   eq. 6  eq. 3.6   1           a                         betas
+    pose     E_theta  eq. 7  eq. 3.7   0.25        a 0.25                    whitened pose - mean
 
-The paper states weights per cm^2; `habitus.residuals.shape_stage.PER_CM2` converts them, once. The
-data terms are robust (Geman-McClure, T section 3.6).
-`habitus.fit.markers.sequence` minimises the second
-energy by fused kernels (`residuals/marker_kernels.py`, `sequence_kernels.py`), which tests hold to
-these terms; the causal mode minimises the same of three frames, the first two held.
+"spread" is the layout's, of each marker (`Placement.distance_spread`, `.place_spread`); at the
+papers' 1 mm and 2 cm the factor is 1. w is Geman-McClure's weight of the sample at the last state;
+its scale is max(robust_scale[1], shape_scale / step), 1 throughout at step 0, 0 where the marker is
+missing.
+
+Pose stage and soft-tissue stage (`sequence_terms`; MoSh eqs. 9 and 10, thesis eqs. 3.9 and 3.10),
+over all frames. Weights are fields of `SequenceSettings`; `sequence_settings` makes them of
+`PoseWeights`:
+
+    term                      symbol   MoSh    thesis    weight       residual
+    data                      E_D      eq. 3   eq. 3.3   7500/m^2 w   predicted - observed marker,
+                                                                      robust loss
+    pose                      E_theta  eq. 7   eq. 3.7   1            whitened pose - mean, no root
+    acceleration              E_u      eq. 8   eq. 3.8   6.25/rad^2   second difference of the pose
+    trans_acceleration        -        -       -         10/m^2       second difference of trans
+    soft_tissue               E_Delta  eq. 10  eq. 3.10  0.25         change of shape beta_t
+    soft_tissue_acceleration  -        -       -         0 (off)      second difference of beta_t
+
+w is the weight of the sample: 1 if observed, `GapSettings.weight` (0.25) if it stands in for a
+missing one, 0 for misplaced markers. The loss is Geman-McClure's (thesis sec. 3.6) with the scale
+clip(noise_factor x noise of the marker, *robust_scale); robust_scale[1] while the noise is unknown.
+The two terms without a source are ours: the first carries trans over frames without markers, the
+second can be set in `SequenceSettings` only. Second differences x_t - 2 x_{t-1} + x_{t-2} are not
+divided by the frame interval, so what 6.25 means depends on the frame rate: at half the rate the
+same motion costs 16 times as much a frame. acceleration = 0 switches all three of them off.
+
+`habitus.fit.markers.sequence` minimises the second energy by fused kernels
+(`residuals/marker_kernels.py`, `sequence_kernels.py`), which tests hold to these terms; the causal
+mode minimises the same energy of three frames, the first two held.
 """
 
 from dataclasses import dataclass
@@ -73,22 +99,25 @@ def shape_terms(
     settings: MoshSettings,
     prior_scale: float,
 ) -> dict[str, Term]:
-    """The energy of the shape stage (eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
+    """The energy of the shape stage (MoSh eq. 9): observed (F, M, 3) without NaN, weights (F, M), 0
     where missing.
     """
-    lam = settings.shape
-    place = placement
+    weight = settings.shape
     return {
-        "data": shape_energy.data(markers, observed, weights, lam.data),
+        "data": shape_energy.data(markers, observed, weights, weight.data),
         "surface": shape_energy.surface_distance(
-            body, place.distance, place.distance_spread, lam.surface
+            body, placement.distance, placement.distance_spread, weight.surface
         ),
         "start": shape_energy.start_place(
-            body, place.vertices, place.distance, place.place_spread, prior_scale * lam.start
+            body,
+            placement.vertices,
+            placement.distance,
+            placement.place_spread,
+            prior_scale * weight.start,
         ),
-        "betas": shape_energy.shape_prior(body.num_betas, prior_scale * lam.betas),
+        "betas": shape_energy.shape_prior(body.num_betas, prior_scale * weight.betas),
         "pose": shape_energy.pose_prior(
-            prior.mean, prior.whitening, len(observed), prior_scale * lam.pose
+            prior.mean, prior.whitening, len(observed), prior_scale * weight.pose
         ),
     }
 
@@ -104,23 +133,22 @@ def sequence_terms(
     """Terms of pose (T, J, 3) rad, trans (T, 3) m and soft_tissue (T, B), with Jacobians; arguments
     as `fit_sequence`.
 
-    data: E_D with Geman-McClure's loss; pose: E_theta; acceleration and trans_acceleration: E_u;
-    soft_tissue: E_Delta and soft_tissue_acceleration. Roots that pass 1.5 pi, where the solver
-    changes charts, are not looked after.
+    The terms are those of the module's second table. Unlike the solver, which changes charts there,
+    `acceleration` does not unwrap roots that turn past 1.5 pi.
     """
     return {
         "data": data(marked, observed, weights, scales, settings.data),
         "pose": pose_prior(prior, len(observed), settings.pose),
-        "acceleration": Term(lambda pose: _bending("pose", pose), settings.acceleration),
+        "acceleration": Term(lambda pose: _second_difference("pose", pose), settings.acceleration),
         "trans_acceleration": Term(
-            lambda trans: _bending("trans", trans),
+            lambda trans: _second_difference("trans", trans),
             settings.trans_acceleration if settings.acceleration else 0.0,
         ),
         "soft_tissue": Term(
-            lambda soft_tissue: _itself("soft_tissue", soft_tissue), settings.soft_tissue
+            lambda soft_tissue: _identity("soft_tissue", soft_tissue), settings.soft_tissue
         ),
         "soft_tissue_acceleration": Term(
-            lambda soft_tissue: _bending("soft_tissue", soft_tissue),
+            lambda soft_tissue: _second_difference("soft_tissue", soft_tissue),
             settings.soft_tissue_acceleration if settings.acceleration else 0.0,
         ),
     }
@@ -175,7 +203,7 @@ def pose_prior(prior: PosePrior, frames: int, weight: float) -> Term:
     return Term(residual, weight)
 
 
-def _bending(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, dict]:
+def _second_difference(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, dict]:
     """Second differences x_t - 2 x_{t-1} + x_{t-2}, and their Jacobian."""
     flat = values.reshape(len(values), -1)
     shape = (len(flat) - 2, len(flat))
@@ -189,5 +217,5 @@ def _bending(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, 
     }
 
 
-def _itself(name: str, values: Float[np.ndarray, "T n"]) -> tuple[np.ndarray, dict]:
+def _identity(name: str, values: Float[np.ndarray, "T n"]) -> tuple[np.ndarray, dict]:
     return values, {name: scipy.sparse.eye_array(values.size)}

@@ -1,5 +1,5 @@
 """Missing markers: short gaps are interpolated, joints bridged through longer ones, and gaps of a
-capture filled from its fit (M 10, "fixing occlusions").
+capture filled from its fit (MoSh sec. 10, "fixing occlusions").
 
 The pose prior alone would let a limb sag to its mean pose within a few frames. Where too few of the
 markers that a joint moves are seen, its rotation is bridged by the curve of least acceleration
@@ -47,8 +47,12 @@ def bridged(
     observed: Float[np.ndarray, "T M 3"],
     rate_hz: float,
     settings: GapSettings = GAPS,
+    large_residual: float = SUSPECTS.large_residual,
 ) -> tuple[MarkerTargets, Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
-    """Targets of every frame, and pose and trans to start from, from a fit of the seen markers."""
+    """Targets of every frame, and pose and trans to start from, from a fit of the seen markers.
+
+    Residuals longer than ``large_residual`` (m) are not carried into gaps.
+    """
     if _seen(observed).all():
         return MarkerTargets(observed, None), pose, trans
     filled = fill_short_gaps(observed, rate_hz, settings)
@@ -57,7 +61,7 @@ def bridged(
     pose, trans = bridge_states(pose, trans, known, rate_hz, settings)
     hidden = np.where(seen.any(axis=0), settings.weight, 0.0)
     weights = mapped(lambda part: np.where(part, 1.0, hidden), seen)
-    return MarkerTargets(stand_ins(rig, pose, trans, filled), weights), pose, trans
+    return MarkerTargets(stand_ins(rig, pose, trans, filled, large_residual), weights), pose, trans
 
 
 def without(targets: MarkerTargets, markers: Sequence[int]) -> MarkerTargets:
@@ -182,7 +186,9 @@ def bridge(
     for first, last in runs(~known):
         if first > 0 and last < len(values):
             near = _near(known, first, last, rate_hz, settings)
-            around = slice(max(0, first - settings.look_frames), last + settings.look_frames)
+            around = slice(
+                max(0, first - settings.neighbour_frames), last + settings.neighbour_frames
+            )
             reach = (
                 _reach(values[around], known[around], (last - first) / rate_hz, rate_hz, settings)
                 if rate_hz
@@ -207,7 +213,7 @@ def bridge_rotations(
     for first, last in runs(~known):
         origin = rotvecs[first - 1 if first else min(last, len(rotvecs) - 1)]
         start = matrix_from_rotvec(origin)
-        part = slice(max(0, first - settings.look_frames), last + settings.look_frames)
+        part = slice(max(0, first - settings.neighbour_frames), last + settings.neighbour_frames)
         relative = rotvec_from_matrix(start.T @ matrix_from_rotvec(rotvecs[part]))
         inside = slice(first - part.start, last - part.start)
         bridged = bridge(relative, known[part], rate_hz, settings)[inside]
@@ -220,6 +226,7 @@ def stand_ins(
     pose: Float[np.ndarray, "T J 3"],
     trans: Float[np.ndarray, "T 3"],
     observed: Float[np.ndarray, "T M 3"],
+    large_residual: float = SUSPECTS.large_residual,
 ) -> Float[np.ndarray, "T M 3"]:
     """Observed markers, the missing ones where a (bridged) body carries them.
 
@@ -229,7 +236,7 @@ def stand_ins(
     carried = predict(rig, pose, trans)
     seen = _seen(observed)
     gappy = np.flatnonzero(~seen.all(axis=0) & seen.any(axis=0)).tolist()
-    off = mapped(_plain_offsets, observed, carried)
+    off = mapped(lambda part, body: _plain_offsets(part, body, large_residual), observed, carried)
     off = with_columns(off, gappy, lambda column, marker: bridge(column, seen[:, marker]))
     return mapped(
         lambda there, places, body, beside: np.where(
@@ -239,10 +246,10 @@ def stand_ins(
     )
 
 
-def _plain_offsets(observed: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """How far observed markers are off the body, 0 where they are missing or far off."""
+def _plain_offsets(observed: np.ndarray, carried: np.ndarray, large_residual: float) -> np.ndarray:
+    """How far observed markers are off the body, 0 where missing or beyond ``large_residual``."""
     off = np.nan_to_num(observed - carried)
-    off[np.linalg.norm(off, axis=2) > SUSPECTS.gross] = 0.0
+    off[np.linalg.norm(off, axis=2) > large_residual] = 0.0
     return off
 
 
@@ -250,9 +257,9 @@ def _near(
     known: Bool[np.ndarray, " T"], first: int, last: int, rate_hz: float, settings: GapSettings
 ) -> np.ndarray:
     """Frames on both sides of a gap, next to it and known throughout, to measure velocities by."""
-    look = min(max(2, round(settings.look * rate_hz)), settings.look_frames)
-    before = known[max(0, first - look) : first][::-1]
-    after = known[last : last + look]
+    window = min(max(2, round(settings.velocity_window_s * rate_hz)), settings.neighbour_frames)
+    before = known[max(0, first - window) : first][::-1]
+    after = known[last : last + window]
     count = [len(side) if side.all() else int(np.argmin(side)) for side in (before, after)]
     return np.concatenate([np.arange(first - count[0], first), np.arange(last, last + count[1])])
 
@@ -298,7 +305,10 @@ def _reach(
     steps = np.sum(np.diff(values, axis=0)[pairs] ** 2, axis=1)
     speed = rate_hz * np.sqrt(np.mean(steps)) if len(steps) else 0.0
     share = np.clip(1.0 / seconds**2, 0.0, 2.0)
-    return float(np.clip(share * spread / max(speed, 1e-9), *settings.velocity_time)) * rate_hz
+    return (
+        float(np.clip(share * spread / max(speed, 1e-9), *settings.velocity_persistence_s))
+        * rate_hz
+    )
 
 
 def _velocity(values: Float[np.ndarray, "F n"], at: int) -> Float[np.ndarray, " n"]:

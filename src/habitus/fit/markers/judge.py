@@ -36,21 +36,27 @@ from habitus.fit.verdict import weigh as weigh_checks
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the evidence on a fit (`habitus.fit.markers.evidence`), in its units."""
+    """Limits of the evidence on a fit (`habitus.fit.markers.evidence`), in its units.
+
+    A `Bound` holds two limits: where doubt begins and where the fit has failed.
+    """
 
     mean_mm: Bound = Bound(15.0, 30.0)
     p95_mm: Bound = Bound(35.0, 80.0)
     usual: Bound = Bound(2.5, 5.0)
     """Mean error as a multiple of the error that such motion usually leaves."""
     usual_still_mm: float = 4.0
+    """Mean error (mm) of sound fits at rest."""
     usual_moving_mm: float = 3.0
-    """Mean error (mm) of sound fits at rest, and how much more for each m/s of motion."""
+    """How much more of it (mm) for each m/s of motion."""
     displaced: Bound = Bound(2.0, 4.0)
     """Distance of markers from the layout's places, in the layout's spreads, at the median."""
     distrusted: Bound = Bound(0.05, 0.20)
     """Share of samples that the robust loss gives less than half of their weight."""
     beta_sd: Bound = Bound(3.5, 6.0)
+    """Largest magnitude of a beta, in standard deviations of people."""
     betas_rms: Bound = Bound(1.6, 2.5)
+    """Root mean square of the betas, in standard deviations of people."""
     suspects: Bound = Bound(0.35, float("inf"))
     """Share of the markers under suspicion."""
     markers: Bound = Bound(12, 4)
@@ -74,12 +80,14 @@ class Limits:
     height_m: Range = Range(0.6, 2.8)
     """Of anybody, children included."""
     torn: Bound = Bound(0.02, 0.15)
+    """Share of the pairs of markers close on the body that are far apart in the capture."""
     torn_level: float = 0.6
-    """Pairs of markers that are close on the body and far apart in the capture; above this share of
-    level ones there are two people.
-    """
+    """Share of those pairs whose markers are at one height: above it there are two people, below it
+    labels are mixed up."""
     slow_hz: Bound = Bound(15.0, 1.0)
+    """Recorded frame rate: below."""
     fast_hz: Bound = Bound(1500.0, 10000.0)
+    """Recorded frame rate: above."""
     speed: Bound = Bound(12.0, 40.0)
     """Of the body as a whole (m/s), at the median."""
     left_out: Bound = Bound(0.0, 0.34)

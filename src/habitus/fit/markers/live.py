@@ -1,5 +1,6 @@
-"""A live marker fit (M 6): the shape from some frames first, then the pose of each frame as it
-arrives; a person who leaves is released, and found again on return; a verdict on the last second.
+"""A live marker fit (MoSh sec. 6): the shape from some frames first, then the pose of each frame as
+it arrives; a person who leaves is released, and found again on return; a verdict on the last
+second.
 """
 
 from collections import deque
@@ -114,7 +115,7 @@ class Tracker:
         self._prior = subject.prior
         self._settings = settings
         self._gone = max(1, round(settings.live.gone * rate_hz))
-        self._look = max(1, round(settings.live.look * rate_hz))
+        self._wait = max(1, round(settings.live.wait_s * rate_hz))
         self._solver: CausalSolver | None = None
         self._blind = self._waited = self._astray = 0
 
@@ -141,7 +142,7 @@ class Tracker:
         )
         return (
             self._restarted(observed, frame)
-            if self._astray and self._astray % self._look == 0
+            if self._astray and self._astray % self._wait == 0
             else frame
         )
 
@@ -157,7 +158,7 @@ class Tracker:
         of them.
         """
         self._waited = self._waited + 1 if seen >= FEWEST_MARKERS else 0
-        if not self._waited or (seen < len(observed) / 2 and self._waited < self._look):
+        if not self._waited or (seen < len(observed) / 2 and self._waited < self._wait):
             return _nobody(self._subject, len(observed))
         self._waited = self._astray = 0
         self._solver = self._started(observed)
@@ -253,7 +254,7 @@ class Quality:
         p95 = 1e3 * np.percentile(distances[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
         medians = _medians(distances)
-        far = np.flatnonzero(medians > SUSPECTS.gross)
+        far = np.flatnonzero(medians > SUSPECTS.large_residual)
         if not len(far):
             return Reason(level, "live errors", {"mean": mean})
         named = ", ".join(f"{self.labels[k]} {1e3 * medians[k]:.0f} mm" for k in far[:_NAMED])

@@ -1,4 +1,5 @@
-"""MoSh: a body in motion from the markers of one subject (M 4-6, T 3.4-3.6), in three stages.
+"""MoSh: a body in motion from the markers of one subject (MoSh secs. 4-6, thesis secs.
+3.4-3.6), in three stages.
 
     recordings   samples out of reach removed, labels put back that were exchanged for a time
     shape stage  betas, latent markers and poses of a few frames, for all captures of a subject
@@ -289,10 +290,16 @@ def _pose_stage(
         result,
         lam,
         settings.drift,
-        settings.suspects.gross,
+        settings.suspects.large_residual,
     )
     targets, pose, trans = bridged(
-        subject.rig, result.pose, result.trans, observed, rate_hz, settings.gaps
+        subject.rig,
+        result.pose,
+        result.trans,
+        observed,
+        rate_hz,
+        settings.gaps,
+        settings.suspects.large_residual,
     )
     targets = without(targets, subject.misplaced)
     result = fit_long(
@@ -304,7 +311,7 @@ def _pose_stage(
 def _soft_tissue_stage(
     subject: Subject, found: PoseStage, settings: MoshSettings
 ) -> SequenceResult:
-    """Soft tissue that changes in time, with E_Delta (M eq. 10), begun from the pose stage.
+    """Soft tissue that changes in time, with E_Delta (MoSh eq. 10), begun from the pose stage.
 
     Its coefficients are changes of the shape beta_t, or dynamics, whose prior is learned:
     coefficients in root mean squares, uncorrelated.
@@ -315,7 +322,13 @@ def _soft_tissue_stage(
     lam = sequence_settings(settings, warm=True)
     given = (found.result.pose, found.result.trans, lam, still)
     return fit_long(
-        soft, *found.targets, found.scale, subject.prior, *given, longest=settings.longest
+        soft,
+        *found.targets,
+        found.scale,
+        subject.prior,
+        *given,
+        longest=settings.longest,
+        cut=settings.windows,
     )
 
 

@@ -1,5 +1,5 @@
 """The pose stage and the soft-tissue stage: poses of a whole sequence of a known body and markers
-(M 5 and 6).
+(MoSh secs. 5 and 6).
 
 The energy is `habitus.fit.markers.energy.sequence_terms`, over pose, trans and, in the soft-tissue
 stage, beta_t. MoSh solves frame after frame; here all frames are solved together
@@ -35,9 +35,9 @@ class SequenceResult:
     """What a stage found.
 
     pose (T, J, 3) rad, trans (T, 3) m, soft_tissue (T, B) or None; costs by term and frame_costs
-    (T,) without the acceleration, all as in the module's formula; weights (T, M): the given ones
-    times the robust ones; status and iterations of `habitus.solve.sequence.solver`; history of the
-    total cost.
+    (T,) without the acceleration, both as in `energy.sequence_terms`; weights (T, M): the given
+    ones times the robust ones; status and iterations of `habitus.solve.sequence.solver`; history of
+    the total cost.
     """
 
     pose: Float[np.ndarray, "T J 3"]
@@ -67,14 +67,16 @@ def fit_sequence(
 
     observed: metres, NaN where missing. weights: of each observation, 1 if None. scales: s of each
     marker in metres, None for squares. prior: mean (3 (J - 1),) and precision, root left out.
-    Without acceleration each frame is alone.
+    Without acceleration each frame is solved by itself: at the finest level, without relaxation.
     """
     settings = settings or SequenceSettings()
     betas = 0 if soft_tissue is None else np.shape(soft_tissue)[1]
     problem = marker_sequence(marked, observed, weights, scales, prior, settings, betas)
     start = problem.pack(start_pose, start_trans, soft_tissue)
-    apart = settings.acceleration == 0.0
-    options = replace(settings.options, strides=(1,), relaxation=1.0) if apart else settings.options
+    uncoupled = settings.acceleration == 0.0
+    options = (
+        replace(settings.options, strides=(1,), relaxation=1.0) if uncoupled else settings.options
+    )
     solution = solve_sequence(problem, start, slice(3, problem.pose_end), options)
     costs, weights = problem.terms(solution.states, solution.frame_costs)
     pose, trans, soft = problem.unpack(solution.states)
@@ -136,7 +138,7 @@ def windows(
 def _cut(bad: np.ndarray, wanted: int, first: int, settings: WindowSettings) -> int:
     """The latest place up to ``wanted`` around which the fewest frames lack markers."""
     overlap = settings.overlap
-    lowest = max(first, wanted - settings.look * settings.grid)
+    lowest = max(first, wanted - settings.search_steps * settings.grid)
     places = np.arange(wanted, lowest - 1, -settings.grid)
     missing = bad[np.minimum(places + overlap, len(bad) - 1)] - bad[np.maximum(places - overlap, 0)]
     return int(places[np.argmin(missing)])

@@ -1,5 +1,6 @@
-"""Settings of the marker fit: the papers' weights and schedule (M 6, T 3.6) and every constant of
-what goes beyond them.
+"""Settings of the marker fit: the papers' weights and schedule (MoSh sec. 6, thesis sec. 3.6; full
+citations and the terms that the weights belong to in `habitus.fit.markers.energy`) and every
+constant of what goes beyond them.
 
 `MoshSettings` holds all of them, in one section for each step of the recipe. Lengths are metres,
 times seconds, angles radians unless a field says otherwise. "Tuned" means: on the real captures and
@@ -13,7 +14,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from typing import Any, get_type_hints
 
 from habitus.errors import HabitusError
-from habitus.residuals.shape_stage import PER_CM2
+from habitus.residuals.shape_stage import per_m2
 from habitus.solve.sequence.solver import SequenceOptions
 
 SOFT_SPACE = "shape"
@@ -22,25 +23,35 @@ SOFT_SPACE = "shape"
 
 @dataclass(frozen=True)
 class ShapeWeights:
-    """lambda of the shape stage (M 6); lengths in cm as in the paper."""
+    """lambda of the shape stage (MoSh sec. 6); lengths in cm as in the paper."""
 
     data: float = 0.75
+    """Of E_D, per cm^2."""
     surface: float = 100.0
+    """Of E_S, per cm^2, at the paper's spread of 1 mm."""
     start: float = 0.25
+    """Of E_I, per cm^2, at the paper's spread of 2 cm; annealed."""
     betas: float = 1.0
+    """Of E_beta; annealed."""
     pose: float = 0.25
+    """Of E_theta; annealed."""
 
 
 @dataclass(frozen=True)
 class PoseWeights:
-    """lambda of the pose and soft-tissue stages (M 6); lengths in cm as in the paper, angles in
-    radians.
+    """lambda of the pose and soft-tissue stages (MoSh sec. 6); lengths in cm as in the paper,
+    angles in radians.
     """
 
-    data: float = 0.75
+    data: float = ShapeWeights.data
+    """Of E_D, per cm^2."""
     pose: float = 1.0
+    """Of E_theta."""
     acceleration: float = 6.25
+    """Of E_u, per rad^2; the second difference is that of successive frames, whatever their rate.
+    """
     soft_tissue: float = 0.25
+    """Of E_Delta."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +82,14 @@ class FrameSettings:
 class StartSettings:
     """Initialisation of poses from plain poses (`habitus.fit.markers.start`)."""
 
-    look_step: int = 16
+    frame_step: int = 16
     """Frames between those whose pose is chosen: the coarsest stride of the sequence solver."""
     pose_weights: tuple[float, ...] = (20.0, 1.0)
     """Annealing of the pose prior when single frames are solved from each plain pose."""
     sweeps: int = 12
+    """Iterations of each of these solves, at most."""
     tolerance: float = 1e-2
-    """Of these rough solves (rad): enough to rank the plain poses."""
+    """Step (rad) at which each of these solves ends: enough to rank the plain poses."""
     off_trunk: float = 0.02
     """Weight in the alignment of the root of markers that are not on the trunk."""
 
@@ -91,11 +103,13 @@ class GapSettings:
 
     short: float = 0.1
     """Seconds: shorter gaps of a marker are interpolated by cubics."""
-    velocity_time: tuple[float, float] = (0.03, 0.6)
-    """Smallest and largest time (s) for which a velocity at the edge of a gap persists."""
-    look: float = 0.05
+    velocity_persistence_s: tuple[float, float] = (0.03, 0.6)
+    """Smallest and largest decay time (s) of the velocity at the edge of a longer gap; in between
+    it is the spread of the values over their speed.
+    """
+    velocity_window_s: float = 0.05
     """Seconds over which a velocity at the edge of a gap is measured."""
-    look_frames: int = 300
+    neighbour_frames: int = 300
     """Frames on either side that the persistence of velocities is estimated from, at most."""
     visible_share: float = 0.2
     """Of the markers that a joint moves: with fewer its rotation is bridged."""
@@ -130,13 +144,17 @@ class FlipSettings:
 class SuspectSettings:
     """Markers that do not follow their label: swapped, fallen, ghosts, misplaced; noise."""
 
-    gross: float = 0.06
-    """Metres: larger residuals come neither from skin nor from the model."""
+    large_residual: float = 0.06
+    """Metres: larger residuals come neither from skin nor from the model. `rough_mean`,
+    `swap_gain`, `min_jump`, `certain_residual`, `min_displacement` and `max_drift` are multiples of
+    it.
+    """
     min_noise: float = 2e-3
     """Metres: smallest noise of a marker; skin moves at least as much."""
     min_frames: int = 3
+    """Frames: a marker that is wrong in fewer is no suspect."""
     min_share: float = 0.01
-    """Of its frames: a marker that is wrong in fewer is no suspect."""
+    """Share of its frames: a marker that is wrong in fewer is no suspect."""
     swap_distance: float = 0.5
     """Metres: only pairs closer than this are tried as exchanged."""
     crossed_shift: float = 0.04
@@ -144,7 +162,38 @@ class SuspectSettings:
     placement_spreads: float = 5.5
     """Of the layout's spread: a latent marker further from its place is another marker."""
     rough_ratio: float = 4.0
-    """In median residuals of all markers: beyond it half the distance from the place suffices."""
+    """Mean residual of a marker over the median of all markers' means. Above it, and above
+    `rough_mean`, half of `min_displacement` and `placement_spreads` makes a marker misplaced."""
+
+    @property
+    def rough_mean(self) -> float:
+        """Metres (0.015): smallest mean residual of a rough marker."""
+        return self.large_residual / 4
+
+    @property
+    def swap_gain(self) -> float:
+        """Metres (0.03) by which an exchange must shorten the summed residuals of a pair."""
+        return self.large_residual / 2
+
+    @property
+    def min_jump(self) -> float:
+        """Metres (0.03): smallest jump between frames with which a run of wrong samples begins."""
+        return self.large_residual / 2
+
+    @property
+    def certain_residual(self) -> float:
+        """Metres (0.12): median residual of a run of samples that is wrong without any jump."""
+        return 2 * self.large_residual
+
+    @property
+    def min_displacement(self) -> float:
+        """Metres (0.12): latent markers further from the layout's place may be misplaced."""
+        return 2 * self.large_residual
+
+    @property
+    def max_drift(self) -> float:
+        """Metres (0.18): growing residuals below it are called drift, above it a fall."""
+        return 3 * self.large_residual
 
 
 @dataclass(frozen=True)
@@ -152,20 +201,25 @@ class DriftSettings:
     """Markers that slide over the skin (`habitus.fit.markers.drift`)."""
 
     frames: int = 120
+    """Frames, evenly spaced, that are examined, at most."""
     parts: int = 10
+    """Intervals of the capture; a marker's residuals are reduced to the median of each."""
     min_parts: int = 6
-    """Frames looked at, intervals they are averaged in, and intervals with samples, at least."""
-    likely: float = 0.018
-    far: float = 0.035
-    """Metres: shorter trends are not examined, or not called drift."""
+    """Intervals with samples of a marker, at least."""
+    candidate_trend: float = 0.018
+    """Metres through the capture: a marker with a shorter trend is not examined."""
+    min_trend: float = 0.035
+    """Metres through the capture, measured without the marker: shorter is not called drift."""
     min_seconds: float = 1.0
     """No marker slides in shorter captures."""
-    steady: float = 5.0
-    """Standard errors of a trend, at least."""
-    alone: float = 1.3
-    company: int = 2
-    """Times the trend of any other marker, but for the ``company`` largest of them."""
-    tries: int = 8
+    min_standard_errors: float = 5.0
+    """Standard errors of a trend, at least; half of it makes a marker a candidate."""
+    min_ratio: float = 1.3
+    """Trend over that of any other marker, at least; the ``ignored_others`` largest do not count.
+    """
+    ignored_others: int = 2
+    """Other markers that may have a longer trend: they may slide, too."""
+    max_candidates: int = 8
     """Markers examined, at most; each costs one fit of single frames."""
 
 
@@ -177,14 +231,15 @@ class WindowSettings:
     """Frames solved on either side of those kept, a multiple of ``grid``: a disturbance decays
     within some ten frames, and the coarsest level is solved for all windows at once."""
     grid: int = 48
-    """Windows begin at multiples: three colours on the solver's coarsest stride of 16."""
-    look: int = 20
+    """Frames: windows begin at multiples, three times the solver's coarsest stride of 16, so that
+    its sweeps over every third frame visit the same frames as in one solve of the whole."""
+    search_steps: int = 20
     """Steps of ``grid`` in which a boundary is sought around which markers are seen."""
 
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """Causal fits, frame after frame (M 6)."""
+    """Causal fits, frame after frame (MoSh sec. 6)."""
 
     close: float = 3e-2
     """A Gauss-Newton step this short (rad, RMS) leaves an error of its square: no second one."""
@@ -192,7 +247,7 @@ class LiveSettings:
     """Of the velocity from frame to frame while too few markers are seen."""
     gone: float = 0.5
     """Seconds without enough markers after which the person has left."""
-    look: float = 0.2
+    wait_s: float = 0.2
     """Seconds to wait for more markers before a start, and of a bad fit before a restart."""
     astray: float = 0.06
     """Metres: a fit is bad where half of the markers are further from the body."""
@@ -206,8 +261,8 @@ class RetrySettings:
 
     max_left_out: float = 0.4
     """Of the labels: where more are wrong the rest cannot be trusted either."""
-    near: float = 0.06
-    """Metres from the layout's place: a label left out comes back if its marker is nearer."""
+    return_distance: float = 0.06
+    """Metres from the layout's place: a label left out comes back if its marker is closer."""
 
 
 GAPS = GapSettings()
@@ -223,33 +278,47 @@ LIVE = LiveSettings()
 
 @dataclass(frozen=True)
 class MoshSettings:
-    """Settings of a marker fit. ``annealing`` multiplies the prior weights (start, betas, pose)
-    step by step.
-
-    frames: how many frames the shape stage sees; frame_choice: "spread" or the paper's "random".
-    start_markers: which align the root in the shape stage's frames, those of the "trunk" or "all".
-    robust_scale: (smallest, largest) Geman-McClure scale of a marker in metres; noise_factor: scale
-    in noise sds. longest: how many frames are solved at once; longer captures are solved in windows
-    that overlap. soft_space: what soft tissue moves along (`habitus.observe.soft_space`): "shape"
-    (M 6), "dynamics" (S 6) or "both". The other fields are sections, one for each step.
-    """
+    """Settings of a marker fit: weights, schedule, and a section for each step of the recipe."""
 
     shape: ShapeWeights = field(default_factory=ShapeWeights)
     pose: PoseWeights = field(default_factory=PoseWeights)
     annealing: tuple[float, ...] = (40.0, 20.0, 10.0, 4.0, 2.0, 1.0)
+    """Factors of the shape stage's prior weights (start, betas, pose), step by step (MoSh sec. 6).
+    """
+    shape_scale: float = 0.3
+    """Metres: Geman-McClure scale of the shape stage at step 1; at step k it is shape_scale / k, at
+    least ``robust_scale[1]``. Not from the paper: poses are still rough in the first steps."""
     frames: int = 12
+    """How many frames the shape stage uses."""
     frame_choice: str = "spread"
+    """How they are chosen: "spread" (poses as different as possible) or the paper's "random"."""
     start_markers: str = "trunk"
+    """Markers that align the root in these frames: those of the "trunk" or "all"."""
     soft_tissue: bool = True
+    """Whether the soft-tissue stage follows the pose stage."""
     soft_space: str = SOFT_SPACE
+    """What soft tissue moves along (`habitus.observe.soft_space`): "shape" (MoSh sec. 6),
+    "dynamics" (SMPL sec. 6) or "both".
+    """
     causal: bool = False
+    """Each frame is solved from itself and the two before it, as for live use; without it all
+    frames are solved together. After a causal fit no exchanged labels and no drift are
+    looked for, and no gaps bridged.
+    """
     robust_scale: tuple[float, float] = (0.03, 0.10)
+    """Smallest and largest Geman-McClure scale of a marker, metres. The largest holds until the
+    marker's noise is known."""
     noise_factor: float = 5.0
+    """Geman-McClure scale of a marker in its noise sds, before it is clipped to ``robust_scale``.
+    """
     longest: int = 10_000
+    """Frames solved at once; longer captures are solved in windows that overlap."""
     seed: int = 0
+    """Of the random choice of frames and of the pairs of markers that describe a pose."""
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
     flips: FlipSettings = field(default_factory=FlipSettings)
     spread_frames: FrameSettings = field(default_factory=FrameSettings)
+    """For ``frame_choice`` "spread"."""
     start: StartSettings = field(default_factory=StartSettings)
     gaps: GapSettings = field(default_factory=GapSettings)
     suspects: SuspectSettings = field(default_factory=SuspectSettings)
@@ -261,20 +330,26 @@ class MoshSettings:
 
 @dataclass(frozen=True)
 class SequenceSettings:
-    """Weights of the pose and soft-tissue stages' terms (M 6) in metres and radians, and how to
-    solve.
-
-    acceleration is 0 for frames that have nothing to do with each other. trans_acceleration (per
-    m^2) carries trans over frames without markers; it is too weak to matter elsewhere.
+    """Weights of the pose and soft-tissue stages' terms (table in `habitus.fit.markers.energy`) in
+    metres and radians, and how to solve.
     """
 
-    data: float = 7500.0
-    pose: float = 1.0
-    acceleration: float = 6.25
+    data: float = per_m2(PoseWeights.data)
+    """Of E_D, per m^2."""
+    pose: float = PoseWeights.pose
+    """Of E_theta."""
+    acceleration: float = PoseWeights.acceleration
+    """Of E_u, per rad^2. 0 for frames that have nothing to do with each other: it also switches off
+    the other two accelerations, the solver's coarse levels and its over-relaxation."""
     trans_acceleration: float = 10.0
-    soft_tissue: float = 0.25
+    """Per m^2: carries trans over frames without markers, and is too weak to matter elsewhere. Not
+    from the paper."""
+    soft_tissue: float = PoseWeights.soft_tissue
+    """Of E_Delta."""
     soft_tissue_acceleration: float = 0.0
+    """Of the second difference of soft tissue; no recipe sets it. Not from the paper."""
     options: SequenceOptions = field(default_factory=SequenceOptions)
+    """Of the solver."""
 
 
 def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
@@ -284,7 +359,7 @@ def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSet
     lam = settings.pose
     options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
     return SequenceSettings(
-        PER_CM2 * lam.data, lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
+        per_m2(lam.data), lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
     )
 
 
@@ -316,27 +391,29 @@ class MoshWeights:
     """Weights (lambda) of MoSh's energy terms, as the papers state them: lengths in cm, angles in
     radians.
 
-    A weight multiplies the squared residual; 0 switches a term off. Raises HabitusError for a
-    weight that is negative or not finite.
+    A weight multiplies half the squared residual; 0 switches a term off. acceleration = 0 makes
+    every frame a problem of its own: it also drops the term trans_acceleration, the solver's coarse
+    levels and its over-relaxation. Raises HabitusError for a weight that is negative or not finite.
     """
 
-    data: float = 0.75
-    """E_D, predicted against observed markers (M eq. 3): every stage."""
-    surface: float = 100.0
-    """E_S, the latent markers' distance from the skin (M eq. 4): shape stage."""
-    start: float = 0.25
-    """E_I, the latent markers' places in the layout (M eq. 5): shape stage, annealed."""
-    betas: float = 1.0
-    """E_beta, the shape prior (M eq. 6): shape stage, annealed."""
-    shape_pose: float = 0.25
-    """E_theta, the pose prior (M eq. 7): shape stage, annealed."""
-    pose: float = 1.0
-    """E_theta, the pose prior (M eq. 7): pose and soft-tissue stages."""
-    acceleration: float = 6.25
-    """E_u, the change of the pose's velocity between frames (M eq. 8): pose and soft-tissue stages.
+    data: float = ShapeWeights.data
+    """E_D, predicted against observed markers (MoSh eq. 3): every stage."""
+    surface: float = ShapeWeights.surface
+    """E_S, the latent markers' distance from the skin (MoSh eq. 4): shape stage."""
+    start: float = ShapeWeights.start
+    """E_I, the latent markers' places in the layout (MoSh eq. 5): shape stage, annealed."""
+    betas: float = ShapeWeights.betas
+    """E_beta, the shape prior (MoSh eq. 6): shape stage, annealed."""
+    shape_pose: float = ShapeWeights.pose
+    """E_theta, the pose prior (MoSh eq. 7): shape stage, annealed."""
+    pose: float = PoseWeights.pose
+    """E_theta, the pose prior (MoSh eq. 7): pose and soft-tissue stages."""
+    acceleration: float = PoseWeights.acceleration
+    """E_u, the change of the pose's velocity between frames (MoSh eq. 8): pose and soft-tissue
+    stages.
     """
-    soft_tissue: float = 0.25
-    """E_Delta, the soft tissue's offsets of the betas (M eq. 10): soft-tissue stage."""
+    soft_tissue: float = PoseWeights.soft_tissue
+    """E_Delta, the soft tissue's offsets of the betas (MoSh eq. 10): soft-tissue stage."""
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():

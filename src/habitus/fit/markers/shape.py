@@ -1,5 +1,5 @@
-"""The shape stage: betas, latent markers and the poses of a few frames (M 6, "Body Shape and Latent
-Markers").
+"""The shape stage: betas, latent markers and the poses of a few frames (MoSh sec. 6,
+"Body Shape and Latent Markers").
 """
 
 import numpy as np
@@ -15,6 +15,8 @@ from habitus.residuals.robust import geman_mcclure_weight
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
 
+LAST_STEP_REPEATS = 3
+
 
 def shape_stage(
     body: BodyModel,
@@ -25,7 +27,7 @@ def shape_stage(
     trans: np.ndarray,
     settings: MoshSettings,
 ) -> ShapeFit:
-    """Betas, latent markers and poses from F frames, the priors' weights annealed (M 6).
+    """Betas, latent markers and poses from F frames, the priors' weights annealed (MoSh sec. 6).
 
     observed (F, M, 3), NaN where missing; prior for the body's joints; pose (F, J, 3) and trans (F,
     3) to start from. The closest triangle of each latent marker and its local basis are found again
@@ -38,7 +40,8 @@ def shape_stage(
     filled = np.nan_to_num(observed)
     iterations = 0
     last = len(settings.annealing) - 1
-    for step in [*range(last), last, last, last]:
+    # Triangles and robust weights are held within a step; repeating the last lets them settle.
+    for step in [*range(last), *([last] * LAST_STEP_REPEATS)]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         weights = visible * _robust_weights(markers(**unknowns) - filled, step, settings)
         terms = shape_terms(
@@ -69,10 +72,10 @@ def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachm
 
 
 def _robust_weights(residual: np.ndarray, step: int, settings: MoshSettings) -> np.ndarray:
-    """Geman-McClure weights (F, M) of the residuals so far, wide at first; the first step trusts
-    every marker.
+    """Geman-McClure weights (F, M) of the residuals so far; 1 at step 0, then with the scale
+    max(robust_scale[1], shape_scale / step).
     """
     if step == 0:
         return np.ones(residual.shape[:2])
-    scale = max(settings.robust_scale[1], 0.3 / step)
+    scale = max(settings.robust_scale[1], settings.shape_scale / step)
     return geman_mcclure_weight(np.linalg.norm(residual, axis=2), scale)

@@ -137,7 +137,7 @@ class MarkerSolution(Moving):
 
     def with_dynamics(self, strength: float = 1.0) -> Self:
         """The same motion with soft tissue that the body predicts from it, in the place of what was
-        fitted (S 6).
+        fitted (SMPL sec. 6).
 
         ``strength`` exaggerates. Pose and trans stay as they are. Raises HabitusError for a body
         without dynamics.
@@ -179,10 +179,12 @@ class MarkerSolution(Moving):
         )
 
     def terms(self, frames: slice = ALL) -> dict[str, Term]:
-        """The energy that this fit minimised in some frames, as terms of pose, trans and
-        soft_tissue (M eqs. 3 to 10).
+        """The fit's energy in some frames, as terms of pose, trans and soft_tissue (MoSh eqs. 3, 7,
+        8 and 10).
 
-        What stands in for hidden markers in gaps is not among them.
+        It differs from what the fit minimised in three points: the robust scales come from the
+        final noise instead of the noise before the last solve; misplaced markers count in full
+        instead of not at all; the samples that filled gaps, short ones included, are left out.
         With terms of one's own beside them, `habitus.minimize` goes on from ``state(frames)``.
         """
         settings = settings_from(self.settings)

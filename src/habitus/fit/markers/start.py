@@ -111,7 +111,9 @@ def start_sequence(
     enough = ~few_markers(observed)
     bank = _bank(known_poses, joint_names)
     everywhere = np.ones(observed.shape[1])
-    looked_at = _nearest_of(np.flatnonzero(enough), np.arange(0, len(observed), settings.look_step))
+    looked_at = _nearest_of(
+        np.flatnonzero(enough), np.arange(0, len(observed), settings.frame_step)
+    )
     misfit = []
     for known in bank:
         pose = np.repeat(known[None], len(looked_at), axis=0)
@@ -121,7 +123,7 @@ def start_sequence(
             )
         )
     nearest = np.argmin(misfit, axis=0)
-    pose = np.repeat(bank[nearest], settings.look_step, axis=0)[: len(observed)]
+    pose = np.repeat(bank[nearest], settings.frame_step, axis=0)[: len(observed)]
     pose, trans = align_root(rig, pose, observed, everywhere)
     pose[:, 0] = bridge_rotations(pose[:, 0], enough)
     return pose, bridge(trans, enough)

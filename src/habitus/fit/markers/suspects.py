@@ -44,7 +44,7 @@ def marker_noise(distance: np.ndarray, settings: SuspectSettings = SUSPECTS) -> 
     out = np.full(distance.shape[1], settings.min_noise)
     seen = np.isfinite(distance).any(axis=0)
     quarter, middle = by_column(_quarter_and_half, distance)[seen].T
-    noise = np.where(middle > settings.gross, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
+    noise = np.where(middle > settings.large_residual, QUARTER_TO_SD * quarter, MAD_TO_SD * middle)
     out[seen] = np.maximum(noise, settings.min_noise)
     return out
 
@@ -67,7 +67,7 @@ def find_swaps(
     worst first.
 
     observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the
-    summed distance by more than half of ``gross`` and to less than half. Pairs further apart than
+    summed distance by more than ``swap_gain`` and to less than half. Pairs further apart than
     ``swap_distance`` are not examined.
     """
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
@@ -76,7 +76,7 @@ def find_swaps(
     better = empty_array((len(observed), len(first)), bool)
     counts = np.zeros(len(first), dtype=np.int64)
     for part in blocks(len(observed), _BLOCK):
-        better[part] = _crossed(observed[part], predicted[part], first, second, settings.gross)
+        better[part] = _crossed(observed[part], predicted[part], first, second, settings)
         counts += better[part].sum(axis=0)
         drop_pages(better, observed, predicted)
     found = [
@@ -91,20 +91,20 @@ def _crossed(
     predicted: np.ndarray,
     first: np.ndarray,
     second: np.ndarray,
-    gross: float,
+    settings: SuspectSettings,
 ) -> np.ndarray:
     """(T, P) where the markers of each pair fit far better exchanged."""
     own = np.linalg.norm(observed - predicted, axis=2)
     better = np.zeros((len(observed), len(first)), bool)
     frames, pairs = np.nonzero(
-        own[:, first] + own[:, second] > gross / 2
+        own[:, first] + own[:, second] > settings.swap_gain
     )  # NaN compares false; most pairs fit well
     i = first[pairs]
     j = second[pairs]
     crossed = np.linalg.norm(observed[frames, i] - predicted[frames, j], axis=1)
     crossed += np.linalg.norm(observed[frames, j] - predicted[frames, i], axis=1)
     straight = own[frames, i] + own[frames, j]
-    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > gross / 2)
+    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > settings.swap_gain)
     return better
 
 
@@ -159,15 +159,15 @@ def suspects(
     ):
         seen = np.isfinite(size)
         rejected = geman_mcclure_weight(size, scale[k]) < 0.25
-        bad = _beyond_doubt(away, size, rejected & seen, settings.gross)
+        bad = _beyond_doubt(away, size, rejected & seen, settings)
         if k in sliding or bad.sum() < max(settings.min_frames, settings.min_share * seen.sum()):
             continue
-        found.append(Suspect(label, _reason(size, bad, seen, settings.gross), int(bad.sum())))
+        found.append(Suspect(label, _reason(size, bad, seen, settings), int(bad.sum())))
     return tuple(found)
 
 
 def _beyond_doubt(
-    off: np.ndarray, distance: np.ndarray, bad: np.ndarray, gross: float
+    off: np.ndarray, distance: np.ndarray, bad: np.ndarray, settings: SuspectSettings
 ) -> np.ndarray:
     """Of the frames in which a marker lies far off those that its own movement does not explain.
 
@@ -184,11 +184,13 @@ def _beyond_doubt(
         ends = [off[frames[k]] - off[frames[k - 1]] for k in (first, last) if 0 < k < len(frames)]
         jump = max((np.linalg.norm(end) for end in ends), default=np.inf)
         size = np.median(distance[run])
-        out[run] = size > 2 * gross or jump > max(gross / 2, size / 2)
+        out[run] = size > settings.certain_residual or jump > max(settings.min_jump, size / 2)
     return out
 
 
-def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, gross: float) -> str:
+def _reason(
+    distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, settings: SuspectSettings
+) -> str:
     share = bad.sum() / seen.sum()
     size = f"{1e3 * np.median(distance[bad]):.0f} mm off in {share:.0%} of its frames"
     if share > 0.8:
@@ -199,9 +201,9 @@ def _reason(distance: np.ndarray, bad: np.ndarray, seen: np.ndarray, gross: floa
     if bad[after].mean() > 0.8 and share > 0.05:
         last = distance[seen][-max(3, seen.sum() // 10) :]
         early = distance[bad][: max(3, bad.sum() // 10)]
-        growing = np.median(distance[bad]) < 3 * gross and np.nanmedian(last) > 2 * np.nanmedian(
-            early
-        )
+        growing = np.median(distance[bad]) < settings.max_drift and np.nanmedian(
+            last
+        ) > 2 * np.nanmedian(early)
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
 
@@ -222,11 +224,11 @@ def far_placements(
     away = np.linalg.norm(latent - start, axis=1)
     seen = np.isfinite(distance)
     mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    rough = (mean > settings.gross / 4) & (mean > settings.rough_ratio * np.median(mean))
+    rough = (mean > settings.rough_mean) & (mean > settings.rough_ratio * np.median(mean))
     limit = np.where(rough, 0.5, 1.0)
     return tuple(
         np.flatnonzero(
-            (away > limit * 2 * settings.gross)
+            (away > limit * settings.min_displacement)
             & (away > limit * settings.placement_spreads * spread)
         ).tolist()
     )

@@ -22,7 +22,7 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshWeights
-from habitus.residuals.shape_stage import PER_CM2
+from habitus.residuals.shape_stage import per_m2
 
 GOALS = ("surface", "shape", "pose")
 """Errors that markers are chosen by: of the posed surface (eq. 13), of the person at rest, of the
@@ -38,7 +38,7 @@ REGIONS: Mapping[str, tuple[str, ...]] = {
 """Parts of the body, by the names of joints without sides."""
 FREE = 1.0
 """Radians and metres, standard deviation: how freely the root turns and stands."""
-NOISE = 1.0 / np.sqrt(PER_CM2 * MoshWeights().data)
+NOISE = 1.0 / np.sqrt(per_m2(MoshWeights().data))
 """Metres, standard deviation of a marker: what MoSh's weight of the data says."""
 
 
