@@ -2,10 +2,9 @@
 mean.
 
 A marker's residual in its limb's own axes has no trend while it stays where it is, except for what
-skin and pose do to it. A trend is called drift when it
-is long (``min_trend``), steady against its own scatter (``min_standard_errors``) and longer than
-other markers' (``min_ratio``), measured from poses that were fitted without the marker.
-The limits are `DriftSettings`.
+skin and pose do to it. A trend is called drift when it is long (``min_trend``), steady against its
+own scatter (``min_standard_errors``) and longer than other markers' (``min_ratio``), measured from
+poses that were fitted without the marker. The limits are `DriftSettings`.
 """
 
 import warnings
