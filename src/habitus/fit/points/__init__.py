@@ -1,0 +1,59 @@
+"""A body fitted to points: 3D scans, and depth views with or without colour.
+
+Where to begin: `scans` is the recipe for scans, `depth` the one for depth views, `settings` holds
+the constants of both (`ScanSettings`, `RgbdSettings`). "Thesis" is Loper's PhD thesis
+(University of Tuebingen, 2017), chapters 4 (depth views) and 5 (scans); terms without a source are
+ours.
+
+    file                                        energy or step
+    scan_fitting                                scan energy: points or skin offsets, priors, colours
+    free_surface                                free surface of a scan about the fitted model
+    scan_colours, skin_colours, texture         texture shared by scans; places along the skin
+    scan, scan_start, limbs                     cleaning; multi-start search; lost limbs and hands
+    scan_result                                 result, evidence and verdict of a scan fit
+    depth_energy                                depth energy: all terms and their minimisation
+    depth_correspondences, floor, skin_offsets  its terms depth and outline; floor; depth with skin
+    colour_terms, colour_views, appearance      its term colour; first light, albedo, camera shift
+    prepared_views, depth_start, depth_limbs    segmentation; multi-start search; limbs placed again
+    depth_result                                result, evidence and verdict of a depth fit
+    terms, correspondences                      priors and closest points that both energies use
+
+A term costs 1/2 sum of weight x residual^2; metres, radians. w is Geman-McClure's weight (1 at no
+residual) with the scale of the stage.
+
+Scan energy (`scan_fitting`; thesis sec. 5.4 registers with a model term beside the scan's; the form
+of these terms is ours). Numbers are those of `ScanSettings.stages` and `.offset_stages`:
+
+    term    weight                                 settings field          residual
+    points  w min(1, 1500/N) / noise^2,            ScanStage.noise,        point to plane, and share
+            noise 10, 5 mm                         effective_points        `slide` of point to point
+    offset  w / noise^2, noise 10, 4, 2.5 mm;      ScanStage.noise;        point to plane of model
+            prior Q: sd 4 mm (bony 2), range 0.19  offsets                 with offset; h about h0
+    shape   1; in a sequence 1/0.5^2               ScanStage.shape,        betas - 0, or those of
+                                                   shape_change            the frame before
+    pose    1 x precision of the pose prior        ScanStage.pose          pose - mean, no root
+    colour  spread of tones, at most 1500 points   colours                 place along the skin
+
+In "offset" all N points count in full, as neither the cap of 1500 nor `slide` applies: what points
+have in common the offset explains. Free surface (`free_surface`, thesis sec. 5.4): a thin plate,
+weights `SurfaceStage.stiffness` (mu) and `SurfaceSettings`.
+
+Depth energy (`depth_energy`; thesis eq. 4.3). Fields are those of `RgbdSettings`:
+
+    term     symbol    source         weight                          settings field
+    depth    E_D       eqs. 4.3, 4.5  w 0.02 stride^2 / spread^2;     depth, noise, model_sd;
+                                      with skin offsets 0.1           skin_depth
+    outline  -         ours           w 0.2 stride^2 / (10 mm)^2      outline, outline_sd
+    floor    E_F       eq. 4.6        w 2 / (10 mm)^2, of all soles   floor, floor_sd
+    shape    E_S       sec. 4.6.1     1                               shape
+    pose     E_P       sec. 4.6.1     2 / 0.2^2, stiff 2 / 0.1^2      pose, pose_sd, stiff_sd
+    skin     -         ours           1 per number z of the field     skin, skin_reach, skin_places
+    colour   E_C, E_Q  eqs. 4.4, 4.7  w 0.02 factor^2 / 0.02^2,       colour, rim; sds of light,
+                                      edges 0.02 / 0.05^2             albedo, camera: `appearance`
+
+spread = hypot(noise z^2 cosine, model_sd) for a pixel at distance z (m) whose ray meets the surface
+at that cosine, 0.3 at least; stride and factor are full-size pixels along the side of one that is
+used. "floor" acts only in stages that move all unknowns (`DepthStage.moves` "all") and with skin
+offsets, in views that show a floor: before, the feet are not yet where they belong. In "colour",
+pixels at the rim of the body weigh 3 times as much (`rim`).
+"""

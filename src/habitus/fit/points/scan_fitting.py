@@ -1,20 +1,26 @@
-"""The body model fitted to scans: shape of the person, pose and translation of each scan (T 5.4).
+"""The body model fitted to scans: shape of the person, pose and translation of each scan (thesis
+sec. 5.4; weights of all terms and full citations in `habitus.fit.points`).
 
     "points"  1/2 c sum_p w_p ((n_p . (q_p - t_p))^2 + s |q_p - t_p|^2)
-    "offset"  min over h of  1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2 + 1/2 (h - m)^T Q (h - m)
+    "offset"  min over h of  1/2 sum_p w_p (n_p . (q_p - t_p) + h_p)^2
+                             + 1/2 (h - h0)^T Q (h - h0)
     "colour"  1/2 sum_p |D_p (q_p - t_p)|^2,    places along the skin from colours (`skin_colours`)
-    "shape"   1/2 l |betas - b|^2
-    "pose"    1/2 m (theta - mean)^T P (theta - mean)
+    "shape"   1/2 lambda_shape |betas - betas0|^2
+    "pose"    1/2 lambda_pose (theta - theta0)^T P (theta - theta0),    the root is free
 
 t_p is a scanned point and q_p its correspondence on the model, the nearest point with a similar
 normal n_p, found anew before each step; w_p = 1 / noise^2 falls with the distance (Geman-McClure)
-and is zero where normals disagree. First "points" and the priors from coarse to fine; c counts all
-points of a scan as `effective_points` at most, since what a fit leaves of a scan is no independent
-noise. Then "offset" in place of "points": h (V,) are skin offsets along the normals of the model, a
-random field with precision Q (`habitus.fit.offsets`). h is linear and eliminated from each step
-exactly (variable projection, Golub and Pereyra 1973): pose and shape then follow what a smooth
-offset cannot explain, the form of a knee sooner than the girth of a thigh. In a sequence m, b and
-the pose's mean are those of the frame before.
+and is zero where normals disagree. First "points" and the priors from coarse to fine; c = min(1,
+`effective_points` / N) counts the N points of a scan as 1500 at most, since what a fit leaves of a
+scan is no independent noise. Then "offset" in place of "points", without c: h (V,) are skin offsets
+along the normals of the model, a random field with precision Q (`habitus.fit.offsets`). h is linear
+and eliminated from each step exactly (variable projection, Golub and Pereyra 1973): pose and shape
+then follow what a smooth offset cannot explain, the form of a knee sooner than the girth of a
+thigh.
+
+h0 and betas0 are 0 and theta0 the prior's mean; in a sequence all three are those of the frame
+before, lambda_shape is divided by `shape_change`^2 and Q by `offset_change`^2. lambda_shape and
+lambda_pose are `ScanStage.shape` and `.pose`; s is `ScanStage.slide`.
 """
 
 from collections.abc import Mapping, Sequence

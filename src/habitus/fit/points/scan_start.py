@@ -177,7 +177,7 @@ class Scene:
         energy = 0.5 * (((off @ self.guesser.fitter.precision) * off).sum(1) + betas @ betas)
         most = settings.max_distance
         there = np.minimum(there, most).mean(1)
-        return there + settings.model_share * back + settings.per_nat * most * energy
+        return there + settings.model_share * back + settings.prior_share * most * energy
 
     def limbs(self, state: BodyState, which: Sequence[Limb] | None = None) -> BodyState:
         """Each limb, or each of ``which``, in turn as all poses of the bank have it; the best
@@ -253,7 +253,7 @@ def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
     best = [_with_limbs(guesser, cloud, one) for one in _scored(guesser, cloud, turns, wide)]
     rough = [_roughly(guesser, cloud, one) for one in best]
     rough = _distinct(sorted(rough, key=lambda one: one.misfit))[: settings.refined]
-    rough = [one for one in rough if one.misfit < settings.hopeless * rough[0].misfit]
+    rough = [one for one in rough if one.misfit < settings.max_misfit_ratio * rough[0].misfit]
     return sorted((_finely(guesser, cloud, one) for one in rough), key=lambda one: one.misfit)
 
 

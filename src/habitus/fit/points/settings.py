@@ -1,4 +1,7 @@
-"""Settings of the fits to scans and to depth views: every constant with its unit and its reason."""
+"""Settings of the fits to scans and to depth views: every constant with its unit and its reason.
+
+The terms that the weights belong to, and full citations, are in `habitus.fit.points`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,7 +21,7 @@ class DepthStage(Stage):
     moves: "place" (translation and root), "pose" or "all". matching: "nearest" (the closest surface
     point in space) or "pixel" (the one at the same pixel). stride: of pixels in both directions.
     scales: Geman-McClure's, at the first step and the last, m: a pixel so far off weighs a quarter.
-    It is the robust norm of T eq. 4.5, whose loss ends below the absolute value.
+    It is the robust norm of thesis eq. 4.5, whose loss ends below the absolute value.
     """
 
     moves: str
@@ -51,68 +54,80 @@ STIFF = (
     "head",
     "neck",
 )
-
+"""Parts of the names of joints that hardly bend when people stand."""
 
 FOLDED = (70.0, 95.0, 50.0)
-"""Forearms before the belly."""
+"""Degrees, in the order of `RgbdSettings.arms`: forearms before the belly."""
 
 
 @dataclass(frozen=True)
 class RgbdSettings:
-    """What the fit weighs (T 4.6.1). Metres and radians.
-
-    depth: E_D's share of each full-size pixel's certainty, as neighbouring pixels err alike. shape,
-    pose: of E_S (a beta of 1) and E_P, whose spreads are ``pose_sd`` and, of joints that hardly
-    bend when people stand, ``stiff_sd``. outline: of pixels of the model before background that was
-    seen. colour: E_C's share of each full-size pixel's certainty; rim: times that, where the
-    surface turns away; colour_levels: full-size pixels along the side of one of the pyramid's, for
-    each step with colour. floor, floor_sd: E_F. slide: share of point to point while the nearest
-    point is sought. noise: sd of depth over its square, where the views do not tell it; model_sd:
-    what no body of the model explains. skin: spread of the skin's offset from the model, in
-    `registration.offset_stage`'s; skin_reach: metres from where on it is alike no more;
-    skin_places: how many values tell it; skin_depth: E_D's share once the offset explains what
-    neighbours have in common; skin_steps: by depth, before those with colour. max_step: the
-    most that a number changes in a step (m, rad, sd). damping: Levenberg-Marquardt's at the start,
-    relative to the diagonal. clothes, hair: metres
-    that tight clothes and flat hair under a cap lie on the skin, which are taken off. arms, turns:
-    tried at the start: how arms are held, in degrees (below the level, bent at the elbow, turned
-    inwards about the upper arm), and how far the person is turned from facing the camera.
-    """
+    """Weights and constants of the fit to depth views (thesis sec. 4.6.1). Metres and radians."""
 
     stages: tuple[DepthStage, ...] = STAGES
     depth: float = 0.02
+    """Of E_D: share of each full-size pixel's certainty, as the errors of neighbouring pixels are
+    alike."""
     shape: float = 1.0
+    """Of E_S, the prior of betas, per squared standard deviation."""
     pose: float = 2.0
+    """Of E_P, the pose prior, per squared deviation in ``pose_sd`` or ``stiff_sd``."""
     pose_sd: float = 0.2
+    """Standard deviation of joints in E_P, rad."""
     stiff_sd: float = 0.1
+    """Standard deviation in E_P of joints that hardly bend when people stand (`STIFF`), rad."""
     outline: float = 0.2
+    """Of each full-size pixel in which the model covers background that was seen."""
     outline_sd: float = 0.01
+    """Standard deviation of the distance of such a point from the silhouette, metres."""
     colour: float = 0.02
+    """Of E_C and E_Q: share of each full-size pixel's certainty; 0.02 as for depth."""
     rim: float = 3.0
+    """Factor of E_C in pixels where the surface turns away: they show where it ends."""
     colour_levels: tuple[int, ...] = (4, 4, 2, 2)
+    """Full-size pixels along the side of one of the pyramid's, for each step with colour; () for a
+    fit by depth alone."""
     floor: float = 2.0
+    """Of E_F, for all vertices of the soles together."""
     floor_sd: float = 0.01
+    """Standard deviation of the soles' height above the floor, metres."""
     slide: float = 0.1
+    """Weight of point to point over point to plane in E_D with "nearest" matching."""
     noise: float = 1.5e-3
+    """Standard deviation of depth over its square (1 / m), where the views do not give it."""
     model_sd: float = 0.003
+    """Metres (sd) of the surface that no body of the model explains."""
     arms: tuple[tuple[float, float, float], ...] = (
         (10.0, 0.0, 0.0),
         (45.0, 0.0, 0.0),
         (72.0, 0.0, 0.0),
         FOLDED,
     )
+    """Arms of the multi-start, degrees: below the level, bent at the elbow, turned inwards about
+    the upper arm."""
     skin: float = 0.75
+    """Standard deviation of the skin offset, as a factor of `habitus.fit.offsets.offset_spread`."""
     skin_reach: float = 0.19
+    """Metres at which the correlation of two skin offsets is 0.14 (`OffsetSettings.range`)."""
     skin_places: int = 120
+    """Vertices whose values determine the field of skin offsets, at most."""
     skin_depth: float = 0.1
+    """``depth`` in the steps with skin offsets: what neighbours have in common is explained then.
+    """
     skin_steps: int = 4
+    """Steps with skin offsets by depth alone, before those with colour."""
     max_step: Mapping[str, float] = field(
         default_factory=lambda: {"trans": 0.5, "pose": 0.4, "betas": 1.5}
     )
+    """Largest change of a number of each unknown in one step: metres, rad, standard deviations."""
     damping: float = 1e-6
+    """Levenberg-Marquardt's at the start, relative to the diagonal."""
     clothes: float = 0.001
+    """Thickness in metres of tight clothes on trunk and thighs, which is taken off."""
     hair: float = 0.003
+    """Thickness in metres of flat hair under a cap, which is taken off."""
     turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
+    """Turns of the multi-start: degrees from facing the camera."""
 
 
 STANDARD = RgbdSettings()
@@ -122,18 +137,23 @@ STANDARD = RgbdSettings()
 class ScanStage(Stage):
     """Steps of the fit of a body to scans, all alike; `steps` correspondences are made in it.
 
-    points: of each scan. scale: Geman-McClure's, m: a point so far off weighs a quarter. noise: sd
-    of a point, m. slide: weight of point to point beside point to plane, which alone lets surfaces
-    slide. betas: the first so many are free. pose, shape: factors of the priors.
+    The weights are those of the table in `habitus.fit.points`.
     """
 
     points: int
+    """Of each scan that are used, at most."""
     scale: float
+    """Geman-McClure's, metres: a point so far off weighs a quarter."""
     noise: float
+    """Standard deviation of a point, metres."""
     slide: float = 0.0
+    """Weight of point to point over point to plane. 0: surfaces may slide along each other."""
     betas: int = ALL_BETAS
+    """The first so many are free."""
     pose: float = 1.0
+    """Factor of the pose prior."""
     shape: float = 1.0
+    """Factor of the shape prior."""
 
 
 @dataclass(frozen=True)
@@ -170,9 +190,9 @@ class SearchSettings:
 
     headings: int = 12
     drawn_poses: int = 60
-    """Poses of the bank drawn from the pose prior, beside the plain ones,"""
+    """Poses of the bank that are drawn from the pose prior, beside the plain ones."""
     drawn_spread: float = 0.8
-    """with this share of its standard deviation."""
+    """Standard deviation of the drawn poses, as a share of the pose prior's."""
     triangles: int = 1000
     """Of the body, that are compared with the scan."""
     scored_points: int = 160
@@ -180,30 +200,33 @@ class SearchSettings:
     checked: int = 200
     """Best candidates that are scored from model to scan, too."""
     same_pose: int = 2
-    """Candidates with one pose of the bank that go on at most,"""
+    """Candidates with the same pose of the bank that are kept, at most."""
     same_heading: int = 3
-    """and with one heading,"""
+    """Candidates with the same heading that are kept, at most."""
     kept: int = 12
-    """and in all."""
+    """Candidates that are kept and run through the ``rough`` stages, at most."""
     refined: int = 3
+    """Candidates that run through the ``fine`` stages, at most."""
     max_misfit: float = 0.07
-    """Above the misfit of people: the search then is widened"""
+    """Metres: with a larger best misfit the search is repeated, wider. Sound fits lie below."""
     widening: int = 2
-    """so many times."""
+    """Factor of ``checked``, ``same_pose``, ``same_heading`` and ``kept`` in the wider search."""
     arms_and_legs: int = 4
     """The first limbs of the guesser, tried before any step."""
-    hopeless: float = 1.4
-    """Misfit relative to the best at which a candidate is dropped."""
+    max_misfit_ratio: float = 1.4
+    """Misfit over the best candidate's, beyond which a candidate is dropped before ``fine``."""
     scan_points: int = 4000
+    """Points of the scan that misfits are computed from, at most."""
     compared_points: int = 300
+    """Points of the scan, about, by which the poses of a limb are compared."""
     limb_distance: float = 0.025
     """From the rest of the body at which a point may be a limb's."""
     max_distance: float = 0.12
     """At which distances are capped."""
     model_share: float = 0.5
     """Weight of the distance from model to scan beside that from scan to model."""
-    per_nat: float = 0.0005
-    """Mean distance worth one unit of the priors' energy."""
+    prior_share: float = 0.0005
+    """Share of ``max_distance`` that one unit of the priors' energy adds to the misfit."""
     rough: tuple[ScanStage, ...] = (
         ScanStage(3, points=500, scale=0.3, noise=0.03, slide=1.0, betas=1),
         ScanStage(4, points=700, scale=0.2, noise=0.02, slide=0.5, betas=3, pose=0.5),
@@ -217,9 +240,11 @@ class SearchSettings:
     distinct: float = 0.12
     """Distance between joints from which on two candidates are different poses."""
     followed_points: int = 5000
+    """Points by which it is decided whether a scan of a sequence starts from the one before."""
     followed_distance: float = 0.05
+    """Metres from the previous body within which such a point is close."""
     followed_share: float = 0.9
-    """A scan goes on from the one before where so large a share of so many points is so close."""
+    """Share of these points that must be close."""
 
 
 @dataclass(frozen=True)
@@ -234,15 +259,16 @@ class LimbSettings:
     max_distance: float = 0.03
     """At which distances of a hand's points are capped."""
     free_sd: float = 0.6
-    """Of the wrist or ankle that is tried,"""
+    """Prior sd (rad) of the wrist or ankle that is tried, about its pose."""
     held_sd: float = 0.03
-    """and of all other joints, about where they are."""
+    """Prior sd (rad) of all other joints meanwhile, about their pose."""
     stages: tuple[ScanStage, ...] = (
         ScanStage(5, points=1000, scale=0.05, noise=0.005, slide=0.2, betas=0),
         ScanStage(3, points=1000, scale=0.02, noise=0.005, slide=0.1, betas=0),
     )
     per_nat: float = 0.0003
-    """Mean distance of a hand's points worth one unit of the pose prior's energy."""
+    """Metres that one unit of the pose prior's energy adds to the mean distance of a hand's points.
+    """
     rounds: int = 2
     """Searches for lost limbs."""
     whole_limbs: int = 5
@@ -257,10 +283,12 @@ class LimbSettings:
 
 @dataclass(frozen=True)
 class SurfaceStage:
-    """One solve of the free surface: stiffness of the plate, Geman-McClure's scale (m)."""
+    """One solve of the free surface."""
 
     stiffness: float
+    """mu of `free_surface`, the weight of the plate."""
     scale: float
+    """Geman-McClure's, metres."""
 
 
 @dataclass(frozen=True)
@@ -269,18 +297,20 @@ class SurfaceSettings:
     surface, in holes too.
     """
 
-    plate: float = 1e-3 * 0.03**2
-    """l^4, m^4: the plate bends over some 3 cm."""
+    plate: float = 9e-7
+    """l^4 of `free_surface`, m^4: the plate bends over l = 3.1 cm at stiffness mu = 1."""
     level: float = 0.03
-    """r, over which an offset levels out where there is no scan."""
+    """r of `free_surface`, metres, over which an offset levels out where there is no scan."""
     decay: float = 0.6
-    """R, over which it returns to the model."""
+    """R of `free_surface`, metres, over which an offset returns to the model."""
     crease: float = 0.1
-    """Weight of the offset's plate as a vector beside that of its length."""
+    """b of `free_surface`: weight of the plate of the offset vector over that of its length."""
     fine_mesh: float = 0.012
     """Where triangles are smaller (fingers, toes, face), the plate is stiffer in proportion."""
     min_cosine: float = 0.5
+    """Between normals of a correspondence."""
     points: int = 20_000
+    """Of a scan that its free surface is fitted to, at most."""
     stages: tuple[SurfaceStage, ...] = (
         SurfaceStage(0.1, 0.02),
         SurfaceStage(0.01, 0.01),
@@ -294,10 +324,11 @@ class SurfaceSettings:
         SurfaceStage(0.003, 0.01),
     )
     cut_shrinkage: float = 0.7
-    """What is left of an offset, each round, where the surface cuts itself;"""
+    """Share of an offset that is kept, each round, where the surface cuts itself."""
     cut_rings: int = 1
-    """vertices so many edges around go back half as far;"""
+    """Vertices within so many edges of a cut are drawn back half as far."""
     cut_rounds: int = 20
+    """Rounds, at most."""
 
 
 @dataclass(frozen=True)
@@ -311,7 +342,7 @@ class ScanColourSettings:
     noise: float = 0.008
     """Sd of a camera's pixels."""
     certain: float = 0.1
-    """Noise of a tone that halves its weight."""
+    """Noise of a tone (logarithm of colour) at which its weight is a half."""
     scale: float = 0.006
     """Geman-McClure's, of coloured points from the surface."""
     min_cosine: float = 0.4
@@ -322,34 +353,39 @@ class ScanColourSettings:
     light_ridge: float = 0.01
     """Weight of no light at all against that of all points."""
     gain_pieces: int = 2
+    """Pieces an edge of the grid for the gain (shadows, light from skin beside), which no harmonic
+    explains."""
     gain_smoothings: int = 20
-    """Of the gain that no harmonic explains, on a grid with so many pieces an edge."""
+    """Times that the gain is averaged over neighbouring nodes."""
     passes: int = 2
-    """Of Barnes' scheme: without these a tone is that of the middle of some points."""
+    """Passes of Barnes' scheme (1964): the first takes means around a node, each further one adds
+    means of what the ones before left."""
     min_points: float = 0.1
-    """Coloured points for each node from which on its tone counts,"""
+    """Coloured points a node from which on its tone counts."""
     min_share: float = 0.6
-    """and their share of what other scans have there."""
+    """Coloured points a node, as a share of other scans', from which on its tone counts."""
     compared: float = 0.5
-    """Confidence of a tone from which on it is compared."""
+    """Confidence of a tone, 0..1, from which on it is compared with another scan's."""
     grain: float = 22.0
-    """Pieces of a grid for each independent tone of a texture averaged so often."""
+    """Pieces of the grid that share one independent tone after ``smoothings``; closer rows share
+    its weight."""
     max_points: int = 200_000
     pieces: int = 4
     """Pieces an edge of the texture that is returned."""
     slide_sd: float = 0.001
+    """Metres (sd) by which a surface slides along the skin beside the model's motion."""
     slide_range: float = 0.12
-    """Of the field by which a surface slides beside the model's."""
+    """Metres at which the correlation of two such slides is 0.14."""
     skin_slide_sd: float = 0.002
-    """By which the model's skin slides on the person's, whatever its pose."""
+    """Metres (sd) by which the model's skin slides on the person's, whatever its pose."""
     effective_points: float = 1500.0
     """All coloured points of a scan count as so many for the model."""
     model_points: int = 15_000
     surface_points: int = 60_000
     coarse: tuple[int, ...] = (2, 4)
-    """Pieces an edge of the grids for pose and shape,"""
+    """Pieces an edge of the grids for pose and shape, pass by pass."""
     fine: tuple[int, ...] = (4, 4)
-    """and for surfaces."""
+    """Pieces an edge of the grids for surfaces, pass by pass."""
 
 
 @dataclass(frozen=True)
@@ -378,9 +414,9 @@ class ScanSettings:
     noise.
     """
     model_min_cosine: float = 0.3
-    """Between normals of a correspondence, without offsets,"""
+    """Between normals of a correspondence, without skin offsets."""
     offset_min_cosine: float = 0.5
-    """and with them."""
+    """Between normals of a correspondence, with skin offsets."""
     orientation_distance: float = 0.03
     """From the model within which it decides the sign of a scan's normals."""
     shape_change: float = 0.5
@@ -388,8 +424,9 @@ class ScanSettings:
     offset_change: float = 0.8
     """Sd of skin offsets between frames, in that of the offsets."""
     matched_distance: float = 0.05
-    """From the surface within which a point counts as the body's, with normals within"""
+    """Metres from the surface within which a point counts as the body's."""
     matched_cosine: float = 0.3
+    """Between normals, from which on a point counts as the body's."""
     similar_bodies: float = 0.005
     """Sd (m) within which another body's vertices are put on the first one's."""
     offsets: OffsetSettings = OFFSETS
