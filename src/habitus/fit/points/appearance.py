@@ -1,15 +1,13 @@
-"""Where the colour camera is: its translation beside the depth camera, by the person's outline in
-colour (T 4.6.1).
+"""What a view with colours looks like before the whole energy is solved (thesis sec. 4.6.1): the
+colour camera's translation beside the depth camera, from the person's outline in colour; then light
+and albedo. Colour is the albedo of each vertex times spherical harmonics of the light.
 
-Light and albedo apart (T 4.6.1): colour = albedo of each vertex times spherical harmonics of the
-light.
+    E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd²
 
-    E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd² (T eq. 4.7)
-
-in linear light, by Gauss-Newton: of each step log albedo, one number a vertex, is eliminated (a
-sparse Schur complement), which leaves the nine numbers of the light. E_Q is robust, as clothes have
-seams. Their common factor and tint cannot be told: the light that comes from everywhere together is
-taken as white, and brings a white surface to 1.
+(thesis eqs. 4.4 and 4.7) in linear light, by Gauss-Newton: of each step log albedo, one number a
+vertex, is eliminated (a sparse Schur complement), which leaves the nine numbers of the light. E_Q
+is robust, as clothes have seams. Their common factor and tint cannot be told: the light that comes
+from everywhere together is taken as white, and brings a white surface to 1.
 """
 
 from collections.abc import Sequence

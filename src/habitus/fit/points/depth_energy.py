@@ -1,18 +1,20 @@
-"""The energy of a body before depth views (T eq. 4.3), as named terms, and its minimisation.
+"""The energy of a body before depth views (thesis eq. 4.3), as named terms, and its minimisation.
 
     E = E_C + E_D + E_F + E_P + E_S + E_Q
 
-    "depth"    E_D, robust (T eq. 4.5): pixels against the surface (`depth_correspondences`), with
-               skin offsets in the last stages (`skin_offsets`)
-    "outline"  points of the model before background that was seen, against the silhouette
-    "floor"    E_F (T eq. 4.6): soles on the floor (`floor`)
-    "shape"    E_S, "pose" E_P (T 4.6.1): Gaussians (`priors`)
-    "skin"     1/2 |z|^2, the prior of the skin offsets
-    "colour"   E_C + E_Q (T eqs 4.4 and 4.7) with the priors of light and colour camera (`colour_terms`)
+    "depth"    E_D, robust (thesis eq. 4.5): pixels against the surface (`depth_correspondences`),
+               with skin offsets in the last stages (`skin_offsets`)
+    "outline"  points of the model before background that was seen, against the silhouette (ours)
+    "floor"    E_F (thesis eq. 4.6): soles on the floor (`floor`), once a stage moves all unknowns
+    "shape"    E_S, "pose" E_P (thesis sec. 4.6.1): Gaussians (`priors`)
+    "skin"     1/2 |z|^2, the prior of the skin offsets (ours)
+    "colour"   E_C + E_Q (thesis eqs. 4.4 and 4.7) with the priors of light and colour camera
+               (`colour_terms`)
 
-Weights are those of `settings.RgbdSettings`. Correspondences are found anew before each step
+The weights are in the table of `habitus.fit.points`: fields of `settings.RgbdSettings`, for light,
+albedo and camera shift constants of `appearance`. Correspondences are found anew before each step
 (`habitus.solve.alternate`); a step that raises the cost at its correspondences is refused.
-"""  # noqa: E501
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

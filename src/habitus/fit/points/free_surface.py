@@ -1,16 +1,18 @@
-"""The free surface: the model moved along its normals to the scan, held by a thin plate (T 5.4).
+"""The free surface: the model moved along its normals to the scan, held by a thin plate (thesis
+sec. 5.4).
 
     sum_p w_p (n_p . (x(b_p) - t_p))^2 A / P + mu l^4 ( E(h) + b E(h n) ),
     E(h) = |M^-1/2 L h|^2 + h^T L' h / r^2 + |M^1/2 h|^2 / R^4
 
 x = m + h n; m are the model's vertices, n its normals and h (V,) the offset of each along its own,
 L the cotangent Laplacian of m and M the areas of its vertices: the plate bends over about l = 3 cm
-at mu = 1. L' is the same where there is no scan, 0 elsewhere: an offset levels out across a hole.
-The last term makes the solution unique. E(h n), the same of the offset as a vector, keeps what is
-thin or creased from swelling into itself. A scan without colours does not constrain positions along
-the skin beyond what the model found: a plate on offsets in all directions slides the skin of a calf
-to the side sooner than it lets it swell. A surface that cuts itself where its model does not, at
-lips, toes and armpits, is drawn back there (`uncut`).
+at mu = 1. mu is `SurfaceStage.stiffness`; in `SurfaceSettings`, l^4 is `plate`, r `level`, R
+`decay` and b `crease`. L' is the same where there is no scan, 0 elsewhere: an offset levels out
+across a hole. The last term makes the solution unique. E(h n), the same of the offset as a vector,
+keeps what is thin or creased from swelling into itself. A scan without colours does not constrain
+positions along the skin beyond what the model found: a plate on offsets in all directions slides
+the skin of a calf to the side sooner than it lets it swell. A surface that cuts itself where its
+model does not, at lips, toes and armpits, is drawn back there (`uncut`).
 """
 
 from collections.abc import Sequence

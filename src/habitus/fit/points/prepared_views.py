@@ -1,8 +1,5 @@
-"""Which pixels of a depth view show the person: nearer than the empty room, or standing out of
-floor and walls.
-
-A view made ready for the fit: the person's points in a world that stands upright, and grids of
-fewer pixels.
+"""A depth view prepared for the fit: the pixels that show the person (nearer than the empty room,
+or standing out of floor and walls), their points in an upright world, and grids of fewer pixels.
 """
 
 from dataclasses import dataclass

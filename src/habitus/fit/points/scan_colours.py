@@ -1,8 +1,5 @@
-"""Registered scans of one person made to agree in their colours, where at least two scans have
-colours.
-
-Surfaces of one person's scans moved along the skin until their colours agree (the appearance
-term of Bogo et al.).
+"""Surfaces of one person's registered scans moved along the skin until their colours agree, where
+at least two scans have colours (the appearance term of Bogo, Romero, Loper, Black, *FAUST*, 2014).
 
     sum_pc w_p (grad T_c . u(b_p) - (T_c - tone_pc))^2 / s_c^2 + u^T Q u,    x = x_0 + u
 

@@ -5,9 +5,11 @@ the best, each limb alone as all poses of the bank have it; Gauss-Newton; limbs 
 again. The score of a candidate is its misfit, metres:
 
     mean |scan - model| + a mean |model - scan|
-    + c (1/2 |betas|^2 + 1/2 (theta - m)^T P (theta - m))
+    + c d (1/2 |betas|^2 + 1/2 (theta - mean)^T P (theta - mean))
 
-distances being those of correspondences (`correspondences.with_normals`), capped.
+distances being those of correspondences (`correspondences.with_normals`), capped at d. In
+`SearchSettings`, a is `model_share`, c `prior_share` and d `max_distance`; P is the precision of
+the pose prior.
 """
 
 from collections.abc import Sequence

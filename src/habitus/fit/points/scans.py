@@ -1,5 +1,5 @@
-"""Scans registered to a body's topology (T 5.4): the model, then the free surface, of all scans of
-a person.
+"""Scans registered to a body's topology (thesis sec. 5.4): the model, then the free surface, of
+all scans of a person.
 
 1. Each scan by itself: pose and translation from nothing (`scan_start`), the best few refined
    (`scan_fitting`), hands and feet turned (`limbs`).

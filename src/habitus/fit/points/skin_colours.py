@@ -1,12 +1,10 @@
-"""A grid finer than a body's triangles, for colours of skin: each is cut into n² alike; it has no
-seams.
-
-The colours of a person's skin, shared by all scans of them (Bogo et al. 2014): texture, and the
-light of each scan.
+"""The colours of a person's skin, shared by all scans of them: texture, and the light of each scan
+(Bogo, Romero, Loper, Black, *FAUST*, 2014).
 
     log(I_kp + d) = T(b_kp) + h(n_kp) . L_k
 
-T are tones (log of linear colours) at the nodes of a `SkinGrid`, one texture for all scans k; p is
+T are tones (log of linear colours) at the nodes of a `SkinGrid`, which cuts each triangle of the
+body into n² alike and has no seams; there is one texture for all scans k. p is
 a coloured point, b its place on the registered surface, n the normal there, h harmonics up to order
 2, L_k what light does in scan k. What a scan is held against is the texture of all others: its own
 colours would hold it where it is.

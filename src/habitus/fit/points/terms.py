@@ -1,8 +1,11 @@
-"""Terms that fits to scans and depth views share, with their own normal equations (T 4.6.1, 5.4).
+"""Terms that fits to scans and depth views share, with their own normal equations (thesis secs.
+4.6.1 and 5.4).
 
 "shape"  1/2 (betas - b)^T P (betas - b)
-"pose"   1/2 sum_t (theta_t - m_t)^T P (theta_t - m_t)          theta_t: pose (J, 3) of scan or view t
-"""  # noqa: E501
+"pose"   1/2 sum_t (theta_t - m_t)^T P (theta_t - m_t)
+
+theta_t: pose (J, 3) of scan or view t.
+"""
 
 from collections.abc import Sequence
 
