@@ -31,10 +31,10 @@ from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
 
-STEPS = 5
+SHIFT_STEPS = 5
 BLUR = 1.5
 REDUCED = 0.5
-PRIOR_SD = 0.008
+CAMERA_SHIFT_SD = 0.008
 """Metres by which a calibration may be off."""
 CERTAINTY = 0.01
 """Weight of a pixel of the outlines' difference: neighbours along an outline are off together."""
@@ -84,9 +84,9 @@ def find_shift(
         return ColourShift(np.zeros(3), None)
     shift = np.zeros(3)
     overlap = 0.0
-    for _ in range(STEPS):
-        matrix = np.eye(3) / PRIOR_SD**2
-        right = -shift / PRIOR_SD**2
+    for _ in range(SHIFT_STEPS):
+        matrix = np.eye(3) / CAMERA_SHIFT_SD**2
+        right = -shift / CAMERA_SHIFT_SD**2
         overlaps = []
         for sight, mask, surface in pairs:
             assert sight.colour_camera is not None
@@ -97,7 +97,7 @@ def find_shift(
             overlaps.append(share)
         overlap = min(overlaps)
         shift = shift + np.linalg.solve(matrix, right)
-    wrong = overlap < LEAST_OVERLAP or np.linalg.norm(shift) > 3.0 * PRIOR_SD
+    wrong = overlap < LEAST_OVERLAP or np.linalg.norm(shift) > 3.0 * CAMERA_SHIFT_SD
     return ColourShift(np.zeros(3) if wrong else shift, overlap)
 
 

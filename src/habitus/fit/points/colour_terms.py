@@ -20,9 +20,9 @@ from scipy.sparse.linalg import splu
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import (
+    CAMERA_SHIFT_SD,
     LIGHT_SD,
     ORDERS,
-    PRIOR_SD,
     log_smoothness,
     moved,
     smoothness_cost,
@@ -118,8 +118,8 @@ def colour_equations(
         gradient = gradient + slope
         solved.append(found)
     last = size - 3 + np.arange(3)
-    matrix[last, last] += 1.0 / PRIOR_SD**2
-    gradient[last] += look.shift / PRIOR_SD**2
+    matrix[last, last] += 1.0 / CAMERA_SHIFT_SD**2
+    gradient[last] += look.shift / CAMERA_SHIFT_SD**2
     return ColourEquations(gradient, matrix, tuple(solved))
 
 
@@ -315,4 +315,6 @@ def _prior_cost(look: Look, edges: sparse.csr_array, settings: RgbdSettings) -> 
     certain = settings.colour / np.array(LIGHT_SD)[ORDERS] ** 2
     light = 0.5 * float((certain @ (look.light - WHITE[:, None]) ** 2).sum())
     smooth = sum(smoothness_cost(edges, look.albedo[:, c]) for c in range(3))
-    return light + settings.colour * smooth + 0.5 * float(look.shift @ look.shift) / PRIOR_SD**2
+    return (
+        light + settings.colour * smooth + 0.5 * float(look.shift @ look.shift) / CAMERA_SHIFT_SD**2
+    )
