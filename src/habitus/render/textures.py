@@ -67,7 +67,7 @@ class Texture:
 
     @classmethod
     def from_levels(
-        cls, levels: Sequence[Float[Tensor, "h w C"]], wrap: Sequence[str] = ("repeat", "clamp")
+        cls, levels: Sequence[Float[Tensor, "_ _ C"]], wrap: Sequence[str] = ("repeat", "clamp")
     ) -> Self:
         """A texture of levels made elsewhere, the largest first, each half (rounded down, at least
         1) of the last.
