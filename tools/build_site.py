@@ -5,6 +5,7 @@ docstrings and from the help of each command. Warnings (a broken link, a page th
 are errors.
 """
 
+import importlib
 import io
 import os
 import re
@@ -12,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 
@@ -195,7 +196,6 @@ def write_reference(folder: Path) -> None:
     folder.mkdir()
     kinds = {name: getattr(habitus, name) for name in habitus.__all__ if name[0] != "_"}
     functions = [name for name, value in kinds.items() if not isinstance(value, type)]
-    public = ", ".join(value.__name__ for value in kinds.values() if hasattr(value, "__name__"))
     face = [
         "# Public face\n\n`import habitus as hb` loads nothing; each name is loaded when first "
         "used.\n",
@@ -208,13 +208,19 @@ def write_reference(folder: Path) -> None:
     ]
     pages = {"public": "\n".join(face), "commands": "\n".join(_commands())}
     for name, (title, first, modules) in REFERENCE.items():
-        parts = (_directive("automodule", module, True, public) for module in modules)
+        parts = (_directive("automodule", each, True, _public(each, kinds)) for each in modules)
         pages[name] = "\n".join([f"# {title}\n\n{first}\n", *parts])
     for name, text in pages.items():
         (folder / f"{name}.md").write_text(text, "utf-8")
     order = ("public", *REFERENCE, "commands")
     index = "# Reference\n\nGenerated from docstrings and from the help of each command.\n"
     (folder / "index.md").write_text(index + _toctree(order, hidden=False), "utf-8")
+
+
+def _public(module: str, kinds: Mapping[str, object]) -> str:
+    """The names of a module that stand on the page of the public face."""
+    values = vars(importlib.import_module(module))
+    return ", ".join(name for name, value in kinds.items() if values.get(name) is value)
 
 
 def _commands() -> Iterator[str]:

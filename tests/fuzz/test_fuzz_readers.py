@@ -25,7 +25,6 @@ NAMES = (
     "body.npz",
     "body.pkl",
     "worm.npz",
-    "prior.npz",
     "template.npz",
     "template.toml",
     "registrations.npz",

@@ -308,6 +308,7 @@ def test_layouts_in_memory_do_not_matter():
     assert torch.equal(Texture.of(np.moveaxis(image.numpy(), 0, 2)).sample(uv.T), plain)
 
 
+@pytest.mark.wrong_shapes
 def test_bad_textures_are_refused():
     image = random(1, 4, 4, 3)
     for wrong in (image[0], image[None], image[:0], image[:, :0], image[..., :0]):
@@ -333,6 +334,7 @@ def test_bad_textures_are_refused():
         Texture.from_levels([image, image[:2, :2].float()])
 
 
+@pytest.mark.wrong_shapes
 def test_bad_uv_is_refused():
     texture = Texture.of(random(1, 4, 4, 3))
     uv = random_uv(6)

@@ -42,9 +42,8 @@ FILES = (
     "fit/labels/kernels.py",
     "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",
-    "learn/posing/quaternions.py",
     "learn/posing/kernels.py",
-    "learn/steps/weights_kernels.py",
+    "learn/steps/weights.py",
 )
 """Files with compiled kernels."""
 

@@ -101,41 +101,41 @@ class Frames:
     frames: tuple[Frame, ...]
 
     @property
-    def face_ids(self) -> Int[Tensor, "*batch H W"]:
+    def face_ids(self) -> Int[Tensor, "*_ H W"]:
         """`Frame.face_ids` of each."""
         return self._stack(lambda frame: frame.face_ids)
 
     @property
-    def boundary(self) -> Bool[Tensor, "*batch H W"]:
+    def boundary(self) -> Bool[Tensor, "*_ H W"]:
         """`Frame.boundary` of each."""
         return self._stack(lambda frame: frame.boundary)
 
     @property
-    def intersections(self) -> Bool[Tensor, "*batch H W"]:
+    def intersections(self) -> Bool[Tensor, "*_ H W"]:
         """`Frame.intersections` of each."""
         return self._stack(lambda frame: frame.intersections)
 
     @property
-    def barycentrics(self) -> Float[Tensor, "*batch H W 3"]:
+    def barycentrics(self) -> Float[Tensor, "*_ H W 3"]:
         """`Frame.barycentrics` of each."""
         return self._stack(lambda frame: frame.barycentrics)
 
     def image(
         self,
-        values: Shaped[Tensor, "*batch V C"] | Numbers,
+        values: Shaped[Tensor, "*_ V C"] | Numbers,
         background: Shaped[Tensor, "..."] | Numbers = 0.0,
-    ) -> Float[Tensor, "*batch H W C"]:
+    ) -> Float[Tensor, "*_ H W C"]:
         """`Frame.image` of each."""
         return self._stack(Frame.image, (values, 2), (background, 3))
 
     def textured(
         self,
         texture: Texture,
-        uv: Float[Tensor, "*batch U 2"],
+        uv: Float[Tensor, "*_ U 2"],
         uv_faces: Int[Tensor, "F 3"] | None = None,
-        brightness: Shaped[Tensor, "*batch V K"] | Numbers | None = None,
+        brightness: Shaped[Tensor, "*_ V K"] | Numbers | None = None,
         background: Shaped[Tensor, "..."] | Numbers = 0.0,
-    ) -> Float[Tensor, "*batch H W C"]:
+    ) -> Float[Tensor, "*_ H W C"]:
         """`Frame.textured` of each."""
 
         def take(frame: Frame, uv: Tensor, brightness: Tensor | None, background: Any) -> Tensor:
@@ -144,18 +144,16 @@ class Frames:
         return self._stack(take, (uv, 2), (brightness, 2), (background, 3))
 
     def depth(
-        self, background: Shaped[Tensor, "*batch H W"] | Numbers = math.inf
-    ) -> Float[Tensor, "*batch H W"]:
+        self, background: Shaped[Tensor, "*_ H W"] | Numbers = math.inf
+    ) -> Float[Tensor, "*_ H W"]:
         """`Frame.depth` of each."""
         return self._stack(Frame.depth, (background, 2))
 
-    def silhouette(self) -> Float[Tensor, "*batch H W"]:
+    def silhouette(self) -> Float[Tensor, "*_ H W"]:
         """`Frame.silhouette` of each."""
         return self._stack(Frame.silhouette)
 
-    def normals(
-        self, normals: Shaped[Tensor, "*batch V 3"] | Numbers
-    ) -> Float[Tensor, "*batch H W 3"]:
+    def normals(self, normals: Shaped[Tensor, "*_ V 3"] | Numbers) -> Float[Tensor, "*_ H W 3"]:
         """`Frame.normals` of each."""
         return self._stack(Frame.normals, (normals, 2))
 

@@ -384,6 +384,7 @@ def test_where_nothing_shows_nothing_changes(mode, faces):
     assert found[0].values.nnz == 0 and found[0].values.shape == (WIDTH * HEIGHT, 3)
 
 
+@pytest.mark.wrong_shapes
 def test_what_does_not_fit_is_said():
     world = World("torus", "antialias")
     frame = world.frame

@@ -83,7 +83,7 @@ class TexturedJacobian(ScreenJacobian):
 
 
 def image_jacobian(
-    frame: Frame, values: Float[Tensor, "V C"], background: Float[Tensor, "*size C"] | float = 0.0
+    frame: Frame, values: Float[Tensor, "V C"], background: Float[Tensor, "*size _"] | float = 0.0
 ) -> ImageJacobian:
     """The derivative of `frame.image(values, background)`.
 
@@ -142,7 +142,7 @@ def textured_jacobian(
     uv: Float[Tensor, "U 2"],
     uv_faces: Int[Tensor, "F 3"] | None = None,
     brightness: Float[Tensor, "V C"] | None = None,
-    background: Float[Tensor, "*size C"] | float = 0.0,
+    background: Float[Tensor, "*size _"] | float = 0.0,
 ) -> TexturedJacobian:
     """The derivative of `frame.textured` with the same arguments and errors. The level at a sample
     has none.
