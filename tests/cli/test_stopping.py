@@ -79,10 +79,7 @@ def test_ctrl_c_that_somebody_swallows_is_still_a_stop(monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main(["mosh", "none.c3d", "--out", "nowhere"])
     said = capsys.readouterr().err
-    assert (
-        end.value.code == 130
-        and said == "habitus: stopped; captures that were finished are whole\n"
-    )
+    assert end.value.code == 130 and said == "habitus: stopped; finished captures are complete\n"
 
 
 def test_the_handler_is_given_back_and_others_are_left_alone():

@@ -117,7 +117,7 @@ def test_betas_on_another_body_of_the_same_sizes_are_refused(tmp_path):
 def test_the_command_passes_the_style_on(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "habitus.jobs.batch.fit_all", lambda *given, **more: asked.append(given[4]) or []
+        "habitus.jobs.batch.fit_all", lambda *given, **more: asked.append(given[0]) or []
     )
     options = tyro.cli(
         Mosh,

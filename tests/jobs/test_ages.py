@@ -113,9 +113,9 @@ def test_the_model_of_a_sex_has_the_age_of_the_body_in_whose_place_it_comes():
     [
         ([7.0, 7.0], 7.0, "says 7 years"),
         ([7.0], 7.0, "says 7 years"),
-        ([3.0], 5.0, "says 3 years, the nearest age that the body knows is 5"),
+        ([3.0], 5.0, "says 3 years, the nearest age of the body is 5"),
         ([7.0, 9.0], None, "the files differ"),
-        ([None], None, "says none"),
+        ([None], None, "gives none"),
     ],
 )
 def test_auto_believes_files_that_agree(said, age, note):

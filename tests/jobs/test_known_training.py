@@ -111,7 +111,7 @@ def test_known_people_in_new_poses_are_told_from_new_people_and_weights_count():
 
 def test_what_is_not_known_cannot_be_measured():
     data, start = made()
-    for changes, words in (({"pose": None}, "are not told"), ({"betas": None}, "are not told")):
+    for changes, words in (({"pose": None}, "are missing"), ({"betas": None}, "are missing")):
         with pytest.raises(HabitusError, match=words):
             evaluate_known([start], replace(data, known=replace(data.known, **changes)))
     few = replace(data, known=replace(data.known, pose=data.known.pose[:, :20]))

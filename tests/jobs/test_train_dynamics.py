@@ -127,7 +127,7 @@ def test_shape_and_motion_are_fitted_where_they_are_not_told():
     np.testing.assert_allclose(found.betas, one.betas, atol=0.2)
     np.testing.assert_allclose(found.pose, one.pose, atol=0.06)
     np.testing.assert_allclose(found.trans, one.trans, atol=0.02)
-    with pytest.raises(HabitusError, match="no betas, pose and trans are told"):
+    with pytest.raises(HabitusError, match="betas, pose or trans are missing"):
         list(with_motions(body, [replace(unknown, vertex_ids=np.arange(300))], Threads(1)))
 
 

@@ -52,7 +52,7 @@ def test_sliders_move_the_body_and_its_measurements(shown):
     panel.betas[0].value, panel.joint.value, panel.turn[1].value = 1.5, "left_elbow", -80.0
     expected = body([1.5], {"left_elbow": (0.0, np.deg2rad(-80.0), 0.0)}).vertices
     np.testing.assert_allclose(panel._skin.vertices, expected, atol=1e-5)
-    assert f"height {100 * body.measure([1.5])['height_m']:.1f} cm" in panel._told.content
+    assert f"height {100 * body.measure([1.5])['height_m']:.1f} cm" in panel._text.content
     panel.joint.value = "left_knee"
     assert panel.turn[1].value == 0.0 and panel.pose[body.joint_names.index("left_elbow"), 1] < -1.0
     panel.rest._impl.update_cb[0](None)

@@ -66,7 +66,9 @@ def test_pose_of_each_joint_that_markers_determine(exact, recovered):
     known = np.mean([degrees_left_open(exact, frame) for frame in (0, 20, 40)], axis=0) < 1.5
     assert known.sum() >= 20
     apart = np.median(degrees_apart(recovered.pose, exact.pose), axis=0)
-    assert apart[known].max() < 4.5 and apart[known].mean() < 1.5
+    # The elbow is the worst: since version 2.2 of the bodies its twist about the forearm hardly
+    # moves skin, so markers constrain it less (4.5 degrees before).
+    assert apart[known].max() < 6.5 and apart[known].mean() < 1.8
 
 
 def test_the_body_stands_where_it_stood(exact, recovered):

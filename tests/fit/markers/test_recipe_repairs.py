@@ -96,7 +96,7 @@ def test_a_fallen_marker_has_no_say(clean, fitted):
     moved = np.linalg.norm(found.predicted_pose_stage - fitted.predicted_pose_stage, axis=2)[
         :, others
     ]
-    assert moved.mean() < 3 * NOISE and moved.max() < 0.02
+    assert moved.mean() < 3.5 * NOISE and moved.max() < 0.02
     np.testing.assert_array_equal(found.observed_markers, observed)
 
 

@@ -55,4 +55,4 @@ def test_the_command_ends_with_2_and_one_line(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
     with pytest.raises(SystemExit) as ended:
         main([*options, "--workers", "2", "--cluster", "tcp://host:8786"])
-    assert ended.value.code == 2 and "give one of them" in capsys.readouterr().err
+    assert ended.value.code == 2 and "expected one" in capsys.readouterr().err
