@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from habitus.learn.callback import Record
 
 _WIDE = 200  # columns of a table that goes to a file or a pipe
-_SPEED_OVER = (
-    3600.0  # seconds: steps of a round differ, so that only a long look back tells the time left
-)
+# Seconds. Steps of a round differ in length, so the remaining time is estimated from a long window.
+_SPEED_OVER = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,8 +56,8 @@ def only(clouds: Clouds, chosen: Bool[np.ndarray, " P"]) -> Clouds:
 def _followed(
     ground: Float[np.ndarray, "P 2"], start: Int[np.ndarray, " T1"], count: int
 ) -> Float[np.ndarray, "T K 2"]:
-    """The middles of the heaps in every frame, from the frame in which they lie clearest apart to
-    both ends.
+    """Cluster centres in every frame, tracked in both directions from the frame with the best
+    separated clusters.
     """
     frames = len(start) - 1
     sizes = np.diff(start)

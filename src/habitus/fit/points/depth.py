@@ -33,11 +33,10 @@ had 69 at least.
 
 @dataclass(frozen=True, eq=False)
 class ViewsFit:
-    """Where the stages ended: the body, one of those that were given, and which; the state, the
-    skin's offset from it (V,; m) and the surfaces as they were seen, with skin and what is worn;
-    the views made ready, light and albedo (None without colours), the cost before each step and by
-    term, of each rival after the coarse stages, how badly each view was explained at the start,
-    seconds of the parts.
+    """Result of all stages: the chosen body and its name; the state, the skin offset (V,; m) and
+    the observed surfaces, which include skin offset, clothes and hair; the prepared views; light
+    and albedo (None without colours); the cost before each step and by term; the cost of each
+    other body after the coarse stages; the misfit of each view at the start; seconds by stage.
     """
 
     body: BodyModel

@@ -9,7 +9,7 @@ sec. 5.4; weights of all terms and full citations in `habitus.fit.points`).
     "pose"    1/2 lambda_pose (theta - theta0)^T P (theta - theta0),    the root is free
 
 t_p is a scanned point and q_p its correspondence on the model, the nearest point with a similar
-normal n_p, found anew before each step; w_p = 1 / noise^2 falls with the distance (Geman-McClure)
+normal n_p, renewed before each step; w_p = 1 / noise^2 falls with the distance (Geman-McClure)
 and is zero where normals disagree. First "points" and the priors from coarse to fine; c = min(1,
 `effective_points` / N) counts the N points of a scan as 1500 at most, since what a fit leaves of a
 scan is no independent noise. Then "offset" in place of "points", without c: h (V,) are skin offsets

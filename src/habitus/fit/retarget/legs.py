@@ -100,10 +100,10 @@ def reach(
 def _bent(
     thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.ndarray
 ) -> Float[np.ndarray, "T 3 3"]:
-    """The turn about x after which hip and ankle are nearly ``distance`` apart: |a + R u|² = d², u
+    """Rotation about x that brings hip and ankle to nearly ``distance``: |a + R u|² = d², with u
     the bent shank.
 
-    The bend from straight is what counts, by its square: `_root`.
+    The unknown is the square of the bend from straight: see `_root`.
     """
     a = thigh
     u = (knee @ shank[..., None])[..., 0]

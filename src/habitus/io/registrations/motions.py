@@ -46,7 +46,7 @@ def open_moving_surfaces(
     and ``still_vertices`` (N, V, 3), the surfaces at rest in the same poses: as arrays of the
     ``.npz`` or zarr group, as ``.npy`` files of the folder; in an ``.h5`` those of each sequence in
     the group ``motion/<sequence>``. ``fps`` replaces the stored rate. Raises
-    HabitusError, naming the file, where no rate is told and for all that is not such data.
+    HabitusError with the file's name if the rate is missing or the data have another form.
     """
     paths = [path] if isinstance(path, str | Path) else list(path)
     if not paths:
