@@ -4,9 +4,9 @@ size of the source.
     python benchmarks/walks.py [--walks mosh forward ...] [--capture 85_02.c3d] [--scan demo_scan.ply]
         [--json walks.json]
 
-A file counts where one of its functions runs (what runs during an import does not); a crossing is the first call of
-a function from a function of another file. Compiled kernels and other threads do not count. Each walk
-runs in a process of its own. Walks:
+A file counts where one of its functions runs (what runs during an import or a compilation does
+not); a crossing is the first call of a function from a function of another file. Compiled kernels
+and other threads do not count. Each walk runs in a process of its own. Walks:
 
     mosh       a capture to its files and report, as `habitus mosh`
     register   a scan to its files and report, as `habitus register`
@@ -23,10 +23,11 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 
 import numpy as np
 from common import CAPTURES, ROOT, parser, run, show_table
+from numba.core import event
 
 GOALS = {"mosh": 100, "register": 70, "rgbd": 80, "forward": 8, "gradient": 15}
 """Files: those of the project's plan."""
@@ -34,30 +35,59 @@ SOURCE = ROOT / "src" / "habitus"
 SCANS = ROOT.parent / "shared" / "scans"
 
 
-class Walk:
-    """Counts functions of the source that run, and first calls between its files."""
+class Walk(event.Listener):
+    """Counts functions of the source that run, and first calls between its files; not while a
+    module is imported or numba compiles a kernel.
+
+    A tracer (`sys.settrace`): unlike a profiler it is not called for built-in functions, and it
+    declines the lines of every frame, so a call seen before costs one look into a set.
+    """
 
     def __init__(self) -> None:
         self.files: set[str] = set()
         self.functions: set[tuple[str, str, int]] = set()
         self.crossings: set[tuple[str, tuple[str, str, int]]] = set()
-        self._importing = 0
+        self._paused = 0
+        self._foreign: set[CodeType] = set()
+        self._calls: set[tuple[CodeType, CodeType | None]] = set()
 
-    def __call__(self, frame: FrameType, event: str, _: object) -> None:
-        """The profiler's callback (`sys.setprofile`)."""
+    def on_start(self, event: event.Event) -> None:
+        """A compilation begins."""
+        self._paused += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """It is done."""
+        self._paused -= 1
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> Callable | None:
+        """The tracer's callback at a call."""
         code = frame.f_code
+        if code in self._foreign:
+            return None
         if code.co_name == "<module>":
-            self._importing += {"call": 1, "return": -1}.get(event, 0)
-        if event != "call" or self._importing:
-            return
+            self._paused += 1
+            frame.f_trace_lines = False
+            return self._module_end
         if not code.co_filename.startswith(str(SOURCE)):
-            return
+            self._foreign.add(code)
+            return None
+        call = (code, frame.f_back.f_code if frame.f_back else None)
+        if self._paused or call in self._calls:
+            return None
+        self._calls.add(call)
         function = (code.co_filename, code.co_qualname, code.co_firstlineno)
         self.files.add(code.co_filename)
         self.functions.add(function)
         caller = _caller(frame)
         if caller is not None and caller != code.co_filename:
             self.crossings.add((caller, function))
+        return None
+
+    def _module_end(self, _: FrameType, event: str, __: object) -> Callable:
+        """The tracer of a module's frame, whose lines are off."""
+        if event == "return":
+            self._paused -= 1
+        return self._module_end
 
     def numbers(self) -> dict[str, object]:
         """What was counted."""
@@ -140,11 +170,12 @@ def count(name: str, data: Path) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         work = WALKS[name](data, Path(folder))
         walk = Walk()
-        sys.setprofile(walk)
-        try:
-            work()
-        finally:
-            sys.setprofile(None)
+        with event.install_listener("numba:compile", walk):
+            sys.settrace(walk)
+            try:
+                work()
+            finally:
+                sys.settrace(None)
     return walk.numbers()
 
 
