@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from habitus.mesh.normal_jacobian import normal_jacobian
-from habitus.mesh.normals import vertex_normals
+from habitus.mesh.normals import normal_jacobian, vertex_normals
 from habitus.mesh.shapes import sphere
 
 

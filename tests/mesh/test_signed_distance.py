@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,12 @@ import pytest
 import torch
 
 from habitus.arrays import runs
-from habitus.mesh.sampling import farthest_points
-from habitus.mesh.triangles import at_barycentrics, barycentric_coordinates, triangle_normals
+from habitus.mesh.proximity import (
+    at_barycentrics,
+    barycentric_coordinates,
+    farthest_points,
+    triangle_normals,
+)
 
 
 @pytest.mark.parametrize("kind", [np.asarray, torch.from_numpy])

@@ -31,7 +31,7 @@ from habitus.markers.placements import (
     mirrored,
     sideless,
 )
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers, triangle_bases
 

@@ -42,7 +42,7 @@ from habitus.fit.subject import ShapeFit, Subject
 from habitus.fit.verdict import Verdict
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.normals import vertex_normals
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 from habitus.observe.depth_views import RgbdCapture
 from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict

@@ -18,8 +18,8 @@ from jaxtyping import Float, Int
 from habitus.arrays import constant, cross, namespace, to_numpy
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.mesh.closest import closest_faces
 from habitus.mesh.normals import vertex_normals
+from habitus.mesh.proximity import closest_faces
 from habitus.types import Array
 
 

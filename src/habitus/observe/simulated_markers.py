@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 from habitus.observe.markers import MarkerAttachment, attach, default_markers, predict_markers
 
 

@@ -25,8 +25,7 @@ from jaxtyping import Bool, Float, Int
 from habitus.arrays import to_numpy
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
-from habitus.mesh.closest import closest_points
-from habitus.mesh.triangles import barycentric_coordinates, triangle_normals
+from habitus.mesh.proximity import barycentric_coordinates, closest_points, triangle_normals
 from habitus.residuals.points import (
     JointObservations,
     PointObservations,

@@ -7,7 +7,7 @@ import pytest
 from planted import fit, place_by_hand, plant, rest, settings
 
 from habitus.fit.markers.settings import MoshSettings
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 
 SHAPE = ("data", "surface", "start", "betas", "pose")
 PER_CM2 = 1e4

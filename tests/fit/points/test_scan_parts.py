@@ -14,8 +14,8 @@ from habitus.fit.points.free_surface import free_surface, stretched_surface
 from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
 from habitus.fit.points.scan_result import at_rest, judge_scan, lost_share
 from habitus.fit.points.settings import SurfaceStage
-from habitus.mesh.closest import closest_points
 from habitus.mesh.normals import vertex_normals
+from habitus.mesh.proximity import closest_points
 
 BALL = trimesh.creation.icosphere(3, 0.4)
 

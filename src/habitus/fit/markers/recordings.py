@@ -20,7 +20,7 @@ from habitus.fit.markers.settings import (
     OutlierSettings,
 )
 from habitus.fit.markers.suspects import Suspect, find_flips, put_back, undo_swaps
-from habitus.mesh.sampling import farthest_points
+from habitus.mesh.proximity import farthest_points
 from habitus.parallel.blocks import blocks, joined, mapped
 
 FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged

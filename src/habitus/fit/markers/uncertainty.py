@@ -9,7 +9,7 @@ from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.solution import Guessed, MarkerSolution
-from habitus.mesh.sampling import farthest_points
+from habitus.mesh.proximity import farthest_points
 from habitus.observe.body_markers import BodyMarkers
 from habitus.observe.marker_jacobian import marker_jacobian
 

@@ -30,8 +30,7 @@ from habitus.fit.points.appearance import (
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
-from habitus.mesh.normal_jacobian import normal_jacobian
-from habitus.mesh.normals import vertex_normals
+from habitus.mesh.normals import normal_jacobian, vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.harmonics import harmonics, harmonics_slope
 from habitus.render.draw import draw

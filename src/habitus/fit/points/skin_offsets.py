@@ -31,7 +31,7 @@ from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.floor import Footpads
 from habitus.fit.points.settings import RgbdSettings
 from habitus.mesh.normals import vertex_normals
-from habitus.mesh.sampling import farthest_points
+from habitus.mesh.proximity import farthest_points
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.terms import Quadratic, Term
 

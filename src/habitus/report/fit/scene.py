@@ -14,7 +14,7 @@ from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.export.obj import fitted_vertices
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.solution import GUESSED
-from habitus.mesh.signed_distance import signed_distance
+from habitus.mesh.proximity import signed_distance
 from habitus.parallel.blocks import every_nth_frame, mapped
 from habitus.report.blob import Blob
 from habitus.results.metrics import marker_means

@@ -5,7 +5,7 @@ equally close.
 import igl
 import numpy as np
 
-from habitus.mesh.closest import SAME, closest_faces, closest_points
+from habitus.mesh.proximity import SAME, closest_faces, closest_points
 from habitus.mesh.shapes import sphere
 
 
