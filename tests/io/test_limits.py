@@ -17,7 +17,7 @@ import zarr
 from habitus.errors import HabitusError
 from habitus.io.archives import NpzArchive, open_archive
 from habitus.io.captures.read import read_captures
-from habitus.io.limits import GROWTH, ROOM, Allowance, array_size, check_inflated
+from habitus.io.limits import BASE_BYTES, MAX_GROWTH, Allowance, array_size, check_inflated
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.open import open_registrations
@@ -252,9 +252,9 @@ def test_a_zarr_folder_does_not_lead_elsewhere(tmp_path):
 
 
 def test_what_a_file_may_fill_grows_with_its_own_size():
-    Allowance(0).take(ROOM // 8, 1, "it")
-    Allowance(10**6).take((ROOM + GROWTH * 10**6) // 8, 8, "it")
-    for count, width in ((ROOM // 8 + 1, 1), (-1, 8), (10**30, 8), (1, ROOM + 1)):
+    Allowance(0).take(BASE_BYTES // 8, 1, "it")
+    Allowance(10**6).take((BASE_BYTES + MAX_GROWTH * 10**6) // 8, 8, "it")
+    for count, width in ((BASE_BYTES // 8 + 1, 1), (-1, 8), (10**30, 8), (1, BASE_BYTES + 1)):
         with pytest.raises(HabitusError):
             Allowance(0).take(count, width, "it")
 

@@ -19,8 +19,8 @@ from habitus.errors import HabitusError, shown
 from habitus.io.limits import Allowance, array_size, check_present
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
-_LONGEST_HEADER = 10_000
-_MOST_BRACKETS = 20
+_MAX_HEADER = 10_000
+_MAX_BRACKETS = 20
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ def read_header(stream: Any) -> ArrayHeader:
             raise ValueError(f"version {version} of the npy format")
         first = version == (1, 0)
         length = stream.read(2 if first else 4)
-        text = stream.read(min(int.from_bytes(length, "little"), _LONGEST_HEADER))
-        if sum(map(text.count, (b"(", b"[", b"{"))) > _MOST_BRACKETS:
+        text = stream.read(min(int.from_bytes(length, "little"), _MAX_HEADER))
+        if sum(map(text.count, (b"(", b"[", b"{"))) > _MAX_BRACKETS:
             raise ValueError("nested without end")
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(io.BytesIO(length + text))

@@ -12,24 +12,24 @@ from pathlib import Path
 
 from habitus.errors import HabitusError, shown
 
-ROOM = 1 << 27
-GROWTH = 10
-MOST_TEXT = 1 << 26  # bytes of a table or a description
-MOST_LAYOUT = 1 << 20  # bytes of a layout file
-MOST_DOTS = 16  # of a dotted key
-MOST_DEPTH = 100  # of elements in one another
-MOST_PICKLE_STEPS = 1_000_000
-MOST_JOINTS = 2048
-MOST_NAMES = 1 << 16
-LONGEST_NAME = 200
+BASE_BYTES = 1 << 27
+MAX_GROWTH = 10
+MAX_TEXT_BYTES = 1 << 26  # bytes of a table or a description
+MAX_LAYOUT_BYTES = 1 << 20  # bytes of a layout file
+MAX_KEY_PARTS = 16  # of a dotted key
+MAX_DEPTH = 100  # of elements in one another
+MAX_PICKLE_STEPS = 1_000_000
+MAX_JOINTS = 2048
+MAX_NAMES = 1 << 16
+MAX_NAME_LENGTH = 200
 
 
 class Allowance:
     """What one file may still fill of the memory, by the ``stored`` bytes that it really has."""
 
     def __init__(self, stored: int):
-        self.most = ROOM + GROWTH * max(0, stored)
-        self._left = self.most
+        self.limit = BASE_BYTES + MAX_GROWTH * max(0, stored)
+        self._left = self.limit
 
     def take(self, count: int, width: int, what: str) -> None:
         """Ask for ``count`` numbers of ``width`` bytes, 8 at least, as readers compute with.
@@ -40,7 +40,7 @@ class Allowance:
         if count < 0 or size > self._left:
             raise HabitusError(
                 f"{what} would fill {_size(size)}; a file of this size may fill "
-                f"{_size(self.most)} in all; "
+                f"{_size(self.limit)} in all; "
                 "it is damaged or malicious: get it again"
             )
         self._left -= size
@@ -66,7 +66,7 @@ def check_table(rows: int, width: int, cells: int, name: str) -> None:
         )
 
 
-def check_text(size: int, name: str, most: int = MOST_TEXT) -> None:
+def check_text(size: int, name: str, most: int = MAX_TEXT_BYTES) -> None:
     """Raise HabitusError where a text file is longer than any that a person or a program would
     write.
     """
@@ -80,8 +80,8 @@ def check_joints(count: int) -> None:
     """Raise HabitusError for a tree of more joints than any body has; tables of joint by joint
     follow from them.
     """
-    if count > MOST_JOINTS:
-        raise HabitusError(f"{count} joints; expected at most {MOST_JOINTS}")
+    if count > MAX_JOINTS:
+        raise HabitusError(f"{count} joints; expected at most {MAX_JOINTS}")
 
 
 def array_size(shape: tuple[int, ...]) -> int:

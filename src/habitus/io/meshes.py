@@ -12,8 +12,8 @@ from habitus.io.archives import reason
 from habitus.io.limits import check_present
 
 ENDINGS = (".ply", ".obj")
-_LONGEST_HEADER = 1 << 16
-_MOST_LINES = 300
+_MAX_HEADER = 1 << 16
+_MAX_LINES = 300
 
 
 def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
@@ -92,10 +92,10 @@ def check_ply(file: BinaryIO, size: int) -> None:
     """A PLY's header counts elements, each of which takes a byte at least, and lists few
     properties.
     """
-    header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
+    header = file.read(_MAX_HEADER).partition(b"end_header")[0]
     file.seek(0)
-    if header.count(b"\n") > _MOST_LINES:
-        raise HabitusError(f"a header of {header.count(10)} lines; expected at most {_MOST_LINES}")
+    if header.count(b"\n") > _MAX_LINES:
+        raise HabitusError(f"a header of {header.count(10)} lines; expected at most {_MAX_LINES}")
     for line in header.splitlines():
         words = line.split()
         if words[:1] == [b"element"]:

@@ -6,11 +6,11 @@ import re
 from pathlib import Path, PurePath
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import LONGEST_NAME
+from habitus.io.limits import MAX_NAME_LENGTH
 
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 _APART = re.compile(r'[<>:"/\\|?*]')
-_LONGEST = 180  # bytes; with what is put before and after it, 255 are never reached
+_MAX_LENGTH = 180  # bytes; with what is put before and after it, 255 are never reached
 _ANY = 1 << 30
 
 
@@ -34,12 +34,12 @@ def plain_name(text: object) -> str:
     long is cut in its middle.
     """
     name = str(text)
-    if name.isprintable() and len(name) <= LONGEST_NAME:
+    if name.isprintable() and len(name) <= MAX_NAME_LENGTH:
         return name.strip()
-    if len(name) > 4 * LONGEST_NAME:
-        name = name[: 2 * LONGEST_NAME] + name[-2 * LONGEST_NAME :] + "…"
+    if len(name) > 4 * MAX_NAME_LENGTH:
+        name = name[: 2 * MAX_NAME_LENGTH] + name[-2 * MAX_NAME_LENGTH :] + "…"
     return shown(
-        "".join(" " if letter in "\t\xa0" else letter for letter in name).strip(), LONGEST_NAME
+        "".join(" " if letter in "\t\xa0" else letter for letter in name).strip(), MAX_NAME_LENGTH
     )
 
 
@@ -66,7 +66,7 @@ def file_name(text: str, where: str = "") -> str:
     name = re.sub(r"^[. ]|[. ]$", "_", _APART.sub("_", shown(text, _ANY)))
     if _RESERVED.fullmatch(name):
         name = f"_{name}"
-    if len(name.encode()) > _LONGEST:
+    if len(name.encode()) > _MAX_LENGTH:
         digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-        name = f"{name.encode()[:_LONGEST].decode(errors='ignore')}~{digest}"
+        name = f"{name.encode()[:_MAX_LENGTH].decode(errors='ignore')}~{digest}"
     return name

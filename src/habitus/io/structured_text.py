@@ -10,27 +10,29 @@ from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_DEPTH, MOST_DOTS, MOST_TEXT, check_text
+from habitus.io.limits import MAX_DEPTH, MAX_KEY_PARTS, MAX_TEXT_BYTES, check_text
 
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"""(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MOST_DOTS}}}""")
+_LONG_KEY = re.compile(
+    rf"""(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_KEY_PARTS}}}"""
+)
 
 
-def read_toml(text: str, most: int = MOST_TEXT) -> dict[str, Any]:
+def read_toml(text: str, most: int = MAX_TEXT_BYTES) -> dict[str, Any]:
     """The table in a TOML text of at most so many characters. Raises HabitusError where it is none.
 
     Dotted keys of more than 16 parts are refused: the reader takes forever over them.
     """
     check_text(len(text), "the file", most)
     if _LONG_KEY.search(text):
-        raise HabitusError(f"a dotted key of more than {MOST_DOTS} parts; expected short keys")
+        raise HabitusError(f"a dotted key of more than {MAX_KEY_PARTS} parts; expected short keys")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError, ArithmeticError, LookupError) as error:
         raise HabitusError(_explained(error)) from error
 
 
-def read_json(text: str, most: int = MOST_TEXT) -> Any:
+def read_json(text: str, most: int = MAX_TEXT_BYTES) -> Any:
     """What a JSON text of at most so many characters holds. Raises HabitusError where it is
     none.
     """
@@ -41,7 +43,7 @@ def read_json(text: str, most: int = MOST_TEXT) -> Any:
         raise HabitusError(_explained(error)) from error
 
 
-def read_xml(text: str, most: int = MOST_TEXT) -> Element:
+def read_xml(text: str, most: int = MAX_TEXT_BYTES) -> Element:
     """The root of an XML text of at most so many characters. Raises HabitusError where it is none.
 
     Nothing is fetched and no entity is expanded: a text that declares any is refused, as is one
@@ -54,7 +56,7 @@ def read_xml(text: str, most: int = MOST_TEXT) -> Element:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         depth[0] += 1
-        if depth[0] > MOST_DEPTH:
+        if depth[0] > MAX_DEPTH:
             raise HabitusError("nested without end")
         builder.start(tag, attributes)
 

@@ -20,7 +20,7 @@ _WORDS = {
     "ft": "ft foot feet",
 }
 _UNIT_OF = {word: unit for unit, words in _WORDS.items() for word in words.split()}
-_MOST_FRAMES = 200
+_MAX_FRAMES = 200
 _USUAL_M = 1.6
 
 
@@ -39,7 +39,7 @@ def extent(points: Float[np.ndarray, "T M 3"]) -> float:
     if not seen.any():
         return float("nan")
     frames = np.flatnonzero(seen >= max(1, seen.max() // 2))
-    chosen = points[frames[:: max(1, len(frames) // _MOST_FRAMES)]]
+    chosen = points[frames[:: max(1, len(frames) // _MAX_FRAMES)]]
     chosen = chosen[:, np.isfinite(chosen[..., 0]).any(axis=0)]
     distance = np.linalg.norm(chosen - np.nanmedian(chosen, axis=1, keepdims=True), axis=2)
     return float(2 * np.median(np.nanpercentile(distance, 90, axis=1)))
@@ -49,7 +49,7 @@ def restlessness(points: Float[np.ndarray, "T M 3"]) -> float:
     """How far a point moves against the others from frame to frame, at the median, as a share of
     the body's extent.
     """
-    steps = np.arange(len(points) - 1)[:: max(1, len(points) // _MOST_FRAMES)]
+    steps = np.arange(len(points) - 1)[:: max(1, len(points) // _MAX_FRAMES)]
     both = np.stack([points[steps], points[steps + 1]])
     shared = np.isfinite(both).all(axis=(0, 3))
     both = both[:, shared.sum(axis=1) >= 4]

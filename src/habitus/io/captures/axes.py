@@ -15,7 +15,7 @@ from jaxtyping import Float
 from habitus.markers.anatomy import Place, place_of
 
 _SURE = 0.35
-_MOST_FRAMES = 2000
+_MAX_FRAMES = 2000
 # Heights on the body whose markers can tell front from back and left from right: pelvis, trunk,
 # head; feet.
 _PARTS = ((2.9, 3.1), (3.9, 5.1), (5.9, 6.1), (0.0, 0.3))
@@ -51,7 +51,7 @@ def find_axes(
     """Up-axis and handedness of ``points`` (metres); ``claim`` is what the file says is up,
     ``usual`` a default.
     """
-    points = points[:: max(1, len(points) // _MOST_FRAMES)]
+    points = points[:: max(1, len(points) // _MAX_FRAMES)]
     points = points[np.isfinite(points[..., 0]).any(axis=1)]
     places = [place_of(label) for label in labels]
     spine = body_up(places, points)

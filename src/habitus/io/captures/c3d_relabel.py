@@ -14,7 +14,7 @@ from habitus.files import atomic_write
 from habitus.io.captures.unlabelled import UnlabelledCapture
 from habitus.io.units import METRES
 
-_MOST_LABELS = 255
+_MAX_LABELS = 255
 
 
 def write_relabelled(
@@ -72,9 +72,9 @@ def _name(file: ezc3d.c3d, labels: list[str]) -> None:
         if key not in ("LABELS", "DESCRIPTIONS"):
             del point[key]
     if "DESCRIPTIONS" in point:
-        point["DESCRIPTIONS"]["value"] = [""] * min(len(labels), _MOST_LABELS)
-    point["LABELS"]["value"] = labels[:_MOST_LABELS]
-    for start in range(_MOST_LABELS, len(labels), _MOST_LABELS):
+        point["DESCRIPTIONS"]["value"] = [""] * min(len(labels), _MAX_LABELS)
+    point["LABELS"]["value"] = labels[:_MAX_LABELS]
+    for start in range(_MAX_LABELS, len(labels), _MAX_LABELS):
         file.add_parameter(
-            "POINT", f"LABELS{start // _MOST_LABELS + 1}", labels[start : start + _MOST_LABELS]
+            "POINT", f"LABELS{start // _MAX_LABELS + 1}", labels[start : start + _MAX_LABELS]
         )

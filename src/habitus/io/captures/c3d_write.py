@@ -11,9 +11,9 @@ from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
 
-_MOST_LABELS = 255
-_MOST_FRAMES = 65535
-_LONGEST = 120
+_MAX_LABELS = 255
+_MAX_FRAMES = 65535
+_MAX_LENGTH = 120
 _SCREEN_X = {"x": "+Y", "y": "+X", "z": "+X"}
 
 
@@ -38,8 +38,8 @@ def write_c3d(capture: Capture, path: str | os.PathLike[str], *, note: str = "")
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, markers, frames), bool)
     _add_parameters(file, capture)
     if note:
-        told = [shown(note, _LONGEST).encode()[:_LONGEST].decode(errors="ignore")] * min(
-            markers, _MOST_LABELS
+        told = [shown(note, _MAX_LENGTH).encode()[:_MAX_LENGTH].decode(errors="ignore")] * min(
+            markers, _MAX_LABELS
         )
         file["parameters"]["POINT"]["DESCRIPTIONS"]["value"] = told
     with atomic_write(path) as temporary:
@@ -58,8 +58,8 @@ def _refuse_unwritable(capture: Capture) -> None:
         fault = f"has {len(capture.labels)} labels for {markers} markers; expected one each"
     elif not 0.1 < capture.rate_hz < 1e5:
         fault = f"has a rate of {capture.rate_hz:g} Hz; expected 0.1 to 100,000"
-    elif max(len(label.encode()) for label in capture.labels) > _LONGEST:
-        fault = f"has labels of more than {_LONGEST} letters; shorten them"
+    elif max(len(label.encode()) for label in capture.labels) > _MAX_LENGTH:
+        fault = f"has labels of more than {_MAX_LENGTH} letters; shorten them"
     if fault:
         raise HabitusError(f"{capture.name}: cannot be written as C3D: it {fault}")
 
@@ -68,17 +68,17 @@ def _add_parameters(file: ezc3d.c3d, capture: Capture) -> None:
     point = file["parameters"]["POINT"]
     point["RATE"]["value"] = [capture.rate_hz]
     point["UNITS"]["value"] = ["mm"]
-    if len(capture.markers) > _MOST_FRAMES:
+    if len(capture.markers) > _MAX_FRAMES:
         file.add_parameter("POINT", "LONG_FRAMES", [float(len(capture.markers))])
-    point["LABELS"]["value"] = list(capture.labels[:_MOST_LABELS])
-    for start in range(_MOST_LABELS, len(capture.labels), _MOST_LABELS):
-        name = f"LABELS{start // _MOST_LABELS + 1}"
-        file.add_parameter("POINT", name, list(capture.labels[start : start + _MOST_LABELS]))
+    point["LABELS"]["value"] = list(capture.labels[:_MAX_LABELS])
+    for start in range(_MAX_LABELS, len(capture.labels), _MAX_LABELS):
+        name = f"LABELS{start // _MAX_LABELS + 1}"
+        file.add_parameter("POINT", name, list(capture.labels[start : start + _MAX_LABELS]))
     file.add_parameter("POINT", "X_SCREEN", [_SCREEN_X[capture.up_axis[1]]])
     file.add_parameter("POINT", "Y_SCREEN", [capture.up_axis.upper()])
     if capture.subject:
         file.add_parameter("SUBJECTS", "USED", 1)
-        file.add_parameter("SUBJECTS", "NAMES", [capture.subject[:_LONGEST]])
+        file.add_parameter("SUBJECTS", "NAMES", [capture.subject[:_MAX_LENGTH]])
     for key, name, factor in (("height_m", "HEIGHT", 1000.0), ("mass_kg", "BODYMASS", 1.0)):
         value = capture.recorded.get(key)
         if isinstance(value, float | int) and value > 0:

@@ -28,7 +28,7 @@ from habitus.parallel.blocks import drop_pages, mapped
 
 _SIDE = re.compile(r"(q_)?(l|r|left|right|lt|rt)", re.IGNORECASE)
 _NO_NAME = {"", "Q", "unlabeled", "unlabelled"}
-_LEAST_MARKERS = 8
+_MIN_MARKERS = 8
 _SAMPLE = 500
 
 
@@ -81,7 +81,7 @@ def _people(counts: Counter[str]) -> list[str]:
     largest.
     """
     most = max(counts.values(), default=0)
-    least = max(_LEAST_MARKERS, most // 4)
+    least = max(_MIN_MARKERS, most // 4)
     return [prefix for prefix, count in counts.most_common() if count == most or count >= least]
 
 
@@ -106,7 +106,7 @@ def _underscored(labels: Sequence[str]) -> tuple[list[str], list[str]]:
     people = [
         head
         for head, count in counts.items()
-        if head and count >= _LEAST_MARKERS and not _SIDE.fullmatch(head[:-1])
+        if head and count >= _MIN_MARKERS and not _SIDE.fullmatch(head[:-1])
     ]
     if len(people) < 2 or sum(counts[head] for head in people) < 0.9 * len(labels):
         return heads, []
@@ -139,7 +139,7 @@ def _common_prefix(labels: Sequence[str]) -> str:
     for label in labels:
         ends = [match.end() for match in re.finditer(r"(?<!_)[_ ](?!_)", label)]
         candidates.update(label[:end] for end in ends if not is_unlabelled(label[end:]))
-    least = max(_LEAST_MARKERS, 0.9 * len(labels))
+    least = max(_MIN_MARKERS, 0.9 * len(labels))
     good = [
         prefix
         for prefix, count in candidates.items()
@@ -148,7 +148,7 @@ def _common_prefix(labels: Sequence[str]) -> str:
     return max(good, key=len, default="")
 
 
-_MOST_MARKERS = 500
+_MAX_MARKERS = 500
 _NOISE = 0.27
 
 
@@ -262,7 +262,7 @@ def _clean(tracks: Tracks, metres: float) -> Tracks:
     """
     tracks = replace(tracks, points=mapped(lambda part: part * metres, tracks.points))
     tracks = _visible(hide_far(tracks), "never near the others")
-    if len(tracks.labels) > _MOST_MARKERS:
+    if len(tracks.labels) > _MAX_MARKERS:
         return join_fragments(tracks)
     tracks = hide_stuck(tracks)
     tracks = join_fragments(_visible(tracks, "never moves while the others do"))

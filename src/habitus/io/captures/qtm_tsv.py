@@ -16,7 +16,7 @@ from habitus.io.captures.tables import (
     read_text,
 )
 
-_LONGEST_HEADER = 200
+_MAX_HEADER = 200
 
 
 def parse_qtm_tsv(content: bytes, name: str) -> RawPoints:
@@ -30,7 +30,7 @@ def parse_qtm_tsv(content: bytes, name: str) -> RawPoints:
     ]
     header = {
         row[0].upper(): row[1:]
-        for row in rows[:_LONGEST_HEADER]
+        for row in rows[:_MAX_HEADER]
         if len(row) > 1 and row[0].replace("_", "").isalpha()
     }
     labels = tuple(header.get("MARKER_NAMES", []))
@@ -50,9 +50,7 @@ def parse_qtm_tsv(content: bytes, name: str) -> RawPoints:
         raise HabitusError(
             f"{name}: its MARKER_NAMES line names no markers; label the markers and export again"
         )
-    top = max(
-        i for i, row in enumerate(rows[:_LONGEST_HEADER]) if row[0].replace("_", "").isalpha()
-    )
+    top = max(i for i, row in enumerate(rows[:_MAX_HEADER]) if row[0].replace("_", "").isalpha())
     data = [row for row in rows[top + 1 :] if any(row)]
     if not data:
         raise HabitusError(f"{name}: holds {len(labels)} markers but 0 frames; export it again")

@@ -216,7 +216,7 @@ def _next_name(label: str, present: Collection[str], kept: Collection[str]) -> s
 
 
 _SAME_M = 0.0002
-_MOST_FOR_PAIRS = 200
+_MAX_FOR_PAIRS = 200
 _STRANGE_M = 0.25
 
 
@@ -270,7 +270,7 @@ def _copies(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
 
 
 def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
-    if len(labels) > _MOST_FOR_PAIRS:
+    if len(labels) > _MAX_FOR_PAIRS:
         return {}
     first, second = np.triu_indices(len(labels), 1)
     suspects = np.ones((len(labels), len(first)), bool)

@@ -21,7 +21,7 @@ from habitus.io.layouts.moshpp import parse_moshpp
 from habitus.io.layouts.opensim import parse_marker_set
 from habitus.io.layouts.placements import parse_placements
 from habitus.io.layouts.toml import layout_text, parse_layout
-from habitus.io.limits import MOST_LAYOUT, MOST_TEXT, check_text
+from habitus.io.limits import MAX_LAYOUT_BYTES, MAX_TEXT_BYTES, check_text
 from habitus.io.models.bodies import load_body
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_xml
@@ -217,7 +217,7 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
     if ending in XML_FORMS:
         return _of_tree(text, path)
     if ending in LIST_FORMS:
-        check_text(len(text), f"layout file {path}", MOST_LAYOUT)
+        check_text(len(text), f"layout file {path}", MAX_LAYOUT_BYTES)
         return layout_of_labels(
             labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts()
         )
@@ -227,7 +227,7 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
 def _of_tree(text: str, path: Path) -> MarkerLayout:
     """An XML file: OpenSim's where markers name a bone, else a list of labels."""
     try:
-        root = read_xml(text, MOST_TEXT)
+        root = read_xml(text, MAX_TEXT_BYTES)
     except HabitusError as error:
         raise HabitusError(f"layout file {path} is not XML: {error}") from error
     name = plain_name(path.stem)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_LAYOUT
+from habitus.io.limits import MAX_LAYOUT_BYTES
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
@@ -34,7 +34,7 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
     HabitusError for anything else.
     """
     try:
-        data = read_json(text, MOST_LAYOUT)
+        data = read_json(text, MAX_LAYOUT_BYTES)
         entries = [
             (plain_name(label), _vertex(vertex), _distance(one))
             for one in data["markersets"]

@@ -10,7 +10,7 @@ from typing import Any
 
 from habitus.errors import HabitusError, shown
 from habitus.io.layouts.toml import quoted
-from habitus.io.limits import MOST_LAYOUT
+from habitus.io.limits import MAX_LAYOUT_BYTES
 from habitus.io.structured_text import read_toml
 from habitus.markers.placements import PlacementPrior, UsualPlace
 
@@ -26,7 +26,7 @@ def parse_placements(text: str, where: str) -> PlacementPrior:
     HabitusError for others.
     """
     try:
-        data = read_toml(text, MOST_LAYOUT)
+        data = read_toml(text, MAX_LAYOUT_BYTES)
     except HabitusError as error:
         raise HabitusError(f"placements {where} are not TOML: {error}") from error
     places: dict[str, UsualPlace] = {}

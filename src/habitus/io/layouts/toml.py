@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_LAYOUT
+from habitus.io.limits import MAX_LAYOUT_BYTES
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_toml
 from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
@@ -52,7 +52,7 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
     one place.
     """
     try:
-        data = read_toml(text, MOST_LAYOUT)
+        data = read_toml(text, MAX_LAYOUT_BYTES)
     except HabitusError as error:
         raise HabitusError(f"layout file {where} is not TOML: {error}") from error
     _only_keys(data, _FILE_KEYS, where)

@@ -8,7 +8,7 @@ import numpy as np
 
 from habitus.errors import HabitusError, shown
 from habitus.io.archives import NpzArchive
-from habitus.io.limits import LONGEST_NAME, MOST_NAMES, Allowance
+from habitus.io.limits import MAX_NAME_LENGTH, MAX_NAMES, Allowance
 from habitus.io.models.pickled_arrays import as_array
 from habitus.io.models.pickles import PickledObject, read_pickle
 
@@ -92,11 +92,11 @@ class ModelArrays:
     def text(self, key: str) -> tuple[str, ...]:
         """The words of an array of text."""
         words = self[key]
-        if words.dtype.kind not in "US" or words.ndim > 1 or words.size > MOST_NAMES:
+        if words.dtype.kind not in "US" or words.ndim > 1 or words.size > MAX_NAMES:
             raise HabitusError(
                 f"array {key!r} is {words.dtype} of shape {words.shape}; expected texts (*)"
             )
-        return tuple(shown(_text(word), LONGEST_NAME) for word in np.atleast_1d(words).tolist())
+        return tuple(shown(_text(word), MAX_NAME_LENGTH) for word in np.atleast_1d(words).tolist())
 
 
 def _text(word: str | bytes) -> str:

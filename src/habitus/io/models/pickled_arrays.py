@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_PICKLE_STEPS, Allowance, array_size
+from habitus.io.limits import MAX_PICKLE_STEPS, Allowance, array_size
 from habitus.io.models.pickles import PickledObject
 
 _NUMBER = re.compile(r"[<>=|]?([biuf][1248]|\?)")
@@ -86,8 +86,8 @@ def _weigh(value: Any, depth: int) -> tuple[int, int]:
         count, width = _weigh(entry, depth + 1)
         total = total + count
         widest = max(widest, width)
-        if total > MOST_PICKLE_STEPS:
-            raise HabitusError(f"lists of more than {MOST_PICKLE_STEPS} entries; expected an array")
+        if total > MAX_PICKLE_STEPS:
+            raise HabitusError(f"lists of more than {MAX_PICKLE_STEPS} entries; expected an array")
     return total, widest
 
 

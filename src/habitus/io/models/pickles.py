@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MOST_PICKLE_STEPS, check_present
+from habitus.io.limits import MAX_PICKLE_STEPS, check_present
 
 _Argument = Callable[[bytes, int], tuple[Any, int]]
 
@@ -21,7 +21,7 @@ def pickle_steps(content: bytes) -> Iterator[tuple[bytes, Any]]:
     end.
     """
     position = 0
-    for _ in range(MOST_PICKLE_STEPS):
+    for _ in range(MAX_PICKLE_STEPS):
         code = content[position : position + 1]
         read = _ARGUMENTS.get(code)
         if read is None:
@@ -33,7 +33,7 @@ def pickle_steps(content: bytes) -> Iterator[tuple[bytes, Any]]:
         yield code, argument
         if code == pickle.STOP:
             return
-    raise HabitusError(f"more than {MOST_PICKLE_STEPS} steps; expected a few large arrays")
+    raise HabitusError(f"more than {MAX_PICKLE_STEPS} steps; expected a few large arrays")
 
 
 def _nothing(content: bytes, at: int) -> tuple[None, int]:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.io.archives import NpzArchive, checked_texts, read_npy, reason
-from habitus.io.limits import LONGEST_NAME, Allowance, folder_bytes
+from habitus.io.limits import MAX_NAME_LENGTH, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.names import inside
 from habitus.io.registrations.known import KEYS, Told, checked
@@ -240,7 +240,7 @@ def _texts(array: np.ndarray) -> list[str]:
     words = (
         word.decode("utf-8", "replace") if isinstance(word, bytes) else str(word) for word in flat
     )
-    return [shown(word, LONGEST_NAME) for word in words]
+    return [shown(word, MAX_NAME_LENGTH) for word in words]
 
 
 def _source(

@@ -67,7 +67,7 @@ def h5_array(file: Any, name: str, allowance: Allowance, *, whole: bool) -> Any:
         allowance.take(size if whole else array_size(pieces), width, what)
         _check_total(size * width, data.id.get_storage_size(), what)
     if data.chunks is not None:
-        _check_h5_pieces(data, steps, allowance.most, what)
+        _check_h5_pieces(data, steps, allowance.limit, what)
     return data
 
 
@@ -75,7 +75,7 @@ def _check_total(claimed: int, stored: int, what: str) -> None:
     """A whole set of sequences may be larger than memory, but not larger than its packed pieces can
     be.
     """
-    if claimed > max(Allowance(0).most, _STEEPEST * stored):
+    if claimed > max(Allowance(0).limit, _STEEPEST * stored):
         check_present(claimed, stored, what)
 
 
@@ -115,7 +115,7 @@ def zarr_array(group: Any, folder: Path, name: str, allowance: Allowance, *, who
     stored = 0
     for piece in _pieces(folder / name):
         stored += piece.stat().st_size
-        _check_zarr_piece(piece, steps, allowance.most, name)
+        _check_zarr_piece(piece, steps, allowance.limit, name)
     _check_total(size * width, 32 * stored, name)
     return data
 

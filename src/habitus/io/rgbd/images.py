@@ -9,7 +9,7 @@ from habitus.errors import HabitusError, require_extra
 from habitus.io.archives import reason
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
-MOST_PIXELS = 50_000_000
+MAX_PIXELS = 50_000_000
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -19,7 +19,7 @@ def read_image(path: Path) -> np.ndarray:
 
     try:
         with Image.open(path) as image:
-            if image.width * image.height > MOST_PIXELS:
+            if image.width * image.height > MAX_PIXELS:
                 raise HabitusError(
                     f"{image.width} x {image.height} pixels; expected a camera's image"
                 )

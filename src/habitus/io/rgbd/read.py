@@ -20,7 +20,7 @@ from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView, RgbdCapture
 from habitus.types import PathLike
 
-MOST_VIEWS = 12
+MAX_VIEWS = 12
 LIKELY = (0.3, 9.0)
 """Metres that the middle of a depth image lies away."""
 MILLIMETRE = 0.001
@@ -85,7 +85,7 @@ def _chosen(
 ) -> list[ViewFiles]:
     if wanted is None:
         picked = np.unique(
-            np.linspace(0, len(found) - 1, min(len(found), MOST_VIEWS)).round().astype(int)
+            np.linspace(0, len(found) - 1, min(len(found), MAX_VIEWS)).round().astype(int)
         )
         return [found[k] for k in picked]
     for k in wanted:

@@ -11,7 +11,7 @@ import numpy as np
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.captures.points import RawPoints
-from habitus.io.limits import MOST_TEXT
+from habitus.io.limits import MAX_TEXT_BYTES
 from habitus.io.streams.source import Frame, heading, host_and_port
 from habitus.io.structured_text import read_xml
 from habitus.rotations import signed_axis
@@ -162,7 +162,7 @@ class Qtm:
 def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints:
     """What QTM's parameters say of its markers. Raises HabitusError."""
     try:
-        root = read_xml(parameters.decode("utf-8", "replace"), MOST_TEXT)
+        root = read_xml(parameters.decode("utf-8", "replace"), MAX_TEXT_BYTES)
     except HabitusError as error:
         raise HabitusError(f"{name}: its parameters are not XML ({error})") from None
     labels = tuple(
