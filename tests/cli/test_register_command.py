@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.cli.main import main
+from habitus.files import locked
 from habitus.fit.points.scan import cleaned
 from habitus.io.scans import read_scan
 
@@ -32,6 +33,15 @@ def test_bad_input_gives_one_line_and_code_2(tmp_path, capsys, monkeypatch, give
     error = capsys.readouterr().err
     assert found.value.code == 2 and said in error and error.count("\n") == 1
     assert not Path("out").exists()
+
+
+def test_a_folder_in_which_another_run_works_is_refused(tmp_path, capsys):
+    scan = tmp_path / "scan.xyz"
+    scan.write_text("0 0 0\n1 1 1\n0 1 0\n")
+    with locked(tmp_path / "out"), pytest.raises(SystemExit) as end:
+        main(["register", str(scan), "--out", str(tmp_path / "out")])
+    error = capsys.readouterr().err
+    assert end.value.code == 2 and "out" in error and "points" not in error
 
 
 @pytest.mark.skipif(not SCAN.exists(), reason="the scan lies beside a checkout, in ../shared")

@@ -14,6 +14,7 @@ from rgbd_scene_small import small_scene
 
 import habitus as hb
 from habitus.cli.main import main
+from habitus.files import locked
 from habitus.fit.points.settings import RgbdSettings
 from habitus.io.rgbd.write import write_views
 
@@ -170,3 +171,25 @@ def _wrong_unit(place):
 def _nobody(place):
     for image in (place / "depth").iterdir():
         shutil.copy(place / "background" / "depth.png", image)
+
+
+@pytest.mark.parametrize(("strict", "code"), [([], 0), (["--strict"], 3)])
+def test_strict_ends_with_code_3_where_the_fit_failed(results, tmp_path, monkeypatch, strict, code):
+    out, _, _, fit = results
+    evidence = replace(fit.evidence, beta_max=9.0)
+    failed = replace(fit, evidence=evidence, appearance=None)
+    monkeypatch.setattr("habitus.jobs.rgbd.fit_rgbd", lambda *_, **__: failed)
+    arguments = ["rgbd", str(out.parent / "views"), "--out", str(tmp_path / "out"), *strict]
+    if not code:
+        main(arguments)
+        return
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == code and (tmp_path / "out" / "metrics.json").exists()
+
+
+def test_a_folder_in_which_another_run_works_is_refused(results, tmp_path, capsys):
+    with locked(tmp_path / "out"), pytest.raises(SystemExit) as end:
+        main(["rgbd", str(results[0].parent / "views"), "--out", str(tmp_path / "out")])
+    assert end.value.code == 2 and "out" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "metrics.json").exists()

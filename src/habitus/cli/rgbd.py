@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.screen import Quiet, plain, say, screen
+from habitus.cli.mosh_results import FAILED_FIT
+from habitus.cli.screen import Strict, plain, say, screen
 from habitus.jobs.options import metavar
 from habitus.jobs.surface_options import RgbdOptions
 
@@ -27,7 +28,7 @@ class _Files:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rgbd(Quiet, RgbdOptions, _Files):
+class Rgbd(Strict, RgbdOptions, _Files):
     """Fit a body to the images of a depth camera: one view or several, with colour or without.
 
     habitus rgbd views --out results
@@ -45,8 +46,10 @@ ABOUT = Rgbd.__doc__
 NEEDS = ("habitus.jobs.rgbd",)
 
 
-def run(options: Rgbd, console: "Console | None" = None) -> None:
-    """Do what the options say. Raises HabitusError for bad input."""
+def run(options: Rgbd, console: "Console | None" = None) -> int:
+    """Do what the options say; 3 under ``strict`` where the fit failed by its verdict. Raises
+    HabitusError for bad input.
+    """
     from habitus.jobs.rgbd import rgbd
 
     console = console or screen(options.quiet)
@@ -69,6 +72,7 @@ def run(options: Rgbd, console: "Console | None" = None) -> None:
     if measured:
         say(console, ", ".join(measured))
     say(console, f"wrote {plain(options.out)}: open report.html")
+    return FAILED_FIT if options.strict and fit.verdict.level == "failed" else 0
 
 
 def left(options: Rgbd) -> str:

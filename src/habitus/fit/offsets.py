@@ -10,6 +10,7 @@ thousand points on a thigh count as a thousand independent measurements, and the
 the skin after them.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +90,9 @@ def motion_along(
     """How U vertices move along their normals with betas, trans and pose."""
     count = len(normals)
     by_betas, by_pose = (
-        np.einsum("vc,vcn->vn", normals, each.reshape(count, 3, -1), optimize=True)
+        np.einsum(
+            "vc,vcn->vn", normals, each.reshape(count, 3, math.prod(each.shape[2:])), optimize=True
+        )
         for each in (jacobian.vertices_betas, jacobian.vertices_pose)
     )
     return np.concatenate([by_betas, normals, by_pose], 1)

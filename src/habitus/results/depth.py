@@ -59,7 +59,7 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
             "median": float(np.median([view.median_mm for view in fit.evidence.views])),
             "p95": float(np.max([view.p95_mm for view in fit.evidence.views])),
         },
-        "segmentation": fit.evidence.way,
+        "segmentation": fit.evidence.segmentation,
         "appearance": _appearance(fit),
         "status": fit.status,
         "costs": dict(fit.costs),

@@ -55,7 +55,7 @@ def test_a_mask_is_taken_as_it_is():
     half[:, : half.shape[1] // 2] = False
     found = segment(replace(view, mask=half))
     assert (
-        found.way == "mask"
+        found.segmentation == "mask"
         and not (found.mask & ~half).any()
         and found.mask.sum() > 0.9 * half.sum()
     )

@@ -36,10 +36,10 @@ def test_a_view_that_does_not_fit_is_named(changes, level, key):
 
 
 @pytest.mark.parametrize(
-    ("way", "level"), [("background", "good"), ("mask", "good"), ("planes", "doubtful")]
+    ("segmentation", "level"), [("background", "good"), ("mask", "good"), ("planes", "doubtful")]
 )
-def test_who_did_not_tell_the_room_gets_no_good_verdict(way, level):
-    assert judge(replace(SOUND, way=way)).level == level
+def test_who_did_not_tell_the_room_gets_no_good_verdict(segmentation, level):
+    assert judge(replace(SOUND, segmentation=segmentation)).level == level
 
 
 def test_a_body_lower_than_the_person_and_a_rare_shape_are_doubted():

@@ -36,7 +36,8 @@ class ViewsFit:
     """Result of all stages: the chosen body and its name; the state, the skin offset (V,; m) and
     the observed surfaces, which include skin offset, clothes and hair; the prepared views; light
     and albedo (None without colours); the cost before each step and by term; the cost of each
-    other body after the coarse stages; the misfit of each view at the start; seconds by stage.
+    other body after the coarse stages; the misfit of each view at the start; seconds by stage;
+    ``notes`` name the views that were left out, and why.
     """
 
     body: BodyModel
@@ -52,6 +53,7 @@ class ViewsFit:
     start_misfit: tuple[float, ...]
     seconds: Mapping[str, float]
     status: str
+    notes: tuple[str, ...] = ()
 
 
 def fit_state(
@@ -67,8 +69,9 @@ def fit_state(
     women's, the one is fitted that explains depth much better than its rivals; the first where none
     does. turns: degrees by which the person is turned in each view, to the person's left; unknown
     ones are None. start: a pose for each view to begin with in place of trying some, turned by up
-    to 30 degrees otherwise; place is told by the mask, wherever it starts. Raises HabitusError
-    where nobody is found in a view, and for another number of turns or poses than views.
+    to 30 degrees otherwise; the translation comes from the person's pixels. Views without a person
+    are left out and named in ``notes``. Raises HabitusError where no view shows a person, and for
+    another number of turns or poses than views.
     """
     given = tuple(turns) if turns is not None else (None,) * len(capture.views)
     if len(given) != len(capture.views):
@@ -90,7 +93,9 @@ def _fitted(
     given: Float[np.ndarray, "K J 3"] | None,
 ) -> ViewsFit:
     clock = [time.perf_counter()]
-    sights = [PreparedView.of(view, segment(view)) for view in capture.views]
+    sights, kept, notes = _prepared(capture)
+    turns = tuple(turns[k] for k in kept)
+    given = None if given is None else np.asarray(given)[kept]
     clock.append(time.perf_counter())
     first = next(iter(bodies))
     energy = DepthEnergy.of(bodies[first], sights, settings)
@@ -128,7 +133,28 @@ def _fitted(
         start_misfit=tuple(misfits),
         seconds=seconds,
         status=ended.status,
+        notes=notes,
     )
+
+
+def _prepared(capture: RgbdCapture) -> tuple[list[PreparedView], list[int], tuple[str, ...]]:
+    """The views that show a person, their numbers in the capture, and a note on each other view.
+
+    Raises HabitusError where no view shows a person.
+    """
+    found: list[PreparedView] = []
+    kept: list[int] = []
+    errors: list[HabitusError] = []
+    for k, view in enumerate(capture.views):
+        try:
+            found.append(PreparedView.of(view, segment(view)))
+            kept.append(k)
+        except HabitusError as error:
+            errors.append(error)
+    if not found:
+        more = f" ({len(errors)} views are alike)" if len(errors) > 1 else ""
+        raise HabitusError(f"{errors[0]}{more}")
+    return found, kept, tuple(f"a view was left out: {error}" for error in errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +251,7 @@ def fit_views(
         costs=found.terms,
         stage_seconds={**found.seconds, "judge": time.perf_counter() - began},
         settings=asdict(settings),
-        warnings=(*capture.notes, *told, *_lost(found.sights, found.appearance)),
+        warnings=(*capture.notes, *found.notes, *told, *_lost(found.sights, found.appearance)),
         gender=gender,
         skin=found.skin,
         status=found.status,
@@ -250,8 +276,12 @@ def _lost(sights: tuple[PreparedView, ...], appearance: Appearance | None) -> tu
     notes = []
     if len(sights) == 1:
         notes.append("one view: girths rest on the shape space more than with two")
-    if all(sight.view.background is None for sight in sights):
-        notes.append("no shot of the empty room: the person was parted from it by planes")
+    by_planes = [s.view.name or "the view" for s in sights if s.segmentation == "planes"]
+    if by_planes:
+        notes.append(
+            f"{', '.join(by_planes)}: no background image and no mask; the person was segmented "
+            "by distance from floor and walls"
+        )
     if not any(sight.on_floor for sight in sights):
         notes.append("no floor was found: height rests on what is seen, and up is the camera's")
     if appearance is None:

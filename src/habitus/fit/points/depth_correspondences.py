@@ -83,7 +83,7 @@ def match(
     distance = (
         np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
     )
-    weight = settings.depth * stage.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
+    weight = settings.depth * grid.stride**2 / spread**2 * geman_mcclure_weight(distance, reach)
     slide = settings.slide if stage.matching == "nearest" else 0.0
     depth_term = PointObservations.to_planes(
         drawn.face[rows], drawn.barycentric[rows], target, normal, weight, slide

@@ -24,7 +24,7 @@ from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance
 from habitus.fit.points.depth_correspondences import look, wrong_rows
-from habitus.fit.points.prepared_views import PreparedView
+from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
 from habitus.fit.verdict import (
     DOUBTFUL,
     GOOD,
@@ -85,7 +85,7 @@ class Evidence:
     measurements: Mapping[str, float]
     has_background: bool
     has_colour: bool
-    way: str
+    segmentation: str
     height_seen: float | None
     limb_apart: tuple[float, str] | None = None
     age: float | None = None
@@ -124,7 +124,9 @@ def gather(
         views=views,
         has_background=any(sight.view.background is not None for sight in sights),
         has_colour=any(sight.colour_camera is not None for sight in sights),
-        way=sights[0].way,
+        segmentation=next(
+            each for each in SEGMENTATIONS if any(s.segmentation == each for s in sights)
+        ),
         height_seen=height,
         limb_apart=_limb_apart(body, state),
         **body_evidence(body, state.betas, skin),
@@ -212,10 +214,6 @@ def _of_view(
 
 def _facing(root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     return np.asarray(matrix_from_rotvec(root))[:, 2]
-
-
-KNOWN_WAYS = ("background", "mask")
-"""How the person was segmented where the capture says it."""
 
 
 @dataclass(frozen=True)
@@ -341,7 +339,7 @@ def _segmentation(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
     """Without a background frame or mask a lost limb hides in what was not cut out: in three of
     twelve simulated people, and no other check finds it.
     """
-    if e.way not in KNOWN_WAYS:
+    if e.segmentation == "planes":
         yield Reason(DOUBTFUL, "segmentation")
 
 

@@ -29,16 +29,30 @@ REACH = 1.4
 """Metres from the middle of a person to the end of a limb."""
 
 
+SEGMENTATIONS = ("planes", "mask", "background")
+"""By what a person is told from the room, the least certain first."""
+FOUND_BY = {
+    "planes": "their distance from floor and walls",
+    "mask": "the mask",
+    "background": "the background image",
+}
+CHECK = {
+    "planes": "somebody is in view, or give a background image or a mask",
+    "mask": "the mask is of this view and depth was measured inside it",
+    "background": "the camera did not move after the background was taken and somebody is in view",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """Where the person is (H, W), the floor if it was found, and sd of depth over its square if the
-    views tell.
+    views tell; segmentation: by what the person was found, one of `SEGMENTATIONS`.
     """
 
     mask: Bool[np.ndarray, "H W"]
     floor: Floor | None
     noise: float | None
-    way: str
+    segmentation: str
 
 
 def segment(view: DepthView) -> Segment:
@@ -54,23 +68,22 @@ def segment(view: DepthView) -> Segment:
         floor = find_floor(empty.points(), empty.depth > 0)
         noise = _noise(view.depth, empty.depth)
         found = _nearer(view.depth, empty.depth, noise)
-        way = "background"
+        segmentation = "background"
     else:
         floor = find_floor(points, view.depth > 0)
         found = _standing_out(view.depth, points, floor)
-        way = "planes"
+        segmentation = "planes"
     if view.mask is not None:
         found = view.mask & (view.depth > 0)
-        way = "mask"
+        segmentation = "mask"
     mask = _one_person(_without_flying(found, view.depth), points)
     if mask.sum() < LEAST_PIXELS:
         raise HabitusError(
-            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found (by "
-            f"{way}); expected "
-            f"{LEAST_PIXELS} at least: is the background of the same camera place, is somebody in "
-            "the view?"
+            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found by "
+            f"{FOUND_BY[segmentation]}; expected {LEAST_PIXELS} or more: check that "
+            f"{CHECK[segmentation]}"
         )
-    return Segment(mask, floor, noise, way)
+    return Segment(mask, floor, noise, segmentation)
 
 
 def _noise(depth: np.ndarray, empty: np.ndarray) -> float | None:
@@ -181,6 +194,8 @@ def seen_through(view: DepthView, mask: Bool[np.ndarray, "H W"]) -> Float[np.nda
     return np.where(crowded & (view.depth > 0), view.depth, 0.0)
 
 
+MIN_GRID_PIXELS = 24
+"""Pixels of the person in a grid: with fewer its middle and its nearest points are undefined."""
 MARGIN = 60
 """Pixels around the person that are looked at too: where the model may wrongly be."""
 
@@ -213,8 +228,8 @@ class PreparedView:
     """A view in its world (y up; the floor, where one was found, at 0): cameras, points (H, W, 3),
     and who is where.
 
-    The world is ``turn`` times the sensor's frame, and ``shift``. way: how the person was parted
-    from the room.
+    The world is ``turn`` times the sensor's frame, and ``shift``. segmentation: one of
+    `SEGMENTATIONS`.
     """
 
     view: DepthView
@@ -227,7 +242,7 @@ class PreparedView:
     noise: float | None
     turn: Float[np.ndarray, "3 3"]
     shift: Float[np.ndarray, " 3"]
-    way: str
+    segmentation: str
 
     @staticmethod
     def of(view: DepthView, found: Segment) -> "PreparedView":
@@ -253,7 +268,7 @@ class PreparedView:
             found.noise,
             turn,
             shift,
-            found.way,
+            found.segmentation,
         )
 
     @property
@@ -268,8 +283,13 @@ class PreparedView:
         return bool(rows[0] < 3 or rows[-1] > len(self.mask) - 4)
 
     def grid(self, stride: int) -> Grid:
-        """Every stride-th pixel around the person."""
+        """Every stride-th pixel around the person; a smaller stride where that would leave fewer
+        than `MIN_GRID_PIXELS` of them.
+        """
         part, camera = around(self.mask, self.camera, stride)
+        while stride > 1 and self.mask[part].sum() < MIN_GRID_PIXELS:
+            stride -= 1
+            part, camera = around(self.mask, self.camera, stride)
         return Grid(camera, stride, self.points[part], self.mask[part], self.behind[part], self.eye)
 
 
