@@ -13,7 +13,7 @@ from habitus.body.shipped_prior import shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout
-from habitus.io.streams.source import Frame, heading
+from habitus.io.streams.source import Frame, Skipped, heading
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 RATE = 30.0
@@ -29,7 +29,7 @@ class Given:
 
     name = "given"
     patient = True
-    bad = 0
+    skipped = Skipped()
 
     def __init__(self, points, headings=None, numbers=None):
         numbers = range(len(points)) if numbers is None else numbers
@@ -147,7 +147,7 @@ def test_frames_that_are_lost_are_counted_and_keep_their_time(fit, points, body)
         points[kept], body, None, 7 + 2 * kept, known=fit
     )  # every second number is another camera's
     assert "12 frames were lost at" in said and any(
-        "13 lost on the way" in w for w in found.warnings
+        "13 frames lost on the way" in w for w in found.warnings
     )
     assert found.num_frames == FRAMES and found.rate_hz == RATE / 2
     np.testing.assert_allclose(found.trans[75:], fit.trans[75:], atol=0.02)

@@ -133,13 +133,13 @@ def _session(
         pass  # the usual end
     finally:
         follower.close()
-    trouble = stream.counts.line
+    trouble = stream.trouble
     say(
         f"followed {follower.count} frames, {follower.seconds:.1f} "
         f"s{'; ' if trouble else ''}{trouble}",
         "",
     )
-    notes = [*follower.notes, *([f"of the stream's frames, {trouble}"] if trouble else [])]
+    notes = [*follower.notes, *([f"of the stream: {trouble}"] if trouble else [])]
     if follower.record is None:
         return None
     return follower.record.fit(found.known, found.recording, start.settings, notes)
@@ -176,8 +176,8 @@ def _follow(
         elif fresh:
             follower.rehearse()
         else:
-            heard = silence(stream.source.name, heard, say)
+            heard = silence(stream.source, heard, say)
         fresh = found is not None
         if time.perf_counter() - told > STATUS_S and not stream.behind:
             told = time.perf_counter()
-            on_status(status(follower, stream.counts.line))
+            on_status(status(follower, stream.trouble))

@@ -177,7 +177,7 @@ class Follower:
 
 
 def status(follower: Follower, trouble: str) -> str:
-    """One line on how it goes; ``trouble``: what was wrong with the stream's frames."""
+    """One line on how it goes; ``trouble``: what was wrong with the stream."""
     quality = follower.quality
     verdict = follower.quality.verdict
     took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
@@ -186,7 +186,7 @@ def status(follower: Follower, trouble: str) -> str:
         f"{quality.mean_mm:.1f} mm"
     )
     said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
-    return f"{said}  frames {trouble}" if trouble else said
+    return f"{said}  {trouble}" if trouble else said
 
 
 class Record:

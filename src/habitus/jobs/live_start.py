@@ -51,24 +51,11 @@ LATE_S = 0.1
 
 @dataclass
 class Counts:
-    """How many frames of a stream came, were lost on the way or came too late, and packets that
-    could not be read.
-    """
+    """How many frames of a stream came, were lost on the way or came too late."""
 
     came: int = 0
     lost: int = 0
     late: int = 0
-    bad: int = 0
-
-    @property
-    def line(self) -> str:
-        """What went wrong, in words; empty where nothing did."""
-        said = (
-            (self.lost, "lost on the way"),
-            (self.late, "too late"),
-            (self.bad, "packets unreadable"),
-        )
-        return ", ".join(f"{count} {words}" for count, words in said if count > 0)
 
 
 class Stream:
@@ -97,7 +84,22 @@ class Stream:
     def listen(self, timeout: float, always: bool = False) -> None:
         """Take in what the source has, waiting for it where nothing else is there, or always."""
         self._waiting.extend(self.source.poll(timeout if always or not self._waiting else 0.0))
-        self.counts.bad = self.source.bad
+
+    @property
+    def trouble(self) -> str:
+        """What went wrong, in words; empty where nothing did."""
+        lost = self.counts.lost
+        late = self.counts.late
+        skipped = self.source.skipped
+        return "; ".join(
+            text
+            for text, count in (
+                (f"{lost} frames lost on the way", lost),
+                (f"{late} frames too late", late),
+                (f"skipped: {skipped}", skipped.total),
+            )
+            if count > 0
+        )
 
     def following(self, rate_hz: float | None, timeout: float) -> tuple[Frame, int] | None:
         """The next frame, and how many that should be before it are missing; None where none came
@@ -200,7 +202,7 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
     while not stream.ended and not over():
         found = stream.following(None, IDLE_S)
         if found is None:
-            heard = silence(name, heard, say)
+            heard = silence(stream.source, heard, say)
             continue
         (frame, missing), heard = found, time.perf_counter()
         if gathered and (frame.heading is not gathered[-1].heading or missing > MOST_MISSING):
@@ -221,12 +223,14 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
     return Gathered(tuple(gathered), rate)
 
 
-def silence(name: str, heard: float, say: Say) -> float:
+def silence(source: Source, heard: float, say: Say) -> float:
     """Says that nothing comes; gives when that was said or something was heard last."""
     if time.perf_counter() - heard < _SILENCE_S:
         return heard
+    skipped = f" Skipped: {source.skipped}." if source.skipped.total else ""
     say(
-        f"no frames from {name} for {_SILENCE_S:.0f} s; is it streaming, and to this machine?",
+        f"no frames from {source.name} for {_SILENCE_S:.0f} s; is it streaming, and to this "
+        f"machine?{skipped}",
         "warning:",
     )
     return time.perf_counter()

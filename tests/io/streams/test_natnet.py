@@ -198,7 +198,7 @@ def test_a_model_that_changes_is_another_heading_and_bad_packets_are_counted():
         server.send([frame(3, np.arange(12.0).reshape(4, 3), "Ann")])
         (after,) = take(source, 1)
         source.close()
-    assert before[0].heading is before[1].heading is not after.heading and source.bad == 3
+    assert before[0].heading is before[1].heading is not after.heading and source.skipped.total == 3
     assert (
         after.heading.labels == tuple(f"Ann:{x}" for x in LABELS[::-1])
         and after.heading.unit == "mm"

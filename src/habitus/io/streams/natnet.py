@@ -11,70 +11,74 @@ import numpy as np
 
 from habitus.errors import HabitusError
 from habitus.io.streams import natnet_packets as natnet
-from habitus.io.streams.source import Frame, heading, host_and_port
-
-_STAMP_NS = 35  # SO_TIMESTAMPNS, which the module socket does not name
-_ROOM = 1 << 22
-_LARGEST = 65_536
-_FORM = struct.Struct("@qq")
-
-
-def stamped(one: socket.socket) -> socket.socket:
-    """The socket with much room for what waits, its datagrams stamped with the time where that can
-    be had.
-    """
-    one.setblocking(False)
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
-    if sys.platform == "linux":
-        one.setsockopt(socket.SOL_SOCKET, _STAMP_NS, 1)
-    return one
-
-
-def received(one: socket.socket) -> tuple[bytes, float] | None:
-    """A datagram and its time of arrival on the clock of `time.perf_counter`; None where none is
-    there.
-    """
-    try:
-        if not hasattr(one, "recvmsg"):
-            return one.recv(_LARGEST), time.perf_counter()
-        packet, ancillary, _, _ = one.recvmsg(_LARGEST, 64)
-    except OSError:  # nothing is there, or the word of a port where nobody listens
-        return None
-    return packet, _arrived(ancillary)
-
-
-def _arrived(ancillary: list[tuple[int, int, bytes]]) -> float:
-    now = time.perf_counter()
-    for level, kind, data in ancillary:
-        if level == socket.SOL_SOCKET and kind == _STAMP_NS and len(data) == _FORM.size:
-            seconds, nanoseconds = _FORM.unpack(data)
-            return now - max(0.0, time.time() - seconds - 1e-9 * nanoseconds)
-    return now
-
+from habitus.io.streams.source import Frame, Skipped, heading, host_and_port
 
 PORT = 1510
 PATIENCE_S = 3.0
-_TRY_S = 0.3
+"""Until a server must have answered."""
+_RETRY_S = 0.3
 _ANSWER_S = 0.3
 _ALIVE_S = 1.0
 _UNITS = {1000: "m", 10: "cm", 1: "mm"}
-_MOST = 1000
-"""Packets that are taken at once."""
+_MAX_AT_ONCE = 1000
+"""Packets that are read from a socket in one go."""
+_BUFFER_BYTES = 1 << 22
+_MAX_DATAGRAM = 65_536
+_SO_TIMESTAMPNS = 35  # which the module socket does not name
+_TIMESPEC = struct.Struct("@qq")
+
+
+def stamped(udp: socket.socket) -> socket.socket:
+    """The socket with a large buffer, its datagrams stamped with the time where that can be had."""
+    udp.setblocking(False)
+    udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    if sys.platform == "linux":
+        udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+    return udp
+
+
+def received(udp: socket.socket) -> tuple[bytes, float, str] | None:
+    """A datagram, its time of arrival on the clock of `time.perf_counter`, and the sender's host;
+    None where none is there.
+    """
+    try:
+        if not hasattr(udp, "recvmsg"):
+            packet, sender = udp.recvfrom(_MAX_DATAGRAM)
+            return packet, time.perf_counter(), sender[0]
+        packet, ancillary, _, sender = udp.recvmsg(_MAX_DATAGRAM, 64)
+    except OSError:  # nothing is there, or the word of a port where nobody listens
+        return None
+    return packet, _arrival(ancillary), sender[0]
+
+
+def _arrival(ancillary: list[tuple[int, int, bytes]]) -> float:
+    now = time.perf_counter()
+    for level, kind, data in ancillary:
+        is_stamp = level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS
+        if is_stamp and len(data) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            return now - max(0.0, time.time() - seconds - 1e-9 * nanoseconds)
+    return now
 
 
 class NatNet:
     """Frames of a NatNet server. rate_hz: where it is not what the server says.
 
-    Raises HabitusError where no server answers within `PATIENCE_S`, or an older one than NatNet 3.
+    Packets count where they come from the host that was asked; others, and those that cannot be
+    read, are counted in ``skipped``. UDP does not prove a sender: who can forge addresses on the
+    network can send frames. Raises HabitusError where no server answers within `PATIENCE_S`, or an
+    older one than NatNet 3.
     """
 
     patient = False
 
     def __init__(self, address: object = None, rate_hz: float | None = None):
-        self._to = host_and_port(address, PORT)
+        host, port = host_and_port(address, PORT)
         self.ended = False
-        self.bad = 0
-        self.name = f"natnet {self._to[0]}:{self._to[1]}"
+        self.skipped = Skipped()
+        self.name = f"natnet {host}:{port}"
+        self._to = (self._resolved(host), port)
+        self._trusted: dict[str, bool] = {self._to[0]: True}
         self._command = stamped(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         self._sockets = [self._command]
         try:
@@ -104,30 +108,57 @@ class NatNet:
         now = time.perf_counter()
         if self._server.group is None and now - self._alive > _ALIVE_S:
             self._alive = now
-            self._send(natnet.message(natnet.KEEP_ALIVE))
+            self._try_send(natnet.message(natnet.KEEP_ALIVE))
         frames: list[Frame] = []
         ready = select.select(self._sockets, [], [], timeout)[0] if not self.ended else []
-        for one in ready:
-            frames += self._received(one)
+        for udp in ready:
+            frames += self._received(udp)
         return frames
 
     def close(self) -> None:
         """Close the sockets."""
         self.ended = True
-        for one in self._sockets:
-            one.close()
+        for udp in self._sockets:
+            udp.close()
 
-    def _received(self, one: socket.socket) -> list[Frame]:
+    def _resolved(self, host: str) -> str:
+        """The address of a host, in numbers. Raises HabitusError."""
+        try:
+            return socket.gethostbyname(host)
+        except (OSError, UnicodeError) as error:
+            raise self._unreachable(error) from None
+
+    def _unreachable(self, error: Exception) -> HabitusError:
+        why = getattr(error, "strerror", None) or error
+        return HabitusError(f"{self.name}: cannot be reached ({why}); check the address")
+
+    def _is_server(self, host: str) -> bool:
+        """Whether a packet's sender is the server; counts the packet where it is not.
+
+        A server on this machine that is asked at 127.0.0.1 may send by another of the machine's
+        addresses: multicast goes out by the network.
+        """
+        if host not in self._trusted and len(self._trusted) < _MAX_SENDERS:
+            self._trusted[host] = self._to[0] == "127.0.0.1" and _is_this_machine(host)
+        is_server = self._trusted.get(host, False)
+        if not is_server:
+            self.skipped.add(f"packets from {host}, which is not the server")
+        return is_server
+
+    def _received(self, udp: socket.socket) -> list[Frame]:
         """What is waiting at a socket."""
         frames: list[Frame] = []
-        for _ in range(_MOST):
-            found = received(one)
+        for _ in range(_MAX_AT_ONCE):
+            found = received(udp)
             if found is None:
                 break
+            packet, arrived, sender = found
+            if not self._is_server(sender):
+                continue
             try:
-                frames += self._read(*found)
-            except natnet.BadPacket:
-                self.bad += 1
+                frames += self._read(packet, arrived)
+            except natnet.BadPacket as error:
+                self.skipped.add(str(error))
         return frames
 
     def _read(self, packet: bytes, at: float) -> list[Frame]:
@@ -149,7 +180,7 @@ class NatNet:
             self._asked_at = now
             self._stale = False
             self._waiting = True
-            self._send(natnet.message(natnet.REQUEST_MODEL))
+            self._try_send(natnet.message(natnet.REQUEST_MODEL))
         return self._waiting and now - self._asked_at <= _ANSWER_S
 
     def _describe(self, rate_hz: float | None) -> None:
@@ -159,9 +190,9 @@ class NatNet:
         self._stale = False
         self._waiting = False
         rate, unit, up = (self._property(name, form) for name, form in _PROPERTIES)
-        self._rate = rate_hz or (rate if rate and rate > 0 else None)
+        self._rate = rate_hz or rate
         self._model = natnet.Model((), {}, {})
-        self._unit = _UNITS.get(round(unit or 1000), "m")
+        self._unit = _UNITS.get(round(unit), "m") if unit and np.isfinite(unit) else "m"
         self._up = None if up is None or up not in (0, 1, 2) else f"+{'xyz'[int(up)]}"
         self._take_model(self._asked(natnet.message(natnet.REQUEST_MODEL), natnet.MODEL))
         if not self._model.labels:
@@ -194,34 +225,57 @@ class NatNet:
         until = time.perf_counter() + patience
         while (left := until - time.perf_counter()) > 0:
             self._send(question)
-            again = time.perf_counter() + min(_TRY_S, left)
+            again = time.perf_counter() + min(_RETRY_S, left)
             while (wait := again - time.perf_counter()) > 0:
                 if not select.select([self._command], [], [], wait)[0]:
                     break
-                packet, _ = received(self._command) or (b"", 0.0)
-                with suppress(natnet.BadPacket):
+                packet, _, sender = received(self._command) or (b"", 0.0, "")
+                if not sender or not self._is_server(sender):
+                    continue
+                try:
                     found = natnet.kind_of(packet)
-                    if found == kind:
-                        return packet
-                    if found == natnet.UNRECOGNISED:
-                        until = 0.0
+                except natnet.BadPacket as error:
+                    self.skipped.add(str(error))
+                    continue
+                if found == kind:
+                    return packet
+                if found == natnet.UNRECOGNISED:
+                    until = 0.0
+        others = f"; received {self.skipped}" if self.skipped.total else ""
         raise HabitusError(
             f"{self.name}: no answer within {patience:g} s; is Motive running there, does it "
-            "stream, "
-            "and does no firewall block it?"
+            f"stream, and does no firewall block it?{others}"
         )
 
     def _send(self, packet: bytes) -> None:
         try:
             self._command.sendto(packet, self._to)
         except OSError as error:
-            why = error.strerror or error
-            raise HabitusError(
-                f"{self.name}: cannot be reached ({why}); check the address"
-            ) from None
+            raise self._unreachable(error) from None
+
+    def _try_send(self, packet: bytes) -> None:
+        """Send while frames come: a network that is gone for a moment does not end the stream."""
+        with suppress(OSError):
+            self._command.sendto(packet, self._to)
 
 
 _PROPERTIES = (("FrameRate", "<f"), ("UnitsToMillimeters", "<f"), ("UpAxis", "<i"))
+
+
+_MAX_SENDERS = 1000
+"""Senders that are remembered; further ones are strangers."""
+
+
+def _is_this_machine(host: str) -> bool:
+    """Whether an address outside the loopback network is one of this machine's own."""
+    if host.startswith("127."):
+        return False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError:
+            return False
+    return True
 
 
 def _joined(group: str, port: int, server: tuple[str, int]) -> socket.socket:

@@ -37,7 +37,10 @@ _BONE = 4 + 28 + 4 + 2
 
 
 class BadPacket(Exception):
-    """A packet that is cut off, or no NatNet."""
+    """A packet that is truncated, or no NatNet; the message is a noun phrase in the plural."""
+
+
+_TRUNCATED = "truncated packets"
 
 
 class Server(NamedTuple):
@@ -81,7 +84,7 @@ class _Reader:
 
     def skip(self, size: int) -> None:
         if size < 0 or self.at + size > len(self.data):
-            raise BadPacket("cut off")
+            raise BadPacket(_TRUNCATED)
         self.at += size
 
     def take(self, form: str) -> tuple:
@@ -94,13 +97,13 @@ class _Reader:
         """A number of things of at least so many bytes each."""
         (count,) = self.take("i")
         if count < 0 or self.at + count * size > len(self.data):
-            raise BadPacket("cut off")
+            raise BadPacket(_TRUNCATED)
         return count
 
     def text(self) -> str:
         end = self.data.find(b"\0", self.at)
         if end < 0:
-            raise BadPacket("cut off")
+            raise BadPacket(_TRUNCATED)
         found = self.data[self.at : end].decode("utf-8", "replace")
         self.at = end + 1
         return found
@@ -126,10 +129,10 @@ def connect_message(name: bytes = b"habitus") -> bytes:
 def kind_of(packet: bytes) -> int:
     """The packet's kind. Raises BadPacket where its length is another than it says."""
     if len(packet) < 4:
-        raise BadPacket("cut off")
+        raise BadPacket(_TRUNCATED)
     kind, size = struct.unpack_from("<HH", packet)
     if len(packet) - 4 < size:
-        raise BadPacket(f"{len(packet) - 4} bytes of {size}")
+        raise BadPacket(_TRUNCATED)
     return kind
 
 
@@ -151,23 +154,41 @@ def read_model(packet: bytes, version: tuple[int, int]) -> Model:
     reader = _Reader(packet)
     sets = dict[str, list[str]]()
     ids = dict[int, str]()
-    for _ in range(reader.count(4)):
+    sized = version >= (4, 1)
+    for _ in range(reader.count(8 if sized else 4)):
         (kind,) = reader.take("i")
-        end = None
-        if version >= (4, 1):
-            (size,) = reader.take("i")
-            end = reader.at + size
-        if kind == 0:
-            name = reader.text()
-            sets[name] = [reader.text() for _ in range(reader.count())]
-        elif kind in _DESCRIPTIONS:
-            named = _DESCRIPTIONS[kind](reader, version)
-            ids |= {} if named is None else {named[0]: named[1]}
-        elif end is None:
-            break  # of unknown length: what follows cannot be found
-        if end is not None:
-            reader.at = end
+        if not sized:
+            if kind != _MARKER_SET and kind not in _DESCRIPTIONS:
+                break  # of unknown length: what follows cannot be found
+            _describe(reader, kind, version, sets, ids)
+            continue
+        size = reader.count()
+        part = _Reader(reader.data[: reader.at + size], reader.at)
+        try:
+            _describe(part, kind, version, sets, ids)
+        except BadPacket:
+            if kind == _MARKER_SET:
+                raise
+            # another description than is known here: its size says where the next one begins
+        reader.skip(size)
     return _model(sets, ids)
+
+
+def _describe(
+    reader: _Reader,
+    kind: int,
+    version: tuple[int, int],
+    sets: dict[str, list[str]],
+    ids: dict[int, str],
+) -> None:
+    """Read one description into ``sets`` or ``ids``. Raises BadPacket."""
+    if kind == _MARKER_SET:
+        name = reader.text()
+        sets[name] = [reader.text() for _ in range(reader.count())]
+    elif kind in _DESCRIPTIONS:
+        named = _DESCRIPTIONS[kind](reader, version)
+        if named is not None:
+            ids[named[0]] = named[1]
 
 
 def _model(sets: Mapping[str, list[str]], ids: Mapping[int, str]) -> Model:
@@ -235,6 +256,7 @@ def _camera(reader: _Reader, version: tuple[int, int]) -> None:
     reader.skip(28)
 
 
+_MARKER_SET = 0
 _DESCRIPTIONS = {1: _bone, 2: _skeleton, 3: _plate, 4: _device, 5: _camera, 6: _asset}
 
 
@@ -261,6 +283,7 @@ def read_frame(packet: bytes, version: tuple[int, int], model: Model) -> MarkerF
             for _ in range(reader.count(4)):
                 reader.skip(4 * reader.count(4))
     reader.skip(4 + 4 + 8 + 3 * 8 + (8 if sized else 0))
+    points[~np.isfinite(points).all(axis=1)] = np.nan
     return MarkerFrame(number, points, bool(reader.take("H")[0] & _MODELS_CHANGED))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from habitus.errors import HabitusError
 from habitus.io.captures.read import read_raw
 from habitus.io.captures.trajectories import hide_placeholders
-from habitus.io.streams.source import Frame, Source
+from habitus.io.streams.source import Frame, Skipped, Source
 from habitus.types import PathLike
 
 
@@ -23,7 +23,7 @@ class Replay:
         raw, rate = read_raw(path)
         self.name = path.name
         self.ended = False
-        self.bad = 0
+        self.skipped = Skipped()
         self.patient = rate_hz == 0
         self._points = hide_placeholders(raw.points)
         self._heading = replace(raw, points=raw.points[:0], rate_hz=rate)

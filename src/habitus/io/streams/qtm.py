@@ -2,8 +2,10 @@
 
 import asyncio
 import queue
+import struct
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -11,14 +13,19 @@ import numpy as np
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.captures.points import RawPoints
-from habitus.io.limits import MAX_TEXT_BYTES
-from habitus.io.streams.source import Frame, heading, host_and_port
+from habitus.io.limits import MAX_NAMES, MAX_TEXT_BYTES
+from habitus.io.streams.source import Frame, Skipped, heading, host_and_port
 from habitus.io.structured_text import read_xml
 from habitus.rotations import signed_axis
 
 PORT = 22223
 PATIENCE_S = 5.0
 _VERSION = "1.20"
+_HEADER = struct.Struct("<II")
+_MAX_PACKET = 1 << 24
+"""Bytes of a packet: a thousand times what a frame of markers takes."""
+_COMPONENT_BYTES = 8
+_FRAME_BYTES = 16
 _SETTINGS_CHANGED = "EventCameraSettingsChanged"
 _ENDS = "EventQTMShuttingDown"
 
@@ -26,8 +33,9 @@ _ENDS = "EventQTMShuttingDown"
 class Qtm:
     """Frames of a Qualisys Track Manager. rate_hz: where it is not what the program says.
 
-    Raises HabitusError where qtm-rt is not installed, nobody answers within `PATIENCE_S`, or no
-    labelled markers are told.
+    It is one TCP connection: nobody but the program that was asked can send. Packets that cannot be
+    read are counted in ``skipped``. Raises HabitusError where qtm-rt is not installed, nobody
+    answers within `PATIENCE_S`, or no labelled markers are described.
     """
 
     patient = False
@@ -37,7 +45,7 @@ class Qtm:
         self._host, self._port = host_and_port(address, PORT)
         self.name = f"qtm {self._host}:{self._port}"
         self.ended = False
-        self.bad = 0
+        self.skipped = Skipped()
         self._rate = rate_hz
         self._frames = queue.SimpleQueue[Frame]()
         self._heading: RawPoints | None = None
@@ -94,20 +102,19 @@ class Qtm:
             raise HabitusError(f"{self.name}: {error}; check QTM's real-time output") from None
 
     async def _begin(self) -> None:
-        connect = self._qtm.connect(
-            self._host,
-            self._port,
-            _VERSION,
-            on_event=self._on_event,
-            on_disconnect=self._on_end,
-            timeout=PATIENCE_S,
+        protocol = _checked_protocol(self._skip)(
+            loop=self._loop, on_event=self._on_event, on_disconnect=self._on_end
         )
-        self._connection = await asyncio.wait_for(connect, PATIENCE_S)
-        if self._connection is None:
+        connect = self._loop.create_connection(lambda: protocol, self._host, self._port)
+        try:
+            await asyncio.wait_for(connect, PATIENCE_S)
+        except OSError:
             raise HabitusError(
                 f"{self.name}: no answer; is QTM running there, its real-time output on, and "
                 "no firewall between?"
-            )
+            ) from None
+        self._connection = self._qtm.QRTConnection(protocol, timeout=PATIENCE_S)
+        await asyncio.wait_for(protocol.set_version(_VERSION), PATIENCE_S)
         await self._describe()
         if self._heading is None or not self._heading.labels:
             raise HabitusError(
@@ -119,7 +126,7 @@ class Qtm:
     async def _describe(self) -> None:
         """Ask for labels, rate and up axis; what they change is another heading."""
         assert self._connection is not None
-        found = _described(
+        found = _parameters(
             await self._connection.get_parameters(["general", "3d"]), self._rate, self.name
         )
         if self._heading is None or (found.labels, found.rate_hz) != (
@@ -135,9 +142,10 @@ class Qtm:
         try:
             _, markers = packet.get_3d_markers()
             points = np.array(markers, dtype=np.float64).reshape(-1, 3)
-        except Exception:  # a packet of another kind, or cut off
-            self.bad += 1
+        except (TypeError, ValueError, struct.error):  # without markers, or truncated
+            self._skip("packets without readable markers")
             return
+        points[~np.isfinite(points).all(axis=1)] = np.nan
         if head is None or len(points) != len(head.labels):
             self._describe_again()
             return
@@ -153,13 +161,93 @@ class Qtm:
         """Labels are another's: frames are left out until they are known."""
         if self._asking is None or self._asking.done():
             self._asking = self._loop.create_task(self._describe())
-            self._asking.add_done_callback(lambda done: done.cancelled() or done.exception())
+            self._asking.add_done_callback(self._described)
+
+    def _described(self, done: "asyncio.Task[None]") -> None:
+        if not done.cancelled() and done.exception() is not None:
+            self._skip("unreadable descriptions of the markers")
+
+    def _skip(self, reason: str) -> None:
+        self.skipped.add(reason)
 
     def _on_end(self, error: object) -> None:
         self.ended = True
 
 
-def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints:
+def _checked_protocol(skip: Callable[[str], None]) -> Any:
+    """qtm-rt's protocol, given sound packets only; others are handed to ``skip``, with a reason.
+
+    The package trusts sizes and numbers: a packet of an unknown type closes its connection, and one
+    of no size is read for ever.
+    """
+    from qtm_rt.packet import QRTComponentType, QRTEvent, QRTPacketType
+    from qtm_rt.protocol import QTMProtocol
+
+    handled = {kind.value for kind in QRTPacketType} - {
+        QRTPacketType.PacketC3DFile.value,
+        QRTPacketType.PacketDiscover.value,
+        QRTPacketType.PacketQTMFile.value,
+        QRTPacketType.PacketNone.value,
+    }
+    events = {event.value for event in QRTEvent}
+    components = {kind.value for kind in QRTComponentType}
+
+    def is_frame(payload: bytes) -> bool:
+        """Whether components of known types fill a frame without overlap."""
+        if len(payload) < _FRAME_BYTES:
+            return False
+        _, _, count = struct.unpack_from("<qII", payload)
+        at = _FRAME_BYTES
+        for _ in range(count):
+            if at + _COMPONENT_BYTES > len(payload):
+                return False
+            size, kind = _HEADER.unpack_from(payload, at)
+            if kind not in components or size < _COMPONENT_BYTES or at + size > len(payload):
+                return False
+            at += size
+        return True
+
+    def fault(kind: int, payload: bytes) -> str | None:
+        if kind not in handled:
+            return "packets of an unknown type"
+        if kind == QRTPacketType.PacketEvent.value:
+            known = len(payload) == 1 and payload[0] in events
+            return None if known else "unknown events"
+        if kind == QRTPacketType.PacketData.value and not is_frame(payload):
+            return "truncated packets"
+        return None
+
+    class Checked(QTMProtocol):
+        """The package's protocol behind the checks."""
+
+        def __init__(self, **options: Any):
+            super().__init__(**options)
+            self._arrived = b""
+
+        def data_received(self, data: bytes) -> None:
+            """Hand on whole and sound packets."""
+            self._arrived += data
+            while len(self._arrived) >= _HEADER.size:
+                size, kind = _HEADER.unpack_from(self._arrived)
+                if not _HEADER.size <= size <= _MAX_PACKET:
+                    # where the next packet begins cannot be known: usually with what comes next
+                    skip("packets of an impossible size")
+                    self._arrived = b""
+                    return
+                if len(self._arrived) < size:
+                    return
+                packet = self._arrived[:size]
+                self._arrived = self._arrived[size:]
+                reason = fault(kind, packet[_HEADER.size :])
+                if reason is None:
+                    super().data_received(packet)
+                else:
+                    skip(reason)
+
+    return Checked
+
+
+def _parameters(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints:
     """What QTM's parameters say of its markers. Raises HabitusError."""
     try:
         root = read_xml(parameters.decode("utf-8", "replace"), MAX_TEXT_BYTES)
@@ -168,6 +256,8 @@ def _described(parameters: bytes, rate_hz: float | None, name: str) -> RawPoints
     labels = tuple(
         (label.findtext("Name") or "").strip() for label in root.iterfind(".//The_3D/Label")
     )
+    if len(labels) > MAX_NAMES:
+        raise HabitusError(f"{name}: {len(labels)} labels; expected at most {MAX_NAMES}")
     claim = signed_axis(root.findtext(".//The_3D/AxisUpwards"))
     return heading(
         "qtm", labels, rate_hz or _number(root, ".//General/Frequency"), "mm", claim, "+z"

@@ -1,5 +1,6 @@
 """What every stream of markers offers, and the addresses it comes from."""
 
+from collections import Counter
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -7,6 +8,11 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError, shown
 from habitus.io.captures.points import RawPoints
+from habitus.io.captures.read import FASTEST_HZ, SLOWEST_HZ
+from habitus.io.names import plain_name
+
+MAX_REASONS = 8
+"""Reasons for skipped packets that are named; the text of a report stays short whatever arrives."""
 
 
 def host_and_port(address: object, port: int) -> tuple[str, int]:
@@ -37,17 +43,39 @@ class Frame(NamedTuple):
     heading: RawPoints
 
 
+class Skipped:
+    """Packets that were received and not used, counted by reason."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    def add(self, reason: str) -> None:
+        """Count a packet; ``reason`` is a noun phrase in the plural, as in "truncated packets"."""
+        if reason not in self._counts and len(self._counts) >= MAX_REASONS:
+            reason = "other packets"
+        self._counts[reason] += 1
+
+    @property
+    def total(self) -> int:
+        """Number of packets."""
+        return self._counts.total()
+
+    def __str__(self) -> str:
+        """The counts with their reasons; empty where nothing was skipped."""
+        return ", ".join(f"{count} {reason}" for reason, count in self._counts.items())
+
+
 class Source(Protocol):
     """Where frames come from.
 
     name: for messages. ended: no further frame will come. patient: it waits for whoever reads, so
-    that no frame is ever late. bad: packets that could not be read.
+    that no frame is ever late. skipped: packets that were received and not used.
     """
 
     name: str
     ended: bool
     patient: bool
-    bad: int
+    skipped: Skipped
 
     def poll(self, timeout: float) -> list[Frame]:
         """The frames that are there, waiting for the first of them for at most so many seconds.
@@ -69,12 +97,15 @@ def heading(
     up_claim: str | None,
     up_usual: str,
 ) -> RawPoints:
-    """What a stream says of its points; ``kind`` names the protocol."""
+    """What a stream says of its points; ``kind`` names the protocol. A rate that no system has
+    counts as unknown.
+    """
+    is_plausible = rate_hz is not None and SLOWEST_HZ <= rate_hz <= FASTEST_HZ
     return RawPoints(
         format=kind,
-        labels=labels,
+        labels=tuple(map(plain_name, labels)),
         points=np.zeros((0, len(labels), 3)),
-        rate_hz=rate_hz,
+        rate_hz=rate_hz if is_plausible else None,
         unit=unit,
         up_claim=up_claim,
         up_source=f"{kind} stream",
