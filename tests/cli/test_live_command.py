@@ -62,7 +62,9 @@ def test_packets_become_poses_and_messages_and_a_result(subject, tmp_path, capsy
             for k in range(60):
                 for hostile in (backward, elsewhere, model("Eve", ("a", "b")), b"", b"\xff" * 99):
                     stranger.sendto(hostile, server.client)
-                server.socket.sendto((packet(5, b"\xff" * 80), packet(7, b"\xff" * 50))[k % 2], server.client)
+                server.socket.sendto(
+                    (packet(5, b"\xff" * 80), packet(7, b"\xff" * 50))[k % 2], server.client
+                )
                 time.sleep(0.02)
 
         threading.Thread(target=attack, daemon=True).start()
