@@ -9,8 +9,7 @@ from rigged_body import random_body
 
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
-from habitus.observe.body_markers import BodyMarkers
-from habitus.observe.marker_prediction import predict
+from habitus.observe.marker_prediction import BodyMarkers, predict
 from habitus.observe.marker_rig import marker_rig
 from habitus.observe.markers import attach
 

@@ -10,11 +10,9 @@ import torch
 from rigged_body import random_body, surface
 
 from habitus.errors import HabitusError
-from habitus.observe.body_markers import BATCH, BodyMarkers
-from habitus.observe.marker_jacobian import marker_jacobian
-from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.marker_prediction import BATCH, BodyMarkers, marked_body, predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
-from habitus.observe.markers import MarkerAttachment, attach, predict_markers
+from habitus.observe.markers import MarkerAttachment, attach, marker_jacobian, predict_markers
 
 MARKERS = 7
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from synthetic import synthetic_body
 
-from habitus.observe.marker_jacobian import marker_jacobian
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.observe.markers import MarkerAttachment
+from habitus.observe.markers import MarkerAttachment, marker_jacobian
 from habitus.residuals.points import (
     JointObservations,
     PointObservations,

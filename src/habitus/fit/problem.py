@@ -44,9 +44,8 @@ from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import signed_distance
 from habitus.observe.depth_views import RgbdCapture
-from habitus.observe.latent_markers import LatentMarkers
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.observe.markers import attach, default_markers
+from habitus.observe.markers import LatentMarkers, attach, default_markers
 from habitus.residuals import shape_stage as energy
 from habitus.residuals.points import PointSolver
 from habitus.residuals.robust import geman_mcclure_weight

@@ -20,7 +20,7 @@ FILES = (
     "mesh/normal_kernels.py",
     "mesh/intersection_kernels.py",
     "body/kernels.py",
-    "observe/marker_slots.py",
+    "observe/marker_rig.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",

@@ -1,7 +1,7 @@
 """How predicted markers change with pose, trans and betas, for LANES frames at once (see
 `habitus.observe.marker_kernels`).
 
-Columns are kept for a marker's slots only (`habitus.observe.marker_slots`). A triangle that turns
+Columns are kept for a marker's slots only (`habitus.observe.marker_rig`). A triangle that turns
 rigidly about joint j needs no corners: dx = m x (x - p_j) for each column m of M_j.
 """
 
@@ -27,7 +27,7 @@ from habitus.observe.marker_kernels import marker_frame
 @jit_inline
 def marker_carriage(frame):
     """n, s, p, u, v: how a marker follows its corner a and sides e, f, dx = da + p (s . de) + u (n
-    . df) - v (n . de) (`habitus.observe.marker_jacobian.corner_weights`).
+    . df) - v (n . de) (`habitus.observe.markers.corner_weights`).
     """
     _, q, n, t, s, inverse, along, across = frame
     u = scale3(1.0 / across, cross3(t, q))

@@ -22,11 +22,10 @@ from habitus.fit.markers.sequence_kernels import (
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.kernels.simd import LANES, lane_array
 from habitus.kernels.threads import num_threads
-from habitus.observe.body_markers import BATCH, BodyMarkers
 from habitus.observe.marker_kernels import predict_frames
-from habitus.observe.marker_prediction import MarkedBody, predict
-from habitus.observe.marker_rig import MarkerRig
-from habitus.observe.marker_slots import (
+from habitus.observe.marker_prediction import BATCH, BodyMarkers, MarkedBody, predict
+from habitus.observe.marker_rig import (
+    MarkerRig,
     Offsets,
     SimdRig,
     Slots,

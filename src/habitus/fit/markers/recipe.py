@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.soft_tissue import check_space, parted
 from habitus.fit.markers.causal import CausalSolver, fit_causally
 from habitus.fit.markers.drift import Drift, find_drifts
 from habitus.fit.markers.energy import place
@@ -54,7 +55,6 @@ from habitus.fit.subject import Subject
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
-from habitus.observe.soft_space import check_space, parted
 from habitus.parallel.blocks import distances, mapped
 from habitus.solve.sequence.solver import SequenceOptions
 from habitus.types import Progress

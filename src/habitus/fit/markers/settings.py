@@ -297,7 +297,7 @@ class MoshSettings:
     soft_tissue: bool = True
     """Whether the soft-tissue stage follows the pose stage."""
     soft_space: str = SOFT_SPACE
-    """What soft tissue moves along (`habitus.observe.soft_space`): "shape" (MoSh sec. 6),
+    """What soft tissue moves along (`habitus.body.soft_tissue`): "shape" (MoSh sec. 6),
     "dynamics" (SMPL sec. 6) or "both".
     """
     causal: bool = False

@@ -9,8 +9,7 @@ from habitus.body.prior import PosePrior
 from habitus.fit.markers.energy import Placement, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.subject import ShapeFit
-from habitus.observe.latent_markers import LatentMarkers
-from habitus.observe.markers import MarkerAttachment, attach, default_markers
+from habitus.observe.markers import LatentMarkers, MarkerAttachment, attach, default_markers
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize

@@ -15,8 +15,7 @@ from habitus.body.state import BodyState
 from habitus.fit.markers.energy import sequence_terms
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
-from habitus.observe.body_markers import BodyMarkers
-from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.marker_prediction import BodyMarkers, marked_body, predict
 from habitus.observe.markers import MarkerAttachment
 from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
@@ -157,7 +156,7 @@ class MarkerSolution(Moving):
 
     @property
     def soft_space(self) -> str:
-        """Which space holds ``soft_coefficients`` (`habitus.observe.soft_space`): "shape", or
+        """Which space holds ``soft_coefficients`` (`habitus.body.soft_tissue`): "shape", or
         "both".
         """
         return "shape" if self.dynamics is None else "both"

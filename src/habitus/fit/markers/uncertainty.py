@@ -10,8 +10,8 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.solution import Guessed, MarkerSolution
 from habitus.mesh.proximity import farthest_points
-from habitus.observe.body_markers import BodyMarkers
-from habitus.observe.marker_jacobian import marker_jacobian
+from habitus.observe.marker_prediction import BodyMarkers
+from habitus.observe.markers import marker_jacobian
 
 SPANS = 24
 """Spans of time that a capture is looked at in."""

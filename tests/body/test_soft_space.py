@@ -10,12 +10,11 @@ from rigged_body import random_body
 from soft_tubes import planted_regressor
 
 from habitus.body.dynamics import Dynamics
+from habitus.body.soft_tissue import SPACES, check_space, parted, soft_count
 from habitus.errors import HabitusError
-from habitus.observe.body_markers import BodyMarkers
-from habitus.observe.marker_prediction import marked_body, predict
+from habitus.observe.marker_prediction import BodyMarkers, marked_body, predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import attach, predict_markers
-from habitus.observe.soft_space import SPACES, check_space, parted, soft_count
 
 
 def _setting(**changes):
