@@ -39,7 +39,7 @@ from rich.table import Table
 
 import habitus
 from habitus.body.motion import BodyMotion
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.observe.simulated_markers import Faults, smooth_motion

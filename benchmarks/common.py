@@ -25,7 +25,7 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout

@@ -28,7 +28,7 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_result import ScanFit

@@ -19,7 +19,7 @@ from common import in_words, machine, parser, write_json
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.evaluate.dynamics import MODES, QUANTITIES, evaluate_dynamics
 from habitus.io.models.bodies import load_body

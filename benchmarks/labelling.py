@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from common import machine, parser, write_json
 
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.recipe import label_points
 from habitus.io.captures.read import Capture, read_captures

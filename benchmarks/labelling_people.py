@@ -15,7 +15,7 @@ import numpy as np
 from common import machine, parser, write_json
 from labelling import corrected, read, spoilt
 
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.fit.labels.recipe import label_people
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body

@@ -19,7 +19,7 @@ from common import in_words, machine, parser
 import habitus
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.export.animation import Animation, animate, one_sided
 from habitus.export.correctives import sampled_rotations
 from habitus.export.driven import drivers

@@ -15,7 +15,7 @@ import numpy as np
 from common import machine, parser
 from scipy.stats import spearmanr
 
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.fit.selection.full import best_states, full_error
 from habitus.fit.selection.greedy import removals, set_error
 from habitus.fit.selection.held_out import held_out_people

@@ -27,8 +27,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import PosePrior, shipped_prior
 from habitus.fit.markers.causal import CausalSolver
 from habitus.fit.markers.sequence import SequenceResult, fit_sequence
 from habitus.fit.markers.settings import SequenceSettings

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 import habitus
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.result import MarkerFit

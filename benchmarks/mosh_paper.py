@@ -33,7 +33,7 @@ from rich.table import Table
 import habitus
 from habitus.body.gender import said_of
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of, shipped_prior
+from habitus.body.prior import prior_of, shipped_prior
 from habitus.evaluate.posable import PosableBody
 from habitus.evaluate.surface_fit import Fit
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors

@@ -27,7 +27,7 @@ from rich.table import Table
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.fit.markers.hold_out import merged
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings

@@ -31,7 +31,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 import habitus
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture

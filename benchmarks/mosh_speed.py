@@ -39,7 +39,7 @@ from threadpoolctl import threadpool_limits
 
 import habitus
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.fit.markers.causal import CausalSolver
 from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings, sequence_settings

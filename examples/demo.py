@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout

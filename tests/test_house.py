@@ -120,7 +120,7 @@ def test_readme_rendering_example_finds_the_position_with_the_public_face_alone(
 def _write_walk(path: Path) -> None:
     """A synthetic capture, as long as the example asks for."""
 
-    from habitus.body.shipped_prior import shipped_prior
+    from habitus.body.prior import shipped_prior
     from habitus.io.captures.c3d_write import write_c3d
     from habitus.io.captures.read import Capture
     from habitus.io.layouts.files import load_layout

@@ -51,7 +51,7 @@ def test_a_capture_becomes_files_without_torch(tmp_path):
         import habitus
         from habitus.io.captures.c3d_write import write_c3d
         from habitus.io.captures.read import Capture
-        from habitus.body.shipped_prior import shipped_prior
+        from habitus.body.prior import shipped_prior
         from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
         body, layout = habitus.load_body("default"), habitus.load_layout("cmu-41")

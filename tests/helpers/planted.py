@@ -13,8 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import PosePrior, shipped_prior
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import habitus as hb
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings

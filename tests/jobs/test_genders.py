@@ -8,7 +8,7 @@ import numpy as np
 
 import habitus as hb
 from habitus.body.gender import said_of
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import habitus as hb
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout

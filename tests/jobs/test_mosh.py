@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import habitus as hb
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import prior_of, shipped_prior
+from habitus.body.prior import PosePrior, prior_of, shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d

@@ -4,7 +4,7 @@ import pytest
 
 from habitus.io.layouts.files import shipped_layouts
 from habitus.io.models.bodies import load_body
-from habitus.markers.anatomy import place_of
+from habitus.markers.labels import place_of
 
 SHIPPED = shipped_layouts()
 

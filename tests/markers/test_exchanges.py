@@ -5,8 +5,14 @@ evidence is strong.
 import numpy as np
 import pytest
 
-from habitus.markers.exchanges import PAIRS, Exchange, exchange_columns, pair_order
-from habitus.markers.geometry import Scene, leg_outward
+from habitus.markers.geometry import (
+    PAIRS,
+    Exchange,
+    Scene,
+    exchange_columns,
+    leg_outward,
+    pair_order,
+)
 
 FRAMES = 60
 OUT = np.array([1.0, 0.0, 0.0])

@@ -7,10 +7,9 @@ import pytest
 from stick_figure import FRAMES, stick_figure
 
 from habitus.markers.checks import checked, other_side
-from habitus.markers.exchanges import PAIRS
-from habitus.markers.joint_matching import match_together
+from habitus.markers.geometry import PAIRS
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.markers.matching import best_match
+from habitus.markers.matching import best_match, match_together
 
 PAIR_NAMES = [
     (f"{side}_{first}", f"{side}_{second}")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.io.models.bodies import load_body
-from habitus.markers.layouts import MarkerLayout
-from habitus.markers.places_in_words import place_in_words
+from habitus.markers.layouts import MarkerLayout, place_in_words
 
 
 @pytest.fixture(scope="module")

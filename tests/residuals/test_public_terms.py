@@ -7,7 +7,7 @@ import torch
 from synthetic_fit import reference_vertices, tube_body
 
 import habitus as hb
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.observe.markers import attach
 
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout

@@ -25,7 +25,7 @@ from people import PEOPLE
 from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.files import write_text
 from habitus.fit.markers.hold_out import HeldMarkers
 from habitus.fit.markers.recipe import Recording, fit_subject

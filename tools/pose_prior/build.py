@@ -18,8 +18,7 @@ import numpy as np
 from ranges import range_prior
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import PosePrior, shipped_prior
 from habitus.files import atomic_write
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.recordings import random_frames

@@ -2,7 +2,8 @@
 device) that were asked for, laid out for speed.
 
 Bases of blend shapes (S 3, eqs. 8 and 9) are rows of flattened surfaces, (directions, 3N) with
-coordinates before vertices, so that one matrix product gives a batch of surfaces.
+coordinates before vertices, so that one matrix product gives a batch of surfaces. `Ages` are
+directions too: the mean person of some ages, straight lines between them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,10 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
-from habitus.body.ages import Ages
 from habitus.body.dynamics import Dynamics
 from habitus.body.kernels import LocalShapes, local_shapes
-from habitus.body.mesh import BodyMesh
 from habitus.body.pose_features import (
     PoseFeatures,
     check_pose_shapes,
@@ -28,9 +27,41 @@ from habitus.body.pose_features import (
 )
 from habitus.body.prior import PosePrior
 from habitus.body.skinning import SKINNING, Influences
+from habitus.body.state import BodyMesh
 from habitus.errors import HabitusError
 from habitus.mesh.joint_tree import check_parents
 from habitus.types import Array
+
+ADULT = 18.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ages:
+    """How the mean person of each of ``years`` (A, rising) differs from the template (m), and how
+    tall they stand (m).
+
+    ``statures`` are those of the whole body, so that two levels of detail grow alike; ``adult`` is
+    the template's.
+    """
+
+    years: Float[np.ndarray, " A"]
+    directions: Float[np.ndarray, "V 3 A"]
+    statures: Float[np.ndarray, " A"]
+    adult: float
+
+    def at(self, years: float | int) -> tuple[Float[np.ndarray, "V 3"], float]:
+        """What to add to the template at an age, and the stature of that age over the template's.
+
+        Raises HabitusError for an age before the first or after the last.
+        """
+        if not self.years[0] <= years <= self.years[-1]:
+            raise HabitusError(
+                f"age {years:g}: this body knows {self.years[0]:g} to {self.years[-1]:g} years"
+            )
+        shares = np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
+        near = np.flatnonzero(shares)
+        offset = self.directions[..., near].astype(np.float64) @ shares[near]
+        return offset, float(self.statures @ shares) / self.adult
 
 
 def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:

@@ -1,7 +1,7 @@
 """Tape, scales and yardstick: what a tailor or a doctor would read off a person.
 
 The person is upright at rest, arms level to the sides (T-pose), feet a little apart; shoulders,
-chest and hips are measured with hanging arms and heels together (`habitus.body.standing`). A
+chest and hips are measured with hanging arms and heels together (`habitus.body.tapes`). A
 circumference is a tape's length around a material ring (`habitus.body.tapes`), heights are along y
 from the lowest point of the sole, limbs are measured on both sides and averaged. Everything is laid
 out once on the body's template and then goes along with its vertices, so that measurements change
@@ -17,9 +17,17 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
-from habitus.body.standing import STANDING_TAPES, Standing, stand
 from habitus.body.state import BodySurface
-from habitus.body.tapes import ARMS, SIDES, LaidTape, cut, lay_tapes
+from habitus.body.tapes import (
+    ARMS,
+    SIDES,
+    STANDING_TAPES,
+    LaidTape,
+    Standing,
+    cut,
+    lay_tapes,
+    stand,
+)
 from habitus.errors import HabitusError
 from habitus.types import Array, ArrayLike
 

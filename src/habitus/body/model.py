@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
-from habitus.body.ages import ADULT
-from habitus.body.body_arrays import BodyArrays, add_blend_shapes
+from habitus.body.body_arrays import ADULT, BodyArrays, add_blend_shapes
 from habitus.body.joint_layouts import fold, folded_weights
 from habitus.body.keypoints import keypoints
 from habitus.body.measurements import Measured

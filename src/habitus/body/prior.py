@@ -1,9 +1,11 @@
 """The pose prior: a Gaussian over joint rotations (MoSh eq. 7), carried over to any body that
-shares joint names.
+shares joint names; one ships with the package, for bodies whose file brings none.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -55,3 +57,23 @@ class PosePrior:
     def whitening(self) -> Float[np.ndarray, "n n"]:
         """W with WᵀW = precision."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance))
+
+
+def shipped_prior() -> PosePrior:
+    """The Gaussian of the package's own poses, over the joints of SMPL-X."""
+    source = files("habitus.assets") / "pose_prior.npz"
+    with source.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
+        names = tuple(map(str, arrays["joint_names"]))
+        return PosePrior(names, arrays["mean"], arrays["covariance"])
+
+
+class _MayHavePrior(Protocol):
+    """A body model, as far as it counts here."""
+
+    @property
+    def pose_prior(self) -> PosePrior | None: ...
+
+
+def prior_of(body: _MayHavePrior | None) -> PosePrior:
+    """A body's own pose prior where it has one, else the shipped one."""
+    return shipped_prior() if body is None or body.pose_prior is None else body.pose_prior

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.rotations import matrix_from_rotvec
 

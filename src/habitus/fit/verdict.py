@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
-from habitus.body.ages import ADULT
+from habitus.body.body_arrays import ADULT
 
 E = TypeVar("E")
 L = TypeVar("L")

@@ -12,7 +12,7 @@ import numpy as np
 from habitus.body.gender import CANNOT_TELL, SURE, said_of
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import iterate_fits
 from habitus.fit.markers.result import MarkerFit

@@ -13,8 +13,7 @@ from itertools import islice
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import PosePrior, prior_of
 from habitus.errors import HabitusError, listed
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged
 from habitus.fit.markers.recipe import fit_markers, iterate_fits

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
 from habitus.files import write_text

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.fit.markers.live import LiveFrame, Tracker, saved_subject, subject_of
 from habitus.fit.markers.recipe import warm_up

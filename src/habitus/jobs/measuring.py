@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
-from habitus.body.recognise import is_of, misfit, turned_by
+from habitus.body.recentred import is_of, misfit, turned_by
 from habitus.errors import HabitusError
 from habitus.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import overload
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.export.amass import check_npz_style
 from habitus.files import locked

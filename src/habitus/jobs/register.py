@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan

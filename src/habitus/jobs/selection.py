@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import PosePrior, prior_of
 from habitus.errors import HabitusError
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.files import whole_folder, write_text

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import PosePrior
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import PosePrior, prior_of
 from habitus.errors import HabitusError
 from habitus.fit.body_fit import BodyFit, FitSettings
 from habitus.fit.markers.recordings import Recording

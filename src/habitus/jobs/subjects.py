@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.fit.discover.recipe import discover
 from habitus.fit.discover.result import Discovery

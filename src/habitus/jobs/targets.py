@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.body.recentred import FROM, recentred
-from habitus.body.recognise import is_of
+from habitus.body.recentred import FROM, is_of, recentred
 from habitus.errors import HabitusError, shown
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh

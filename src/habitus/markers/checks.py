@@ -14,13 +14,15 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from habitus.markers.exchanges import PAIR_CHECKS, Correction, exchange_columns
 from habitus.markers.geometry import (
     FREE,
+    PAIR_CHECKS,
     SIDES,
+    Correction,
     Points,
     Scene,
     along,
+    exchange_columns,
     toward,
     trunk_front,
     trunk_left,

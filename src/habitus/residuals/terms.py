@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from habitus.arrays import constant, flatten
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.observe.markers import MarkerAttachment, predict_markers
 from habitus.residuals.points import JointObservations, PointObservations, points_term
 from habitus.residuals.surface_terms import Depth, Joints, Points, Silhouette

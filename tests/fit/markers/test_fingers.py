@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.body.joint_layouts import LAYOUTS
-from habitus.body.prior import UNKNOWN_JOINT_SD
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import UNKNOWN_JOINT_SD, shipped_prior
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.layouts.files import load_layout

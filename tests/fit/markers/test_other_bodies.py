@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from marker_scene import degrees_apart
 
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.marker_sequence import DenseSequence, marker_sequence
 from habitus.fit.markers.sequence import fit_sequence

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from habitus.body.shipped_prior import shipped_prior
+from habitus.body.prior import shipped_prior
 from habitus.errors import HabitusError
 from habitus.fit.markers.recipe import Recording, fit_markers, warm_up
 from habitus.fit.markers.settings import MoshSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from habitus import load_body
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.body.state import BodyState
 from habitus.fit.points.limbs import limbs_near, limbs_searched_again
 from habitus.fit.points.scan import Cloud, Scan

@@ -14,8 +14,7 @@ from habitus.fit.discover.places import OFF_SPREAD, Seated, within
 from habitus.fit.discover.result import Discovery
 from habitus.fit.discover.settings import DISCOVER
 from habitus.fit.discover.skin import OFF_SKIN, Skin
-from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.markers.places_in_words import place_in_words
+from habitus.markers.layouts import Marker, MarkerLayout, place_in_words
 
 REACH = 0.05
 """Metres: a confidence is the chance that a marker sits within this of its place."""

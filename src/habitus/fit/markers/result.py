@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.fit.markers.judge import judge
 from habitus.fit.markers.solution import Guessed, MarkerSolution
 from habitus.fit.markers.uncertainty import guess

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import Moving
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
 from habitus.fit.markers.energy import sequence_terms

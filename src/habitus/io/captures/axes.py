@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.markers.anatomy import Place, place_of
+from habitus.markers.labels import Place, place_of
 
 _SURE = 0.35
 _MAX_FRAMES = 2000

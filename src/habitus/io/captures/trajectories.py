@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.arrays import runs
-from habitus.markers.anatomy import place_of
+from habitus.markers.labels import place_of
 from habitus.parallel.blocks import blocks, drop_pages, mapped
 
 _FRAGMENT = re.compile(r"(.+?)(?:-|_|\.)(\d{1,2})")

@@ -25,9 +25,14 @@ from habitus.io.limits import MAX_LAYOUT_BYTES, MAX_TEXT_BYTES, check_text
 from habitus.io.models.bodies import load_body
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_xml
-from habitus.markers.joint_matching import match_together
 from habitus.markers.layouts import MarkerLayout
-from habitus.markers.matching import FEWEST_MARKERS, LayoutMatch, best_match, interpreted
+from habitus.markers.matching import (
+    FEWEST_MARKERS,
+    LayoutMatch,
+    best_match,
+    interpreted,
+    match_together,
+)
 from habitus.markers.placements import PlacementPrior
 
 _TAGS = ("marker", "label", "trajectory")

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.io.names import plain_name
-from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.markers.places_in_words import place_in_words
+from habitus.markers.layouts import Marker, MarkerLayout, place_in_words
 
 _PARENTS = (
     "socket_parent_frame",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.fit.markers.suspects import Suspect

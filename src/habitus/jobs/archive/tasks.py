@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from habitus.body.model import BodyModel
-from habitus.body.shipped_prior import prior_of
+from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, shown
 from habitus.fit.markers.attempts import attempted
 from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
