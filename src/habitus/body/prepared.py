@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
-from habitus.body.body_arrays import RestSkeleton, VertexRows, add_blend_shapes
+from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
 from habitus.body.kernels import joint_motions, posed_vertices
 from habitus.body.pose_features import PoseFeatures, extended
 from habitus.body.skinning import skin, skinning_motions, world_motions
-from habitus.body.state import BodyMesh, BodySurface
+from habitus.body.state import BodySurface
 from habitus.rotations import matrix_from_rotvec
 from habitus.types import Array, ArrayLike
 

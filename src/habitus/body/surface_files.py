@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from habitus import __version__
 from habitus.arrays import to_numpy
-from habitus.body.state import BodyMesh
+from habitus.body.body_arrays import BodyMesh
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals

@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Int
 
-from habitus.body.body_arrays import Ages
-from habitus.body.state import BodyMesh
+from habitus.body.body_arrays import Ages, BodyMesh
 from habitus.errors import HabitusError
 from habitus.io.models.arrays import ModelArrays
 
