@@ -134,3 +134,13 @@ def test_what_a_terminal_cannot_encode_is_an_escape(tmp_path):
     out, said = process.communicate(timeout=60)
     assert process.returncode == 2 and out == "" and said.isascii() and said.count("\n") == 1
     assert "L\\xe4ufer_\\u8d70" in said and "Traceback" not in said
+
+
+def test_ctrl_c_is_the_usual_end_of_a_page():
+    pytest.importorskip("viser")
+    process = command("view", "default", "--port", "8741")
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (0, "") and line.startswith("http://127.0.0.1:")

@@ -5,6 +5,7 @@ own.
 import multiprocessing
 import threading
 import time
+import urllib.error
 import urllib.request
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from synthetic import synthetic_body
 
 from habitus.report.live import NEEDED, Board, Shown, serve
+from habitus.report.page_server import page_address
 
 CONTEXT = multiprocessing.get_context("spawn")
 
@@ -51,6 +53,7 @@ def test_the_page_is_served_and_ends_when_it_is_told():
         np.zeros(body.num_betas),
         "+z",
         8951,
+        "a-token",
     )
     process = CONTEXT.Process(target=serve, args=told, daemon=True)
     process.start()
@@ -58,8 +61,10 @@ def test_the_page_is_served_and_ends_when_it_is_told():
     while not board.port and process.is_alive() and time.monotonic() < until:
         time.sleep(0.02)
     assert board.port
-    page = urllib.request.urlopen(f"http://127.0.0.1:{board.port}", timeout=10).read()
-    assert b"<html" in page.lower()
+    address = page_address(board.port, "a-token")
+    assert b"<html" in urllib.request.urlopen(address, timeout=10).read().lower()
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(f"http://127.0.0.1:{board.port}", timeout=10)
     for value in (0.1, np.nan, 0.2):  # somebody, nobody, somebody
         board.write(shown(value))
         time.sleep(0.15)

@@ -1,5 +1,6 @@
 """`habitus view`: bodies, results and scans in the browser."""
 
+import webbrowser
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,8 +30,10 @@ class View:
     """Up axis of meshes and point clouds."""
     port: Annotated[int, metavar("N")] = 8080
     """Port of the page on this machine; the next free one where it is taken."""
+    open: Flag = False
+    """Open the page in the default browser."""
     quiet: Flag = False
-    """Print nothing but errors."""
+    """Print nothing but errors; the page's address is not known then, unless --open opens it."""
 
 
 OPTIONS = View
@@ -45,8 +48,12 @@ def run(options: View, console: "Console | None" = None) -> None:
     console = console or screen(options.quiet)
     shown = view(options.sources, body=options.body, up=options.up, port=options.port)
     say(console, f"{shown.address} shows {', '.join(options.sources)}; Ctrl-C ends it")
+    if options.open:
+        webbrowser.open(shown.address)
     try:
         shown.wait()
+    except KeyboardInterrupt:
+        pass  # the usual end
     finally:
         shown.close()
 

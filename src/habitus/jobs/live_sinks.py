@@ -15,7 +15,8 @@ from habitus.fit.subject import Subject
 from habitus.io.streams.source import host_and_port
 from habitus.jobs.live import MakeSink
 from habitus.jobs.live_follow import Now, Sink
-from habitus.report.live import HOST, NEEDED, Board, Shown, serve
+from habitus.report.live import NEEDED, Board, Shown, serve
+from habitus.report.page_server import new_token, page_address
 
 STATES: Mapping[str, int] = {"tracked": 1, "started": 1, "held": 0, "nobody": -1}
 _PORTS = {"vmc": VMC_PORT, "osc": OSC_PORT}
@@ -104,8 +105,16 @@ class Viewer:
         self._told = ""
         self._who = _who(known)
         fields = {name: getattr(known.body, name) for name in NEEDED}
-        told = (self._board, fields, known.shape.betas, recording.up_axis, port)
-        self._process = context.Process(target=serve, args=told, daemon=True)
+        self._token = new_token()
+        arguments = (
+            self._board,
+            fields,
+            known.shape.betas,
+            recording.up_axis,
+            port,
+            self._token,
+        )
+        self._process = context.Process(target=serve, args=arguments, daemon=True)
         self._process.start()
 
     def show(self, now: Now, quality: Quality) -> None:
@@ -130,7 +139,7 @@ class Viewer:
         now = (
             "gone"
             if not self._process.is_alive()
-            else f"http://{HOST}:{self._board.port}"
+            else page_address(self._board.port, self._token)
             if self._board.port
             else ""
         )

@@ -1,6 +1,5 @@
 """Bodies, results, motions and scans in the browser: for ``habitus view``."""
 
-import logging
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,14 +10,14 @@ import numpy as np
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
-from habitus.errors import HabitusError, require_extra
+from habitus.errors import HabitusError, check_extra
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.points.scan import Scan
 from habitus.io.models.bodies import load_body
 from habitus.io.models.levels import has_levels
 from habitus.io.people import BodyShape, Mesh, open_person
 from habitus.io.scans import ENDINGS, read_scan
-from habitus.report.live import HOST
+from habitus.report.page_server import PageServer, new_token
 from habitus.report.panels import BodyPanel, MeshPanel, MotionPanel, play, studio
 from habitus.rotations import UP_AXES, up_rotation
 from habitus.types import PathLike
@@ -28,15 +27,15 @@ MAX_EXTENT = 5.0  # metres; a larger scan is in centimetres or millimetres
 
 
 class View:
-    """A page that is being served; ``address`` is where, ``panels`` are what it shows, in the order
-    of the sources.
+    """A page that is being served; ``address`` is where, with the token that the page asks for,
+    ``panels`` are what it shows, in the order of the sources.
     """
 
-    def __init__(self, server: Any, panels: list[Any]):
+    def __init__(self, server: PageServer, panels: list[Any]):
         self._server = server
         self.panels = panels
         self._stop = threading.Event()
-        self.address = f"http://{HOST}:{server.get_port()}"
+        self.address = server.address
         threading.Thread(target=play, args=(panels, self._stop), daemon=True).start()
 
     def wait(self) -> None:
@@ -52,7 +51,8 @@ class View:
 def view(
     sources: Sequence[PathLike], *, body: PathLike | None = None, up: str = "+y", port: int = 8080
 ) -> View:
-    """Show body models, results, motions and meshes side by side on a page of this machine.
+    """Show body models, results, motions and meshes side by side on a page of this machine, for
+    browsers on this machine that have its whole address.
 
     sources: "default", "female" or another model that comes along, a model's file, a fit's
     body.npz, a motion (npz), a mesh or a cloud of points. body: what motions are shown on that do
@@ -63,12 +63,12 @@ def view(
         raise HabitusError(f"up is {up!r}; expected one of {', '.join(UP_AXES)}")
     if not sources:
         raise HabitusError("nothing to view; expected a body, a result, a motion or a scan")
-    viser = require_extra("viser", "views", "view")
+    check_extra("viser", "views", "view")
     loaded = [_Shown(Path(source).stem, _opened(source, body, up)) for source in sources]
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that leaves is no error
-    server = viser.ViserServer(HOST, port, label="habitus view", verbose=False)
-    studio(server)
-    return View(server, [_panel(server, item, k, len(loaded)) for k, item in enumerate(loaded)])
+    server = PageServer(port, "habitus view", new_token())
+    studio(server.viser)
+    panels = [_panel(server.viser, item, k, len(loaded)) for k, item in enumerate(loaded)]
+    return View(server, panels)
 
 
 @dataclass(frozen=True)

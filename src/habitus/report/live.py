@@ -17,12 +17,12 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
+from habitus.report.page_server import PageServer
 
 MAX_TEXT = 1024
 """Bytes of the text beside the picture."""
 READS = 20
 """Attempts to read a frame that is not being written at that moment."""
-HOST = "127.0.0.1"
 FRAMES_HZ = 25.0
 NEEDED = (
     "name",
@@ -136,21 +136,26 @@ class Board:
 
 
 def serve(
-    board: Board, fields: Mapping[str, Any], betas: Float[np.ndarray, " B"], up_axis: str, port: int
+    board: Board,
+    fields: Mapping[str, Any],
+    betas: Float[np.ndarray, " B"],
+    up_axis: str,
+    port: int,
+    token: str,
 ) -> None:
-    """Serve the page until ``board.stop``, or until the parent process has ended."""
+    """Serve the page, at an address with a token, until ``board.stop``, or until the parent process
+    has ended.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the solver handles Ctrl-C
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - the caller prints the page's address
     if hasattr(os, "nice"):
         os.nice(5)
-    import viser
-
     logging.disable(logging.CRITICAL)  # a browser that disconnects is not an error
     body = BodyModel(**fields).prepare(betas)
     parent = os.getppid()
-    server = viser.ViserServer(HOST, port, label="habitus live", verbose=False)
-    scene = _Scene(server, body, fields["faces"], up_axis)
-    board.port = server.get_port()
+    server = PageServer(port, "habitus live", token)
+    scene = _Scene(server.viser, body, fields["faces"], up_axis)
+    board.port = server.port
     count = 0
     while not board.stop and os.getppid() == parent:
         began = time.perf_counter()
