@@ -235,7 +235,7 @@ def test_what_nothing_can_be_done_with_is_told_before_the_fits(files, run, tmp_p
     [
         (lambda v: 1000 * v, "in millimetres"),
         (lambda v: v[:, ::-1], "edges"),
-        (lambda v: np.where(np.arange(v.shape[1])[:, None] == 7, np.nan, v), "not finite"),
+        (lambda v: np.where(np.arange(v.shape[1])[:, None] == 7, np.inf, v), "not finite"),
     ],
 )
 def test_spoilt_meshes_are_named_before_the_fits(files, run, tmp_path, unfitted, spoil, words):
@@ -291,3 +291,23 @@ def test_help_reads_well(capsys):
     assert end.value.code == 0 and said.err == "" and "tyro" not in said.out
     for word in "MODEL DATASET --out --counts --split --clean --plain --cluster --workers report.html".split():
         assert word in said.out
+
+
+def test_registrations_with_unobserved_vertices_are_measured_where_they_were_observed(
+    files, run, tmp_path
+):
+    """As `habitus register` writes them: weights of 0 in holes."""
+    data = open_registrations(files["clean"])
+    weights = np.ones((len(data), data.num_vertices))
+    weights[:, ::7] = 0.0
+    vertices = np.array(data.vertices[:])
+    vertices[:, ::7] += 1.0
+    count = len(data)
+    holey = replace(data, vertices=vertices, weights=weights, verdict=("good",) * count)
+    write_registrations(holey, tmp_path / "registrations.npz")
+    assert run(files["tubes"], tmp_path / "registrations.npz", "--quiet", *QUICK) == (0, "")
+    numbers = json.loads((tmp_path / "out" / "evaluation.json").read_text("utf-8"))
+    assert numbers["models"][0]["model_generalisation"]["mean_mm"][1] < 0.02
+    assert 0.8 < numbers["dataset"]["observed_fraction"] < 0.9
+    with np.load(tmp_path / "out" / "per_vertex.npz") as found:
+        assert np.isnan(found["tubes/model"][:, ::7]).all()

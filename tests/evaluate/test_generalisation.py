@@ -111,3 +111,28 @@ def test_what_cannot_be_measured_is_refused(world, curves):
     alone = replace(registrations, subject=tuple("abcdefg"))
     with pytest.raises(HabitusError, match="several poses"):
         pose_generalisation(model, alone, curves[0])
+
+
+def test_what_was_not_observed_does_not_count(world, curves):
+    """Weights of 0, with whatever is stored there: NaN, or what a registration continued."""
+    model, registrations, _ = world
+    rng = np.random.default_rng(1)
+    weights = np.where(rng.random(registrations.vertices.shape[:2]) < 0.2, 0.0, 1.0)
+    weights[:, 0] = 0.0
+    for stored in (np.nan, 9.0):
+        vertices = np.where(weights[..., None] > 0.0, registrations.vertices, stored)
+        some = replace(registrations, vertices=vertices, weights=weights)
+        fitted = model_generalisation(model, some, (6,))
+        fixed = pose_generalisation(model, some, fitted)
+        assert 0.9 < fitted.means[0] / curves[0].means[-1] < 1.1
+        assert 0.8 < fixed.means[0] / curves[1].means[-1] < 1.2
+        assert np.isnan(fitted.per_vertex[0, 0]) and np.isfinite(fitted.per_vertex[0, 1:]).all()
+
+
+def test_a_weight_counts_like_so_many_registered_vertices(world):
+    """Halving all weights changes nothing."""
+    model, registrations, _ = world
+    one = registrations.take(np.arange(2))
+    half = replace(one, weights=np.full(registrations.num_vertices, 0.5))
+    found = [model_generalisation(model, each, (3,)).errors for each in (one, half)]
+    np.testing.assert_allclose(*found, rtol=1e-4)

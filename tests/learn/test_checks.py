@@ -259,8 +259,6 @@ def test_holes_are_noted_once_and_what_is_seen_is_judged(surfaces, template):
     (found,) = told(vertices, template)
     message = "2 registrations have holes: 1.8% of the vertices on average, most scan 1 (2.7%)"
     assert found == ("warning", "the registrations", message)
-    refused = check_registrations(registrations_of(vertices, template), template, holes=False)
-    assert [(f.kind, f.name) for f in refused] == [("error", "scan 1"), ("error", "scan 8")]
     weights = np.ones(vertices.shape[1])
     weights[:500] = 0.0
     vertices[8, 400] = 1e9  # in a hole

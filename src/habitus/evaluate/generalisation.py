@@ -4,7 +4,8 @@ generalisation.
 Model generalisation fits shape and pose to each registration: can the model take the form of new
 people in new poses? Pose generalisation takes the shape that was estimated from one registration of
 a person and fits only the pose to all others of that person: are shape and pose told apart? Both
-report the mean absolute vertex-to-vertex distance.
+report the mean absolute vertex-to-vertex distance, over observed vertices only (their weights,
+where registrations have some).
 """
 
 import time
@@ -29,9 +30,10 @@ class Generalisation:
     """Errors of a model fitted to N registrations with each of K numbers of shape coefficients.
 
     ``measure`` is "model" or "pose". ``errors`` (m) are means over vertices of the distance to the
-    registration's vertices, ``per_vertex`` (m) means over registrations. ``clean_errors`` and
-    ``clean_per_vertex`` are distances to true vertices, where these are known. ``rows`` say which
-    of the registrations given they are. ``betas`` are filled up with zeros.
+    registration's vertices, ``per_vertex`` (m) means over registrations, NaN where none shows a
+    vertex. ``clean_errors`` and ``clean_per_vertex`` are distances to true vertices, where these
+    are known. ``rows`` say which of the registrations given they are. ``betas`` are filled up with
+    zeros.
     """
 
     measure: str
@@ -150,21 +152,23 @@ class _Shared:
 @dataclass(frozen=True, eq=False)
 class _Fits:
     """One registration's fits: distances of vertices to it and to the truth for each number of
-    coefficients.
+    coefficients, and the vertices' weights.
     """
 
     fits: list[Fit]
     seconds: list[float]
     distances: Float[np.ndarray, "K V"]
     clean: Float[np.ndarray, "K V"] | None
+    weight: Float[np.ndarray, " V"]
 
 
 def _free_shape(shared: _Shared, which: int) -> _Fits:
     start: Fit | None = None
 
-    def fit(target: np.ndarray, k: int) -> Fit:
+    def fit(target: np.ndarray, weights: np.ndarray | None, k: int) -> Fit:
         nonlocal start
-        start = shared.model.fit(target, num_betas=shared.counts[k], start=start)
+        count = shared.counts[k]
+        start = shared.model.fit(target, num_betas=count, start=start, weights=weights)
         return start
 
     return _fits(fit, shared, which)
@@ -174,17 +178,23 @@ def _fixed_shape(shared: _Shared, which: int) -> _Fits:
     fitted = shared.fitted
     assert fitted is not None
 
-    def fit(target: np.ndarray, k: int) -> Fit:
+    def fit(target: np.ndarray, weights: np.ndarray | None, k: int) -> Fit:
         shape = fitted.shape(k, shared.sources[which])
         return shared.model.fit(
-            target, num_betas=len(shape), betas=shape, start=fitted.start(k, which)
+            target,
+            num_betas=len(shape),
+            betas=shape,
+            start=fitted.start(k, which),
+            weights=weights,
         )
 
     return _fits(fit, shared, which)
 
 
-def _fits(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) -> _Fits:
-    target = shared.registrations.read(which)
+def _fits(
+    fit: Callable[[np.ndarray, np.ndarray | None, int], Fit], shared: _Shared, which: int
+) -> _Fits:
+    target, weights = shared.registrations.read_seen(which)
     truth = None if shared.clean is None else np.asarray(shared.clean[which], float)
     fits = []
     seconds = []
@@ -192,13 +202,17 @@ def _fits(fit: Callable[[np.ndarray, int], Fit], shared: _Shared, which: int) ->
     true_distances = []
     for k in range(len(shared.counts)):
         begin = time.perf_counter()
-        fits.append(fit(target, k))
+        fits.append(fit(target, weights, k))
         seconds.append(time.perf_counter() - begin)
         distances.append(np.linalg.norm(fits[-1].vertices - target, axis=-1))
         if truth is not None:
             true_distances.append(np.linalg.norm(fits[-1].vertices - truth, axis=-1))
     return _Fits(
-        fits, seconds, np.array(distances), None if truth is None else np.array(true_distances)
+        fits,
+        seconds,
+        np.array(distances),
+        None if truth is None else np.array(true_distances),
+        np.ones(len(target)) if weights is None else weights,
     )
 
 
@@ -213,6 +227,7 @@ def _gathered(
     registrations = given.take(rows)
     largest = counts[-1]
     cleans = [each.clean for each in found if each.clean is not None]
+    weights = np.stack([each.weight for each in found])
     betas = [
         [np.pad(fit.betas, (0, largest - len(fit.betas))) for fit in each.fits] for each in found
     ]
@@ -222,16 +237,33 @@ def _gathered(
         counts=counts,
         registrations=registrations.name,
         subjects=registrations.subject,
-        errors=np.stack([each.distances.mean(1) for each in found], 1),
-        per_vertex=np.mean([each.distances for each in found], axis=0),
+        errors=_over_vertices([each.distances for each in found], weights),
+        per_vertex=_over_registrations([each.distances for each in found], weights),
         seconds=np.array([each.seconds for each in found]).T,
         rows=rows,
         betas=np.swapaxes(np.array(betas), 0, 1),
         pose=np.stack([[fit.pose for fit in each.fits] for each in found], 1),
         trans=np.stack([[fit.trans for fit in each.fits] for each in found], 1),
-        clean_errors=np.stack([each.mean(1) for each in cleans], 1) if cleans else None,
-        clean_per_vertex=np.mean(cleans, axis=0) if cleans else None,
+        clean_errors=_over_vertices(cleans, weights) if cleans else None,
+        clean_per_vertex=_over_registrations(cleans, weights) if cleans else None,
     )
+
+
+def _over_vertices(
+    distances: Sequence[Float[np.ndarray, "K V"]], weights: Float[np.ndarray, "N V"]
+) -> Float[np.ndarray, "K N"]:
+    """Weighted means over the vertices of each registration."""
+    pairs = zip(distances, weights, strict=True)
+    return np.stack([np.average(each, axis=1, weights=weight) for each, weight in pairs], 1)
+
+
+def _over_registrations(
+    distances: Sequence[Float[np.ndarray, "K V"]], weights: Float[np.ndarray, "N V"]
+) -> Float[np.ndarray, "K V"]:
+    """Weighted means over the registrations, NaN for vertices that none of them shows."""
+    total = weights.sum(0)
+    sums = np.einsum("nkv,nv->kv", np.stack(distances), weights)
+    return np.where(total > 0.0, sums / np.where(total > 0.0, total, 1.0), np.nan)
 
 
 def _counts(model: Posable, counts: Sequence[int]) -> tuple[int, ...]:

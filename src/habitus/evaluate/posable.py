@@ -36,9 +36,10 @@ class Posable(Protocol):
         num_betas: int,
         betas: Float[np.ndarray, " B"] | None = None,
         start: Fit | None = None,
+        weights: Float[np.ndarray, " V"] | None = None,
     ) -> Fit:
         """The least squares of vertex distance (m) over pose, trans and shape, or with the shape
-        ``betas`` fixed.
+        ``betas`` fixed. weights: of the squared distances, 0 where a vertex was not observed.
         """
         ...
 

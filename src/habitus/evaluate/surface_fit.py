@@ -90,9 +90,12 @@ class FittedToSurfaces:
         num_betas: int,
         betas: Float[np.ndarray, " B"] | None = None,
         start: Fit | None = None,
+        weights: Float[np.ndarray, " V"] | None = None,
     ) -> Fit:
         """Least squares of vertex distance (m), by `fit_surface`."""
-        return fit_surface(self, target, num_betas=num_betas, betas=betas, start=start)
+        return fit_surface(
+            self, target, num_betas=num_betas, betas=betas, start=start, weights=weights
+        )
 
 
 def fit_surface(
@@ -102,6 +105,7 @@ def fit_surface(
     num_betas: int,
     betas: Float[np.ndarray, " B"] | None = None,
     start: Fit | None = None,
+    weights: Float[np.ndarray, " V"] | None = None,
     max_iterations: int = 100,
     tolerances: Tolerances = TOLERANCES,
 ) -> Fit:
@@ -109,9 +113,11 @@ def fit_surface(
     coefficients (S 5.1).
 
     ``betas`` fixes the shape. ``start`` may have fewer coefficients; without it, the fit starts
-    from `start_pose`. Raises HabitusError where target or numbers do not fit the model.
+    from `start_pose`. ``weights`` are those of squared distances, 0 where a vertex was not
+    observed; None: all 1. Raises HabitusError where target or numbers do not fit the model.
     """
-    target = _checked(model, target, num_betas)
+    target = _checked(model, target, num_betas, weights)
+    influence = model.influence if weights is None else model.influence * weights[:, None]
     shape = (
         _first(start.betas if start else np.zeros(0), num_betas)
         if betas is None
@@ -121,14 +127,15 @@ def fit_surface(
         pose = start_pose(
             model.surface(shape, np.zeros((len(model.parents), 3))),
             target,
-            model.influence,
+            influence,
             model.parents,
         )
-        trans = (target - model.surface(shape, pose)).mean(0)
+        trans = np.average(target - model.surface(shape, pose), axis=0, weights=weights)
     else:
         pose = start.pose
         trans = start.trans
-    unknowns = _Unknowns(model, target, None if betas is None else shape)
+    root = None if weights is None else np.sqrt(weights)[:, None]
+    unknowns = _Unknowns(model, target, None if betas is None else shape, root)
     x = np.concatenate([np.zeros(0) if betas is not None else shape, _short(pose).ravel(), trans])
     result = _solve(unknowns, x, max_iterations, tolerances)
     shape, pose, trans = unknowns.split(result.x)
@@ -167,11 +174,15 @@ def start_pose(
 
 @dataclass(frozen=True, eq=False)
 class _Unknowns:
-    """The fit as a least-squares problem in one vector: [betas, unless fixed | pose | trans]."""
+    """The fit as a least-squares problem in one vector: [betas, unless fixed | pose | trans].
+
+    root_weights (V, 1) of distances, None: all 1.
+    """
 
     model: Surface
     target: Float[np.ndarray, "V 3"]
     fixed: Float[np.ndarray, " B"] | None
+    root_weights: Float[np.ndarray, "V 1"] | None = None
 
     def split(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Shape, pose (J, 3) and trans."""
@@ -183,6 +194,8 @@ class _Unknowns:
         """Half the sum of squared distances (m^2), and its derivatives when asked."""
         betas, pose, trans = self.split(x)
         residual = self.model.surface(betas, pose) + trans - self.target
+        if self.root_weights is not None:
+            residual = self.root_weights * residual
         return 0.5 * float(np.vdot(residual, residual)), lambda: self._normal_equations(
             betas, pose, trans
         )
@@ -196,6 +209,10 @@ class _Unknowns:
             by_trans = np.broadcast_to(np.eye(3), (len(vertices), 3, 3))
             jacobian = np.concatenate([by, by_trans], -1).reshape(3 * len(vertices), -1)
             residual = (vertices + trans - self.target[rows]).ravel()
+            if self.root_weights is not None:
+                root = np.repeat(self.root_weights[rows], 3, axis=0)
+                jacobian = root * jacobian
+                residual = root[:, 0] * residual
             gradient = gradient + residual @ jacobian
             matrix = matrix + jacobian.T @ jacobian
         return np.asarray(gradient), np.asarray(matrix)
@@ -245,7 +262,9 @@ def _first(betas: np.ndarray, count: int) -> np.ndarray:
     return shape
 
 
-def _checked(model: Surface, target: np.ndarray, num_betas: int) -> Float[np.ndarray, "V 3"]:
+def _checked(
+    model: Surface, target: np.ndarray, num_betas: int, weights: np.ndarray | None
+) -> Float[np.ndarray, "V 3"]:
     if not 0 <= num_betas <= model.num_betas:
         raise HabitusError(
             f"{num_betas} shape coefficients asked of {model.name}; expected 0 to {model.num_betas}"
@@ -256,6 +275,10 @@ def _checked(model: Surface, target: np.ndarray, num_betas: int) -> Float[np.nda
         raise HabitusError(
             f"the registration has shape {target.shape}; expected {expected}, as {model.name} has"
         )
+    if weights is not None:
+        if not weights.any():
+            raise HabitusError("no vertex of the registration was observed; leave such meshes out")
+        target = np.where(weights[:, None] > 0.0, target, 0.0)
     if not np.isfinite(target).all():
         raise HabitusError(
             "the registration has vertices that are not finite; expected metres: leave such "

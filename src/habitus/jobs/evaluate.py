@@ -89,7 +89,7 @@ def evaluate(
         )
     for one in loaded:
         check_topology(one.model, registrations, source)
-    refuse(check_registrations(registrations, rest_template(loaded[0].model), holes=False))
+    refuse(check_registrations(registrations, rest_template(loaded[0].model)))
     with _prepared(out), open_workers(workers) as ready:
         fitted = _fitted(loaded, registrations, counts, true, ready, progress)
         progress("run time", 1.0)

@@ -20,6 +20,7 @@ from habitus.evaluate.posable import ComparedModel, PosableBody
 from habitus.evaluate.result import Evaluation, ModelEvaluation
 from habitus.export.png import png
 from habitus.files import atomic_write, locked, tidy
+from habitus.mesh.registrations import Registrations
 from habitus.report import drawing
 from habitus.report.evaluation.figures import figures
 from habitus.report.evaluation.page import Picture, training_page
@@ -96,6 +97,7 @@ def evaluation_numbers(evaluation: Evaluation) -> dict[str, Any]:
             "subjects": list(data.subject),
             "vertices": data.num_vertices,
             "noise_free": evaluation.clean is not None,
+            "observed_fraction": _observed_fraction(data),
         },
         "shown": evaluation.shown,
         "models": [
@@ -103,6 +105,12 @@ def evaluation_numbers(evaluation: Evaluation) -> dict[str, Any]:
             for entry in models
         ],
     }
+
+
+def _observed_fraction(data: Registrations) -> float:
+    """The mean weight of vertices: errors are measured over observed ones only."""
+    weights = [data.read_seen(k)[1] for k in range(len(data))]
+    return float(np.mean([1.0 if weight is None else weight.mean() for weight in weights]))
 
 
 def _removed(models: Sequence[ModelEvaluation]) -> dict[str, dict[str, Any]]:
@@ -199,11 +207,13 @@ def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
         if curve
     ]
     maps = [_of_vertices(curve)[_place(evaluation, curve)] for _, curve in curves]
-    limit = max(_LEAST, float(np.percentile(maps, 99)))
+    limit = max(_LEAST, float(np.nanpercentile(maps, 99)))
     standing = _standing(evaluation)
     for (entry, curve), errors in zip(curves, maps, strict=True):
         faces = evaluation.registrations.faces
-        colours = drawing.ramp_colours(errors, limit)
+        shown = np.isfinite(errors)[:, None]
+        ramp = drawing.ramp_colours(np.nan_to_num(errors), limit)
+        colours = np.where(shown, ramp, drawing.plain_colours(len(errors)))
         pose = (
             standing
             if len(standing) == len(entry.model.parents)
@@ -213,7 +223,8 @@ def _error_maps(evaluation: Evaluation) -> Iterator[Picture]:
             kind=f"{curve.measure} error map",
             model=entry.name,
             file=f"error_map_{curve.measure}_{slug(entry.name)}.png",
-            caption=f"mean {1e3 * errors.mean():.2f} mm, worst vertex {1e3 * errors.max():.1f} mm",
+            caption=f"mean {1e3 * np.nanmean(errors):.2f} mm, worst vertex "
+            f"{1e3 * np.nanmax(errors):.1f} mm",
             content=png(
                 drawing.front_and_back(entry.model.surface(np.zeros(0), pose), faces, colours)
             ),
@@ -363,7 +374,9 @@ def _worst(evaluation: Evaluation, entry: ModelEvaluation) -> Iterator[_Shown]:
     for n in np.argsort(-curve.errors[k], kind="stable")[:WORST]:
         name = curve.registrations[n]
         fitted = entry.model.surface(curve.shape(k, n), curve.pose[k, n]) + curve.trans[k, n]
-        target = evaluation.registrations.read(int(curve.rows[n]))
+        target, weight = evaluation.registrations.read_seen(int(curve.rows[n]))
+        if weight is not None:
+            target = np.where(weight[:, None] > 0.0, target, fitted)
         yield _Shown(entry, name, fitted, target, _facing(entry.model, curve.pose[k, n]))
 
 

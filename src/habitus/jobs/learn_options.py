@@ -50,6 +50,8 @@ class TrainingOptions(TrainOptions, UnitOption):
     """Also train plain LBS and plain DQBS on the same registrations."""
     every: Annotated[int, metavar("K")] = 1
     """Take one frame in K of sequences (h5)."""
+    include_failed: Flag = False
+    """Also train on registrations that `habitus register` judged failed."""
 
     @property
     def training(self) -> TrainOptions:

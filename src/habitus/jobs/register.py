@@ -158,4 +158,5 @@ def _dataset(
         set=tuple("pose" if list(subjects).count(one) > 1 else "shape" for one in subjects),
         name=tuple(names),
         weights=np.stack([fit.weights for fit in fits]),
+        verdict=tuple(fit.verdict.level for fit in fits),
     )

@@ -130,7 +130,9 @@ def _train(
     callbacks: Callbacks,
     restart: bool,
 ) -> list[Training]:
-    data, notes = open_training_data(datasets, options.unit, options.every, options.sex)
+    data, notes = open_training_data(
+        datasets, options.unit, options.every, options.sex, options.include_failed
+    )
     groups = by_sex(data, options.sex)
     for whose, group in groups.items():
         check_people(whose, group, options)

@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
@@ -28,13 +30,21 @@ from habitus.parallel.workers import ReportingWorkers, Workers
 from habitus.types import PathLike, Progress
 
 SEXES = ("all", "each", "female", "male")
+MAX_NAMED = 5
+"""Registrations that a warning names."""
 
 
 def open_training_data(
-    datasets: PathLike | Sequence[PathLike] | Registrations, unit: str, every: int, sex: str
+    datasets: PathLike | Sequence[PathLike] | Registrations,
+    unit: str,
+    every: int,
+    sex: str,
+    include_failed: bool = False,
 ) -> tuple[Registrations, list[str]]:
     """The registrations to train on, those of the sets "pose" and "shape" and the sex asked for;
     and warnings.
+
+    Registrations that `habitus register` judged failed are left out unless ``include_failed``.
     """
     if sex not in SEXES:
         raise HabitusError(f"sex is {sex!r}; expected one of {', '.join(SEXES)}")
@@ -44,8 +54,22 @@ def open_training_data(
             [Path(path).absolute() for path in paths], unit=unit, every=every
         )
     data = datasets.where(set=("pose", "shape"))
+    warnings = []
+    if data.failed.any() and not include_failed:
+        names = [data.name[k] for k in np.flatnonzero(data.failed)]
+        if len(names) == len(data):
+            raise HabitusError(
+                f"all {len(names)} registrations were judged failed; look at their reports, or "
+                "train with include_failed"
+            )
+        shown_names = ", ".join(names[:MAX_NAMED]) + (", …" if len(names) > MAX_NAMED else "")
+        warnings.append(
+            f"{len(names)} of {len(data)} registrations were judged failed and are left out: "
+            f"{shown_names}; --include-failed takes them"
+        )
+        data = data.take(np.flatnonzero(~data.failed))
     if sex == "all":
-        return data, []
+        return data, warnings
     wanted = ("female", "male") if sex == "each" else (sex,)
     known = data.where(sex=wanted)
     if not len(known):
@@ -54,7 +78,9 @@ def open_training_data(
             "all"
         )
     unknown = len(data.where(sex=""))
-    return known, [f"{unknown} registrations whose sex is not told are left out"] if unknown else []
+    if unknown:
+        warnings.append(f"{unknown} registrations of unknown sex are left out")
+    return known, warnings
 
 
 def by_sex(data: Registrations, sex: str) -> dict[str, Registrations]:

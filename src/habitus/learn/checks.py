@@ -41,7 +41,6 @@ def check_registrations(
     template: Template,
     *,
     over: Callable[[Callable, Iterable], Iterable] = map,
-    holes: bool = True,
 ) -> list[Finding]:
     """All that is wrong with registrations and their template, errors first.
 
@@ -50,9 +49,8 @@ def check_registrations(
     torn, its vertices in another order, a mirror image); a registration under the name of one
     subject with the build of another; a subject of two sexes. Warnings: oddities of the template
     (`check_template`); joints that hardly bend in the pose set; subjects with one pose; meshes that
-    are there twice; another axis up, or faced, than the template's; holes, which without ``holes``
-    are errors. One registration is in memory at a time; ``over`` maps a function over
-    registrations, in order (on threads, say).
+    are there twice; another axis up, or faced, than the template's; holes. One registration is in
+    memory at a time; ``over`` maps a function over registrations, in order (on threads, say).
     """
     findings = [*check_template(template), *subject_findings(registrations)]
     other = other_topology(registrations, template)
@@ -62,8 +60,7 @@ def check_registrations(
     measures = list(over(partial(_measure, ruler, registrations), range(len(registrations))))
     posed = registrations.made.tolist()
     wrong = [
-        _fault(one, template.num_vertices, holes, made)
-        for one, made in zip(measures, posed, strict=True)
+        _fault(one, template.num_vertices, made) for one, made in zip(measures, posed, strict=True)
     ]
     findings += [
         Finding("error", name, fault)
@@ -132,16 +129,16 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
         return str(error)
 
 
-def _fault(measures: Measures | str, vertices: int, holes: bool, made: bool) -> str | None:
+def _fault(measures: Measures | str, vertices: int, made: bool) -> str | None:
     """The fault of one registration by itself, or None. One that was ``made`` may be folded up as
     nobody is scanned.
     """
     if isinstance(measures, str):
         return measures
     m = measures
-    if bad := m.bad + m.holes * (not holes):
+    if m.bad:
         return (
-            f"{bad} {'vertex is' if bad == 1 else 'vertices are'} not finite; repair or leave "
+            f"{m.bad} {'vertex is' if m.bad == 1 else 'vertices are'} not finite; repair or leave "
             "it out"
         )
     if 2 * m.holes > vertices:

@@ -13,6 +13,7 @@ from habitus.mesh.known import Known
 
 SETS = ("pose", "shape", "test")
 SEXES = ("female", "male", "")
+VERDICTS = ("good", "doubtful", "failed", "")
 
 
 @runtime_checkable
@@ -43,7 +44,9 @@ class Registrations:
     training) and ``name`` (for messages) have one word a registration. A vertex that is not a
     number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how far vertices are
     trusted, (V,) in all registrations or (N, V) in each. ``known`` is what is known of them
-    besides. Raises HabitusError where these do not fit together.
+    besides. ``verdict`` is what `habitus register` judged each to be ("good", "doubtful", "failed"
+    or "" where nothing judged it); () for none. Raises HabitusError where these do not fit
+    together.
     """
 
     vertices: Vertices
@@ -54,6 +57,7 @@ class Registrations:
     name: tuple[str, ...]
     weights: Vertices | None = None
     known: Known | None = None
+    verdict: tuple[str, ...] = ()
 
     def __post_init__(self):
         shape = tuple(self.vertices.shape)
@@ -61,14 +65,16 @@ class Registrations:
             raise HabitusError(
                 f"the registrations' vertices have shape {shape}; expected (N, V, 3)"
             )
-        for key in ("subject", "sex", "set", "name"):
+        for key in ("subject", "sex", "set", "name", "verdict"):
             words = getattr(self, key)
-            if len(words) != shape[0]:
+            if len(words) != shape[0] and (words or key != "verdict"):
                 raise HabitusError(
                     f"{len(words)} words of {key!r} for {shape[0]} registrations; expected one each"
                 )
         _check_words("sex", self.sex, SEXES, self.name)
         _check_words("set", self.set, SETS, self.name)
+        if self.verdict:
+            _check_words("verdict", self.verdict, VERDICTS, self.name)
         check_faces(self.faces, shape[1], "the registrations'")
         if self.weights is not None and tuple(self.weights.shape) not in (shape[1:2], shape[:2]):
             raise HabitusError(
@@ -143,6 +149,11 @@ class Registrations:
             np.isnan(self.read(k)).any() for k in range(len(self))
         )
 
+    @property
+    def failed(self) -> Bool[np.ndarray, " N"]:
+        """Those that `habitus register` judged failed."""
+        return np.array([word == "failed" for word in self.verdict or [""] * len(self)], bool)
+
     @cached_property
     def made(self) -> Bool[np.ndarray, " N"]:
         """Those whose poses are known: they were made, not scanned."""
@@ -177,7 +188,8 @@ class Registrations:
             )
         words = {
             key: tuple(getattr(self, key)[k] for k in rows)
-            for key in ("subject", "sex", "set", "name")
+            for key in ("subject", "sex", "set", "name", "verdict")
+            if getattr(self, key)
         }
         weights = self.weights
         if weights is not None and len(weights.shape) == 2:

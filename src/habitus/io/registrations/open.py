@@ -29,17 +29,17 @@ def open_registrations(
     vertices stay on disk.
 
     A path is: an ``.npz`` or a zarr group with ``vertices`` (N, V, 3), ``faces`` (F, 3),
-    ``subject`` and, if told, ``sex``, ``set``, ``name`` and ``unit`` (N,), ``weights`` of vertices,
-    0 to 1, (V,) or (N, V), and what is known of registrations that were made
-    (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B), ``rest``
-    (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns subject
-    and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its column file, or
-    lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy`` and so
-    on; a folder of numbered meshes, ten a subject (FAUST); a folder of such ``.npz``, one a person,
-    say; an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T) (Dyna),
-    of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the numbers
-    where the data do not tell it. Where no set is told, a registration is of the set "pose" if its
-    subject has several, else "shape". Raises HabitusError, naming the file, for all else.
+    ``subject`` and, where they are known, ``sex``, ``set``, ``name``, ``verdict`` and ``unit``
+    (N,), ``weights`` of vertices, 0 to 1, (V,) or (N, V), and what is known of registrations that
+    were made (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B),
+    ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns
+    subject and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its column
+    file, or lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy``
+    and so on; a folder of numbered meshes, ten a subject (FAUST); a folder of such ``.npz``, one a
+    person, say; an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
+    (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the
+    numbers where the data do not tell it. Where no set is told, a registration is of the set "pose"
+    if its subject has several, else "shape". Raises HabitusError, naming the file, for all else.
     """
     if unit_of(unit) is None:
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
@@ -74,6 +74,7 @@ def open_registrations(
         sex=words["sex"],
         set=_sets(words["subject"], words["set"]),
         name=words["name"],
+        verdict=words["verdict"] if any(words["verdict"]) else (),
         weights=_weights(sources),
         known=joined_known(
             [source.told for source in sources],
@@ -130,7 +131,9 @@ def write_registrations(
             with archive.open("vertices.npy", "w", force_zip64=True) as stream:
                 _write_vertices(registrations, stream, dtype)
             arrays = {
-                key: np.array(getattr(registrations, key), dtype=np.str_) for key in WORDS[:4]
+                key: np.array(words, dtype=np.str_)
+                for key in WORDS[:-1]
+                if (words := getattr(registrations, key))
             }
             arrays |= _numbers(registrations)
             for key, array in {"faces": np.asarray(registrations.faces), **arrays}.items():
@@ -157,7 +160,8 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
         np.save(temporary / "faces.npy", np.asarray(registrations.faces), allow_pickle=False)
         for key, array in _numbers(registrations).items():
             np.save(temporary / f"{key}.npy", array, allow_pickle=False)
-        table = table_text({key: getattr(registrations, key) for key in WORDS[:4]})
+        columns = {key: getattr(registrations, key) for key in WORDS[:-1]}
+        table = table_text({key: words for key, words in columns.items() if words})
         (temporary / "registrations.csv").write_text(table, encoding="utf-8")
         temporary.chmod(0o755)
         os.replace(temporary, target)

@@ -27,7 +27,7 @@ from habitus.io.registrations.vertex_files import (
 )
 from habitus.mesh.registrations import Vertices
 
-WORDS = ("subject", "sex", "set", "name", "unit")
+WORDS = ("subject", "sex", "set", "name", "verdict", "unit")
 KNOWN = (
     "an .npz, a .zarr folder, an .h5 of sequences, a folder with registrations.csv, or one of "
     "numbered meshes as in "

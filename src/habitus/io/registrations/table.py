@@ -10,9 +10,9 @@ from habitus.io.captures.tables import read_text
 from habitus.io.limits import check_text
 from habitus.io.names import plain_name
 from habitus.io.units import METRES, unit_of
-from habitus.mesh.registrations import SETS
+from habitus.mesh.registrations import SETS, VERDICTS
 
-COLUMNS = ("file", "subject", "sex", "set", "unit", "frame", "name")
+COLUMNS = ("file", "subject", "sex", "set", "unit", "frame", "name", "verdict")
 _SEXES = {
     "female": "female",
     "f": "female",
@@ -87,6 +87,13 @@ def known_word(column: str, word: str, where: str) -> str:
         if word and word.lower() not in SETS:
             raise HabitusError(
                 f"{where}: set is {shown(word)!r}; expected one of {', '.join(SETS)}, or nothing"
+            )
+        return word.lower()
+    if column == "verdict":
+        if word.lower() not in VERDICTS:
+            raise HabitusError(
+                f"{where}: verdict is {shown(word)!r}; expected {', '.join(VERDICTS[:3])} or "
+                "nothing"
             )
         return word.lower()
     if column == "unit":
