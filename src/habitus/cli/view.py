@@ -47,10 +47,10 @@ def run(options: View, console: "Console | None" = None) -> None:
 
     console = console or screen(options.quiet)
     shown = view(options.sources, body=options.body, up=options.up, port=options.port)
-    say(console, f"{shown.address} shows {', '.join(options.sources)}; Ctrl-C ends it")
-    if options.open:
-        webbrowser.open(shown.address)
     try:
+        say(console, f"{shown.address} shows {', '.join(options.sources)}; Ctrl-C ends it")
+        if options.open:
+            webbrowser.open(shown.address)
         shown.wait()
     except KeyboardInterrupt:
         pass  # the usual end
