@@ -33,7 +33,7 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
 from habitus.jobs.label import known_person
-from habitus.jobs.marker_options import MIN_CONFIDENCE
+from habitus.jobs.options import MIN_CONFIDENCE
 from habitus.jobs.subjects import person_of
 
 MOCAP = Path(__file__).resolve().parents[2] / "shared" / "mocap"

@@ -19,7 +19,7 @@ from habitus.body.prior import prior_of
 from habitus.fit.labels.recipe import label_people
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
-from habitus.jobs.marker_options import MIN_CONFIDENCE
+from habitus.jobs.options import MIN_CONFIDENCE
 
 PAIRS = (
     ("85_02", "85_12", 0.4),

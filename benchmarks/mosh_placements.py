@@ -33,7 +33,7 @@ from habitus.fit.markers.recipe import fit_markers
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.placements import learned
 from habitus.io.layouts.files import list_layouts, plain_layout
-from habitus.jobs.held_out import errors_of
+from habitus.jobs.mosh import errors_of
 from habitus.jobs.subjects import leave_out, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.placements import PlacementPrior

@@ -17,8 +17,7 @@ from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs import evaluate as evaluation
-from habitus.jobs.evaluate import evaluate
-from habitus.jobs.evaluation_models import load_models, shape_variances
+from habitus.jobs.evaluate import evaluate, load_models, shape_variances
 from habitus.parallel.workers import Threads
 
 QUICK = ("--counts", "2", "4", "--repeats", "1", "--workers", "1")

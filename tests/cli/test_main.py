@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from synthetic import synthetic_body
 
-from habitus.cli.first_run import NOTICE, told_of_compilation
 from habitus.cli.main import COMMANDS, main
+from habitus.cli.screen import NOTICE, compilation_notice
 from habitus.errors import HabitusError
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_write import write_c3d
@@ -409,12 +409,12 @@ def test_compilation_is_told_once_and_only_where_there_is_some(capsys):
     def second(x):
         return x - 1
 
-    with told_of_compilation():
+    with compilation_notice():
         first(1), second(2), first(3)
     assert capsys.readouterr().err == f"{NOTICE}\n"
-    with told_of_compilation():
+    with compilation_notice():
         first(4)
-    with told_of_compilation(quiet=True):
+    with compilation_notice(quiet=True):
         second(4.5)
     assert capsys.readouterr().err == ""
 

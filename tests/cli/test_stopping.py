@@ -11,8 +11,7 @@ import threading
 
 import pytest
 
-from habitus.cli.main import main
-from habitus.cli.stopping import Stop, on_ctrl_c
+from habitus.cli.main import Stop, main, on_ctrl_c
 
 
 def command(*arguments, code="", **options):
@@ -54,9 +53,9 @@ def test_ctrl_c_at_work_is_an_exception_and_a_second_one_the_end():
         stop(signal.SIGINT, None)
     code = """
         import os, signal
-        from habitus.cli import stopping
-        stop = stopping.Stop(left=lambda: "much is left", begun=True, asked=True)
-        with stopping.on_ctrl_c(stop, stays=False):
+        from habitus.cli.main import Stop, on_ctrl_c
+        stop = Stop(left=lambda: "much is left", begun=True, asked=True)
+        with on_ctrl_c(stop, stays=False):
             os.kill(os.getpid(), signal.SIGINT)
     """
     done = subprocess.run(

@@ -14,7 +14,7 @@ from habitus.errors import HabitusError
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import read_capture
 from habitus.jobs.label import label
-from habitus.jobs.marker_options import MoshOptions
+from habitus.jobs.options import MoshOptions
 
 
 def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_path: Path) -> None:

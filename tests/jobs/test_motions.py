@@ -86,7 +86,7 @@ def _without(path, names):
 
 
 def test_whom_a_motion_is_retargeted_to(real, tmp_path):
-    from habitus.jobs.targets import find_target
+    from habitus.jobs.motions import find_target
 
     motion = BodyMotion.of(real)
     body, betas, _ = find_target(motion, "1.5,-0.5")

@@ -455,7 +455,7 @@ def test_features_that_smpl_does_not_have_leave_no_pickle(asked, tmp_path):
     ],
 )
 def test_what_makes_no_sense_is_refused(files, tmp_path, asked, words, monkeypatch):
-    monkeypatch.setattr("habitus.parallel.cluster.TIMEOUT", "1s")
+    monkeypatch.setattr("habitus.parallel.workers.TIMEOUT", "1s")
     with pytest.raises(HabitusError, match=words):
         train(files[0], tmp_path / "out", **{"template": files[1], **asked})
     assert not (tmp_path / "out").exists()

@@ -14,8 +14,8 @@ from toy_people import OPTIONS, toy
 from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations, write_registrations
 from habitus.jobs.train import train
-from habitus.parallel.cluster import Cluster, connect, pickled_size
 from habitus.parallel.queue import Lost, Spread
+from habitus.parallel.workers import Cluster, connect, pickled_size
 
 distributed = pytest.importorskip("distributed")
 

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.mosh_results import FAILED_FIT
-from habitus.cli.screen import Strict, plain, progress_bar, say, screen
+from habitus.cli.screen import FAILED_FIT, Strict, plain, progress_bar, say, screen
 from habitus.errors import HabitusError, shown
-from habitus.jobs.marker_options import ArchiveOptions
-from habitus.jobs.options import metavar, unset
+from habitus.jobs.options import ArchiveOptions, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Quiet, Workers, plain, progress_bar, say, screen
+from habitus.cli.screen import Quiet, Workers, compilation_notice, plain, progress_bar, say, screen
 from habitus.errors import HabitusError
 from habitus.jobs.learn_options import EvaluationOptions
 from habitus.jobs.options import Flag, metavar
@@ -68,7 +67,7 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
     if options.known:
         _run_known(options, console, models, dataset)
         return
-    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
+    with compilation_notice(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
         found = evaluate(
             models,
@@ -85,7 +84,7 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
 def _run_known(options: Evaluate, console: "Console", models: list[str], dataset: str) -> None:
     from habitus.jobs.evaluate import evaluate_known
 
-    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
+    with compilation_notice(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
         found = evaluate_known(
             models,

@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Quiet, say, screen
-from habitus.jobs.marker_options import LabelOptions
-from habitus.jobs.options import metavar
+from habitus.cli.screen import Quiet, compilation_notice, say, screen
+from habitus.jobs.options import LabelOptions, metavar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,7 +42,7 @@ def run(options: Label, console: "Console | None" = None) -> None:
     from habitus.jobs.label import label
 
     console = console or screen(options.quiet)
-    with told_of_compilation(options.quiet):
+    with compilation_notice(options.quiet):
         found = label(options.capture, options.out, options=options)
     for warning in found.source.warnings:
         say(console, warning, "warning:")

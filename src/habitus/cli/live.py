@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Quiet, say, screen
-from habitus.jobs.marker_options import LiveOptions
-from habitus.jobs.options import Flag, metavar, unset
+from habitus.cli.screen import Quiet, compilation_notice, say, screen
+from habitus.jobs.options import Flag, LiveOptions, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,7 +56,7 @@ def run(options: Live, console: "Console | None" = None) -> None:
     made = sinks(
         options.send, options.port if options.view else None, lambda text: say(console, text)
     )
-    with told_of_compilation(options.quiet):
+    with compilation_notice(options.quiet):
         fit = live(
             options.source,
             options.address,

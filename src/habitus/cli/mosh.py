@@ -2,16 +2,25 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Strict, progress_bar, say, screen
+from habitus.cli.screen import (
+    Strict,
+    closing,
+    compilation_notice,
+    exit_code,
+    print_outcome,
+    print_table,
+    progress_bar,
+    say,
+    screen,
+)
 from habitus.errors import shown
-from habitus.jobs.marker_options import MoshOptions
-from habitus.jobs.options import BodyOption, metavar, unset
+from habitus.jobs.options import BodyOption, MoshOptions, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -45,31 +54,29 @@ class Mosh(Strict, MoshOptions, _Files):
 
 OPTIONS = Mosh
 ABOUT = Mosh.__doc__
-NEEDS = ("habitus.jobs.batch", "habitus.cli.mosh_results", "rich.progress", "numba.core.event")
+NEEDS = ("habitus.jobs.batch", "rich.table", "rich.progress", "numba.core.event")
 
 
 def run(options: Mosh, console: "Console | None" = None) -> int:
     """Do what the options say; 1 where one of several captures failed, 3 under ``strict`` where a
     fit failed by its verdict. Raises HabitusError for bad input.
     """
-    from habitus.cli.mosh_results import closing, exit_code, show, tell
-
     console = console or screen(options.quiet)
     several = len(options.captures) > 1 or any(path.is_dir() for path in options.captures)
     at_once = several and not console.is_terminal  # a table and a bar want the end
-    with told_of_compilation(options.quiet), progress_bar(console) as bar:
+    with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
         outcomes = _fit(
             options,
             lambda stage, share: bar.update(task, description=shown(stage), completed=share),
-            (lambda outcome: tell(outcome, console)) if at_once else (lambda outcome: None),
+            partial(print_outcome, console=console) if at_once else (lambda outcome: None),
         )
     if not several and all(outcome.error for outcome in outcomes):
         raise next(outcome.error for outcome in outcomes if outcome.error)
     for outcome in () if at_once else outcomes:
-        tell(outcome, console)
+        print_outcome(outcome, console)
     if console.is_terminal:
-        show(outcomes, console)
+        print_table(outcomes, console)
     if several:
         say(console, closing(outcomes, options.out))
     return exit_code(outcomes, options.strict)

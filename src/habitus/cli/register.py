@@ -6,12 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.mosh_results import FAILED_FIT
-from habitus.cli.screen import Strict, progress_bar, say, screen
+from habitus.cli.screen import FAILED_FIT, Strict, compilation_notice, progress_bar, say, screen
 from habitus.errors import shown
-from habitus.jobs.options import metavar, unset
-from habitus.jobs.surface_options import RegisterOptions
+from habitus.jobs.options import RegisterOptions, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,7 +53,7 @@ def run(options: Register, console: "Console | None" = None) -> int:
     from habitus.jobs.register import register_scans
 
     console = console or screen(options.quiet)
-    with told_of_compilation(options.quiet), progress_bar(console) as bar:
+    with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("read", total=1.0)
         fits = register_scans(
             options.scans,

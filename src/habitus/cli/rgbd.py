@@ -6,10 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.mosh_results import FAILED_FIT
-from habitus.cli.screen import Strict, plain, say, screen
-from habitus.jobs.options import metavar
-from habitus.jobs.surface_options import RgbdOptions
+from habitus.cli.screen import FAILED_FIT, Strict, plain, say, screen
+from habitus.jobs.options import RgbdOptions, metavar
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from habitus.cli.screen import Quiet, plain, progress_bar, say, screen
-from habitus.jobs.marker_options import MarkerSelectionOptions
-from habitus.jobs.options import metavar
+from habitus.jobs.options import MarkerSelectionOptions, metavar
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from habitus.cli.screen import Quiet, plain, say, screen
-from habitus.jobs.marker_options import PoseSelectionOptions
-from habitus.jobs.options import metavar
+from habitus.jobs.options import PoseSelectionOptions, metavar
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Quiet, Workers, plain, progress_bar, say, screen
+from habitus.cli.screen import Quiet, Workers, compilation_notice, plain, progress_bar, say, screen
 from habitus.jobs.learn_options import TrainingOptions
 from habitus.jobs.options import Flag, metavar
 
@@ -56,7 +55,7 @@ def run(options: Train, console: "Console | None" = None) -> None:
     from habitus.jobs.train import train
 
     console = console or screen(options.quiet)
-    with told_of_compilation(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
+    with compilation_notice(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("open", total=1.0)
 
         def progress(stage: str, share: float) -> None:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from habitus.cli.first_run import told_of_compilation
-from habitus.cli.screen import Quiet, plain, progress_bar, say, screen
+from habitus.cli.screen import Quiet, compilation_notice, plain, progress_bar, say, screen
 from habitus.jobs.options import metavar, unset
 from habitus.jobs.train_dynamics import DynamicsTrainingOptions
 
@@ -52,7 +51,7 @@ def run(options: TrainDynamics, console: "Console | None" = None) -> None:
     from habitus.jobs.train_dynamics import train_dynamics
 
     console = console or screen(options.quiet)
-    with told_of_compilation(options.quiet), progress_bar(console) as bar:
+    with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("open", total=1.0)
         found = train_dynamics(
             options.datasets,

@@ -19,7 +19,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import SHIPPED, load_body
-from habitus.jobs.marker_options import SubjectOptions
+from habitus.jobs.options import SubjectOptions
 from habitus.jobs.subjects import Person, person_of
 from habitus.results.metrics import fit_female_probability
 from habitus.types import PathLike, Progress

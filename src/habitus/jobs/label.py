@@ -28,8 +28,7 @@ from habitus.io.captures.read import Capture, read_captures
 from habitus.io.captures.unlabelled import UnlabelledCapture, read_unlabelled
 from habitus.io.layouts.files import load_layout, shipped_layouts
 from habitus.jobs.bodies import loaded
-from habitus.jobs.marker_options import LabelOptions
-from habitus.jobs.options import takes
+from habitus.jobs.options import LabelOptions, takes
 from habitus.jobs.subjects import Person, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.types import PathLike

@@ -30,8 +30,7 @@ from habitus.jobs.live_start import (
     learn_meanwhile,
     silence,
 )
-from habitus.jobs.marker_options import LiveOptions, read_age
-from habitus.jobs.options import takes
+from habitus.jobs.options import LiveOptions, read_age, takes
 from habitus.jobs.results import save_fit
 from habitus.types import PathLike
 

@@ -27,7 +27,7 @@ from habitus.io.streams.source import Frame, Source
 from habitus.io.streams.wiring import Wiring, find_wiring
 from habitus.io.units import METRES
 from habitus.jobs.bodies import aged_body, of_sex, with_fingers
-from habitus.jobs.marker_options import LiveOptions, MoshOptions
+from habitus.jobs.options import LiveOptions, MoshOptions
 from habitus.jobs.subjects import Person, gather
 from habitus.kernels.threads import one_blas_thread
 from habitus.types import PathLike

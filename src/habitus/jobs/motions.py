@@ -1,22 +1,110 @@
-"""What is made of a body in motion: soft tissue exaggerated, other bodies in the same motion. Files
-in, files out.
+"""What is made of a body in motion: soft tissue exaggerated, or other bodies in the same motion,
+given by betas, a person, the mean person of a body, or a character's mesh. Files in, files out.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion, Moving
+from habitus.body.recentred import FROM, is_of, recentred
 from habitus.body.soft_tissue import exaggerated
+from habitus.errors import HabitusError, shown
 from habitus.export.motion import check_motion_path, export_motion
 from habitus.fit.retarget.recipe import Retargeting, retargeted
-from habitus.io.people import read_motion
+from habitus.io.meshes import ENDINGS as MESHES
+from habitus.io.meshes import read_mesh
+from habitus.io.models.bodies import SHIPPED
+from habitus.io.people import read_motion, read_shape
 from habitus.jobs.results import Motion
-from habitus.jobs.targets import find_target
 from habitus.types import PathLike
+
+Target = tuple[BodyModel, Float[np.ndarray, " B"], str]
+"""The body that moves, its betas, and what to call it."""
+
+
+def find_target(
+    motion: BodyMotion, to: BodyModel | Sequence[float] | np.ndarray | PathLike
+) -> Target:
+    """The target that ``to`` means for a motion's body. Raises HabitusError where it means none.
+
+    Another shape of the motion's own body space is a set of betas; of any other person or character
+    of its topology the surface at rest becomes the template (`recentred`), so that soft tissue has
+    the motion's own directions.
+    """
+    if isinstance(to, BodyModel):
+        return _person(motion, to, np.zeros(to.num_betas), to.name)
+    if not isinstance(to, str | os.PathLike):
+        return _betas(motion, np.asarray(to, np.float64))
+    text = os.fspath(to)
+    if Path(text).suffix.lower() in MESHES:
+        return _character(motion, Path(text))
+    if text in SHIPPED or Path(text).suffix.lower() in (".npz", ".pkl"):
+        return _of_file(motion, text)
+    try:
+        return _betas(motion, np.array([float(word) for word in text.split(",")]))
+    except ValueError:
+        raise HabitusError(
+            f"{shown(text)}: nobody to retarget to; expected a person or body (.npz), a "
+            "character's mesh (.obj, .ply), "
+            "neutral, female or male, or betas with commas between, such as 1.5,-0.5"
+        ) from None
+
+
+def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
+    count = motion.body.num_betas
+    if given.ndim != 1 or len(given) > count or not np.isfinite(given).all():
+        raise HabitusError(
+            f"betas of shape {given.shape}; expected up to {count} finite numbers of the fit's "
+            "space"
+        )
+    said = ", ".join(f"{value:g}" for value in given[:4]) + (", …" if len(given) > 4 else "")
+    name = motion.body_name or motion.body.name
+    return motion.body, np.pad(given, (0, count - len(given))), f"{name} with betas {said}"
+
+
+def _of_file(motion: BodyMotion, text: str) -> Target:
+    """A person's npz, or a body's mean person."""
+    known = {motion.body_name: motion.body}
+    person = read_shape(text, known=known)
+    return _person(motion, person.body, person.betas, person.name)
+
+
+def _person(motion: BodyMotion, model: BodyModel, betas: np.ndarray, name: str) -> Target:
+    own = motion.body
+    same = FROM not in own.extras and SHIPPED.get(model.name, model.name) == SHIPPED.get(
+        own.name, own.name
+    )
+    if same and (model.age, model.num_betas) == (own.age, own.num_betas):
+        return own, np.pad(betas, (0, own.num_betas - len(betas))), name
+    level = model.full or model
+    return _recentred(motion, level.rest_vertices(betas), name)
+
+
+def _character(motion: BodyMotion, source: Path) -> Target:
+    vertices, faces = read_mesh(source)
+    levels = [level for level in (motion.body, motion.body.full) if level is not None]
+    if not any(is_of(level, vertices, faces) for level in levels):
+        known = " or ".join(
+            f"{level.num_vertices} vertices and {level.num_faces} triangles" for level in levels
+        )
+        raise HabitusError(
+            f"{source}: a mesh of {len(vertices)} vertices and {len(faces)} triangles; a "
+            "character has the body's own "
+            f"({known}, in their order): register the body to it first, in a tool that keeps "
+            "vertex order"
+        )
+    return _recentred(motion, vertices, source.stem)
+
+
+def _recentred(motion: BodyMotion, vertices: np.ndarray, name: str) -> Target:
+    body = recentred(motion.body, vertices, name)
+    return body, np.zeros(body.num_betas), name
 
 
 def exaggerate(

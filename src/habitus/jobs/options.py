@@ -1,26 +1,58 @@
 """Options of jobs: one frozen dataclass a job, each option with its type, default and help in one
 place.
 
-tyro makes the command from it, and `takes` makes a function take its fields as keywords. Modules of
-options load neither NumPy nor the numerics, so that help comes at once.
+tyro makes the command from it, and `takes` makes a function take its fields as keywords. This
+module loads neither NumPy nor the numerics, so that help comes at once; the options of learning are
+in `habitus.jobs.learn_options`.
 """
 
 import inspect
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
+from habitus.errors import HabitusError
+
 if TYPE_CHECKING:
     from habitus.body.model import BodyModel
+    from habitus.fit.markers.result import MarkerFit
+    from habitus.fit.markers.settings import MoshSettings, MoshWeights
+    from habitus.fit.points.settings import RgbdSettings, ScanSettings
+    from habitus.io.captures.read import Capture
     from habitus.types import PathLike
 
+    Age = float | str | None
     Body = PathLike | BodyModel
+    CameraFile = PathLike | None
+    DepthSettings = RgbdSettings | None
     File = PathLike
+    Files = PathLike | Capture | Sequence[PathLike | Capture]
+    KnownFit = PathLike | MarkerFit | None
+    LabelledFile = PathLike | Capture | None
+    Labels = Sequence[str]
+    LayoutName = int | PathLike
+    Numbers = Sequence[int]
+    Pool = int | str | Sequence[str]
+    Scans = ScanSettings | None
+    Settings = MoshSettings | None
+    SoftTissue = bool | str
+    Turns = Sequence[float | None]
+    Weights = MoshWeights | None
 else:  # what a command line can say
-    Body = File = str
+    Age = str | None
+    Body = File = LayoutName = Pool = str
+    CameraFile = LabelledFile = KnownFit = Path | None
+    DepthSettings = Scans = Settings = Weights = Any
+    Files = tuple[Path, ...]
+    Labels = tuple[str, ...]
+    Numbers = tuple[int, ...]
+    SoftTissue = Literal["none", "shape", "dynamics", "both"]
+    Turns = tuple[float, ...]
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """An option that is given or not."""
@@ -100,3 +132,241 @@ def _signature(own: inspect.Signature, kind: type) -> inspect.Signature:
     first = [one for one in kept if one.kind is not inspect.Parameter.KEYWORD_ONLY]
     last = [one for one in kept if one.kind is inspect.Parameter.KEYWORD_ONLY]
     return own.replace(parameters=[*first, *added, *last])
+
+
+SEXES = ("neutral", "female", "male", "auto")
+MIN_CONFIDENCE = 0.45
+"""A little under one half, which labels two points that are alike."""
+
+
+def read_age(age: float | str | None) -> float | None:
+    """An age in years; None for none, and for "auto". Raises HabitusError for anything else."""
+    if age is None or age == "auto":
+        return None
+    try:
+        years = float(age)
+    except (TypeError, ValueError):
+        years = math.nan
+    if not math.isfinite(years):
+        raise HabitusError(
+            f"age is {age!r}; expected years, such as 8, or auto for what the capture's file says"
+        )
+    return years
+
+
+@dataclass(frozen=True)
+class SubjectOptions:
+    """Whose body is fitted to markers, and by which layout."""
+
+    layout: Annotated[File, metavar("auto|discover|NAME|FILE")] = "auto"
+    """Where each marker sits: "auto" picks a layout by the labels, "discover" estimates the places
+    of unknown labels by fitting and writes layout.toml, else a shipped name or a file.
+    """
+    sex: Literal["neutral", "female", "male", "auto"] = "neutral"
+    """Model of the body; "auto" takes the sex in the capture's file, else the one that a neutral
+    fit is sure of.
+    """
+    age: Annotated[Age, unset("YEARS|auto")] = None
+    """Age of the person, 5 to 80; "auto" takes it from the capture's file. An adult by default."""
+    joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
+    """Joints of the body: 24, 52 with fingers, 55 with jaw and eyes; "auto" takes fingers where
+    they carry markers.
+    """
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second, where the file gives none or a wrong one."""
+    settings: Annotated[Settings, PythonOnly] = None
+    """Settings of the recipe: stages, schedule, robust loss. soft_tissue, causal and seed override
+    its own.
+    """
+
+    def __post_init__(self) -> None:
+        if self.sex not in SEXES:
+            raise HabitusError(f"sex is {self.sex!r}; expected one of {', '.join(SEXES)}")
+        read_age(self.age)
+
+
+@dataclass(frozen=True)
+class MarkerOptions(SubjectOptions):
+    """How captures are fitted, and what is written of each."""
+
+    soft_tissue: SoftTissue = "shape"
+    """What the last stage varies over time: directions of shape, the body's dynamic blend shapes,
+    or both; "none" stops after the pose stage.
+    """
+    seed: Annotated[int, metavar("N")] = 0
+    """Seed of the random choice of frames."""
+    npz_style: Literal["habitus", "amass"] = "habitus"
+    """Content of body.npz: all results, or the keys that AMASS scripts read (docs/amass.md)."""
+    weights: Annotated[Weights, PythonOnly] = None
+    """Of the energy's terms; those of ``settings`` by default."""
+
+
+@dataclass(frozen=True)
+class MoshOptions(MarkerOptions):
+    """Options of `habitus mosh`."""
+
+    label: Literal["given", "auto"] = "given"
+    """Marker labels: "given" uses the file's, "auto" ignores them and labels the points (see
+    habitus label).
+    """
+    causal: Flag = False
+    """Solve frame by frame without looking ahead, as a live system does (no soft tissue)."""
+    subject: Annotated[str | None, unset("NAME")] = None
+    """Person to fit, where a capture holds several; by default each is fitted separately."""
+    hold_out: Annotated[Labels, unset("L1 L2 …")] = ()
+    """Exclude these markers from the fit and report their error at the expected placements."""
+    hold_out_every: Annotated[int | None, unset("K")] = None
+    """Do so for every marker, one in K at a time (K more fits)."""
+    placements_from: Annotated[Files, unset("CAPTURE …")] = ()
+    """Other captures of the same person and markers: also report the error of held-out markers at
+    the placements estimated from these.
+    """
+    obj: Flag = False
+    """Also write an OBJ mesh for every frame."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.label not in ("given", "auto"):
+            raise HabitusError(f"label = {self.label!r}; expected 'given' or 'auto'")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArchiveOptions(MarkerOptions, BodyOption):
+    """Options of `habitus archive`."""
+
+    subjects: Annotated[Path | None, unset("TABLE.csv")] = None
+    """Table of subjects with the columns capture (a file or folder below FOLDER) and subject; by
+    default, subjects are those of files and folders.
+    """
+    minimal: Flag = False
+    """Write only body.npz and metrics.json of each capture: about a third of the disk space."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions(SubjectOptions, BodyOption):
+    """Options of `habitus live`."""
+
+    known: Annotated[KnownFit, unset("body.npz")] = None
+    """Earlier fit of the person with the same markers: shape and placements are taken from it."""
+    subject: Annotated[str | None, unset("NAME")] = None
+    """Person to follow, where a stream holds several."""
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Rate at which a file is played, 0 for as fast as it can be followed; or the rate of a stream
+    that gives none or a wrong one.
+    """
+    seconds: Annotated[float, metavar("S")] = 5.0
+    """Length of the frames from which the shape is estimated; the person should move."""
+    stop_after: Annotated[float | None, unset("S")] = None
+    """End after so many seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelOptions(BodyOption):
+    """Options of `habitus label`."""
+
+    layout: Annotated[File, metavar("auto|NAME|FILE")] = "auto"
+    """The markers; "auto" takes the shipped layout that fits best. With --like: of its labels."""
+    like: Annotated[LabelledFile, unset("LABELLED.c3d")] = None
+    """Labelled capture of the same person with the same markers, which gives shape and placements;
+    the most reliable option.
+    """
+    min_confidence: Annotated[float, metavar("0..1")] = MIN_CONFIDENCE
+    """Labels less likely than this are omitted."""
+    people: Annotated[int, metavar("N")] = 1
+    """Number of people in the capture, all with the same markers; their labels begin with person1:,
+    person2:, …
+    """
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second, where the file gives none or a wrong one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkerSelectionOptions(BodyOption):
+    """Options of `habitus select-markers`."""
+
+    pool: Annotated[Pool, tyro.conf.arg(name="from", metavar="N|LAYOUT,…")] = "114"
+    """Candidates: a number of markers spread over the body, or those of layouts."""
+    start: Annotated[LayoutName, metavar("LAYOUT|47|67")] = "47"
+    """Set to start from: markers of it are removed, and candidates are added to it."""
+    goal: Literal["surface", "shape", "pose"] = "surface"
+    """Error to minimise: of the posed surface (eq. 13), of the shape at rest, or of the joints."""
+    region: Literal["all", "legs", "arms", "trunk", "head"] = "all"
+    """Part of the body on which the error is measured."""
+    pairs: Flag = False
+    """Add and remove left and right markers together."""
+    min_markers: Annotated[int, metavar("N")] = 5
+    """Size of the smallest set: removal stops there."""
+    keep: Annotated[Numbers, metavar("N …")] = (25, 67)
+    """Sizes of the sets that are written as layouts."""
+    people: Annotated[int, metavar("N")] = 40
+    """Number of posed people on whom sets are evaluated."""
+    seed: Annotated[int, metavar("N")] = 0
+    """Seed of the random people."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseSelectionOptions(BodyOption):
+    """Options of `habitus select-poses`."""
+
+    layout: Annotated[LayoutName, metavar("NAME|FILE")] = "mosh-47"
+    """Markers that the person wears."""
+    count: Annotated[int, metavar("N")] = 12
+    """Number of poses."""
+    candidates: Annotated[int, metavar("N")] = 200
+    """Poses to choose from: plain ones, and others drawn from the pose prior."""
+    seed: Annotated[int, metavar("N")] = 0
+    """Seed of the random candidates."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterOptions:
+    """Options of `habitus register`."""
+
+    age: Annotated[float | None, unset("YEARS")] = None
+    """Age of the person, 5 to 80; an adult by default."""
+    sex: Annotated[Literal["female", "male"] | None, unset("female|male")] = None
+    """Sex that registrations.npz records for `habitus train`; the fit does not use it."""
+    unit: Literal["auto", "m", "cm", "mm", "in", "ft"] = "auto"
+    """Unit of the scans; "auto" takes m, cm or mm by the size of a person."""
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    """Axis of the scans that points up; "auto" estimates it."""
+    separate: Flag = False
+    """Every scan is another person."""
+    sequence: Flag = False
+    """The scans are in time order: each starts from the result before."""
+    texture: Flag = False
+    """Use the colours of two or more scans of the person to refine their correspondences."""
+    seed: Annotated[int, metavar("N")] = 0
+    """Seed of the random choice of points."""
+    settings: Annotated[Scans, PythonOnly] = None
+    """Settings of the recipe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthOptions:
+    """Options of a fit to depth views."""
+
+    turns: Annotated[Turns, unset("DEGREES …")] = ()
+    """Turn of the person in each view, to their left; estimated by default."""
+    age: Annotated[float | None, unset("YEARS")] = None
+    """Age of the person, 5 to 80; an adult by default."""
+    settings: Annotated[DepthSettings, PythonOnly] = None
+    """Settings of the recipe; clothes_mm and hair_mm override its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RgbdOptions(DepthOptions):
+    """Options of `habitus rgbd`."""
+
+    views: Annotated[Numbers, unset("NUMBERS")] = ()
+    """Views to use, counted from 0; by default all, up to 12."""
+    depth_unit: Annotated[float | None, unset("METRES")] = None
+    """Metres of one step of depth, where no file gives it: 0.001, or 0.0002 for TUM's."""
+    cameras: Annotated[CameraFile, unset("FILE")] = None
+    """Intrinsics (json, yaml) stored elsewhere."""
+    clothes_mm: Annotated[float | None, unset("MM")] = None
+    """Thickness of tight clothes on trunk and thighs, which is subtracted from the skin: 1 by
+    default, 0 without clothes.
+    """
+    hair_mm: Annotated[float | None, unset("MM")] = None
+    """Thickness of hair and cap, which is subtracted from the head: 3 by default."""

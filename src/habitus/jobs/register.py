@@ -20,9 +20,8 @@ from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
 from habitus.jobs.bodies import loaded
-from habitus.jobs.options import takes
+from habitus.jobs.options import RegisterOptions, takes
 from habitus.jobs.results import ScanResult
-from habitus.jobs.surface_options import RegisterOptions
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.registrations import Registrations
 from habitus.results.save import SCAN_FILES, result_lock

@@ -10,9 +10,8 @@ from habitus.fit.points.depth_result import RgbdFit
 from habitus.fit.points.settings import RgbdSettings
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
-from habitus.jobs.options import takes
+from habitus.jobs.options import DepthOptions, RgbdOptions, takes
 from habitus.jobs.results import Exportable, with_methods
-from habitus.jobs.surface_options import DepthOptions, RgbdOptions
 from habitus.observe.depth_views import RgbdCapture
 from habitus.report.rgbd import rgbd_page
 from habitus.results.depth import DEPTH_FILES, save_depth

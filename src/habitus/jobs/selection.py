@@ -24,10 +24,9 @@ from habitus.fit.selection.problem import NOISE, Candidates, linearised
 from habitus.io.layouts.files import load_layout, save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.bodies import loaded
-from habitus.jobs.marker_options import MarkerSelectionOptions, PoseSelectionOptions
-from habitus.jobs.options import silent, takes
+from habitus.jobs.options import MarkerSelectionOptions, PoseSelectionOptions, silent, takes
 from habitus.markers.layouts import Marker, MarkerLayout
-from habitus.parallel.choose import WorkersLike, open_workers
+from habitus.parallel.workers import WorkersLike, open_workers
 from habitus.report.diagrams import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 

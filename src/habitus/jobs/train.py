@@ -27,9 +27,13 @@ from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody, train_body
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
-from habitus.parallel.choose import WorkersLike, open_workers
-from habitus.parallel.cluster import pickled_size
-from habitus.parallel.workers import ReportingWorkers, Workers
+from habitus.parallel.workers import (
+    ReportingWorkers,
+    Workers,
+    WorkersLike,
+    open_workers,
+    pickled_size,
+)
 from habitus.types import PathLike, Progress
 
 _BASELINES = {"plain-lbs": "lbs", "plain-dqbs": "dqbs"}

@@ -28,8 +28,7 @@ from habitus.jobs.learn_options import UnitOption
 from habitus.jobs.options import BodyOption, silent, takes, unset
 from habitus.learn.dynamics.sequences import MovingSurface
 from habitus.learn.dynamics.train import DynamicsOptions, LearnedDynamics, learn_dynamics
-from habitus.parallel.choose import WorkersLike, open_workers
-from habitus.parallel.workers import Workers
+from habitus.parallel.workers import Workers, WorkersLike, open_workers
 from habitus.types import PathLike, Progress
 
 if TYPE_CHECKING:

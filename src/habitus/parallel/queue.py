@@ -12,8 +12,7 @@ from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 from habitus.errors import HabitusError, require_extra
-from habitus.parallel.choose import thread_count
-from habitus.parallel.cluster import Cluster, connect
+from habitus.parallel.workers import Cluster, connect, thread_count
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

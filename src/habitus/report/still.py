@@ -14,8 +14,7 @@ from jaxtyping import Float, Int, UInt8
 
 from habitus.export.png import png
 from habitus.report import drawing
-from habitus.report.blob import Blob
-from habitus.report.shell import NO_SCRIPT_STILL, THEME, card, figure, shell
+from habitus.report.shell import NO_SCRIPT_STILL, THEME, Blob, card, figure, shell
 
 SCRIPTS = (THEME, "viewer_inflate.js", "viewer_data.js", "still_viewer.js")
 STYLE = "still.css"

@@ -14,11 +14,10 @@ from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.parallel import blocks
 from habitus.report import write_report
-from habitus.report.blob import Blob
 from habitus.report.fit import texts
 from habitus.report.fit.page import _ordinal, report_page
 from habitus.report.fit.scene import player_stride
-from habitus.report.shell import json_for_script
+from habitus.report.shell import Blob, json_for_script
 from habitus.results.metrics import marker_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"

@@ -18,8 +18,8 @@ from habitus.fit.markers.suspects import Suspect
 from habitus.fit.subject import ShapeFit, Subject
 from habitus.jobs.bodies import PersonBody
 from habitus.jobs.finding import MarkerSet
-from habitus.jobs.marker_options import ArchiveOptions
 from habitus.jobs.mosh import Mosh, recipe_of
+from habitus.jobs.options import ArchiveOptions
 from habitus.jobs.subjects import Agreed
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.observe.markers import MarkerAttachment

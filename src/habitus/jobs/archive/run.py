@@ -21,8 +21,7 @@ from habitus.jobs.archive.items import ArchiveJob, Fit, Fitted, Look, Looked, Sh
 from habitus.jobs.archive.manifest import DONE, Manifest, Row, folder_names, open_manifest
 from habitus.jobs.archive.tasks import digest_of, work
 from habitus.jobs.finding import Found, find_captures
-from habitus.jobs.marker_options import ArchiveOptions
-from habitus.jobs.options import takes
+from habitus.jobs.options import ArchiveOptions, takes
 from habitus.parallel.queue import Lost, Queue, open_queue
 from habitus.report.archive import write_archive_page, write_table
 from habitus.results.save import MARKER_FILES

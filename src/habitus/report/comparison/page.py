@@ -15,13 +15,13 @@ from habitus.body.measurement_names import DEFINITIONS
 from habitus.body.motion import Moving
 from habitus.errors import shown
 from habitus.fit.markers.result import MarkerFit
-from habitus.report.blob import Blob
 from habitus.report.comparison.differences import Differences
 from habitus.report.fit.scene import ANGLE_FRAMES, PLOT_BINS, add_scene, bin_edges, bin_means
 from habitus.report.shell import (
     MAX_NAME,
     NO_SCRIPT,
     VIEWER,
+    Blob,
     Tile,
     asset,
     card,

@@ -16,7 +16,6 @@ from habitus import __version__
 from habitus.errors import listed, shown
 from habitus.files import write_text
 from habitus.fit.markers.suspects import Suspect
-from habitus.report.blob import Blob
 from habitus.report.fit import texts
 from habitus.report.fit.scene import ANGLE_FRAMES, Scene, add_angles, add_plots, add_scene
 from habitus.report.shell import (
@@ -24,6 +23,7 @@ from habitus.report.shell import (
     MAX_NOTE,
     NO_SCRIPT,
     VIEWER,
+    Blob,
     Tile,
     asset,
     banner,

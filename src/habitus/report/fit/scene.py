@@ -16,7 +16,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.proximity import signed_distance
 from habitus.parallel.blocks import every_nth_frame, mapped
-from habitus.report.blob import Blob
+from habitus.report.shell import Blob
 from habitus.results.metrics import marker_means
 from habitus.rotations import up_rotation
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus import load_body
-from habitus.parallel.choose import open_workers
+from habitus.parallel.workers import open_workers
 from habitus_lab.default_body.flesh.gather import gather, table
 from habitus_lab.default_body.flesh.people import people
 from habitus_lab.default_body.flesh.poses import ROUNDS, SEXES, Session, rounds_of_sessions

@@ -25,7 +25,7 @@ import numpy as np
 from habitus import load_body
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
-from habitus.parallel.choose import open_workers
+from habitus.parallel.workers import open_workers
 from habitus_lab.default_body.flesh.meshing import COARSE
 from habitus_lab.default_body.flesh.motions import RATE, SETTLE, Piece, pieces
 from habitus_lab.default_body.flesh.people import Shape, people

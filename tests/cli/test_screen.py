@@ -1,4 +1,4 @@
-"""How results are told: one line in a pipe, an uncut table on a terminal, names that no terminal
+"""How results are printed: one line in a pipe, an uncut table on a terminal, names that no terminal
 obeys.
 """
 
@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from habitus.cli.mosh_results import closing, exit_code, result_line, show, tell
-from habitus.cli.screen import say
+from habitus.cli.screen import closing, exit_code, print_outcome, print_table, result_line, say
 from habitus.errors import HabitusError
 from habitus.jobs.batch import Outcome
 
@@ -44,7 +43,7 @@ def printed(action, width=None):
 
 def test_a_pipe_gets_one_line_a_capture():
     said = printed(
-        lambda console: tell(
+        lambda console: print_outcome(
             outcome(verdict={"level": "good", "reasons": ["It follows."]}), console
         )
     )
@@ -63,9 +62,9 @@ def test_a_fit_that_is_not_good_says_why_and_counts_where_it_is_to():
     )
     good = outcome(verdict={"level": "good", "reasons": ["It follows the markers."]})
     assert "failed walk: It is 18.6 m tall. No limb is where it should be.\n" in printed(
-        lambda c: tell(failed, c)
+        lambda c: print_outcome(failed, c)
     )
-    assert "It follows" not in printed(lambda console: tell(good, console))
+    assert "It follows" not in printed(lambda console: print_outcome(good, console))
     assert (
         exit_code([good, failed], strict=True) == 3
         and exit_code([failed]) == exit_code([good], strict=True) == 0
@@ -83,7 +82,7 @@ def test_without_a_verdict_or_numbers_the_line_says_less():
 @pytest.mark.parametrize("width", [30, 60, 80, 120, 400])
 def test_nothing_is_ever_cut_on_a_terminal(width):
     outcomes = [outcome(), outcome(LONG, verdict={"level": "failed", "reasons": []})]
-    said = printed(lambda console: show(outcomes, console), width)
+    said = printed(lambda console: print_table(outcomes, console), width)
     together = re.sub(r"\s+", "", said)
     for words in (
         LONG,
@@ -105,9 +104,9 @@ def test_nothing_is_ever_cut_on_a_terminal(width):
 
 
 def test_columns_without_content_are_left_out():
-    assert "verdict" not in printed(lambda console: show([outcome()], console), 400)
+    assert "verdict" not in printed(lambda console: print_table([outcome()], console), 400)
     held = outcome(held_out_error_mm={"pose": {"mean": 9.87}, "soft_tissue": None})
-    assert "9.9" in printed(lambda console: show([held], console), 400)
+    assert "9.9" in printed(lambda console: print_table([held], console), 400)
 
 
 def test_names_from_files_do_not_rule_the_terminal():
@@ -115,7 +114,11 @@ def test_names_from_files_do_not_rule_the_terminal():
     for width in (None, 60, 400):
         nasty = outcome(evil, warnings=[evil])
         said = printed(
-            lambda console, nasty=nasty: (tell(nasty, console), show([nasty], console)), width
+            lambda console, nasty=nasty: (
+                print_outcome(nasty, console),
+                print_table([nasty], console),
+            ),
+            width,
         )
         assert said.isprintable() or set(filter(lambda c: not c.isprintable(), said)) == {"\n"}
         assert "[bold]x[/]" in said and "\\x1b[31mred" in said.replace("\n", "")
@@ -128,7 +131,7 @@ def test_failures_are_told_on_stderr_with_their_paths(capsys):
     other = Outcome(
         Path("deep/notes.csv"), "notes", error=HabitusError("notes.csv: no capture"), left_out=True
     )
-    said = printed(lambda console: [tell(one, console) for one in (bad, crash, other)])
+    said = printed(lambda console: [print_outcome(one, console) for one in (bad, crash, other)])
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "habitus: deep/bad.c3d: not a C3D file"
     assert lines[1].startswith(
