@@ -7,10 +7,13 @@ from hypothesis import strategies as st
 
 from habitus.fit.verdict import (
     ADULTS,
+    BODY,
     DOUBTFUL,
     FAILED,
     GOOD,
+    HANDS,
     LEVELS,
+    PARTS,
     PEOPLE,
     Bound,
     Reason,
@@ -20,6 +23,7 @@ from habitus.fit.verdict import (
     enumerated,
     measured,
     measurement_reasons,
+    part_of_joint,
     percent,
     verdict_of,
     weigh,
@@ -86,3 +90,28 @@ def test_words():
     assert measured("mass_kg", 70.04) == "70.0 kg" and measured("height_m", 1.755) == "175.5 cm"
     assert percent(0.256) == "26 %" and percent(0.0012, 1) == "0.1 %"
     assert enumerated(("a",)) == "a" and enumerated(["a", "b", "c"]) == "a, b and c"
+
+
+@given(st.lists(st.tuples(st.sampled_from(LEVELS), st.sampled_from(PARTS))))
+def test_parts_count_one_level_milder_than_the_body(reasons):
+    found = verdict_of([Reason(level, "b", {}, part) for level, part in reasons], SENTENCES)
+    for part in PARTS:
+        own = [level for level, other in reasons if other == part]
+        assert found.parts[part].level == worst(own)
+        assert len(found.parts[part].reasons) == len(own)
+    ends = worst([level for level, part in reasons if part != BODY])
+    assert found.level == worst([found.parts[BODY].level, DOUBTFUL if ends == FAILED else GOOD])
+
+
+def test_joints_belong_to_parts():
+    names = ("pelvis", "left_knee", "left_ankle", "left_foot", "neck", "head", "jaw")
+    names = (*names, "left_elbow", "left_wrist", "left_index1")
+    parts = part_of_joint(names, (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8))
+    body = ("body", "body", "feet", "feet", "body", "head", "head", "body", "hands", "hands")
+    assert parts == body
+
+
+def test_an_entry_holds_each_part():
+    found = verdict_of([Reason(FAILED, "b", {}, HANDS)], SENTENCES).entry()
+    assert found["level"] == DOUBTFUL and set(found["parts"]) == set(PARTS)
+    assert found["parts"][HANDS] == {"level": FAILED, "reasons": ["B."]}

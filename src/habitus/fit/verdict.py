@@ -1,6 +1,10 @@
 """Verdicts: how far a fit can be trusted, weighed by checks of its evidence against limits.
 
-    level = worst of level(evidence_i, limit_i),        good < doubtful < failed
+    level(part) = worst of level(evidence_i, limit_i),        good < doubtful < failed
+    level       = worst of level(body) and, one level milder, level(head), level(hands), level(feet)
+
+The whole is milder on what hangs at the body's ends: one wrong hand makes the hands failed and the
+fit doubtful, as shape and motion of everything else stay right.
 
 A recipe states its *evidence* (numbers measured of a fit, without knowing the truth), its *limits*
 (a `Bound` each, as data of its sensor), its *checks* (functions of both that yield reasons) and its
@@ -13,12 +17,25 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+from jaxtyping import Int
+
 from habitus.body.body_arrays import ADULT
+from habitus.body.model import BodyModel
+
+SIDES = ("left", "right")
 
 E = TypeVar("E")
 L = TypeVar("L")
 
 GOOD, DOUBTFUL, FAILED = LEVELS = ("good", "doubtful", "failed")
+BODY, HEAD, HANDS, FEET = PARTS = ("body", "head", "hands", "feet")
+MILDER: Mapping[str, str] = MappingProxyType({GOOD: GOOD, DOUBTFUL: GOOD, FAILED: DOUBTFUL})
+"""What the level of a part other than the body makes of the whole."""
+PART_ROOTS: Mapping[str, str] = MappingProxyType(
+    {"head": HEAD, "wrist": HANDS, "hand": HANDS, "ankle": FEET, "foot": FEET}
+)
+"""Joints, by name without the side, at which a part of the body other than the trunk begins."""
 
 
 class Bound(NamedTuple):
@@ -36,27 +53,49 @@ class Range(NamedTuple):
 
 
 class Reason(NamedTuple):
-    """A level, and why: the key of a sentence and the values that go into it."""
+    """A level, and why: the key of a sentence, the values that go into it, and the part of the body
+    (`PARTS`) that it speaks of.
+    """
 
     level: str
     key: str
     values: Mapping[str, Any] = MappingProxyType({})
+    part: str = BODY
+
+
+class PartVerdict(NamedTuple):
+    """The level of one part of the body and its reasons, the gravest first."""
+
+    level: str
+    reasons: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Verdict:
     """A fit's level, ``good``, ``doubtful`` or ``failed``, and its reasons, the gravest first.
 
-    reasons: a sentence each. keys: which kind of reason each is; not compared.
+    reasons: a sentence each. keys: which kind of reason each is; not compared. parts: the same of
+    body (what concerns all of it included), head, hands and feet; not compared.
     """
 
     level: str
     reasons: tuple[str, ...]
     keys: tuple[str, ...] = field(default=(), compare=False)
+    parts: Mapping[str, PartVerdict] = field(
+        default_factory=lambda: MappingProxyType({}), compare=False
+    )
 
     def __str__(self) -> str:
         """One line."""
         return f"{self.level}: {' '.join(self.reasons)}" if self.reasons else self.level
+
+    def entry(self) -> dict[str, Any]:
+        """As metrics.json holds it: ``level``, ``reasons`` and, for each part, the same."""
+        parts = {
+            name: {"level": part.level, "reasons": list(part.reasons)}
+            for name, part in self.parts.items()
+        }
+        return {"level": self.level, "reasons": list(self.reasons), "parts": parts}
 
 
 def weigh(
@@ -74,13 +113,43 @@ def weigh(
 
 
 def verdict_of(reasons: Sequence[Reason], sentences: Mapping[str, str]) -> Verdict:
-    """The verdict of some reasons, sorted by level."""
-    by_gravity = sorted(reasons, key=lambda reason: -LEVELS.index(reason.level))
+    """The verdict of some reasons, sorted by the level that they give the whole."""
+    by_gravity = sorted(reasons, key=lambda r: -LEVELS.index(whole_level({r.part: r.level})))
+    texts = [sentences[reason.key].format(**reason.values) for reason in by_gravity]
+    parts = {}
+    for part in PARTS:
+        own = [k for k, reason in enumerate(by_gravity) if reason.part == part]
+        level = worst([by_gravity[k].level for k in own])
+        parts[part] = PartVerdict(level, tuple(texts[k] for k in own))
     return Verdict(
-        worst([reason.level for reason in reasons]),
-        tuple(sentences[reason.key].format(**reason.values) for reason in by_gravity),
+        whole_level({name: part.level for name, part in parts.items()}),
+        tuple(texts),
         tuple(reason.key for reason in by_gravity),
+        MappingProxyType(parts),
     )
+
+
+def whole_level(parts: Mapping[str, str]) -> str:
+    """The level of a fit from those of its parts; all but the body's count one level milder."""
+    return worst([level if part == BODY else MILDER[level] for part, level in parts.items()])
+
+
+def part_of_joint(joint_names: Sequence[str], parents: Sequence[int]) -> tuple[str, ...]:
+    """Of each joint, the part of the body (`PARTS`) that its skin belongs to; parents come before
+    their children, -1 for the root.
+    """
+    parts: list[str] = []
+    for name, parent in zip(joint_names, parents, strict=True):
+        side, _, plain = name.rpartition("_")
+        own = PART_ROOTS.get(plain if side in SIDES else name)
+        parts.append(own or (parts[parent] if parent >= 0 else BODY))
+    return tuple(parts)
+
+
+def vertex_parts(body: BodyModel) -> Int[np.ndarray, " V"]:
+    """The number in `PARTS` of each vertex's part."""
+    parts = part_of_joint(body.joint_names, body.parents.tolist())
+    return np.array([PARTS.index(part) for part in parts])[body.strongest_joint]
 
 
 def worst(levels: Sequence[str]) -> str:

@@ -19,6 +19,7 @@ from habitus.fit.markers.recordings import check_recordings
 from habitus.fit.markers.suspects import Suspect
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_layout, match_layout, match_layouts, shipped_layouts
+from habitus.markers.checks import MIRRORED
 from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 from habitus.markers.matching import LayoutMatch, interpreted
 from habitus.parallel.blocks import mapped
@@ -115,7 +116,7 @@ def person_of(
         known = {
             "recorded": dict(capture.recorded),
             "layout_confidence": _confidence(match),
-            "doubts": doubts,
+            "doubts": (*capture.doubts, *_mirrored(match), *doubts),
         }
         recordings.append(
             Recording(capture.name, markers, capture.rate_hz, capture.up_axis, told, found, **known)
@@ -183,8 +184,19 @@ class Agreed:
             (*found, *common),
             recorded=dict(capture.recorded),
             layout_confidence=self.confidence,
-            doubts=self.doubts,
+            doubts=tuple(dict.fromkeys((*capture.doubts, *self.doubts))),
         )
+
+
+def _mirrored(match: LayoutMatch) -> tuple[str, ...]:
+    """That sides were exchanged and need not have been, where they were."""
+    if all(correction.check != MIRRORED for correction in match.corrections):
+        return ()
+    return (
+        "Either left and right labels are exchanged throughout, or the capture is mirrored "
+        "(left-handed axes): labels were exchanged back; if the capture is mirrored, so are the "
+        "person and the motion.",
+    )
 
 
 def _reasons(suspects: Sequence[Suspect]) -> set[tuple[str, str]]:

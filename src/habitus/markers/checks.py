@@ -60,6 +60,10 @@ def checked(
 # -- left and right --------------------------------------------------------------------------------
 
 
+MIRRORED = "mirrored capture"
+"""Name of the check that exchanges left and right throughout."""
+
+
 def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     """Left and right labels are exchanged throughout, or the capture is mirrored: front contradicts
     left and up.
@@ -90,7 +94,7 @@ def mirrored_capture(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]
     if len(cosines) < 3 or any(np.nanmedian(values) > -0.3 for values in cosines):
         return
     yield Correction(
-        "mirrored capture",
+        MIRRORED,
         "left and right labels are exchanged throughout (or the capture is mirrored): all places "
         "changed sides",
         tuple(other_side(marker) for marker in layout.markers),

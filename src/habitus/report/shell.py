@@ -155,15 +155,19 @@ def heading(title: object, facts: Iterable[str]) -> str:
 
 
 def banner(verdict: Mapping[str, Any]) -> str:
-    """A verdict and its reasons, in its colour."""
+    """A verdict and its reasons, in its colour, and the levels of parts that differ from it."""
     level = verdict["level"]
+    parts = verdict.get("parts") or {}
+    named = " · ".join(f"{escape(name)} {escape(part['level'])}" for name, part in parts.items())
+    differ = any(part["level"] != level for part in parts.values())
+    by_part = f"<p class='parts'>{named}</p>" if differ else ""
     items = "".join(
         f"<li>{escape(shown(reason, MAX_REASON))}</li>" for reason in verdict["reasons"]
     )
     role = "status" if level == "good" else "alert"
     return (
         f"<div class='banner {level}' role='{role}'>"
-        f"<strong>{VERDICTS[level]}</strong><ul>{items}</ul></div>\n"
+        f"<strong>{VERDICTS[level]}</strong>{by_part}<ul>{items}</ul></div>\n"
     )
 
 

@@ -66,7 +66,7 @@ def depth_metrics(fit: RgbdFit) -> dict[str, Any]:
         "stage_seconds": {**seconds, "total": sum(seconds.values())},
         "body_measurements": dict(fit.measurements),
         "gender": gender_entry(_female_probability(fit), fit.gender),
-        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "verdict": fit.verdict.entry(),
         "warnings": list(fit.warnings),
     }
 

@@ -57,7 +57,7 @@ def marker_metrics(fit: MarkerFit) -> dict[str, Any]:
         },
         "body_measurements": body_measurements(fit),
         "gender": gender_entry(fit_female_probability(fit), fit.gender),
-        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "verdict": fit.verdict.entry(),
         "unobserved_segments": _unobserved_segments(fit),
         "warnings": [str(warning) for warning in fit.warnings],
     }
@@ -212,7 +212,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
         "costs": dict(fit.costs),
         "matched_fraction": fit.matched,
         "unexplained_fraction": fit.lost,
-        "self_intersections": fit.cuts,
+        "self_intersections": dict(fit.cuts),
         "observed_fraction": fit.seen,
         "betas": fit.betas.tolist(),
         "pose_distance": fit.pose_distance,
@@ -227,7 +227,7 @@ def scan_metrics(fit: ScanFit) -> dict[str, Any]:
             "difference_after": fit.colours.after,
             "surface_shift_mm": 1e3 * fit.colours.slid,
         },
-        "verdict": {"level": fit.verdict.level, "reasons": list(fit.verdict.reasons)},
+        "verdict": fit.verdict.entry(),
         "stage_seconds": dict(fit.stage_seconds),
         "warnings": list(fit.notes),
     }

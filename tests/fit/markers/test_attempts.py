@@ -39,3 +39,6 @@ def test_labels_that_nothing_fits_are_left_out_and_the_rest_is_right(clean):
     )
     assert fit.tried[0].endswith(f": that with {len(fit.left_out)} labels left out is kept.")
     assert np.nanmean(fit.errors("pose")) < 0.005
+    suspects = {s.label: s.frames for s in fit.suspects}
+    assert all(suspects[label] == len(clean.observed) for label in fit.left_out)
+    assert all(any(label in text for text in fit.warnings) for label in fit.left_out)

@@ -7,8 +7,9 @@ import numpy as np
 import planted as p
 import pytest
 
-from habitus.fit.markers.evidence import Evidence
+from habitus.fit.markers.evidence import Evidence, Motion
 from habitus.fit.markers.judge import judge, may_improve, weigh
+from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.verdict import LEVELS
 from habitus_lab.population.spoilt import SPOILINGS
 
@@ -55,6 +56,13 @@ SOUND = Evidence(
     up_axis="+z",
     tried=(),
 )
+
+
+def moving(**changes):
+    """How fast people move, with something changed."""
+    return Motion(1.0, 1.5, 6.0, 70.0, 7.0, 180.0)._replace(**changes)
+
+
 HASTY = p.settings(annealing=(10.0,), frames=2, soft_tissue=False)
 SENTENCES = Path(__file__).parent / "verdict_sentences.txt"
 UNSEEN_HAND = {**SOUND.unseen, "left_wrist": 1.0}
@@ -65,7 +73,7 @@ AGAINST = {  # what is changed: (the level of the verdict, the reason's key, a v
     "unusual": ({"mean_mm": 14.0, "motion": 0.0}, "doubtful", "large errors", ": 4 mm"),
     "never seen": ({"mean_mm": None, "p95_mm": None}, "failed", "no markers", ""),
     "distrusted": ({"distrusted": 0.3}, "failed", "distrusted", "30 %"),
-    "rare shape": ({"beta_sd": 6.5}, "failed", "shape", "6.5 standard deviations"),
+    "rare shape": ({"beta_sd": 6.5}, "doubtful", "shape", "6.5 standard deviations"),
     "a giant": ({"measurements": {"height_m": 18.6}}, "failed", "tall", "1860.0 cm"),
     "tall": ({"measurements": {"height_m": 2.25}}, "doubtful", "measurement", "225.0 cm"),
     "no chest": (
@@ -90,6 +98,8 @@ AGAINST = {  # what is changed: (the level of the verdict, the reason's key, a v
     "mixed": ({"torn": 0.1, "torn_level": 0.1}, "doubtful", "mixed labels", "10 %"),
     "mirrored": ({"suspects": 1.0}, "doubtful", "suspects", "100 %"),
     "few": ({"markers": 7}, "doubtful", "few markers", "7 markers"),
+    "falls": ({"extremes": moving(fall=4.2)}, "failed", "falls", "4.2 g"),
+    "too fast": ({"extremes": moving(marker_speed=35.0)}, "doubtful", "speeds", "35 m/s"),
     "left out": ({"left_out": ("LELB", "RKNE")}, "doubtful", "left out", "LELB and RKNE"),
 }
 
@@ -140,8 +150,14 @@ LEARNED = {
     "usual in motion": [{"mean_mm": mm, "motion": 0.1} for mm in (10.7, 10.8, 21.6)],
     "displaced": [{"displaced": spreads} for spreads in (1.9, 2.1, 4.1)],
     "distrusted": [{"distrusted": share} for share in (0.049, 0.051, 0.201)],
-    "one coefficient": [{"beta_sd": sd} for sd in (3.4, 3.6, 6.1)],
-    "all coefficients": [{"betas_rms": sd} for sd in (1.5, 1.7, 2.6)],
+    "one coefficient": [{"beta_sd": sd} for sd in (4.9, 5.1)],
+    "all coefficients": [{"betas_rms": sd} for sd in (1.8, 2.0)],
+    "falls": [{"extremes": moving(fall=g)} for g in (1.2, 1.4, 2.6)],
+    "pushes": [{"extremes": moving(force=g)} for g in (3.9, 4.1, 10.1)],
+    "marker speed": [{"extremes": moving(marker_speed=v)} for v in (19.0, 21.0, 61.0)],
+    "marker acceleration": [{"extremes": moving(marker_acceleration=a)} for a in (299, 301, 1501)],
+    "joint speed": [{"extremes": moving(joint_speed=w)} for w in (19.0, 21.0, 61.0)],
+    "joint acceleration": [{"extremes": moving(joint_acceleration=a)} for a in (999, 1001, 4001)],
     "tall": [{"measurements": {"height_m": m}} for m in (2.09, 2.10, 2.30)],
     "small": [{"measurements": {"height_m": m}} for m in (1.35, 1.34, 0.88)],
     "suspects": [{"suspects": share} for share in (0.34, 0.36)],
@@ -216,6 +232,38 @@ def test_limbs_without_markers_are_named(clean):
     found = judge(p.fit(clean, bare, HASTY))
     limbs = found.reasons[found.keys.index("unseen limbs")]
     assert found.level == "doubtful" and "left forearm" in limbs
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """A planted motion of two seconds that swings arms and legs."""
+    return p.plant(frames=120)
+
+
+def fit_again(planted, observed, rate_hz):
+    recordings = [Recording("planted", np.array(observed), rate_hz, "+y")]
+    which = replace(HASTY, seed=1)
+    return fit_markers(planted.body, planted.prior, planted.layout, recordings, which)[0].verdict
+
+
+def test_a_rate_four_times_too_high_is_noticed(walk):
+    assert not {"falls", "speeds"} & set(fit_again(walk, walk.observed, p.RATE_HZ).keys)
+    found = fit_again(walk, walk.observed, 4 * p.RATE_HZ)
+    assert found.level != "good" and {"falls", "speeds"} & set(found.keys)
+
+
+def test_frames_in_random_order_are_noticed(walk):
+    order = np.random.default_rng(0).permutation(len(walk.observed))
+    found = fit_again(walk, walk.observed[order], p.RATE_HZ)
+    assert found.level != "good" and {"falls", "speeds"} & set(found.keys)
+
+
+def test_parts_without_markers_are_doubtful_by_themselves():
+    for joint, part in (("left_wrist", "hands"), ("left_shoulder", "body")):
+        found = weigh(replace(SOUND, unseen={**UNSEEN, "left_elbow": 0.0, joint: 1.0}))
+        others = {name: each.level for name, each in found.parts.items() if name != part}
+        assert found.parts[part].level == "doubtful" and set(others.values()) == {"good"}
+        assert found.level == ("doubtful" if part == "body" else "good")
 
 
 def test_children_are_held_against_children():

@@ -10,10 +10,11 @@ from synthetic import synthetic_body
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology, find_correspondences, vertex_weights
-from habitus.fit.points.free_surface import free_surface, stretched_surface
+from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface
 from habitus.fit.points.scan import Cloud, Scan, agreed, cleaned, outward, plane_normals, turned
 from habitus.fit.points.scan_result import at_rest, judge_scan, lost_share
 from habitus.fit.points.settings import SurfaceStage
+from habitus.fit.verdict import PARTS
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import closest_points
 
@@ -164,15 +165,56 @@ def test_the_verdict_follows_the_numbers():
         "rival": None,
         "lost": 0.001,
         "person": True,
-        "cuts": 3,
+        "lost_part": "body",
+        "cuts": {"body": 3, "head": 20},
     }
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
-        ({"matched": 0.5}, "failed"), ({"cuts": 60}, "doubtful"), ({"cuts": 2000}, "failed"),
+        ({"matched": 0.5}, "failed"), ({"cuts": {"body": 60}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"),
-        ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "failed"),
+        ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
     ):  # fmt: skip
         verdict = judge_scan(SimpleNamespace(**(good | change)))
         assert verdict.level == level and len(verdict.reasons) >= 1
+
+
+def scan_evidence(**changes):
+    """What a verdict on a registered scan is drawn from; all of it good where nothing is changed."""
+    good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
+    good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
+    good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
+    return SimpleNamespace(**(good | changes))
+
+
+def test_one_wrong_hand_fails_the_hands_and_not_the_person():
+    verdict = judge_scan(scan_evidence(lost=0.007, lost_part="hands"))
+    levels = {name: part.level for name, part in verdict.parts.items()}
+    assert levels == {"body": "good", "head": "good", "hands": "failed", "feet": "good"}
+    assert verdict.level == "doubtful" and "hands" in verdict.reasons[0]
+    assert judge_scan(scan_evidence(lost=0.007)).level == "failed"
+
+
+def test_a_rare_shape_is_a_doubt_by_degree_and_no_failure():
+    betas = [np.array([5.0, -3.0, 3.5, *np.zeros(13)]), np.full(4, 2.6), np.full(4, 9.0)]
+    levels = [judge_scan(scan_evidence(betas=each)).level for each in betas]
+    assert levels == ["good", "doubtful", "doubtful"]
+
+
+def test_self_intersections_are_reported_where_they_are():
+    verdict = judge_scan(scan_evidence(cuts={"body": 0, "head": 300, "hands": 10}))
+    assert verdict.keys == ("cuts",) and "at the head" in verdict.reasons[0]
+    assert verdict.parts["head"].level == "doubtful" and verdict.parts["hands"].level == "good"
+
+
+def test_new_self_intersections_are_counted_by_part():
+    body = synthetic_body("smpl", 120)
+    model = np.asarray(body.v_template)
+    spread = 40.0 * model  # no triangles near each other
+    topology = Topology.of(np.asarray(body.faces), len(model))
+    parts = np.zeros(len(model), np.int64)
+    assert sum(new_cuts(topology, model, model, parts).values()) == 0
+    for number, name in enumerate(PARTS):
+        cuts = new_cuts(topology, spread, model, parts + number)
+        assert sum(cuts.values()) == cuts[name]

@@ -16,6 +16,7 @@ from habitus.fit.markers.recipe import fit_markers, iterate_fits
 from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.suspects import Suspect
 from habitus.fit.verdict import FAILED, LEVELS
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.blocks import distances, mapped
@@ -38,7 +39,17 @@ class _Case:
 
     def leaving_out(self, labels: Sequence[str]) -> MarkerFit:
         rest = self._only([label for label in self.layout.labels if label not in labels])
-        return replace(rest.fit(), left_out=tuple(labels))
+        fit = rest.fit()
+        frames = np.isfinite(self.recording.observed[..., 0]).sum(axis=0).tolist()
+        seen = dict(zip(self.layout.labels, frames, strict=True))
+        found = (Suspect(label, "left out: nothing fits it", seen[label]) for label in labels)
+        warning = f"left out because nothing fits them: {', '.join(labels)}"
+        return replace(
+            fit,
+            left_out=tuple(labels),
+            suspects=(*(s for s in fit.suspects if s.label not in labels), *found),
+            warnings=(*fit.warnings, warning),
+        )
 
     def fitting(self, fit: MarkerFit, labels: Sequence[str]) -> tuple[str, ...]:
         """Which of the labels that were left out lie where the layout puts them on the body found

@@ -1,9 +1,10 @@
 """Evidence on a marker fit, as numbers: errors, robust weights, shape, limbs without markers, tilt,
-rate.
+rate, and how fast what was fitted moves.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +13,7 @@ from habitus.arrays import runs
 from habitus.body.skinning import descends
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.parallel.blocks import mapped
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 MOST_FRAMES = 4000
 FEW_FRAMES = 200  # enough to judge by; more cost memory and say no more
@@ -21,6 +23,43 @@ CLOSE = 0.15
 TORN = 0.4
 LEVEL = 0.3  # metres: markers this close at rest, this much further apart, and this level
 SIDES = ("left", "right")
+MOTION_STEP = 0.02
+"""Seconds of the differences that speeds and accelerations are taken from: noise of 1 mm leaves an
+acceleration of 6 m/s^2, and steps of a sprint last 0.1 s."""
+MOTION_SAMPLES = 400
+MOTION_QUANTILE = 95
+GRAVITY = 9.81
+_PAIRED_SEGMENTS = (
+    ("shoulder", "elbow", 0.0271, 0.577),
+    ("elbow", "wrist", 0.0162, 0.457),
+    ("wrist", "wrist", 0.0061, 0.0),
+    ("hip", "knee", 0.1416, 0.410),
+    ("knee", "ankle", 0.0433, 0.446),
+    ("ankle", "ankle", 0.0137, 0.0),
+)
+MASS_SEGMENTS = (
+    ("pelvis", "neck", 0.4346, 0.5),
+    ("neck", "head", 0.0694, 1.0),
+    *((f"{s}_{a}", f"{s}_{b}", mass, at) for s in SIDES for a, b, mass, at in _PAIRED_SEGMENTS),
+)
+"""Segments of a body from joint to joint, share of its mass, and where between the two joints the
+mass is: de Leva 1996, Journal of Biomechanics 29(9), table 4, men."""
+
+
+class Motion(NamedTuple):
+    """How fast a fit moves: 95th percentiles, over `MOTION_STEP`.
+
+    fall and force: of the centre of mass' acceleration downwards and in any direction, in g.
+    Markers in m/s and m/s^2, joints against their parents in rad/s and rad/s^2, over all of them.
+    """
+
+    fall: float
+    force: float
+    marker_speed: float
+    marker_acceleration: float
+    joint_speed: float
+    joint_acceleration: float
+
 
 
 @dataclass(frozen=True)
@@ -34,7 +73,8 @@ class Evidence:
     it; parents: joint -> the joint that it hangs from. tilt_deg: of the body against up, at the
     median; standing: only over frames of a straight body. size: of the observed markers as a
     multiple of the body's. torn: share of the pairs close together on the body that are seen far
-    apart; torn_level: how many of these at one height. age, stature: the body's age, if it was
+    apart; torn_level: how many of these at one height. extremes: how fast the fit moves, None of
+    fewer than three frames or a body without a person's joints. age, stature: the body's age, if it was
     brought to one (years), and how tall its mean person is (m). tried: what was done before.
     doubts: what was not decided of the markers' places.
     """
@@ -68,6 +108,7 @@ class Evidence:
     up_axis: str
     tried: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    extremes: Motion | None = None
 
 
 def evidence(fit: MarkerSolution) -> Evidence:
@@ -108,12 +149,13 @@ def evidence(fit: MarkerSolution) -> Evidence:
         torn_level=level,
         rate_hz=fit.rate_hz,
         speed=_speed(fit),
-        suspects=len({s.label for s in fit.suspects}) / max(1, len(fit.labels)),
+        suspects=len({s.label for s in fit.suspects} & set(fit.labels)) / max(1, len(fit.labels)),
         left_out=fit.left_out,
         markers=len(fit.labels),
         up_axis=fit.up_axis,
         tried=fit.tried,
         doubts=fit.doubts,
+        extremes=motion_extremes(fit),
     )
 
 
@@ -147,6 +189,49 @@ def _speed(fit: MarkerSolution) -> float:
     if fit.num_frames < 2:
         return 0.0
     return float(np.median(np.linalg.norm(np.diff(fit.trans, axis=0), axis=1))) * fit.rate_hz
+
+
+def motion_extremes(fit: MarkerSolution) -> Motion | None:
+    """How fast a fit moves, from triples of frames spread over it."""
+    step = max(1, round(MOTION_STEP * fit.rate_hz))
+    names = {name: k for k, name in enumerate(fit.body.joint_names)}
+    known = all(name in names for first, second, *_ in MASS_SEGMENTS for name in (first, second))
+    last = fit.num_frames - 2 * step
+    if last < 1 or not known:
+        return None
+    starts = np.unique(np.linspace(0, last - 1, min(last, MOTION_SAMPLES)).astype(np.int64))
+    rows = starts[:, None] + step * np.arange(3)
+    rate = fit.rate_hz / step
+    frames, where = np.unique(rows, return_inverse=True)
+    joints = np.asarray(fit.joints(frames.tolist()))
+    centre = sum(
+        mass * ((1.0 - at) * joints[:, names[first]] + at * joints[:, names[second]])
+        for first, second, mass, at in MASS_SEGMENTS
+    ) / sum(mass for *_, mass, _ in MASS_SEGMENTS)
+    centre = centre[where.reshape(rows.shape)]
+    pull = rate**2 / GRAVITY * (centre[:, 2] - 2 * centre[:, 1] + centre[:, 0])
+    down = 1.0 if fit.up_axis.startswith("-") else -1.0
+    markers = [np.asarray(fit.predicted_pose_stage[rows[:, k]]) for k in range(3)]
+    moved = [rate * (markers[k + 1] - markers[k]) for k in range(2)]
+    turn = matrix_from_rotvec(np.asarray(fit.pose[frames])[:, 1:])[where.reshape(rows.shape)]
+    turned = [
+        rate * rotvec_from_matrix(np.swapaxes(turn[:, k], -1, -2) @ turn[:, k + 1])
+        for k in range(2)
+    ]
+    lengths = (
+        np.linalg.norm(each, axis=-1)
+        for each in (pull, moved[0], rate * (moved[1] - moved[0]), turned[0])
+    )
+    force, speed, acceleration, turning = (np.percentile(x, MOTION_QUANTILE) for x in lengths)
+    spin = np.linalg.norm(rate * (turned[1] - turned[0]), axis=-1)
+    return Motion(
+        float(np.percentile(down * pull[:, "xyz".index(fit.up_axis[-1])], MOTION_QUANTILE)),
+        float(force),
+        float(speed),
+        float(acceleration),
+        float(turning),
+        float(np.percentile(spin, MOTION_QUANTILE)),
+    )
 
 
 def _longest(flags: Bool[np.ndarray, " T"]) -> int:

@@ -11,9 +11,14 @@ from types import MappingProxyType
 from habitus.fit.markers.evidence import Evidence, evidence
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (
+    BODY,
     DOUBTFUL,
     FAILED,
+    FEET,
     GOOD,
+    HANDS,
+    HEAD,
+    PARTS,
     PEOPLE,
     PEOPLE_SENTENCES,
     Bound,
@@ -32,6 +37,9 @@ from habitus.fit.verdict import (
     worst,
 )
 from habitus.fit.verdict import weigh as weigh_checks
+
+
+INFINITY = float("inf")
 
 
 @dataclass(frozen=True)
@@ -53,11 +61,13 @@ class Limits:
     """Distance of markers from the layout's places, in the layout's spreads, at the median."""
     distrusted: Bound = Bound(0.05, 0.20)
     """Share of samples that the robust loss gives less than half of their weight."""
-    beta_sd: Bound = Bound(3.5, 6.0)
-    """Largest magnitude of a beta, in standard deviations of people."""
-    betas_rms: Bound = Bound(1.6, 2.5)
+    beta_sd: Bound = Bound(5.0, INFINITY)
+    """Largest magnitude of a beta, in standard deviations of people. Real people, scanned, have
+    single betas of 3 to 5 in this space: beyond is a doubt, and a rare shape alone never a failure.
+    """
+    betas_rms: Bound = Bound(1.9, INFINITY)
     """Root mean square of the betas, in standard deviations of people."""
-    suspects: Bound = Bound(0.35, float("inf"))
+    suspects: Bound = Bound(0.35, INFINITY)
     """Share of the markers under suspicion."""
     markers: Bound = Bound(12, 4)
     """Number of markers: below."""
@@ -65,7 +75,7 @@ class Limits:
     """Share of the frames in which no marker determines where a limb is."""
     no_data: Bound = Bound(0.05, 0.5)
     """Share of the frames with too few markers."""
-    gap_s: Bound = Bound(1.0, float("inf"))
+    gap_s: Bound = Bound(1.0, INFINITY)
     height: Bound = Bound(0.03, 0.12)
     """Recorded height against the estimate, as a share."""
     mass: Bound = Bound(0.20, 0.60)
@@ -90,6 +100,24 @@ class Limits:
     """Recorded frame rate: above."""
     speed: Bound = Bound(12.0, 40.0)
     """Of the body as a whole (m/s), at the median."""
+    fall: Bound = Bound(1.3, 2.5)
+    """Acceleration of the centre of mass downwards (g), 95th percentile, over 20 ms. Nothing falls
+    faster than 1 g: running, jumping and cartwheeling people reach 1.07 (19 captures), walking ones
+    played at four times their rate 1.8 to 4.5, any motion with its frames out of order 4 to 320."""
+    force: Bound = Bound(4.0, 10.0)
+    """The same in any direction (g). A sprinter's steps push with 3 to 5 body weights for a tenth
+    of a second (Weyand 2000, Journal of Applied Physiology 89); the 19 captures reach 1.5."""
+    marker_speed: Bound = Bound(20.0, 60.0)
+    """Speed of the markers (m/s), 95th percentile over all. A sprinter's foot swings at 20 m/s; the
+    19 captures reach 6.8."""
+    marker_acceleration: Bound = Bound(300.0, 1500.0)
+    """Acceleration of the markers (m/s^2), 95th percentile. The 19 captures reach 75, a sprinter's
+    legs move 4 times as fast as those of their runner."""
+    joint_speed: Bound = Bound(20.0, 60.0)
+    """Speed of a joint's turn (rad/s), 95th percentile over all joints. Single joints reach 30 in a
+    kick and 120 in a pitch for moments; the 19 captures' 95th percentiles reach 7."""
+    joint_acceleration: Bound = Bound(1000.0, 4000.0)
+    """Of a joint's turn (rad/s^2), 95th percentile."""
     left_out: Bound = Bound(0.0, 0.34)
     """Share of the labels that had to be left out."""
     people: PeopleLimits = PEOPLE
@@ -119,6 +147,11 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "axis.",
         "rate": "At {rate:g} frames a second the body moves at {speed:.1f} m/s; check the frame "
         "rate.",
+        "falls": "The body accelerates downwards at {fall:.1f} g for 5 % of the time, and nothing "
+        "falls faster than 1 g; check the frame rate and the order of the frames.",
+        "speeds": "For 5 % of the time markers move at more than {speed:.0f} m/s and "
+        "{acceleration:.0f} m/s\u00b2, joints at {turn:.0f} rad/s, the body at {force:.1f} g: "
+        "faster than people; check the frame rate and the order of the frames.",
         "span": "The markers span {size:.2g} times what the fitted body spans; check the unit of "
         "length.",
         "tall": "The body is {height} tall; check the unit of length.",
@@ -140,22 +173,22 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# The part of the body that a joint moves, by the joint's name without the side, and whether a fit
+# The limb that a joint moves, by the joint's name without the side, and the part of the body that
 # is doubtful where no marker determines its motion.
-LIMBS: Mapping[str, tuple[str, bool]] = MappingProxyType(
+LIMBS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
-        "hip": ("leg", True),
-        "knee": ("lower leg", True),
-        "ankle": ("foot", False),
-        "collar": ("arm", True),
-        "shoulder": ("arm", True),
-        "elbow": ("forearm", True),
-        "wrist": ("hand", False),
-        "spine1": ("body above the pelvis", True),
-        "spine2": ("body above the loins", True),
-        "spine3": ("chest, arms and head", True),
-        "neck": ("head", True),
-        "head": ("head", True),
+        "hip": ("leg", BODY),
+        "knee": ("lower leg", BODY),
+        "ankle": ("foot", FEET),
+        "collar": ("arm", BODY),
+        "shoulder": ("arm", BODY),
+        "elbow": ("forearm", BODY),
+        "wrist": ("hand", HANDS),
+        "spine1": ("body above the pelvis", BODY),
+        "spine2": ("body above the loins", BODY),
+        "spine3": ("chest, arms and head", BODY),
+        "neck": ("head", HEAD),
+        "head": ("head", HEAD),
     }
 )
 # Parts that usually carry no markers: never mentioned by themselves.
@@ -254,15 +287,15 @@ def _recorded(e: Evidence, limits: Limits) -> Iterator[Reason]:
 
 def _limbs(e: Evidence, limits: Limits) -> Iterator[Reason]:
     limbs = unseen_limbs(e, limits.unseen)
-    for counts, level in ((True, DOUBTFUL), (False, GOOD)):
-        names = [name for name, grave in limbs.items() if grave == counts]
+    for part in PARTS:
+        names = [name for name, of_part in limbs.items() if of_part == part]
         if names:
-            yield Reason(level, "unseen limbs", {"limbs": enumerated(names)})
+            yield Reason(DOUBTFUL, "unseen limbs", {"limbs": enumerated(names)}, part)
 
 
-def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
+def unseen_limbs(e: Evidence, limit: float) -> dict[str, str]:
     """Limbs whose motion no marker determines in more than a share of the frames, each as a whole,
-    and whether they make a fit doubtful.
+    and the part of the body (`habitus.fit.verdict.PARTS`) that is doubtful by that.
     """
     limbs = {}
     for joint, share in e.unseen.items():
@@ -274,8 +307,8 @@ def unseen_limbs(e: Evidence, limit: float) -> dict[str, bool]:
             and e.unseen[parent] <= limit
             and not part.startswith(TIPS)
         ):
-            name, grave = LIMBS.get(part, (joint.replace("_", " "), True))
-            limbs[f"{side} {name}".strip() if part in LIMBS else name] = grave
+            name, of_part = LIMBS.get(part, (joint.replace("_", " "), BODY))
+            limbs[f"{side} {name}".strip() if part in LIMBS else name] = of_part
     return limbs
 
 
@@ -311,6 +344,33 @@ def _world(e: Evidence, limits: Limits) -> Iterator[Reason]:
     )
     if level != GOOD:
         yield Reason(level, "rate", {"rate": e.rate_hz, "speed": e.speed})
+
+
+def _motion(e: Evidence, limits: Limits) -> Iterator[Reason]:
+    """What no person does, who is held by the ground alone."""
+    if e.extremes is None:
+        return
+    m = e.extremes
+    level = above(m.fall, limits.fall)
+    if level != GOOD:
+        yield Reason(level, "falls", {"fall": m.fall})
+    level = worst(
+        [
+            above(m.force, limits.force),
+            above(m.marker_speed, limits.marker_speed),
+            above(m.marker_acceleration, limits.marker_acceleration),
+            above(m.joint_speed, limits.joint_speed),
+            above(m.joint_acceleration, limits.joint_acceleration),
+        ]
+    )
+    if level != GOOD:
+        values = {
+            "speed": m.marker_speed,
+            "acceleration": m.marker_acceleration,
+            "turn": m.joint_speed,
+            "force": m.force,
+        }
+        yield Reason(level, "speeds", values)
 
 
 def _size(e: Evidence, limits: Limits) -> Iterator[Reason]:
@@ -374,6 +434,7 @@ CHECKS: tuple[Callable[[Evidence, Limits], Iterator[Reason]], ...] = (
     _limbs,
     _gaps,
     _world,
+    _motion,
     _tried,
 )
 """All checks; among reasons of one level the earlier comes first."""

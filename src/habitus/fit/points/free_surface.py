@@ -30,6 +30,7 @@ from habitus.fit.points.correspondences import (
 )
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.settings import SCANS, SurfaceSettings, SurfaceStage
+from habitus.fit.verdict import PARTS
 from habitus.mesh.intersections import intersecting_pairs
 from habitus.mesh.laplacian import cotangent_laplacian
 from habitus.mesh.normals import vertex_normals
@@ -144,11 +145,24 @@ def _rows(
 
 
 def new_cuts(
-    topology: Topology, model: Float[np.ndarray, "V 3"], surface: Float[np.ndarray, "V 3"]
-) -> int:
-    """How many more pairs of triangles cut each other in a surface (m) than in its model."""
+    topology: Topology,
+    model: Float[np.ndarray, "V 3"],
+    surface: Float[np.ndarray, "V 3"],
+    part: Int[np.ndarray, " V"],
+) -> dict[str, int]:
+    """How many more pairs of triangles cut each other in a surface (m) than in its model, by part
+    of the body.
+
+    part: the number of each vertex's part in `habitus.fit.verdict.PARTS`. A pair of two parts, as
+    of a hand in a thigh, counts for the one that is not the trunk.
+    """
     faces = topology.faces[np.isin(topology.faces, topology.whole).all(1)]
-    return max(0, len(intersecting_pairs(surface, faces)) - len(intersecting_pairs(model, faces)))
+    before, after = (
+        np.bincount(part[faces[intersecting_pairs(each, faces)]].max((1, 2)), minlength=len(PARTS))
+        for each in (model, surface)
+    )
+    more = np.maximum(after - before, 0).tolist()
+    return dict(zip(PARTS, more, strict=True))
 
 
 def uncut(

@@ -35,6 +35,7 @@ from habitus.fit.points.skin_colours import (
     colour_matches,
     find_skin,
 )
+from habitus.fit.verdict import vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations
 
@@ -139,7 +140,7 @@ def _moved(
         rest_vertices=at_rest(fit.body, state, surface - model),
         weights=vertex_weights(topology, surface, cloud),
         **compared(registrar.fitter, cloud, surface, model),
-        cuts=new_cuts(topology, model, surface),
+        cuts=new_cuts(topology, model, surface, vertex_parts(fit.body)),
         colours=replace(colours, slid=float(np.linalg.norm(surface - fit.vertices, axis=1).mean())),
     )
 

@@ -38,9 +38,17 @@ from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_su
 from habitus.fit.points.limbs import limbs_searched_again, scan_distances, with_extremities
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_fitting import OffsetFit, PreviousFrame, ScanFitter
-from habitus.fit.points.scan_result import LIMITS, ScanFit, at_rest, lost_share
+from habitus.fit.points.scan_result import (
+    LIMITS,
+    ScanFit,
+    at_rest,
+    lost_piece,
+    lost_share,
+    part_around,
+)
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
+from habitus.fit.verdict import vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
 from habitus.rotations import UP_AXES, matrix_from_rotvec, up_rotation
@@ -338,7 +346,7 @@ class Registrar:
             to_body=scan.scan.to_body,
             up_axis=scan.start.up,
             person=scan.person,
-            cuts=new_cuts(self.fitter.topology, model, scan.surface),
+            cuts=new_cuts(self.fitter.topology, model, scan.surface, vertex_parts(self.body)),
             status=scan.status,
             costs=scan.costs,
             settings=asdict(self.settings),
@@ -367,6 +375,7 @@ class ScanDistances(TypedDict):
     far_from_surface: Float[np.ndarray, " N"]
     matched: float
     lost: float
+    lost_part: str
 
 
 def compared(
@@ -387,12 +396,14 @@ def compared(
     if matched.any():
         counted = to_surface < settings.matched_distance
         counted &= np.abs(there.cosine) > settings.matched_cosine
+    lost, place = lost_piece(cloud.points, to_surface)
     return {
         "to_surface": to_surface[counted],
         "to_model": to_model[counted],
         "far_from_surface": to_surface,
         "matched": float(matched.mean()),
-        "lost": lost_share(cloud.points, to_surface),
+        "lost": lost,
+        "lost_part": part_around(fitter.body, surface, place),
     }
 
 

@@ -154,12 +154,15 @@ _NOISE = 0.27
 
 @dataclass(frozen=True)
 class SubjectTracks:
-    """One subject's clean tracks, with the unit the file was in and the signed axis that is up."""
+    """One subject's clean tracks, with the unit the file was in, the signed axis that is up, and
+    what was not decided of the axes.
+    """
 
     subject: str | None
     tracks: Tracks
     unit: str
     up_axis: str
+    doubts: tuple[str, ...] = ()
 
 
 def find_people(raw: RawPoints, name: str) -> tuple[SubjectTracks, ...]:
@@ -202,6 +205,7 @@ def find_people(raw: RawPoints, name: str) -> tuple[SubjectTracks, ...]:
             _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes),
             unit,
             axes.up,
+            _axis_doubts(axes),
         )
         for owner, tracks in found
     )
@@ -284,13 +288,19 @@ def _axis_warnings(raw: RawPoints, axes: Axes) -> list[str]:
             else f"usual for {raw.format} files"
         )
         warnings.append(f"the data do not determine the up axis: {axes.up} is assumed, {source}")
-    if axes.mirrored:
-        axis = "xyz"[_flipped(axes.up)]
-        warnings.append(
-            "the capture is mirrored (left-handed axes, or left and right labels swapped): "
-            f"{axis} is negated"
-        )
-    return warnings
+    return [*warnings, *_axis_doubts(axes)]
+
+
+def _axis_doubts(axes: Axes) -> tuple[str, ...]:
+    """That a capture is mirrored, and how it was read."""
+    if not axes.mirrored:
+        return ()
+    axis = "xyz"[_flipped(axes.up)]
+    return (
+        "Either the capture's axes are left-handed, or left and right labels are exchanged "
+        f"throughout: it was read as left-handed and {axis} negated; if labels are exchanged, the "
+        "person and the motion come out mirrored.",
+    )
 
 
 def _flipped(up: str) -> int:

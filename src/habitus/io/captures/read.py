@@ -43,7 +43,8 @@ class Capture:
     read-only; ``up_axis`` is a signed axis such as "+z"; ``labels`` are free of subject prefixes;
     ``dropped`` names each point left out, with the reason; ``recorded`` holds what the file says of
     the person (height_m, mass_kg, marker_diameter_m, age_years, sex); ``unit`` is the unit of
-    length that the file's numbers are in.
+    length that the file's numbers are in; ``doubts`` say what the data did not decide, a sentence
+    each.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Capture:
     dropped: tuple[tuple[str, str], ...] = ()
     format: str = ""
     unit: str = "m"
+    doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.markers.setflags(write=False)
@@ -171,4 +173,5 @@ def _capture(person: SubjectTracks, raw: RawPoints, name: str, rate_hz: float) -
         dropped=person.tracks.dropped,
         format=raw.format,
         unit=person.unit,
+        doubts=person.doubts,
     )

@@ -68,7 +68,7 @@ def _side(moving: Moving, name: str) -> dict[str, Any]:
     return about | {
         "layout": str(moving.layout_name),
         "markers": len(moving.labels),
-        "verdict": {"level": verdict.level, "reasons": list(verdict.reasons)},
+        "verdict": verdict.entry(),
         "marker_error_mm": error,
         "suspects": sum(not suspect.corrected for suspect in moving.suspects),
     }
