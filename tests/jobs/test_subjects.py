@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from habitus.errors import HabitusError
+from habitus.export.trc import write_trc
 from habitus.io.captures.read import Capture, read_capture
 from habitus.jobs.subjects import gather, leave_out, person_of
 
@@ -57,3 +58,22 @@ def test_what_cannot_be_held_out_or_found_is_named(capture):
         leave_out(whole, whole.layout.labels)
     with pytest.raises(HabitusError, match="nobody"):
         gather([[capture]], "auto", "nobody")
+
+
+def other_sides(capture: Capture) -> Capture:
+    """With left and right labels exchanged."""
+    swapped = {"L": "R", "R": "L"}
+    labels = tuple(swapped.get(label[0], label[0]) + label[1:] for label in capture.labels)
+    return replace(capture, labels=labels)
+
+
+@pytest.mark.parametrize("read", [True, False])
+def test_exchanged_sides_are_doubtful_and_both_readings_named(capture, tmp_path, read):
+    """In what is read from a file, and in a capture made in memory."""
+    assert not person_of([capture], "auto").recordings[0].doubts
+    wrong = other_sides(capture)
+    if read:
+        write_trc(wrong, tmp_path / "wrong.trc")
+        wrong = read_capture(tmp_path / "wrong.trc")
+    (doubt,) = person_of([wrong], "auto").recordings[0].doubts
+    assert "exchanged" in doubt and "left-handed" in doubt

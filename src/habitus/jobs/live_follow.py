@@ -75,7 +75,7 @@ class Follower:
         self._rate = rate_hz
         self._say = say
         self._known = heading.labels
-        self.quality = Quality(found.known.layout.labels, rate_hz)
+        self.quality = Quality(found.known.layout.labels, rate_hz, found.settings)
         self.record = Record() if keep else None
         self.notes = list[str]()
         self.latencies = deque[float](maxlen=10_000)

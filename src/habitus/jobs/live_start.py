@@ -178,7 +178,8 @@ class Gathered:
 @dataclass(frozen=True)
 class Followed:
     """Somebody whose shape is known: who, what the first frames were told as, (T, N, 3) markers in
-    metres and what the tracker made of them, and how the stream's points become markers.
+    metres and what the tracker made of them, and how the stream's points become markers; the
+    settings of the fit.
     """
 
     known: Subject
@@ -187,6 +188,7 @@ class Followed:
     tracker: Tracker
     markers: Float[np.ndarray, "T N 3"]
     frames: tuple[LiveFrame, ...]
+    settings: MoshSettings
 
 
 def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[], bool]) -> Gathered:
@@ -294,9 +296,8 @@ def learn(name: str, gathered: Gathered, start: LiveStart) -> Followed:
         )
     markers = np.stack([wiring.markers(each) for each in points])
     tracker = Tracker(known, start.settings, rate)
-    return Followed(
-        known, recording, wiring, tracker, markers, tuple(tracker.step(each) for each in markers)
-    )
+    frames = tuple(tracker.step(each) for each in markers)
+    return Followed(known, recording, wiring, tracker, markers, frames, start.settings)
 
 
 def learn_subject(

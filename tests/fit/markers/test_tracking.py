@@ -96,7 +96,7 @@ def test_labels_that_are_exchanged_and_markers_that_are_misplaced_are_known(s):
 
 
 def test_quality_tells_what_is_wrong_and_nothing_else(s):
-    quality = Quality(tuple(f"m{k}" for k in range(25)), RATE)
+    quality = Quality(tuple(f"m{k}" for k in range(25)), RATE, MoshSettings())
     assert quality.verdict.level == "failed"
     s.observed[60:, 3] += (0.0, 0.4, 0.0)
     for k, frame in enumerate(follow(s)):

@@ -208,13 +208,14 @@ def test_self_intersections_are_reported_where_they_are():
     assert verdict.parts["head"].level == "doubtful" and verdict.parts["hands"].level == "good"
 
 
-def test_new_self_intersections_are_counted_by_part():
-    body = synthetic_body("smpl", 120)
-    model = np.asarray(body.v_template)
-    spread = 40.0 * model  # no triangles near each other
-    topology = Topology.of(np.asarray(body.faces), len(model))
-    parts = np.zeros(len(model), np.int64)
-    assert sum(new_cuts(topology, model, model, parts).values()) == 0
-    for number, name in enumerate(PARTS):
-        cuts = new_cuts(topology, spread, model, parts + number)
-        assert sum(cuts.values()) == cuts[name]
+@pytest.mark.parametrize("number", range(len(PARTS)))
+def test_new_self_intersections_are_counted_by_part(number):
+    """Two triangles that cut each other, one of them on the trunk."""
+    flat = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]])
+    upright = np.array([[0.002, 0.002, -0.005], [0.003, 0.002, 0.005], [0.002, 0.003, 0.005]])
+    surface = np.concatenate([flat, upright])
+    model = np.concatenate([flat, upright + 1.0])
+    topology = Topology.of(np.arange(6).reshape(2, 3), 6)
+    part = np.array([0, 0, 0, number, number, number])
+    assert new_cuts(topology, model, surface, part) == dict.fromkeys(PARTS, 0) | {PARTS[number]: 1}
+    assert sum(new_cuts(topology, surface, surface, part).values()) == 0

@@ -61,7 +61,6 @@ class Motion(NamedTuple):
     joint_acceleration: float
 
 
-
 @dataclass(frozen=True)
 class Evidence:
     """Numbers measured of one fit. Shares are 0..1; what cannot be measured is None.
@@ -74,8 +73,8 @@ class Evidence:
     median; standing: only over frames of a straight body. size: of the observed markers as a
     multiple of the body's. torn: share of the pairs close together on the body that are seen far
     apart; torn_level: how many of these at one height. extremes: how fast the fit moves, None of
-    fewer than three frames or a body without a person's joints. age, stature: the body's age, if it was
-    brought to one (years), and how tall its mean person is (m). tried: what was done before.
+    fewer than three frames or a body without a person's joints. age, stature: the body's age, if it
+    was brought to one (years), and how tall its mean person is (m). tried: what was done before.
     doubts: what was not decided of the markers' places.
     """
 

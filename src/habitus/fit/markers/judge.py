@@ -38,7 +38,6 @@ from habitus.fit.verdict import (
 )
 from habitus.fit.verdict import weigh as weigh_checks
 
-
 INFINITY = float("inf")
 
 

@@ -25,7 +25,7 @@ from habitus.fit.markers.recordings import (
     spread_frames,
 )
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import SUSPECTS, MoshSettings, sequence_settings
+from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.start import start_frame
 from habitus.fit.markers.suspects import exchange
 from habitus.fit.subject import ShapeFit, Subject
@@ -203,12 +203,13 @@ _NAMED = 3
 
 
 class Quality:
-    """Verdict on the frames of the last second. labels: of the N markers; rate_hz: of the
-    stream.
+    """Verdict on the frames of the last second. labels: of the N markers; rate_hz: of the stream;
+    settings: those of the fit.
     """
 
-    def __init__(self, labels: tuple[str, ...], rate_hz: float):
+    def __init__(self, labels: tuple[str, ...], rate_hz: float, settings: MoshSettings):
         self.labels = labels
+        self._large_residual = settings.suspects.large_residual
         self._last: deque[LiveFrame] = deque(maxlen=max(1, round(rate_hz)))
 
     def add(self, frame: LiveFrame) -> None:
@@ -254,7 +255,7 @@ class Quality:
         p95 = 1e3 * np.percentile(distances[seen], 95)
         level = worst([above(mean, LIMITS.mean_mm), above(p95, LIMITS.p95_mm)])
         medians = _medians(distances)
-        far = np.flatnonzero(medians > SUSPECTS.large_residual)
+        far = np.flatnonzero(medians > self._large_residual)
         if not len(far):
             return Reason(level, "live errors", {"mean": mean})
         named = ", ".join(f"{self.labels[k]} {1e3 * medians[k]:.0f} mm" for k in far[:_NAMED])
