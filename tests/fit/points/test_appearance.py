@@ -6,13 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from rgbd_scene_small import small_scene
 
-from habitus.fit.points.appearance import ColourShift, Samples, solve_appearance, to_linear
+from habitus.fit.points.appearance import (
+    LIGHT_SD,
+    ColourShift,
+    Samples,
+    channel_terms,
+    edges_of,
+    find_shift,
+    moved,
+    solve_appearance,
+    to_linear,
+)
 from habitus.fit.points.depth_result import Evidence, ViewEvidence, judge
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import sphere
 from habitus.observe.harmonics import harmonics
 from habitus.observe.srgb import srgb_bytes
+from habitus.render.triangles import Triangles
 
 
 def test_light_and_albedo_come_apart():
@@ -32,6 +45,42 @@ def test_light_and_albedo_come_apart():
     assert np.std(np.log(ratio), axis=0).max() < 0.15
     assert np.abs(found.light[1:4] - light[1:4]).max() < 0.12
     assert found.residual < 0.02
+
+
+def test_the_terms_of_a_channel_have_the_derivatives_that_small_steps_show():
+    rng = np.random.default_rng(1)
+    ball = sphere()
+    count = len(ball.vertices)
+    vertex = rng.integers(0, count, 40)
+    shape = np.column_stack([np.full(40, 0.9), 0.1 * rng.normal(size=(40, 8))])
+    samples = Samples(vertex, rng.uniform(0.2, 0.6, (40, 3)), shape, rng.uniform(0.2, 1.0, 40))
+    usual = np.r_[1.1, np.zeros(8)]
+    edges = edges_of(np.asarray(ball.faces))
+    terms = channel_terms(samples, samples.colour[:, 0], usual, LIGHT_SD, edges)
+    values = {
+        "log_albedo": np.log(rng.uniform(0.3, 0.5, count)),
+        "light": usual + 0.05 * rng.normal(size=9),
+    }
+    for term in terms.values():
+        found = term(values)
+        for name, jacobian in found.jacobians.items():
+            step = 1e-6 * rng.normal(size=values[name].shape)
+            moved_to = term(values | {name: values[name] + step}).value
+            np.testing.assert_allclose(moved_to - found.value, jacobian @ step, atol=1e-8)
+
+
+def test_outlines_bring_a_moved_colour_camera_back_as_far_as_the_calibration_lets_them():
+    body, scene = small_scene()
+    triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+    sights = [PreparedView.of(view, segment(view)) for view in scene.capture.views]
+    surfaces = [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, sights, strict=True)]
+    true = find_shift(sights, surfaces, triangles)
+    off = np.array([0.006, -0.004, 0.0])
+    wrong = [replace(s, colour_camera=moved(s.colour_camera, off)) for s in sights]
+    found = find_shift(wrong, surfaces, triangles)
+    back = (found.shift - true.shift)[:2] / -off[:2]
+    assert (back > 0.002).all() and (back < 1.0).all()
+    assert found.status in ("converged", "iterations") and found.overlap > 0.7
 
 
 def test_srgb_and_back():

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 from rgbd_scene_small import small_scene
+from scipy.spatial import KDTree
 
 from habitus.fit.points.depth_correspondences import look, misfit
 from habitus.fit.points.depth_start import (
     arm_poses,
+    planar_term,
     pose_of_keypoints,
     scaled_to_height,
     seen_joints,
@@ -19,6 +21,9 @@ from habitus.fit.points.depth_start import (
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.settings import FOLDED
 from habitus.render.triangles import Triangles
+from habitus.rotations import matrix_from_rotvec
+from habitus.solve.alternate import Stage, alternate
+from habitus.solve.steps import Levenberg
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +118,29 @@ def test_folded_forearms_lie_before_the_belly(seen):
     assert (wrists[:, 1] > belly[1]).all() and np.allclose(
         wrists[0] * [-1, 1, 1], wrists[1], atol=0.02
     )
+
+
+def test_the_planar_term_is_least_where_the_surface_was_observed(seen):
+    """Its cost falls along its gradient, and a solve leads from a turned and moved surface back."""
+    body, sight, surface, _ = seen
+    grid = sight.grid(4)
+    triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
+    observed = grid.points[grid.own]
+    centre = surface.mean(0)
+
+    def terms_at(values, stage, step):
+        turn = matrix_from_rotvec(np.array([0.0, values["yaw"][0], 0.0]))
+        placed = (surface - centre) @ turn.T + values["place"]
+        drawn = look(grid, placed, triangles)
+        return {"depth": planar_term(drawn, observed, KDTree(observed), **values)}
+
+    start = {"yaw": np.array([0.2]), "place": centre + np.array([0.05, 0.0, 0.05])}
+    term = terms_at(start, None, 0)["depth"]
+    here = term(start)
+    gradient, _ = here.quadratic.derivatives()
+    step = {name: value - 1e-9 * gradient[name] for name, value in start.items()}
+    slope = sum((each**2).sum() for each in gradient.values())
+    assert here.cost - term(step).cost == pytest.approx(1e-9 * slope, rel=1e-2)
+    found = alternate(terms_at, start, [Stage(12)], steps=Levenberg(1e-6))
+    assert abs(found.values["yaw"][0]) < 0.03
+    assert np.abs(found.values["place"] - centre).max() < 0.01

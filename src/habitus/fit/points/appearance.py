@@ -4,22 +4,21 @@ and albedo. Colour is the albedo of each vertex times spherical harmonics of the
 
     E_C = sum w (I - a_v h(n_v) L)²,    E_Q = sum over edges (log a_u - log a_v)² / sd²
 
-(thesis eqs. 4.4 and 4.7) in linear light, by Gauss-Newton: of each step log albedo, one number a
-vertex, is eliminated (a sparse Schur complement), which leaves the nine numbers of the light. E_Q
-is robust, as clothes have seams. Their common factor and tint cannot be told: the light that comes
-from everywhere together is taken as white, and brings a white surface to 1.
+(thesis eqs. 4.4 and 4.7) in linear light, solved for log albedo, one number a vertex, and the nine
+numbers of the light (`channel_terms`). E_Q is robust, as clothes have seams. The common factor of
+both and their tint are unobservable: the mean light is taken as white, and brings a white surface
+to 1.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.ndimage import binary_erosion, binary_opening, gaussian_filter, label, map_coordinates
-from scipy.sparse.linalg import splu
 
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
@@ -30,6 +29,10 @@ from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
+from habitus.solve.least_squares import Tolerances
+from habitus.solve.minimize import Minimized, minimize
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import GemanMcClure, Term
 
 SHIFT_STEPS = 5
 BLUR = 1.5
@@ -38,7 +41,7 @@ CAMERA_SHIFT_SD = 0.008
 """Metres by which a calibration may be off."""
 CERTAINTY = 0.01
 """Weight of a pixel of the outlines' difference: neighbours along an outline are off together."""
-LEAST_OVERLAP = 0.6
+MIN_OVERLAP = 0.6
 """Share of the outline's pixels that must be the model's: with less, something else differs from
 the background.
 """
@@ -47,11 +50,12 @@ the background.
 @dataclass(frozen=True, eq=False)
 class ColourShift:
     """What is added to the colour camera's translation (m, its own axes), and how well the outlines
-    then overlap.
+    then overlap (None where there is none to compare); status: of `habitus.minimize`.
     """
 
     shift: Float[np.ndarray, " 3"]
     overlap: float | None
+    status: str = "not tried"
 
 
 def person_in_colour(sight: PreparedView) -> Bool[np.ndarray, "h w"] | None:
@@ -71,34 +75,49 @@ def person_in_colour(sight: PreparedView) -> Bool[np.ndarray, "h w"] | None:
 def find_shift(
     sights: list[PreparedView], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles
 ) -> ColourShift:
-    """The shift at which the model's outline in colour is the person's, by Gauss-Newton through the
-    renderer.
+    """The shift at which the model's outlines in colour are the person's.
+
+    "outline"      1/2 c sum |G * (drawn - observed)|^2,    c = `CERTAINTY`, G a Gaussian
+    "calibration"  1/2 |shift|^2 / `CAMERA_SHIFT_SD`^2
     """
     seen = [person_in_colour(sight) for sight in sights]
     pairs = [
-        (s, m, v)
-        for s, m, v in zip(sights, seen, vertices, strict=True)
-        if m is not None and m.any()
+        (sight.colour_camera, mask, surface)
+        for sight, mask, surface in zip(sights, seen, vertices, strict=True)
+        if sight.colour_camera is not None and mask is not None and mask.any()
     ]
     if not pairs:
         return ColourShift(np.zeros(3), None)
-    shift = np.zeros(3)
-    overlap = 0.0
-    for _ in range(SHIFT_STEPS):
-        matrix = np.eye(3) / CAMERA_SHIFT_SD**2
-        right = -shift / CAMERA_SHIFT_SD**2
-        overlaps = []
-        for sight, mask, surface in pairs:
-            assert sight.colour_camera is not None
-            camera = moved(sight.colour_camera, shift).scaled(REDUCED)
-            residual, jacobian, share = _difference(camera, mask, surface, triangles)
-            matrix += CERTAINTY * jacobian.T @ jacobian
-            right -= CERTAINTY * jacobian.T @ residual
-            overlaps.append(share)
-        overlap = min(overlaps)
-        shift = shift + np.linalg.solve(matrix, right)
-    wrong = overlap < LEAST_OVERLAP or np.linalg.norm(shift) > 3.0 * CAMERA_SHIFT_SD
-    return ColourShift(np.zeros(3) if wrong else shift, overlap)
+
+    def outlines(shift: np.ndarray) -> list["Outline"]:
+        return [
+            Outline.of(moved(camera, shift).scaled(REDUCED), mask, surface, triangles)
+            for camera, mask, surface in pairs
+        ]
+
+    def difference(shift: np.ndarray) -> tuple[np.ndarray, Any]:
+        drawn = outlines(shift)
+        residual = np.concatenate([each.residual for each in drawn])
+        return residual, lambda: {"shift": np.concatenate([each.jacobian() for each in drawn])}
+
+    def calibration(shift: np.ndarray) -> tuple[np.ndarray, Any]:
+        return shift, {"shift": np.eye(3)}
+
+    found = minimize(
+        {
+            "outline": Term(difference, CERTAINTY),
+            "calibration": Term(calibration, CAMERA_SHIFT_SD**-2.0),
+        },
+        {"shift": np.zeros(3)},
+        Levenberg(DAMPING),
+        max_iterations=SHIFT_STEPS,
+        tolerances=Tolerances(cost=1e-4),
+        stretch=False,
+    )
+    shift = found.values["shift"]
+    overlap = min(each.overlap for each in outlines(shift))
+    wrong = overlap < MIN_OVERLAP or np.linalg.norm(shift) > 3.0 * CAMERA_SHIFT_SD
+    return ColourShift(np.zeros(3) if wrong else shift, overlap, found.status)
 
 
 def moved(camera: Camera, shift: Float[np.ndarray, " 3"]) -> Camera:
@@ -106,31 +125,61 @@ def moved(camera: Camera, shift: Float[np.ndarray, " 3"]) -> Camera:
     return camera.replace(translation=camera.translation + torch.from_numpy(shift))
 
 
-def _difference(
-    camera: Camera,
-    mask: Bool[np.ndarray, "h w"],
-    vertices: Float[np.ndarray, "V 3"],
-    triangles: Triangles,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Blurred outlines' difference, its derivative by the translation, and their overlap."""
-    points = torch.from_numpy(vertices)
-    frame = draw(camera, points, triangles)
-    assert isinstance(frame, Frame)  # one camera, one surface
-    drawn = frame.silhouette().numpy()
-    rows = (
-        (np.arange(camera.height) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[0] - 1)
-    )
-    columns = (
-        (np.arange(camera.width) / REDUCED + 0.5 / REDUCED).astype(int).clip(max=mask.shape[1] - 1)
-    )
-    observed = mask[np.ix_(rows, columns)].astype(float)
-    jacobian = silhouette_jacobian(frame).to_camera(camera, points, ["translation"])["translation"]
-    blurred = [gaussian_filter(one.reshape(drawn.shape), BLUR).ravel() for one in jacobian.T]
-    both = np.minimum(drawn, observed).sum() / max(np.maximum(drawn, observed).sum(), 1e-9)
-    return gaussian_filter(drawn - observed, BLUR).ravel(), np.stack(blurred, 1), float(both)
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A model's silhouette in a camera against an observed one (h, w): the blurred difference, and
+    how much both overlap (intersection over union).
+    """
+
+    frame: Frame
+    camera: Camera
+    points: torch.Tensor
+    residual: Float[np.ndarray, " hw"]
+    overlap: float
+
+    @staticmethod
+    def of(
+        camera: Camera,
+        mask: Bool[np.ndarray, "H W"],
+        vertices: Float[np.ndarray, "V 3"],
+        triangles: Triangles,
+    ) -> "Outline":
+        """camera: of a reduced image; mask: of the full one."""
+        points = torch.from_numpy(vertices)
+        frame = draw(camera, points, triangles)
+        assert isinstance(frame, Frame)  # one camera, one surface
+        drawn = frame.silhouette().numpy()
+        rows, columns = (
+            ((np.arange(size) + 0.5) / REDUCED).astype(int).clip(max=limit - 1)
+            for size, limit in zip((camera.height, camera.width), mask.shape, strict=True)
+        )
+        observed = mask[np.ix_(rows, columns)].astype(float)
+        union = max(float(np.maximum(drawn, observed).sum()), 1e-9)
+        overlap = float(np.minimum(drawn, observed).sum()) / union
+        residual = gaussian_filter(drawn - observed, BLUR).ravel()
+        return Outline(frame, camera, points, residual, overlap)
+
+    def jacobian(self) -> Float[np.ndarray, "hw 3"]:
+        """Of the residual by the camera's translation."""
+        by_pixel = silhouette_jacobian(self.frame).to_camera(
+            self.camera, self.points, ["translation"]
+        )["translation"]
+        shape = (self.camera.height, self.camera.width)
+        return np.stack(
+            [gaussian_filter(each.reshape(shape), BLUR).ravel() for each in by_pixel.T], 1
+        )
 
 
-ROUNDS = 8
+GREY_STEPS = 8
+CHANNEL_STEPS = 4
+DAMPING = 1e-6
+"""Levenberg-Marquardt's at the start, relative to the diagonal."""
+MAX_LOG_STEP = 1.0
+"""Largest change of a log albedo in one step."""
+MIN_SHADE = 0.05
+"""Light on a surface, at least: light falls nowhere below it, whatever nine harmonics say."""
+MIN_ALBEDO = 0.003
+MAX_ALBEDO = 3.0
 SMOOTH_SD = 0.05
 """Spread of log albedo between neighbouring vertices (T eq. 4.7)."""
 LIGHT_SD = (0.01, 0.5, 0.25)
@@ -156,7 +205,7 @@ class Appearance:
     vertices seen (V,).
 
     shift: of the colour camera. residual: root mean square of colour, observed less rendered (0..1,
-    linear), on vertices that are seen.
+    linear), on vertices that are seen. status: of `habitus.minimize`.
     """
 
     albedo: Float[np.ndarray, "V 3"]
@@ -164,6 +213,7 @@ class Appearance:
     seen: Float[np.ndarray, " V"]
     shift: ColourShift
     residual: float
+    status: str = "iterations"
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,26 +257,22 @@ def find_appearance(
 def solve_appearance(
     samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift
 ) -> Appearance:
-    """Light and albedo of samples: Gauss-Newton on both, of grey first, then of each channel near
-    the grey light.
+    """Light and albedo of samples, of ``count`` vertices: of grey first, then of each channel, its
+    light about the grey one's.
     """
     edges = edges_of(faces)
     white = float(samples.harmonics[0, 0])
-    light = np.zeros((9, 3))
-    albedo = np.empty((count, 3))
-    light[0] = 1.0 / white
-    grey = light[:, 0]
-    plain = samples.colour.mean(1)
-    tone = _lit(samples, plain, grey, count)
-    for _ in range(ROUNDS):
-        tone, grey = _step(samples, plain, (tone, grey), light[:, 0], LIGHT_SD, edges)
-    for channel in range(3):
-        colour = samples.colour[:, channel]
-        own = grey
-        tone = _lit(samples, colour, grey, count)
-        for _ in range(ROUNDS // 2):
-            tone, own = _step(samples, colour, (tone, own), grey, TINT_SD, edges)
-        albedo[:, channel], light[:, channel] = tone, own
+    usual = np.zeros(9)
+    usual[0] = 1.0 / white
+    found = _solved(samples, samples.colour.mean(1), usual, LIGHT_SD, edges, GREY_STEPS)
+    grey = found.values["light"]
+    channels = [
+        _solved(samples, samples.colour[:, channel], grey, TINT_SD, edges, CHANNEL_STEPS)
+        for channel in range(3)
+    ]
+    light = np.stack([each.values["light"] for each in channels], 1)
+    logs = np.stack([each.values["log_albedo"] for each in channels], 1)
+    albedo = np.exp(np.clip(logs, np.log(MIN_ALBEDO), np.log(MAX_ALBEDO)))
     scale = light[0] * white
     light = light / scale
     albedo = albedo * scale
@@ -234,9 +280,67 @@ def solve_appearance(
     residual = float(
         np.sqrt(np.average((rendered - samples.colour) ** 2, 0, samples.weight).mean())
     )
-    return Appearance(
-        albedo, light, np.bincount(samples.vertex, samples.weight, count), shift, residual
+    seen = np.bincount(samples.vertex, samples.weight, count)
+    status = next((each.status for each in channels if not each.converged), "converged")
+    return Appearance(albedo, light, seen, shift, residual, status)
+
+
+def _solved(
+    samples: Samples,
+    colour: Float[np.ndarray, " N"],
+    usual: Float[np.ndarray, " 9"],
+    spread: tuple[float, float, float],
+    edges: sparse.csr_array,
+    steps: int,
+) -> Minimized:
+    """Log albedo (V,) and light (9,) of one channel, from the usual light."""
+    albedo = _lit(samples, colour, usual, edges.shape[1])
+    return minimize(
+        channel_terms(samples, colour, usual, spread, edges),
+        {"log_albedo": np.log(albedo), "light": usual},
+        Levenberg(DAMPING),
+        max_step={"log_albedo": MAX_LOG_STEP},
+        max_iterations=steps,
+        tolerances=Tolerances(cost=1e-4),
+        stretch=False,
     )
+
+
+def channel_terms(
+    samples: Samples,
+    colour: Float[np.ndarray, " N"],
+    usual: Float[np.ndarray, " 9"],
+    spread: tuple[float, float, float],
+    edges: sparse.csr_array,
+) -> dict[str, Term]:
+    """E_C and E_Q of one channel, and the prior of its light about ``usual``."""
+    shape = samples.harmonics
+    vertex = samples.vertex
+    root = np.sqrt(samples.weight)
+    ends = np.arange(len(vertex) + 1)
+    sd = np.array(spread)[ORDERS]
+
+    def observed(log_albedo: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, Any]:
+        albedo = np.exp(log_albedo)[vertex]
+        drawn = albedo * (shape @ light).clip(MIN_SHADE)
+        by_albedo = sparse.csr_array(
+            (root * drawn / NOISE, vertex, ends), (len(vertex), len(log_albedo))
+        )
+        by_light = (root * albedo / NOISE)[:, None] * shape
+        residual = (root * (drawn - colour) / NOISE)[:, None]
+        return residual, {"log_albedo": by_albedo, "light": by_light}
+
+    def jumps(log_albedo: np.ndarray) -> tuple[np.ndarray, Any]:
+        return (edges @ log_albedo)[:, None] / SMOOTH_SD, {"log_albedo": edges / SMOOTH_SD}
+
+    def about_usual(light: np.ndarray) -> tuple[np.ndarray, Any]:
+        return (light - usual) / sd, {"light": np.diag(1.0 / sd)}
+
+    return {
+        "colour": Term(observed, robust=GemanMcClure(root * OUTLIER / NOISE)),
+        "smoothness": Term(jumps, robust=GemanMcClure(EDGE / SMOOTH_SD)),
+        "light": Term(about_usual),
+    }
 
 
 def _lit(
@@ -247,42 +351,6 @@ def _lit(
     weight = np.bincount(samples.vertex, samples.weight, count)
     mean = np.bincount(samples.vertex, samples.weight * found, count) / np.maximum(weight, 1e-9)
     return np.where(weight > 0, mean, np.median(found)).clip(0.005, 1.5)
-
-
-def _step(
-    samples: Samples,
-    colour: Float[np.ndarray, " N"],
-    now: tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]],
-    usual: Float[np.ndarray, " 9"],
-    spread: tuple[float, float, float],
-    edges: sparse.csr_array,
-) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " 9"]]:
-    """Log albedo and light of one channel a step further: albedo is eliminated by its Schur
-    complement.
-
-    The light's prior is ``usual`` with a spread for each order.
-    """
-    (albedo, light), shape = now, samples.harmonics
-    count = len(albedo)
-    shade = (shape @ light).clip(0.05)
-    drawn = albedo[samples.vertex] * shade
-    apart = colour - drawn
-    weight = samples.weight / NOISE**2 / (1.0 + (apart / OUTLIER) ** 2) ** 2
-    by_light = albedo[samples.vertex, None] * shape
-    log, (smooth, pull) = np.log(albedo), log_smoothness(edges, albedo)
-    diagonal = np.bincount(samples.vertex, weight * drawn**2, count)
-    factor = splu((sparse.diags_array(diagonal + 1e-2) + smooth).tocsc())
-    entries = (weight * drawn, (samples.vertex, np.arange(len(drawn))))
-    meeting = sparse.csr_array(entries, (count, len(drawn))) @ by_light
-    right = np.bincount(samples.vertex, weight * drawn * apart, count) - pull
-    solved = factor.solve(np.column_stack([meeting, right]))
-    prior = np.diag(1.0 / np.array(spread)[ORDERS] ** 2)
-    shared = (by_light * weight[:, None]).T @ by_light + prior - meeting.T @ solved[:, :9]
-    away = light - usual
-    slope = (by_light * weight[:, None]).T @ apart - prior @ away - meeting.T @ solved[:, 9]
-    move = np.linalg.solve(shared, slope)
-    change = np.clip(solved[:, 9] - solved[:, :9] @ move, -1.0, 1.0)
-    return np.exp(np.clip(log + change, np.log(0.003), np.log(3.0))), light + move
 
 
 def log_smoothness(

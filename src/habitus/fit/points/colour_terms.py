@@ -22,14 +22,14 @@ from habitus.body.state import BodyState
 from habitus.fit.points.appearance import (
     CAMERA_SHIFT_SD,
     LIGHT_SD,
+    MAX_ALBEDO,
+    MIN_ALBEDO,
     ORDERS,
     log_smoothness,
     moved,
     smoothness_cost,
 )
 from habitus.fit.points.colour_views import (
-    MAX_ALBEDO,
-    MIN_ALBEDO,
     ColourLevel,
     Drawn,
     Look,

@@ -20,6 +20,8 @@ from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import (
+    MAX_ALBEDO,
+    MIN_ALBEDO,
     NOISE,
     OUTLIER,
     Appearance,
@@ -108,8 +110,6 @@ RIM_COSINE = 0.15
 RIM_OUTLIER = 0.6
 """Difference of colours that counts a quarter at the rim."""
 DARKEST_SHADE = 0.02
-MIN_ALBEDO = 0.003
-MAX_ALBEDO = 3.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,10 +27,10 @@ from habitus.render.triangles import Triangles
 from habitus.residuals.points import JointObservations, points_term
 from habitus.residuals.robust import geman_mcclure_weight
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-from habitus.solve.alternate import alternate
+from habitus.solve.alternate import Stage, alternate
 from habitus.solve.minimize import minimize
 from habitus.solve.steps import Levenberg
-from habitus.solve.terms import Term
+from habitus.solve.terms import Quadratic, Term
 
 STRIDE = 8
 COARSE = (
@@ -45,8 +45,16 @@ APART = 7.0
 """Degrees that each leg stands outwards."""
 ASIDE = (0.0, 30.0, -30.0)
 """Degrees about a turn that was given."""
-TURNING = 3
-"""Steps in which the whole body turns and moves, before joints are let go."""
+MIDDLE_STEPS = 2
+"""Moves of the model's drawn middle onto the observed one."""
+PLANAR_STEPS = 3
+"""Steps in which the whole body turns and moves, before its joints do."""
+MAX_PLANAR_STEP = 0.3
+"""Of turn (rad) and place (m)."""
+PLANAR_SCALE = 0.3
+"""Geman-McClure's, m."""
+PLANAR_DAMPING = 1e-3
+"""Levenberg-Marquardt's at the start: a turn of a round body is hardly determined."""
 TALL = (1.3, 2.15)
 """Metres that grown people are tall; another height in a view is not believed."""
 
@@ -204,48 +212,73 @@ def _placed(
     degrees: float,
 ) -> Tried:
     """The pose turned, where the middle of what the camera would see of it is the middle of what it
-    saw; then turned and moved on the floor plan as the nearest points ask.
+    saw; then turned and moved on the floor plan until it is nearest to the observed points.
     """
-    own = grid.points[grid.own]
+    observed = grid.points[grid.own]
+    tree = KDTree(observed)
     root = np.asarray(surface.joints[0])
     shape = np.asarray(surface.vertices) - root
-    yaw = np.deg2rad(degrees)
-    where = _middle(own) - _middle(shape)
-    tree = KDTree(own)
-    for step in range(2 + TURNING):
-        drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
-        if not len(drawn.points):
-            break
-        if step < 2:
-            where = where + _middle(own) - _middle(drawn.points)
-        else:
-            turned, moved = _planar_step(drawn, own, tree, where)
-            yaw = yaw + turned
-            where = where + moved
-    drawn = look(grid, shape @ _about_y(yaw).T + where, triangles)
-    found = pose.copy()
-    found[0, 1] = yaw
-    return Tried(BodyState(betas, found[None], (where - root)[None]), found, misfit(grid, drawn))
+
+    def drawn_at(yaw: np.ndarray, place: np.ndarray) -> Drawn:
+        return look(grid, shape @ _about_y(float(yaw[0])).T + place, triangles)
+
+    def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
+        return {"depth": planar_term(drawn_at(**values), observed, tree, **values)}
+
+    yaw = np.array([np.deg2rad(degrees)])
+    place = _middle(observed) - _middle(shape)
+    for _ in range(MIDDLE_STEPS):
+        drawn = drawn_at(yaw, place)
+        if len(drawn.points):
+            place = place + _middle(observed) - _middle(drawn.points)
+    found = alternate(
+        terms_at,
+        {"yaw": yaw, "place": place},
+        [Stage(PLANAR_STEPS, max_step={"yaw": MAX_PLANAR_STEP, "place": MAX_PLANAR_STEP})],
+        steps=Levenberg(PLANAR_DAMPING),
+    )
+    yaw, place = found.values["yaw"], found.values["place"]
+    turned = pose.copy()
+    turned[0, 1] = yaw[0]
+    state = BodyState(betas, turned[None], (place - root)[None])
+    return Tried(state, turned, misfit(grid, drawn_at(yaw, place)))
 
 
-def _planar_step(
-    drawn: Drawn, own: np.ndarray, tree: KDTree, middle: np.ndarray
-) -> tuple[float, Float[np.ndarray, " 3"]]:
-    """A turn about the upright through ``middle`` and a move, towards planes through the nearest
-    points.
+def planar_term(
+    drawn: Drawn,
+    observed: Float[np.ndarray, "M 3"],
+    tree: KDTree,
+    yaw: Float[np.ndarray, " 1"],
+    place: Float[np.ndarray, " 3"],
+) -> Term:
+    """Drawn points of a surface against planes through the observed ones nearest to them: over the
+    turn about the upright through ``place`` (rad) and ``place`` (m), around these values.
+
+        1/2 sum_p w_p (n_p . (R(yaw - yaw0) (p - place0) + place - t_p))^2
     """
+    arms = drawn.points - place
+    turning = np.stack([arms[:, 2], np.zeros(len(arms)), -arms[:, 0]], 1)
+    columns = np.column_stack([(turning * drawn.normals).sum(1), drawn.normals])
     distance, row = tree.query(drawn.points)
-    root = geman_mcclure_weight(distance, 0.3) ** 0.5
-    arm = drawn.points - middle
-    columns = np.stack(
-        [arm[:, 2] * drawn.normals[:, 0] - arm[:, 0] * drawn.normals[:, 2], *drawn.normals.T], 1
-    )
-    residual = ((own[row] - drawn.points) * drawn.normals).sum(1)
-    normal = (columns * root[:, None] ** 2).T @ columns + np.diag([1e-3, 1e-6, 1e-6, 1e-6]) * len(
-        residual
-    )
-    step = np.linalg.solve(normal, (columns * root[:, None] ** 2).T @ residual)
-    return float(np.clip(step[0], -0.3, 0.3)), np.clip(step[1:], -0.3, 0.3)
+    weight = geman_mcclure_weight(distance, PLANAR_SCALE)
+    missing = ((observed[row] - drawn.points) * drawn.normals).sum(1)
+    matrix = (columns * weight[:, None]).T @ columns
+    pull = (columns * weight[:, None]).T @ missing
+    square = float(weight @ missing**2)
+    start = np.concatenate([yaw, place])
+
+    def residual(yaw: np.ndarray, place: np.ndarray) -> Quadratic:
+        step = np.concatenate([yaw, place]) - start
+        slope = matrix @ step - pull
+        cost = 0.5 * (square + float(step @ (slope - pull)))
+        blocks = {
+            ("yaw", "yaw"): matrix[:1, :1],
+            ("yaw", "place"): matrix[:1, 1:],
+            ("place", "place"): matrix[1:, 1:],
+        }
+        return Quadratic(cost, lambda: ({"yaw": slope[:1], "place": slope[1:]}, blocks))
+
+    return Term(residual)
 
 
 def _about_y(angle: float) -> Float[np.ndarray, "3 3"]:

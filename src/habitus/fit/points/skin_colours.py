@@ -11,7 +11,8 @@ colours would hold it where it is.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,6 +24,14 @@ from habitus.mesh.normals import face_normals
 from habitus.observe.harmonics import harmonic_terms
 from habitus.residuals.points import PointObservations
 from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.alternate import Stage, alternate
+from habitus.solve.steps import Levenberg
+from habitus.solve.terms import Quadratic, Term
+
+MIN_CERTAIN = 0.1
+"""Weight of a coloured point from which on it tells of the noise."""
+OUTLIER_SPREADS = 3.0
+"""Spreads of tones off the texture at which a point weighs a quarter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +217,7 @@ class ColourMatch:
 class SharedSkin:
     """Tones (K, G, 3) of each scan's skin at the nodes of a grid, its light taken out, and how
     surely they are seen there (K, G), 0 to 1; ``noise`` (3,): what single points differ by (robust
-    sd).
+    sd); ``status``: of the solve of all lights (`habitus.solve.alternate`).
     """
 
     grid: SkinGrid
@@ -216,6 +225,7 @@ class SharedSkin:
     seen: Float[np.ndarray, "K G"]
     noise: Float[np.ndarray, " 3"]
     settings: ScanColourSettings = SCANS.colours
+    status: str = "iterations"
 
     @property
     def tones(self) -> Float[np.ndarray, "G 3"]:
@@ -242,43 +252,157 @@ def find_skin(
     sights: Sequence[ColourMatch],
     settings: ScanColourSettings = SCANS.colours,
 ) -> SharedSkin:
-    """Texture and lights of all scans, solved in turn; for lights, colours that stand out count
-    less.
+    """Texture and light of all scans: of each step the texture is that of the present light, and
+    the lights then solve
+
+        1/2 sum_kp w_kp |log(I_kp + d) - T(b_kp) - h(n_kp) . L_k|^2 + 1/2 r sum_k w_k |L_k|^2
+
+    (r: ``light_ridge``, w_k: the sum of scan k's weights). Gains and robust weights are renewed
+    with the texture.
     """
-    wide = SkinGrid.of(grid.faces, settings.gain_pieces)
-    count = range(len(clouds))
-    shapes = [harmonic_terms(sight.found.normal) for sight in sights]
-    tables = [grid.weights(sight.found.face, sight.found.barycentric) for sight in sights]
-    rough = [wide.weights(sight.found.face, sight.found.barycentric) for sight in sights]
-    weights = [sight.weight for sight in sights]
-    middle = np.median(
-        np.concatenate([cloud.tones[w > 0.1] for cloud, w in zip(clouds, weights, strict=True)]),
-        axis=0,
+    rounds = _Rounds.of(grid, clouds, sights, settings)
+
+    def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
+        nonlocal rounds
+        if step:
+            rounds = rounds.gains_and_weights(values["light"]).texture(values["light"])
+        return {"light": rounds.light_term()}
+
+    found = alternate(
+        terms_at,
+        {"light": np.zeros((len(clouds), 9, 3))},
+        [Stage(settings.light_rounds + 1)],
+        steps=Levenberg(0.0),
+        blocks=("light",),
     )
-    light = [
-        shapes[k] @ _light(shapes[k], clouds[k].tones - middle, weights[k], settings) for k in count
-    ]
-    for _ in range(settings.light_rounds):
+    rounds = rounds.gains_and_weights(found.values["light"])
+    return SharedSkin(grid, rounds.each, rounds.seen, rounds.noise, settings, found.status)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rounds:
+    """What `find_skin` holds within a step, of K scans with N_k coloured points: harmonics (N_k, 9)
+    and tables from nodes, texture with its confidence, what it leaves of each point's tone, gains,
+    and robust weights.
+    """
+
+    grid: SkinGrid
+    coarse: SkinGrid
+    clouds: Sequence[ColourCloud]
+    certain: list[Float[np.ndarray, " N"]]
+    shapes: list[Float[np.ndarray, "N 9"]]
+    tables: list[csr_array]
+    coarse_tables: list[csr_array]
+    settings: ScanColourSettings
+    left: list[Float[np.ndarray, "N 3"]]
+    gains: list[Float[np.ndarray, "N 3"]]
+    weights: list[Float[np.ndarray, " N"]]
+    each: Float[np.ndarray, "K G 3"]
+    seen: Float[np.ndarray, "K G"]
+    noise: Float[np.ndarray, " 3"]
+
+    @staticmethod
+    def of(
+        grid: SkinGrid,
+        clouds: Sequence[ColourCloud],
+        sights: Sequence[ColourMatch],
+        settings: ScanColourSettings,
+    ) -> "_Rounds":
+        """Before the first step: a texture of one tone, and no gain."""
+        coarse = SkinGrid.of(grid.faces, settings.gain_pieces)
+        places = [(sight.found.face, sight.found.barycentric) for sight in sights]
+        certain = [sight.weight for sight in sights]
+        middle = np.median(
+            np.concatenate(
+                [cloud.tones[w > MIN_CERTAIN] for cloud, w in zip(clouds, certain, strict=True)]
+            ),
+            axis=0,
+        )
+        return _Rounds(
+            grid,
+            coarse,
+            clouds,
+            certain,
+            [harmonic_terms(sight.found.normal) for sight in sights],
+            [grid.weights(*place) for place in places],
+            [coarse.weights(*place) for place in places],
+            settings,
+            left=[cloud.tones - middle for cloud in clouds],
+            gains=[np.zeros_like(cloud.tones) for cloud in clouds],
+            weights=certain,
+            each=np.zeros((len(clouds), grid.size, 3)),
+            seen=np.zeros((len(clouds), grid.size)),
+            noise=np.ones(3),
+        )
+
+    def texture(self, light: Float[np.ndarray, "K 9 3"]) -> "_Rounds":
+        """With the texture of tones without light and gain."""
+        tones = [
+            cloud.tones - shape @ one - gain
+            for cloud, shape, one, gain in zip(
+                self.clouds, self.shapes, light, self.gains, strict=True
+            )
+        ]
         found = [
-            _at_nodes(grid, tables[k], sights[k].weight, clouds[k].tones - light[k], settings)
-            for k in count
+            _at_nodes(self.grid, *scan, self.settings)
+            for scan in zip(self.tables, self.certain, tones, strict=True)
         ]
         each, mass = (np.stack(part) for part in zip(*found, strict=True))
-        seen = _confidence(mass, settings)
+        seen = _confidence(mass, self.settings)
         skin = _mean(each, seen)[0]
-        apart = [clouds[k].tones - tables[k] @ skin for k in count]
-        light = [shapes[k] @ _light(shapes[k], apart[k], weights[k], settings) for k in count]
-        light = [
-            light[k] + _gain(wide, rough[k], weights[k], apart[k] - light[k], settings)
-            for k in count
+        left = [
+            cloud.tones - table @ skin
+            for cloud, table in zip(self.clouds, self.tables, strict=True)
         ]
-        left = [apart[k] - light[k] for k in count]
-        noise = _spread(np.concatenate([left[k][sights[k].weight > 0.1] for k in count]))
+        return replace(self, each=each, seen=seen, left=left)
+
+    def gains_and_weights(self, light: Float[np.ndarray, "K 9 3"]) -> "_Rounds":
+        """With gains, noise and robust weights of what texture and light leave; the first light is
+        of one tone, and has neither.
+        """
+        if not self.seen.any():
+            return self
+        left = [
+            each - shape @ one
+            for each, shape, one in zip(self.left, self.shapes, light, strict=True)
+        ]
+        gains = [
+            _gain(self.coarse, *scan, self.settings)
+            for scan in zip(self.coarse_tables, self.weights, left, strict=True)
+        ]
+        left = [each - gain for each, gain in zip(left, gains, strict=True)]
+        noise = _spread(
+            np.concatenate(
+                [each[w > MIN_CERTAIN] for each, w in zip(left, self.certain, strict=True)]
+            )
+        )
         weights = [
-            sights[k].weight * geman_mcclure_weight(np.sqrt(((left[k] / noise) ** 2).mean(1)), 3.0)
-            for k in count
+            w * geman_mcclure_weight(np.sqrt(((each / noise) ** 2).mean(1)), OUTLIER_SPREADS)
+            for each, w in zip(left, self.certain, strict=True)
         ]
-    return SharedSkin(grid, each, seen, noise, settings)
+        return replace(self, gains=gains, noise=noise, weights=weights)
+
+    def light_term(self) -> Term:
+        """The lights (K, 9, 3) of all scans, the texture held."""
+        matrices = []
+        pulls = []
+        square = 0.0
+        for shape, weight, left in zip(self.shapes, self.weights, self.left, strict=True):
+            weighed = shape * weight[:, None]
+            ridge = self.settings.light_ridge * weight.sum() * np.eye(9)
+            matrices.append(weighed.T @ shape + ridge)
+            pulls.append(weighed.T @ left)
+            square += float(weight @ (left**2).sum(1))
+        matrix = np.stack(matrices)
+        pull = np.stack(pulls)
+        block = np.einsum("kij,cd->kicjd", matrix, np.eye(3)).reshape(len(matrix), 27, 27)
+
+        def residual(light: np.ndarray) -> Quadratic:
+            slope = matrix @ light - pull
+            cost = 0.5 * (square + float((light * (slope - pull)).sum()))
+            return Quadratic(cost, lambda: ({"light": slope}, {("light", "light"): block}))
+
+        return Term(residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -335,15 +459,6 @@ def colour_matches(
     target = place + np.einsum("nk,nkc->nc", step, axes)
     return PointObservations(
         places.face, places.share, target, (np.sqrt(size) * good)[..., None] * axes
-    )
-
-
-def _light(
-    shape: np.ndarray, apart: np.ndarray, weight: np.ndarray, settings: ScanColourSettings
-) -> Float[np.ndarray, "9 3"]:
-    weighed = shape * weight[:, None]
-    return np.linalg.solve(
-        weighed.T @ shape + settings.light_ridge * weight.sum() * np.eye(9), weighed.T @ apart
     )
 
 
