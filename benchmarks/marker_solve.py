@@ -37,7 +37,7 @@ from habitus.observe.marker_prediction import predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import attach, default_markers
 from habitus.observe.simulated_markers import smooth_motion
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 TIGHT = SequenceOptions(tolerance=1e-7, cost_tolerance=0.0, sweeps=400)
 

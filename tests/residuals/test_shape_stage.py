@@ -14,8 +14,7 @@ from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.observe.markers import LatentMarkers, attach, default_markers
 from habitus.residuals.shape_stage import start_place
-from habitus.solve.objective import Objective
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.unknowns import Unknowns
 
 FRAMES = 3

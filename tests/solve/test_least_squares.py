@@ -7,8 +7,14 @@ import pytest
 import scipy.optimize
 import scipy.sparse
 
-from habitus.solve.least_squares import Linearized, Tolerances, descend, solve_damped
-from habitus.solve.steps import Dogleg, Levenberg
+from habitus.solve.least_squares import (
+    Dogleg,
+    Levenberg,
+    Linearized,
+    Tolerances,
+    descend,
+    solve_damped,
+)
 
 
 def solver(kind):

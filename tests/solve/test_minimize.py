@@ -15,8 +15,7 @@ import torch
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import METHODS, minimize
-from habitus.solve.objective import Objective
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.unknowns import Unknowns
 
 GAUSS_NEWTON = ["dogleg", "levenberg"]
@@ -468,7 +467,7 @@ def test_bad_options_are_one_clear_line():
 
 
 @pytest.mark.parametrize(
-    "first", ["import habitus.solve.minimize", "import habitus.solve.steps", "pass"]
+    "first", ["import habitus.solve.minimize", "import habitus.solve.least_squares", "pass"]
 )
 def test_the_function_keeps_its_name_whatever_was_imported_first(first):
     code = f"""

@@ -8,10 +8,9 @@ import pytest
 from habitus.errors import HabitusError
 from habitus.solve.alternate import Stage, alternate
 from habitus.solve.arrow_terms import arrow_problem
+from habitus.solve.least_squares import Dogleg, Levenberg
 from habitus.solve.minimize import METHODS, minimize
-from habitus.solve.objective import Objective
-from habitus.solve.steps import Dogleg, Levenberg
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.terms import GemanMcClure, Quadratic, Term
 from habitus.solve.unknowns import Unknowns
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from habitus.solve.minimize import minimize
-from habitus.solve.objective import Objective
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.terms import Term
 from habitus.solve.unknowns import Unknowns
 

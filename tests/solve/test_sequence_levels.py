@@ -9,10 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from habitus.solve.sequence import solver
-from habitus.solve.sequence.dense_visits import DenseVisits
-from habitus.solve.sequence.level import BLOCKS_PER_THREAD, Level, share_out
-from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
+from habitus.solve import sequence as solver
+from habitus.solve.sequence import (
+    BLOCKS_PER_THREAD,
+    DenseVisits,
+    Level,
+    SequenceOptions,
+    share_out,
+    solve_sequence,
+)
 
 
 class Wells(DenseVisits):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from habitus.solve.sequence.dense_visits import DenseVisits
-from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
+from habitus.solve.sequence import DenseVisits, SequenceOptions, solve_sequence
 
 TIGHT = SequenceOptions(tolerance=1e-8, cost_tolerance=0.0, sweeps=4000)
 WIDTH = 3

@@ -15,8 +15,7 @@ import torch
 from habitus.errors import HabitusError
 from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.minimize import METHODS, minimize
-from habitus.solve.objective import Objective
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.terms import GemanMcClure, Term
 from habitus.solve.unknowns import Unknowns
 

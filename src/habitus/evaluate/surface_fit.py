@@ -13,8 +13,14 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-from habitus.solve.least_squares import Derivatives, Problem, SolveResult, Tolerances, descend
-from habitus.solve.steps import Levenberg
+from habitus.solve.least_squares import (
+    Derivatives,
+    Levenberg,
+    Problem,
+    SolveResult,
+    Tolerances,
+    descend,
+)
 
 TOLERANCES = Tolerances(cost=1e-6)
 """Of fits: a step changed the mean squared distance by no more than this share of itself."""

@@ -48,12 +48,11 @@ from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import LatentMarkers, attach, default_markers
 from habitus.residuals import shape_stage as energy
 from habitus.residuals.points import PointSolver
-from habitus.residuals.robust import geman_mcclure_weight
 from habitus.residuals.surface_terms import Depth, Points, Silhouette
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import Minimized, minimize
-from habitus.solve.terms import Term
+from habitus.solve.terms import Term, geman_mcclure_weight
 from habitus.types import Progress
 
 Values = dict[str, np.ndarray]

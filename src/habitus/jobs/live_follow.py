@@ -23,7 +23,7 @@ from habitus.io.captures.points import RawPoints
 from habitus.io.streams.source import Frame
 from habitus.io.streams.wiring import rewired
 from habitus.jobs.live_start import Followed, Say
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 MOST_LOST_S = 60.0
 """Frames that are missing for longer are not filled in: the result has no time for them."""

@@ -22,7 +22,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior, prior_of
 from habitus.errors import HabitusError, listed
-from habitus.export.amass import check_npz_style
+from habitus.export.npz import check_npz_style
 from habitus.files import locked
 from habitus.fit.markers.attempts import iterate_attempts
 from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out_errors, merged

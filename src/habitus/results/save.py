@@ -19,9 +19,8 @@ from jaxtyping import Float
 
 from habitus.body.motion import BodyMotion
 from habitus.body.surface_files import write_surface, write_textured
-from habitus.export.amass import check_npz_style, write_amass
 from habitus.export.glb import thinning_note, write_glb
-from habitus.export.npz import motion_arrays, write_arrays, write_npz
+from habitus.export.npz import check_npz_style, motion_arrays, write_amass, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.files import locked, whole_folder, write_text
 from habitus.fit.markers.result import MarkerFit

@@ -12,9 +12,8 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from habitus.solve.least_squares import DEFAULT, Steps, Tolerances
+from habitus.solve.least_squares import DEFAULT, Levenberg, Steps, Tolerances
 from habitus.solve.minimize import Minimized, minimize
-from habitus.solve.steps import Levenberg
 from habitus.solve.terms import Term
 
 REFUSALS = 8
@@ -56,9 +55,9 @@ def alternate(
     state it starts from.
 
     terms_at: the terms at a state (values by name), their correspondences held. start: as `free` of
-    `minimize`. steps: kind of steps, as an object of `habitus.solve.steps`; Levenberg-Marquardt
-    without it. blocks: as in `minimize`. callback: (step, state, its cost) after each step; True
-    stops.
+    `minimize`. steps: kind of steps, as an object of `habitus.solve.least_squares`;
+    Levenberg-Marquardt without it. blocks: as in `minimize`. callback: (step, state, its cost)
+    after each step; True stops.
 
     Returns what `minimize` does, of the last step: costs are those of its terms after it, history
     the cost before each step and the one after the last. status: "converged" (the last step was

@@ -16,11 +16,12 @@ from jaxtyping import Float, Int
 from habitus.errors import HabitusError
 from habitus.solve.arrow import ArrowMatrix
 from habitus.solve.least_squares import Derivatives
-from habitus.solve.objective import Objective, total_cost
-from habitus.solve.term_derivatives import (
+from habitus.solve.objective import (
     Differentiation,
+    Objective,
     quadratic_parts,
     times,
+    total_cost,
     weighted_blocks,
 )
 from habitus.solve.terms import BoundTerm

@@ -24,7 +24,7 @@ def jacobians(
 ) -> dict[str, Tensor]:
     """The Jacobian (R, n) of a term, whose residual is given, with respect to each of `names`.
 
-    mode and chunk_size: as in `habitus.solve.term_derivatives.Differentiation`.
+    mode and chunk_size: as in `habitus.solve.objective.Differentiation`.
     """
     residual = torch.as_tensor(residual).detach()
     count = residual.numel()

@@ -13,16 +13,17 @@ from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.lbfgs import lbfgs
 from habitus.solve.least_squares import (
     DEFAULT,
+    Dogleg,
+    Levenberg,
     SolveResult,
     Steps,
     Tolerances,
     descend,
     restricted,
 )
-from habitus.solve.objective import Objective
-from habitus.solve.steps import Dogleg, Levenberg
-from habitus.solve.term_derivatives import (
+from habitus.solve.objective import (
     Differentiation,
+    Objective,
     cost_and_gradient,
     least_squares_problem,
     too_large,
@@ -86,10 +87,10 @@ def minimize(
     its shape (or broadcast to it), as {"betas": np.arange(16) < 10}.
 
     method: "dogleg" or "levenberg" (Gauss-Newton steps) or "lbfgs" (SciPy's, gradients only;
-    `lbfgs.py` says how it reads tolerances), or an object of `habitus.solve.steps`, which carries
-    its damping or trust region over from one call to the next. None is dogleg, but L-BFGS where a
-    term is a cost or a dense Jacobian by autodiff exceeds 2 GiB. weights: of terms by name, in
-    place of the terms' own; a term of weight 0 is not evaluated after the start. callback:
+    `lbfgs.py` says how it reads tolerances), or an object of `habitus.solve.least_squares`, which
+    carries its damping or trust region over from one call to the next. None is dogleg, but L-BFGS
+    where a term is a cost or a dense Jacobian by autodiff exceeds 2 GiB. weights: of terms by name,
+    in place of the terms' own; a term of weight 0 is not evaluated after the start. callback:
     (iteration, values, cost) after each iteration, accepted or refused; True stops. mode,
     chunk_size: of autodiff Jacobians, see `Differentiation`: "forward" by columns, "reverse" by
     rows. blocks: unknowns (F, ...) whose F entries meet only through the other unknowns, as poses

@@ -49,6 +49,13 @@ class GemanMcClure:
         return residual.new_tensor(inverse) if is_tensor(residual) else inverse
 
 
+def geman_mcclure_weight(distance: np.ndarray, scale: np.ndarray | float) -> np.ndarray:
+    """Weight in 0..1 of a residual of length ``distance``: (s² / (s² + d²))², the loss being s² d²
+    / (s² + d²).
+    """
+    return (1.0 / (1.0 + np.square(distance / scale))) ** 2
+
+
 @dataclass(frozen=True, eq=False)
 class Quadratic:
     """A cost with its own normal equations, for terms of so many residuals that a Jacobian would

@@ -12,10 +12,8 @@ from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.sequence_kernels import LevelArrays
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.solve.minimize import minimize
-from habitus.solve.objective import Objective
-from habitus.solve.sequence.level import FLOOR
-from habitus.solve.sequence.solver import SequenceOptions
-from habitus.solve.term_derivatives import Differentiation, least_squares_problem
+from habitus.solve.objective import Differentiation, Objective, least_squares_problem
+from habitus.solve.sequence import FLOOR, SequenceOptions
 from habitus.solve.unknowns import Unknowns
 
 FRAMES = 6

@@ -17,7 +17,7 @@ from habitus.fit.markers.shape import shape_stage
 from habitus.io.models.bodies import load_body
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import LatentMarkers, attach, default_markers
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 FRAMES = 5
 MARKERS = 90

@@ -12,7 +12,7 @@ from habitus.fit.markers.marker_sequence import DenseSequence, KernelSequence
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import predict
-from habitus.solve.sequence.solver import SequenceOptions, solve_sequence
+from habitus.solve.sequence import SequenceOptions, solve_sequence
 
 TIGHT = SequenceOptions(strides=(1,), tolerance=1e-9, cost_tolerance=0.0, sweeps=3000)
 

@@ -19,7 +19,7 @@ from habitus.fit.markers.settings import (
 )
 from habitus.fit.markers.start import start_long, start_sequence
 from habitus.parallel import blocks
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 GRID = WINDOWS.grid
 OVERLAP = WINDOWS.overlap

@@ -17,7 +17,7 @@ from habitus.fit.points.scan_fitting import OffsetEquations, PreviousFrame, Scan
 from habitus.fit.points.settings import ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 from habitus_lab.population.coarse_bodies import coarse_body
 
 STEP = ScanStage(4, points=3000, scale=0.05, noise=0.002)

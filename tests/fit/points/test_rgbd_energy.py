@@ -11,8 +11,8 @@ from habitus.fit.points.settings import DepthStage, RgbdSettings
 from habitus.fit.points.terms import points_around
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.alternate import alternate
+from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import Minimized
-from habitus.solve.steps import Levenberg
 
 LOOSE = RgbdSettings(shape=1e-9, pose=1e-9)
 

@@ -27,8 +27,8 @@ from habitus.fit.points.skin_offsets import (
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, points_on_surface
+from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import minimize
-from habitus.solve.steps import Levenberg
 from habitus.solve.terms import Term
 
 SETTINGS = RgbdSettings(clothes=0.0, hair=0.0)

@@ -23,7 +23,7 @@ from habitus.fit.points.settings import FOLDED
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.alternate import Stage, alternate
-from habitus.solve.steps import Levenberg
+from habitus.solve.least_squares import Levenberg
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from habitus.fit.search import best_of_tries, distinct_rows
 from habitus.mesh.mirror import mirrored_joints
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 DATA = SequenceSettings.data
 """Weight of squared distances where places are known well (MoSh eq. 3), per m^2; less by how firm

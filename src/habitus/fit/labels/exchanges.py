@@ -13,7 +13,7 @@ from habitus.fit.labels.settings import EXCHANGES, ExchangeSettings
 from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
-from habitus.solve.sequence.level import LevelFrames
+from habitus.solve.sequence import LevelFrames
 
 
 def resolve_exchanges(
@@ -149,7 +149,7 @@ def exchange_costs(
 
 
 def side_by_side(states: Float[np.ndarray, "F N"], pose_end: int, damping: float) -> LevelFrames:
-    """States as a level of `habitus.solve.sequence.level` without links: each frame by itself.
+    """States as a level of `habitus.solve.sequence` without links: each frame by itself.
 
     A special case of `habitus.fit.markers.sequence` at one level: the terms "data" and "pose" of
     `habitus.fit.markers.energy.sequence_terms`, thousands of frames side by side in compiled,

@@ -18,7 +18,7 @@ from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent
 from habitus.fit.markers.settings import LIVE, LiveSettings, SequenceSettings
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import blocks, distances, drop_pages, empty_array, mapped
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 
 class CausalFrame(NamedTuple):

@@ -33,8 +33,7 @@ from habitus.observe.marker_rig import (
     simd_rig,
     workspace_offsets,
 )
-from habitus.solve.sequence.dense_visits import DenseVisits
-from habitus.solve.sequence.level import LevelFrames
+from habitus.solve.sequence import DenseVisits, LevelFrames
 
 
 class MarkerSequence:

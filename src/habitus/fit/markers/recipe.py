@@ -56,7 +56,7 @@ from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
 from habitus.parallel.blocks import distances, mapped
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 from habitus.types import Progress
 
 __all__ = [

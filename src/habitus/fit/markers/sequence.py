@@ -3,7 +3,7 @@
 
 The energy is `habitus.fit.markers.energy.sequence_terms`, over pose, trans and, in the soft-tissue
 stage, beta_t. MoSh solves frame after frame; here all frames are solved together
-(`habitus.solve.sequence.solver`), the optimum that the paper's filter approximates.
+(`habitus.solve.sequence`), the optimum that the paper's filter approximates.
 
 Long captures are solved in overlapping windows. A frame feels others through the acceleration term
 alone, and a disturbance decays within some ten frames. So a window is solved with `WindowSettings`'
@@ -27,7 +27,7 @@ from habitus.fit.markers.recordings import few_markers
 from habitus.fit.markers.settings import WINDOWS, SequenceSettings, WindowSettings
 from habitus.observe.marker_prediction import MarkedBody
 from habitus.parallel.blocks import drop_pages, empty_array, take_frames
-from habitus.solve.sequence.solver import SolvedFrames, solve_coarsest, solve_sequence
+from habitus.solve.sequence import SolvedFrames, solve_coarsest, solve_sequence
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SequenceResult:
 
     pose (T, J, 3) rad, trans (T, 3) m, soft_tissue (T, B) or None; costs by term and frame_costs
     (T,) without the acceleration, both as in `energy.sequence_terms`; weights (T, M): the given
-    ones times the robust ones; status and iterations of `habitus.solve.sequence.solver`; history of
+    ones times the robust ones; status and iterations of `habitus.solve.sequence`; history of
     the total cost.
     """
 

@@ -1,5 +1,5 @@
 """Compiled steps of the whole-sequence solve, and the charts of root rotations;
-`habitus.solve.sequence.dense_visits` is the same in NumPy.
+`habitus.solve.sequence` is the same in NumPy.
 
 Implements all terms of `habitus.fit.markers.energy.sequence_terms`: "data", "pose" and
 "soft_tissue" by `habitus.residuals.marker_kernels`, and here the "acceleration" terms, which couple
@@ -18,7 +18,7 @@ from habitus.kernels.simd import LANES, load, spread, store, where_less
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row
 from habitus.residuals.marker_kernels import linearize, own_cost
-from habitus.solve.sequence.level import FLOOR, NOISE
+from habitus.solve.sequence import FLOOR, NOISE
 
 
 class MarkerData(NamedTuple):
@@ -35,7 +35,7 @@ class MarkerData(NamedTuple):
 
 
 class LevelArrays(NamedTuple):
-    """The frames of one level (`habitus.solve.sequence.level.Level`): F frames, N unknowns."""
+    """The frames of one level (`habitus.solve.sequence.Level`): F frames, N unknowns."""
 
     frames: Int[np.ndarray, " F"]
     states: Float[np.ndarray, "F N"]

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 
 from habitus.errors import HabitusError
 from habitus.residuals.shape_stage import per_m2
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 SOFT_SPACE = "shape"
 """Default of what soft tissue moves along."""

@@ -10,9 +10,9 @@ from habitus.fit.markers.energy import Placement, shape_terms
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.subject import ShapeFit
 from habitus.observe.markers import LatentMarkers, MarkerAttachment, attach, default_markers
-from habitus.residuals.robust import geman_mcclure_weight
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
+from habitus.solve.terms import geman_mcclure_weight
 
 LAST_STEP_REPEATS = 3
 

@@ -24,7 +24,7 @@ from habitus.fit.search import best_of_tries
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.parallel.blocks import drop_pages, empty_array
 from habitus.rotations import procrustes, rotvec_from_matrix
-from habitus.solve.sequence.solver import SequenceOptions
+from habitus.solve.sequence import SequenceOptions
 
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar")
 # joint: rotation vector (rad) of the left side; the right side mirrors y and z

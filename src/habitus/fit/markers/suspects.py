@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from habitus.arrays import runs
 from habitus.fit.markers.settings import FLIPS, SUSPECTS, FlipSettings, SuspectSettings
 from habitus.parallel.blocks import blocks, by_column, columns, drop_pages, empty_array, mapped
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 MAD_TO_SD = 1.0 / np.sqrt(2.3660)  # median of a chi-squared variable with three degrees of freedom
 QUARTER_TO_SD = 1.0 / np.sqrt(1.2125)  # and its lower quartile

@@ -29,9 +29,8 @@ from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
-from habitus.solve.least_squares import Tolerances
+from habitus.solve.least_squares import Levenberg, Tolerances
 from habitus.solve.minimize import Minimized, minimize
-from habitus.solve.steps import Levenberg
 from habitus.solve.terms import GemanMcClure, Term
 
 SHIFT_STEPS = 5

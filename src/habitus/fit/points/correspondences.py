@@ -15,7 +15,7 @@ from habitus.body.model import BodyModel
 from habitus.fit.points.correspondence_kernels import nearest_around
 from habitus.fit.points.scan import Cloud
 from habitus.mesh.normals import vertex_normals
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 NORMAL_DISTANCE = 0.06
 """c, metres: two points count as so far apart whose normals differ by 60 degrees. The metric of all

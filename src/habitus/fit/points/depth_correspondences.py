@@ -15,7 +15,7 @@ from habitus.fit.points.settings import DepthStage, RgbdSettings
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 CLEAR = 0.08
 """Metres that what was seen lies behind the model where the model cannot be."""

@@ -37,8 +37,8 @@ from habitus.fit.points.terms import points_around, pose_prior, shape_prior
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations, PointSolver
 from habitus.solve.alternate import Stage, alternate
+from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import Minimized
-from habitus.solve.steps import Levenberg
 from habitus.solve.terms import Term
 
 BLOCKS = ("trans", "pose")

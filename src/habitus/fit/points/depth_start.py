@@ -25,11 +25,10 @@ from habitus.fit.points.settings import DepthStage
 from habitus.fit.points.terms import pose_prior
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import JointObservations, points_term
-from habitus.residuals.robust import geman_mcclure_weight
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.alternate import Stage, alternate
+from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import minimize
-from habitus.solve.steps import Levenberg
 from habitus.solve.terms import Quadratic, Term
 
 STRIDE = 8

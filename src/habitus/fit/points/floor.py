@@ -13,7 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.fit.retarget.contacts import find_soles
 from habitus.residuals.points import PointObservations
-from habitus.residuals.robust import geman_mcclure_weight
+from habitus.solve.terms import geman_mcclure_weight
 
 TRIES = 300
 SAMPLE = 4000

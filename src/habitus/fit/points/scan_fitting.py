@@ -58,7 +58,7 @@ from habitus.fit.points.terms import (
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
 from habitus.solve.alternate import alternate
-from habitus.solve.steps import Levenberg
+from habitus.solve.least_squares import Levenberg
 from habitus.solve.terms import Quadratic, Term
 
 

@@ -23,10 +23,9 @@ from habitus.fit.points.settings import SCANS, ScanColourSettings
 from habitus.mesh.normals import face_normals
 from habitus.observe.harmonics import harmonic_terms
 from habitus.residuals.points import PointObservations
-from habitus.residuals.robust import geman_mcclure_weight
 from habitus.solve.alternate import Stage, alternate
-from habitus.solve.steps import Levenberg
-from habitus.solve.terms import Quadratic, Term
+from habitus.solve.least_squares import Levenberg
+from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
 MIN_CERTAIN = 0.1
 """Weight of a coloured point from which on it tells of the noise."""

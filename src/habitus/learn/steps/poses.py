@@ -28,8 +28,7 @@ from habitus.learn.posing.surface import (
 )
 from habitus.mesh.laplacian import eliminate_holes, fill_holes
 from habitus.rotations import left_jacobian
-from habitus.solve.least_squares import Tolerances, descend
-from habitus.solve.steps import Levenberg
+from habitus.solve.least_squares import Levenberg, Tolerances, descend
 from habitus.solve.terms import Term
 
 _TOLERANCES = Tolerances(cost=1e-9, step=1e-8, gradient=1e-9)
