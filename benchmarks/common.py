@@ -164,9 +164,16 @@ def compile_kernels(body: BodyModel) -> float:
 
 
 def write_json(path: Path, content: dict) -> None:
-    """The numbers behind a table."""
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    """The numbers behind a table, and the command that measured them."""
+    text = json.dumps({"command": command(), **content}, indent=1, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
     print(f"wrote {path}")
+
+
+def command() -> str:
+    """The command line of this benchmark, without the folders of this machine."""
+    words = (Path(word).name if "/" in word else word for word in sys.argv[1:])
+    return " ".join(("benchmarks/" + Path(sys.argv[0]).name, *words))
 
 
 def written_rows(path: Path, key: str, **settings: object) -> list[dict]:

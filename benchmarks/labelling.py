@@ -77,7 +77,7 @@ class Score:
 
 def main() -> None:
     """Measure and print; write JSON after each capture."""
-    arguments = parser(__doc__)
+    arguments = parser(__doc__, out=True)
     arguments.add_argument(
         "--captures",
         nargs="*",
@@ -87,9 +87,7 @@ def main() -> None:
     arguments.add_argument("--ways", nargs="*", default=["set", "like"])
     arguments.add_argument("--protocols", nargs="*", default=["points", "broken"])
     arguments.add_argument("--as-filed", action="store_true")
-    arguments.add_argument("--out", type=Path, default=Path("benchmarks/results/labelling"))
     options = arguments.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
     found: list[Score] = []
     for name in options.captures:
         for way in options.ways:
@@ -106,7 +104,7 @@ def main() -> None:
                     flush=True,
                 )
                 write_json(
-                    options.out / "labelling.json",
+                    options.out,
                     {"machine": machine(), "scores": [asdict(s) for s in found]},
                 )
 

@@ -238,7 +238,7 @@ def main() -> None:
         "goals": GOALS,
         "first_call_s": first,
         "stages": rows,
-        "command": commands,
+        "whole_command": commands,
     }
     write_json(options.out, content)
 

@@ -78,6 +78,7 @@ MENU = {
         "renderer",
         "architecture",
         "how-accurate",
+        "numbers",
         "accuracy-of-scans-and-depth",
         "accuracy-of-measurements",
         "accuracy-of-marker-workflows",
