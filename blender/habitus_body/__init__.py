@@ -6,7 +6,6 @@ their soft tissue.
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 from bpy.props import (
     BoolProperty,
@@ -31,6 +30,7 @@ from .person import (
     fit_measures,
     is_person,
     known,
+    snap_to_ground,
     tell,
 )
 from .tailor import NAMES
@@ -96,7 +96,9 @@ class HABITUS_OT_add(bpy.types.Operator):
 
     def execute(self, context):
         """Add it."""
-        context.view_layer.objects.active = add_person(context, self.sex)
+        person = add_person(context, self.sex)
+        snap_to_ground(context, person)
+        context.view_layer.objects.active = person
         return {"FINISHED"}
 
 
@@ -118,7 +120,9 @@ class HABITUS_OT_body(_OfFile, bpy.types.Operator):
             model = body_called(path)
         except (OSError, ValueError, KeyError) as error:
             return self.refused(error)
-        context.view_layer.objects.active = add_person(context, path)
+        person = add_person(context, path)
+        snap_to_ground(context, person)
+        context.view_layer.objects.active = person
         if model.num_betas > BETAS:
             self.report({"INFO"}, f"the first {BETAS} of its {model.num_betas} betas have sliders")
         return {"FINISHED"}
@@ -236,17 +240,7 @@ class HABITUS_OT_ground(_OfPerson, bpy.types.Operator):
 
     def execute(self, context):
         """Move it."""
-        person = context.object
-        correct(person)
-        seen = person.evaluated_get(context.evaluated_depsgraph_get())
-        mesh = seen.to_mesh()
-        points = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.vertices.foreach_get("co", points)
-        world = np.array(seen.matrix_world)
-        person.parent.location.z -= float(
-            (points.reshape(-1, 3) @ world[2, :3] + world[2, 3]).min()
-        )
-        seen.to_mesh_clear()
+        snap_to_ground(context, context.object)
         return {"FINISHED"}
 
 

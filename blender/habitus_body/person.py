@@ -71,6 +71,19 @@ def add_person(context, name="neutral", betas=(), age=0.0):
     return person
 
 
+def snap_to_ground(context, person):
+    """Move the person up or down so that the lowest point of this frame is at height 0."""
+    correct(person)
+    seen = person.evaluated_get(context.evaluated_depsgraph_get())
+    mesh = seen.to_mesh()
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    world = np.array(seen.matrix_world)
+    lowest = (points.reshape(-1, 3) @ world[2, :3] + world[2, 3]).min()
+    person.parent.location.z -= float(lowest)
+    seen.to_mesh_clear()
+
+
 def set_shape(context, person, betas, age=None, name=None):
     """Give a person betas, and if told an age (years; 0: none) and a body."""
     with _quietly(person):

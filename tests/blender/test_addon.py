@@ -45,6 +45,9 @@ def pose(person, names, turns):
 for k, sex in enumerate(("female", "neutral", "male")):
     if k == 0:
         bpy.ops.habitus.add(sex=sex)
+        context.view_layer.update()
+        found["new"] = seen(context.object)
+        context.object.parent.location.z = 0.0
     person = context.object
     person.habitus_sex = sex
     person.habitus_age = float(given["ages"][k])
@@ -73,11 +76,17 @@ for frame in (0, 3, 7):
     found[f"frame{frame}"] = seen(person)
     found[f"markers{frame}"] = [list(bpy.data.objects[name].matrix_world.translation) for name in ("LKNE", "RKNE")]
 assert bpy.ops.habitus.export_npz(filepath=f"{folder}/again") == {"FINISHED"}
+rate = scene.render.fps, scene.render.fps_base
+scene.render.fps, scene.render.fps_base = 60, 1.0  # Blender's own FBX is a little off at 119.88
+assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/hard") == {"FINISHED"}
+scene.render.fps, scene.render.fps_base = rate
+scene.frame_set(8)
+found["after_hard"] = seen(person)
 assert bpy.ops.habitus.soft_tissue(strength=2.0) == {"FINISHED"}
 for frame in (3, 7):
     scene.frame_set(frame + 1)
     found[f"soft{frame}"] = seen(person)
-scene.render.fps, scene.render.fps_base = 60, 1.0  # Blender's own FBX is a little off at 119.88
+scene.render.fps, scene.render.fps_base = 60, 1.0
 assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/person") == {"FINISHED"}
 scene.frame_set(5)
 scene.frame_set(8)
@@ -97,13 +106,28 @@ assert bpy.ops.habitus.add_file(filepath=f"{folder}/smpl.npz") == {"FINISHED"}
 assert bpy.ops.habitus.import_npz(filepath=f"{folder}/other.npz") == {"FINISHED"}
 scene.frame_set(4)
 found["other"] = seen(context.object)
-before = set(bpy.data.objects)
-bpy.ops.import_scene.fbx(filepath=f"{folder}/person.fbx", anim_offset=0.0)
-fbx = next(o for o in set(bpy.data.objects) - before if o.type == "MESH")
+bpy.ops.habitus.add(sex="male")  # turned by hand, in one key, at the place where it stands
+person = context.object
+person.parent.pose.bones["left_elbow"].rotation_quaternion = (0.8, 0.0, -0.6, 0.0)
+person.parent.pose.bones["left_elbow"].keyframe_insert("rotation_quaternion", frame=1)
+assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/keyed") == {"FINISHED"}
+scene.frame_set(1)
+found["keyed"] = seen(person)
+
+def imported(name):
+    before = set(bpy.data.objects)
+    bpy.ops.import_scene.fbx(filepath=f"{folder}/{name}.fbx", anim_offset=0.0)
+    return next(o for o in set(bpy.data.objects) - before if o.type == "MESH")
+
+fbx = imported("person")
 found["channels"] = [key.name for key in fbx.data.shape_keys.key_blocks]
+hard = imported("hard")
 for frame in (3, 7):
     scene.frame_set(frame + 1)
-    found[f"fbx{frame}"] = seen(fbx)
+    found[f"fbx{frame}"], found[f"hard{frame}"] = seen(fbx), seen(hard)
+keyed = imported("keyed")
+scene.frame_set(1)
+found["keyed_fbx"] = seen(keyed)
 np.savez(f"{folder}/found.npz", **found)
 """
 
@@ -213,7 +237,7 @@ def posed_people(given: Given, found: dict[str, np.ndarray]) -> None:
             off(found[f"posed{k}"], body.full(given.betas[k], given.pose[k]).vertices @ turn.T)
             < 1e-4
         )
-    assert abs(found["lowest"]) < 1e-5
+    assert abs(found["lowest"]) < 1e-5 and abs(found["new"][:, 2].min()) < 1e-5
 
 
 def people_from_measurements(given: Given, found: dict[str, np.ndarray]) -> None:
@@ -259,5 +283,8 @@ def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
     )
     for frame in (3, 7):
         assert off(found[f"fbx{frame}"], found[f"soft{frame}"]) < 1e-4
+        assert off(found[f"hard{frame}"], found[f"frame{frame}"]) < 1e-4  # no soft tissue yet
+    assert off(found["after_hard"], found["frame7"]) < 1e-6
+    assert off(found["keyed_fbx"], found["keyed"]) < 1e-4
     turn = up_rotation("+z").T
     assert off(found["other"], given.other.vertices(3) @ turn.T) < 1e-4

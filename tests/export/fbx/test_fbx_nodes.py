@@ -67,3 +67,13 @@ def test_long_arrays_are_packed_once():
     assert np.array_equal(
         read_records(document([Node("a", (times, times))]))[0].values[1], np.arange(1000)
     )
+
+
+@pytest.mark.parametrize("name", ["AnimationStack", "AnimationLayer"])
+def test_layers_of_animation_end_with_a_null_record(name):
+    """As other writers have it; assimp does not follow links to them otherwise."""
+    end = document([Node(name, (np.int64(7), "walk"))]).index(b"walk") + len("walk")
+    with_null = document([Node(name, (np.int64(7), "walk"))])
+    assert with_null[end : end + 13] == bytes(13) and with_null[27:31] == (end + 13).to_bytes(
+        4, "little"
+    )

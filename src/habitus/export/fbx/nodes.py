@@ -30,6 +30,10 @@ _SINGLES: tuple[tuple[type, bytes, str], ...] = (
     (int, b"I", "<i"),
     (float, b"D", "<d"),
 )  # bools are ints, too
+_ALWAYS_A_SCOPE = frozenset({"AnimationStack", "AnimationLayer"})
+"""Nodes that end with a null record although no node is in them, as in the files of other writers:
+assimp, and with it Godot and others, reads no animation without.
+"""
 _LEAST_TO_PACK = 128
 _LEVEL = 5
 _LARGEST = 2**32 - 1
@@ -94,7 +98,7 @@ def _encoded(node: Node, at: int) -> bytes:
     for child in node.nodes:
         parts.append(_encoded(child, inside))
         inside += len(parts[-1])
-    if node.nodes or not node.values:
+    if node.nodes or not node.values or node.name in _ALWAYS_A_SCOPE:
         parts.append(_NULL)
         inside += len(_NULL)
     if inside > _LARGEST:
