@@ -14,21 +14,33 @@ from habitus.errors import HabitusError, shown
 
 BASE_BYTES = 1 << 27
 MAX_GROWTH = 10
-MAX_TEXT_BYTES = 1 << 26  # bytes of a table or a description
-MAX_LAYOUT_BYTES = 1 << 20  # bytes of a layout file
+MAX_TEXT_BYTES = 1 << 26  # of a table
+MAX_TOML_BYTES = 1 << 21  # of a table in TOML, which is read at 1 MB a second
+MAX_LAYOUT_BYTES = 1 << 20  # of a layout file
+MAX_XML_BYTES = 1 << 24  # of an XML file: whole OpenSim models are layouts, too
+MAX_XML_ELEMENTS = 200_000
+MAX_DESCRIPTION_BYTES = 1 << 20  # of a description of cameras or keypoints
+MAX_DESCRIPTION_VALUES = 20_000  # in YAML, references counted as what they refer to
+MAX_JSON_VALUES = 2_000_000
 MAX_KEY_PARTS = 16  # of a dotted key
 MAX_DEPTH = 100  # of elements in one another
+MAX_DIGITS = 300  # of a whole number: more are no number of 64 bits, nor a floating one
 MAX_PICKLE_STEPS = 1_000_000
 MAX_JOINTS = 2048
+MAX_LABELS = 500  # of a layout
+MAX_PLACED_MARKERS = 200  # of an OpenSim marker set: each is looked up among the landmarks, 10 ms
 MAX_NAMES = 1 << 16
 MAX_NAME_LENGTH = 200
+MAX_NODES = 4096  # of a scene in a glTF file
+MAX_IMAGE_PIXELS = 50_000_000  # of one image of a camera
+MAX_IMAGE_BYTES = 1 << 29  # of all images of a depth folder, or all pictures of a scan, unpacked
 
 
 class Allowance:
     """What one file may still fill of the memory, by the ``stored`` bytes that it really has."""
 
-    def __init__(self, stored: int):
-        self.limit = BASE_BYTES + MAX_GROWTH * max(0, stored)
+    def __init__(self, stored: int, base: int = BASE_BYTES):
+        self.limit = base + MAX_GROWTH * max(0, stored)
         self._left = self.limit
 
     def take(self, count: int, width: int, what: str) -> None:
@@ -36,8 +48,11 @@ class Allowance:
 
         Raises HabitusError where ``what`` claims more than is left.
         """
-        size = count * max(8, width)
-        if count < 0 or size > self._left:
+        self.take_bytes(count * max(8, width), what)
+
+    def take_bytes(self, size: int, what: str) -> None:
+        """Ask for ``size`` bytes. Raises HabitusError where ``what`` claims more than is left."""
+        if size < 0 or size > self._left:
             raise HabitusError(
                 f"{what} would fill {_size(size)}; a file of this size may fill "
                 f"{_size(self.limit)} in all; "
@@ -74,6 +89,12 @@ def check_text(size: int, name: str, most: int = MAX_TEXT_BYTES) -> None:
         raise HabitusError(
             f"{name}: {_size(size)} of text; expected at most {_size(most)}; is it another file?"
         )
+
+
+def check_count(count: int, limit: int, what: str) -> None:
+    """Raise HabitusError where a file has more of ``what`` than ``limit``."""
+    if count > limit:
+        raise HabitusError(f"{count} {what}; expected at most {limit}; is it another file?")
 
 
 def check_joints(count: int) -> None:

@@ -1,5 +1,6 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
+import io
 import re
 from pathlib import Path
 from typing import BinaryIO
@@ -33,10 +34,12 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":
                 check_ply(file, source.stat().st_size)
+                content = file
             else:
                 check_obj(file, source.stat().st_size)
+                content = io.StringIO(file.read().decode("utf-8-sig", "replace"))
             mesh = trimesh.load(
-                file,
+                content,
                 file_type=source.suffix[1:].lower(),
                 force="mesh",
                 process=False,
@@ -69,6 +72,8 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
             f"{source}: its faces name vertices up to {faces.max()} of {len(vertices)}; export it "
             "again"
         )
+    if not np.isfinite(vertices[faces]).all():
+        raise HabitusError(f"{source}: vertices of its faces are no numbers; export it again")
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
 
 
@@ -79,8 +84,9 @@ def _numbers(mesh: object, key: str) -> np.ndarray:
 
 def check_obj(file: BinaryIO, size: int) -> None:
     """An OBJ's faces name vertices by their numbers, and each vertex has a line in the file."""
-    found = re.search(rb"(?m)^\s*f.*?(\d{%d,})" % (len(str(size)) + 1), file.read())
+    text = file.read().replace(b"\r\n", b"\n").replace(b"\\\n", b"")
     file.seek(0)
+    found = re.search(rb"(?m)^[^\S\n]*f[^\n]*?([0-9]{%d,})" % (len(str(size)) + 1), text)
     if found:
         raise HabitusError(
             f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it "

@@ -28,6 +28,18 @@ def inside(path: str) -> Path:
     return Path(path)
 
 
+def numeric_order(name: str) -> list[tuple[bool, int, str]]:
+    """A key that sorts names by the numbers in them: scan2 before scan10."""
+    return [
+        (
+            word.isascii() and word.isdigit(),
+            int(word) if word.isascii() and word.isdigit() else 0,
+            word,
+        )
+        for word in re.split(r"([0-9]+)", name)
+    ]
+
+
 def plain_name(text: object) -> str:
     """A label, a subject or another name from a file, as the project spells it: what is blank is a
     space, what cannot be seen is written as an escape (`habitus.errors.shown`), and what is too

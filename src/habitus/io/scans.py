@@ -2,9 +2,9 @@
 and axes, with the colours that the file has.
 """
 
+import io
 import os
-import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,49 +15,66 @@ from jaxtyping import Float, Int
 from habitus.errors import HabitusError, require_extra
 from habitus.fit.points.scan import Scan
 from habitus.io.archives import reason
+from habitus.io.gltf_claims import check_gltf
+from habitus.io.limits import MAX_IMAGE_BYTES, Allowance
 from habitus.io.meshes import check_obj, check_ply
+from habitus.io.names import numeric_order
 from habitus.observe.srgb import linear_from_srgb
 
 SAMPLED = 400_000
-"""Places on a mesh at which its picture is looked up: pictures show more than vertices do."""
+"""Places on a scan at which its pictures are looked up: pictures show more than vertices do."""
+MAX_COORDINATE = 1e9
+"""In the file's unit: a person in micrometres has two million."""
 
 Coloured = tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]]
 
 
 def part_colours(
-    part: object, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], linear: bool
+    part: object,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    linear: bool,
+    samples: int = SAMPLED,
 ) -> Coloured | None:
     """Places (in the file's unit and axes) and linear colours there, 0 to 1; None where a part has
     none.
 
     linear: vertices' colours are linear light already, as glTF has them; other files and all
-    pictures hold sRGB.
+    pictures hold sRGB. samples: how many places of a picture.
     """
     visual = getattr(part, "visual", None)
     picture = _picture(getattr(visual, "material", None))
     uv = getattr(visual, "uv", None)
     if picture is not None and uv is not None and len(uv) == len(vertices) and len(faces):
-        return _from_picture(vertices, faces, np.asarray(uv, dtype=float), picture)
+        return _from_picture(vertices, faces, np.asarray(uv, dtype=float), picture, samples)
     own = getattr(part, "colors", None)  # of a cloud
     if own is None and getattr(visual, "kind", None) == "vertex":
         own = visual.vertex_colors  # pyright: ignore
     if own is None:  # of a mesh that has a material without a picture
         own = (getattr(visual, "vertex_attributes", None) or {}).get("color")
-    if own is None or len(own) != len(vertices) or not len(vertices):
+    values = np.asarray([] if own is None else own)
+    if values.ndim != 2 or len(values) != len(vertices) or values.shape[1] < 3 or not len(values):
         return None
-    values = np.asarray(own)[:, :3]
+    values = values[:, :3]
     values = values / 255.0 if values.dtype.kind in "ui" else values.astype(float)
+    known = np.isfinite(values).all(axis=1)
+    if not known.all():
+        vertices, values = vertices[known], values[known]
     return vertices, values if linear else linear_from_srgb(values)
 
 
 def _picture(material: Any) -> np.ndarray | None:
     """The bytes (H, W, 3) of a material's picture."""
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    image = _image(material)
     return None if image is None else np.asarray(image.convert("RGB"))
 
 
+def _image(material: Any) -> Any:
+    return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+
+
 def _from_picture(
-    vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, picture: np.ndarray
+    vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray, picture: np.ndarray, samples: int
 ) -> Coloured:
     """Places evenly all over a mesh, and the pixels that lie there; row 0 of the picture is on
     top.
@@ -67,10 +84,10 @@ def _from_picture(
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    if not area.sum() > 0.0:
+    if not (area.sum() > 0.0 and np.isfinite(uv).all() and picture.size):
         return vertices[:0], vertices[:0]
-    face = rng.choice(len(faces), SAMPLED, p=area / area.sum())
-    share = rng.dirichlet((1.0, 1.0, 1.0), SAMPLED)
+    face = rng.choice(len(faces), samples, p=area / area.sum())
+    share = rng.dirichlet((1.0, 1.0, 1.0), samples)
     at = np.einsum("nk,nkc->nc", share, uv[faces[face]]) % 1.0
     rows = np.minimum(((1.0 - at[:, 1]) * len(picture)).astype(int), len(picture) - 1)
     columns = np.minimum((at[:, 0] * picture.shape[1]).astype(int), picture.shape[1] - 1)
@@ -80,7 +97,6 @@ def _from_picture(
 
 
 ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off", ".xyz")
-_CHECKS = {".ply": check_ply, ".obj": check_obj}
 
 
 def read_scan(path: str | os.PathLike[str]) -> Scan:
@@ -97,12 +113,9 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         )
     trimesh = require_extra("trimesh", "scans", "scans")
     try:
-        with source.open("rb") as file:
-            check = _CHECKS.get(ending)
-            if check is not None:
-                check(file, source.stat().st_size)
-            what = str(source) if ending in (".gltf", ".obj") else file  # these name other files
-            loaded = trimesh.load(what, file_type=ending[1:], process=False)
+        loaded = _loaded(trimesh, source, ending)
+        _check_pictures(loaded, source.stat().st_size)
+        return _scan(source, loaded)
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
@@ -111,7 +124,39 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         raise HabitusError(
             f"{source}: cannot be read ({reason(error)}); expected a scan; export it again"
         ) from error
-    return _scan(source, loaded)
+
+
+def _loaded(trimesh: Any, source: Path, ending: str) -> Any:
+    """What trimesh reads, after what the file claims has been held against its size."""
+    if ending in (".glb", ".gltf"):
+        check_gltf(source)
+    if ending == ".gltf":  # it names other files
+        return trimesh.load(str(source), file_type=ending[1:], process=False)
+    with source.open("rb") as file:
+        if ending == ".ply":
+            check_ply(file, source.stat().st_size)
+        if ending != ".obj":
+            return trimesh.load(file, file_type=ending[1:], process=False)
+        check_obj(file, source.stat().st_size)
+        text = io.StringIO(file.read().decode("utf-8-sig", "replace"))
+    resolver = trimesh.resolvers.FilePathResolver(str(source))
+    return trimesh.load(text, file_type="obj", resolver=resolver, process=False)
+
+
+def _check_pictures(loaded: Any, stored: int) -> None:
+    """Raise HabitusError, before a picture is decoded, where all would fill more than they may.
+
+    Pictures of an OBJ lie in files of their own; each may be as large as ten scans.
+    """
+    allowance = Allowance(stored, MAX_IMAGE_BYTES)
+    parts = loaded.geometry.values() if hasattr(loaded, "geometry") else [loaded]
+    images = {
+        id(image): image
+        for part in parts
+        if (image := _image(getattr(getattr(part, "visual", None), "material", None))) is not None
+    }
+    for image in images.values():
+        allowance.take_bytes(4 * image.width * image.height, "its pictures, unpacked,")
 
 
 def scans_in(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
@@ -125,7 +170,8 @@ def scans_in(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
             found.append(path)
             continue
         inside = sorted(
-            (one for one in path.iterdir() if one.suffix.lower() in ENDINGS), key=_numbered
+            (one for one in path.iterdir() if one.suffix.lower() in ENDINGS),
+            key=lambda one: numeric_order(one.name),
         )
         if not inside:
             raise HabitusError(f"{path}: no scans in it; expected files in {', '.join(ENDINGS)}")
@@ -133,49 +179,83 @@ def scans_in(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
     return found
 
 
-def _numbered(path: Path) -> list[tuple[bool, int, str]]:
-    """Names with numbers in the order of these: scan2 before scan10."""
-    return [
-        (bool(word.isdigit()), int(word) if word.isdigit() else 0, word)
-        for word in re.split(r"(\d+)", path.name)
-    ]
-
-
-def _scan(source: Path, loaded: object) -> Scan:
+def _scan(source: Path, loaded: Any) -> Scan:
     """What trimesh has read: a mesh, a cloud, or a scene of such."""
-    parts = loaded.dump() if hasattr(loaded, "dump") and hasattr(loaded, "geometry") else [loaded]  # pyright: ignore
+    linear = source.suffix.lower() in (".glb", ".gltf")
+    placed = list(_parts(loaded))
+    samples = max(1000, SAMPLED // max(1, len(placed)))
     points = []
     faces = []
     normals = []
     colours = []
     count = 0
-    for part in parts:
-        vertices = np.asarray(getattr(part, "vertices", np.zeros((0, 3))), dtype=float).reshape(
-            -1, 3
-        )
-        triangles = np.asarray(getattr(part, "faces", np.zeros((0, 3))), dtype=np.int64).reshape(
-            -1, 3
-        )
+    for part, vertices, triangles in placed:
         points.append(vertices)
         faces.append(triangles + count)
         normals.append(_own_normals(part, len(vertices)))
-        first = getattr(loaded, "geometry", {}).get(
-            (getattr(part, "metadata", None) or {}).get("name"), part
-        )
-        colours.append(
-            part_colours(first, vertices, triangles, source.suffix.lower() in (".glb", ".gltf"))
-        )
+        colours.append(part_colours(part, vertices, triangles, linear, samples))
         count += len(vertices)
     if not count:
-        raise HabitusError(f"{source}: holds no points; expected a scan")
+        raise HabitusError("holds no points; expected a scan")
     triangles = np.concatenate(faces)
-    told = None if any(one is None for one in normals) else np.concatenate(normals)  # pyright: ignore
-    scan = Scan(source.stem, np.concatenate(points), told, triangles if len(triangles) else None)
-    known = [one for one in colours if one is not None]
-    if not known:
+    own_normals = None if any(one is None for one in normals) else np.concatenate(normals)  # pyright: ignore
+    points = np.concatenate(points)
+    known = (np.abs(points) <= MAX_COORDINATE).all(axis=1)
+    if own_normals is not None:
+        known &= np.isfinite(own_normals).all(axis=1)
+    if not known.any() or not known[triangles].all():
+        raise HabitusError("vertices that are no numbers, or huge ones; export it again")
+    if not known.all():  # depth cameras' programs write NaN for pixels without depth
+        points = points[known]
+        own_normals = None if own_normals is None else own_normals[known]
+        triangles = (np.cumsum(known) - 1)[triangles]
+    scan = Scan(source.stem, points, own_normals, triangles if len(triangles) else None)
+    coloured = [one for one in colours if one is not None]
+    if not coloured:
         return scan
-    places, seen = (np.concatenate(each) for each in zip(*known, strict=True))
-    return replace(scan, colours=seen, colour_places=places)
+    places, seen = (np.concatenate(each) for each in zip(*coloured, strict=True))
+    finite = np.isfinite(places).all(axis=1)
+    return replace(scan, colours=seen[finite], colour_places=places[finite])
+
+
+def _parts(loaded: Any) -> Iterator[tuple[Any, np.ndarray, np.ndarray]]:
+    """Each part of a scene with its vertices (V, 3), at its place, and its triangles (F, 3).
+
+    Raises HabitusError for vertices that have not three coordinates, and for triangles of vertices
+    that are not there.
+    """
+    from trimesh.transformations import flips_winding, transform_points
+
+    if not hasattr(loaded, "graph"):
+        yield loaded, *_arrays(loaded)
+        return
+    for node in loaded.graph.nodes_geometry:
+        matrix, name = loaded.graph[node]
+        vertices, triangles = _arrays(loaded.geometry[name])
+        if not np.allclose(matrix, np.eye(4), rtol=0.0, atol=1e-8):
+            vertices = transform_points(vertices, matrix=matrix)
+            turned = not np.allclose(matrix[:3, :3], np.eye(3), rtol=0.0, atol=1e-6)
+            triangles = triangles[:, ::-1] if turned and flips_winding(matrix) else triangles
+        yield loaded.geometry[name], vertices, triangles
+
+
+def _arrays(part: Any) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+    vertices = np.asarray(getattr(part, "vertices", np.zeros((0, 3))), dtype=float)
+    triangles = np.asarray(getattr(part, "faces", np.zeros((0, 3))), dtype=np.int64)
+    vertices, triangles = (
+        one if one.size else np.zeros((0, 3), one.dtype) for one in (vertices, triangles)
+    )
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or triangles.shape[1:] != (3,):
+        raise HabitusError(
+            f"has points of shape {vertices.shape} and faces of {triangles.shape}; expected three "
+            "coordinates and three corners"
+        )
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        raise HabitusError(
+            f"its faces name vertices {triangles.min()} to {triangles.max()} of {len(vertices)}; "
+            "export it again"
+        )
+    return vertices, triangles
 
 
 def _own_normals(part: object, count: int) -> np.ndarray | None:

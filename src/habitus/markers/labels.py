@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import takewhile
 
 _SIDE_WORD = re.compile(r"^(left|right)[ _.\-]*(?=\w)", re.IGNORECASE)
@@ -23,6 +23,7 @@ _LONGEST = 64  # share of the labels; characters
 _FRAGMENT = re.compile(r"^(.*\D)-\d{1,2}$")
 
 
+@lru_cache(maxsize=1 << 16)
 def normalised(label: str) -> str:
     """A label without case, separators and prefixes, its side as a leading L or R (``Left IAS`` ->
     ``LIAS``).
@@ -33,6 +34,7 @@ def normalised(label: str) -> str:
     return _SEPARATORS.sub("", text).upper()
 
 
+@lru_cache(maxsize=1 << 16)
 def spellings(label: str) -> tuple[str, ...]:
     """The normalised forms to look a label up by, best first.
 
@@ -50,6 +52,7 @@ def spellings(label: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(form for form in forms if form))
 
 
+@lru_cache(maxsize=1 << 16)
 def fragment_of(label: str) -> str | None:
     """The label whose second fragment this is (``RBAC-1`` -> ``RBAC``), or None."""
     found = _FRAGMENT.match(label.strip())

@@ -21,10 +21,10 @@ from habitus.io.layouts.moshpp import parse_moshpp
 from habitus.io.layouts.opensim import parse_marker_set
 from habitus.io.layouts.placements import parse_placements
 from habitus.io.layouts.toml import layout_text, parse_layout
-from habitus.io.limits import MAX_LAYOUT_BYTES, MAX_TEXT_BYTES, check_text
+from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, MAX_XML_BYTES, check_count
 from habitus.io.models.bodies import load_body
-from habitus.io.names import plain_name
-from habitus.io.structured_text import read_xml
+from habitus.io.names import inside, plain_name
+from habitus.io.structured_text import read_text_file, read_xml
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import (
     FEWEST_MARKERS,
@@ -74,6 +74,7 @@ def layout_of_labels(
 
     Raises HabitusError where fewer than six are known.
     """
+    check_count(len(labels), MAX_LABELS, f"labels in the layout file {where}")
     meaning = interpreted(labels, known)
     if len(meaning.found) < FEWEST_MARKERS:
         raise HabitusError(
@@ -206,23 +207,24 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
     """A layout file; ``extending`` are the files that led here, none of which it may extend
     again.
     """
+    ending = path.suffix.lower()
     if path.resolve() in extending:
         raise HabitusError(f"layout file {path} extends itself; expected another layout")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text_file(path, MAX_XML_BYTES if ending in XML_FORMS else MAX_LAYOUT_BYTES)
     except FileNotFoundError:
         raise HabitusError(f"no layout file {path}; expected a {', '.join(FORMS)} file") from None
+    except HabitusError as error:
+        raise HabitusError(f"layout file {path}: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise HabitusError(
             f"cannot read layout file {path}: {error}; expected a text file"
         ) from error
-    ending = path.suffix.lower()
     if ending == ".json":
         return parse_moshpp(text, str(path), shipped_layouts())
     if ending in XML_FORMS:
         return _of_tree(text, path)
     if ending in LIST_FORMS:
-        check_text(len(text), f"layout file {path}", MAX_LAYOUT_BYTES)
         return layout_of_labels(
             labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts()
         )
@@ -232,7 +234,7 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
 def _of_tree(text: str, path: Path) -> MarkerLayout:
     """An XML file: OpenSim's where markers name a bone, else a list of labels."""
     try:
-        root = read_xml(text, MAX_TEXT_BYTES)
+        root = read_xml(text)
     except HabitusError as error:
         raise HabitusError(f"layout file {path} is not XML: {error}") from error
     name = plain_name(path.stem)
@@ -243,7 +245,7 @@ def _of_tree(text: str, path: Path) -> MarkerLayout:
 
 def _base(folder: Path, extending: tuple[Path, ...], extends: object) -> MarkerLayout:
     if isinstance(extends, str) and extends.endswith(".toml"):
-        return _load_file(folder / extends, extending)
+        return _load_file(folder / inside(extends), extending)
     if isinstance(extends, str) and extends in list_layouts():
         return _shipped(extends)
     known = ", ".join(list_layouts())

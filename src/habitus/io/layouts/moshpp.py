@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MAX_LAYOUT_BYTES
+from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
@@ -60,6 +60,7 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
     body = str(data.get("surface_model_type", "")).lower().replace("-", "").replace("_", "")
     unique = {label: (vertex, distance) for label, vertex, distance in reversed(entries)}
     labels = tuple(dict.fromkeys(label for label, _, _ in entries))
+    check_count(len(labels), MAX_LABELS, f"markers in the layout file {where}")
     places = interpreted(labels, known).found
     markers = []
     for column, label in enumerate(labels):

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
+from habitus.io.limits import MAX_PLACED_MARKERS, check_count
 from habitus.io.names import plain_name
 from habitus.markers.layouts import Marker, MarkerLayout, place_in_words
 
@@ -57,7 +58,9 @@ def parse_marker_set(root: Element, name: str, where: str, body: BodyModel) -> M
     """
     markers = {}
     left_out = {}
-    for element in root.iter("Marker"):
+    elements = list(root.iter("Marker"))
+    check_count(len(elements), MAX_PLACED_MARKERS, f"markers in the layout file {where}")
+    for element in elements:
         label = plain_name(element.get("name", ""))
         if label and label not in markers:
             found = _marker(element, label, where, body)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MAX_LAYOUT_BYTES
+from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count
 from habitus.io.names import plain_name
 from habitus.io.structured_text import read_toml
 from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
@@ -63,6 +63,9 @@ def parse_layout(text: str, where: str, base_of: Callable[[str], MarkerLayout]) 
             raise HabitusError(
                 f"layout file {where}: {key} = {shown(data[key])}; expected a table [{key}]"
             )
+        check_count(
+            len(data.get(key, {})), MAX_LABELS, f"entries of {key} in the layout file {where}"
+        )
     base = base_of(data["extends"]) if "extends" in data else None
     markers = _all_markers(data, base, where)
     fingers = _fingers(data, base, where)

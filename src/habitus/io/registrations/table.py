@@ -40,12 +40,12 @@ def read_table(path: Path) -> dict[str, tuple[str, ...]]:
     tells no subject or a word that is not known.
     """
     try:
+        check_text(path.stat().st_size, str(path))
         text = read_text(path.read_bytes(), str(path))
     except OSError as error:
         raise HabitusError(
             f"{path}: {error.strerror or error}; expected a table of registrations"
         ) from error
-    check_text(len(text), str(path))
     head = text.strip().splitlines()[0]
     mark = max(",;\t", key=head.count)
     try:

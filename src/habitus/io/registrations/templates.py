@@ -13,12 +13,12 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.archives import NpzArchive
-from habitus.io.limits import check_joints
+from habitus.io.limits import MAX_TOML_BYTES, check_joints
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.bodies import SHIPPED, load_body, named_vertices
 from habitus.io.names import inside, plain_name
-from habitus.io.structured_text import read_toml
+from habitus.io.structured_text import read_text_file, read_toml
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template
@@ -152,7 +152,7 @@ def _from_npz(path: Path) -> Template:
 
 def _from_toml(path: Path) -> Template:
     try:
-        words = read_toml(path.read_text(encoding="utf-8"))
+        words = read_toml(read_text_file(path, MAX_TOML_BYTES))
     except (HabitusError, UnicodeDecodeError) as error:
         raise HabitusError(
             f"{path}: no TOML ({error}); expected mesh, unit and a table [[joint]] each"

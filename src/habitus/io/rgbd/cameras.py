@@ -43,7 +43,13 @@ def azure_cameras(
 
     Raises HabitusError where one is missing or the resolution is none of the sensor's.
     """
-    cameras = table.get("CalibrationInformation", table).get("Cameras", [])
+    inner = table.get("CalibrationInformation", table)
+    listed_cameras = inner.get("Cameras") if isinstance(inner, Mapping) else None
+    cameras = [
+        each
+        for each in (listed_cameras if isinstance(listed_cameras, list) else [])
+        if isinstance(each, Mapping)
+    ]
     found = {}
     for name, purpose in (("depth", "Depth"), ("colour", "PhotoVideo")):
         one = next(
@@ -101,9 +107,9 @@ def _azure_camera(
     halves.
     """
     try:
-        values = [float(value) for value in table["Intrinsics"]["ModelParameters"]][: len(_ORDER)]
+        values = _numbers(table["Intrinsics"]["ModelParameters"])[: len(_ORDER)].tolist()
         p = dict(zip(_ORDER, values, strict=True))
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, HabitusError) as error:
         raise HabitusError(
             f"{where}: its ModelParameters are {shown(error)}; expected 14 numbers a camera"
         ) from error
@@ -120,9 +126,9 @@ def _azure_camera(
 
 def _place(table: Mapping[str, Any], where: str) -> tuple[np.ndarray, np.ndarray]:
     try:
-        turn = np.array(table["Rt"]["Rotation"], dtype=float).reshape(3, 3)
-        return turn, np.array(table["Rt"]["Translation"], dtype=float).reshape(3)
-    except (KeyError, TypeError, ValueError) as error:
+        turn = _numbers(table["Rt"]["Rotation"]).reshape(3, 3)
+        return _checked_rotation(turn, where), _numbers(table["Rt"]["Translation"]).reshape(3)
+    except (LookupError, TypeError, ValueError) as error:
         raise HabitusError(
             f"{where}: its Rt is {shown(error)}; expected Rotation and Translation"
         ) from error
@@ -189,6 +195,10 @@ BENT = (
 STRAIGHT = ("none", "pinhole", "")
 FARTHEST_APART = 1.0
 """Metres between the cameras of one sensor; a larger number is millimetres."""
+MAX_PIXEL = 1e6
+"""Of focal lengths, principal points and sizes of images."""
+MAX_LENS = 1e4
+"""Of distortion coefficients; those of rational models reach hundreds."""
 
 
 @dataclass(frozen=True)
@@ -213,8 +223,37 @@ def read_rig(table: Any, where: str, size: tuple[int, int]) -> Rig:
         raise HabitusError(
             f"{where}: holds {type(table).__name__}; expected a table of camera intrinsics"
         )
-    if is_azure(table):
-        return Rig(*azure_cameras(table, where, size), None)
+    rig = (
+        Rig(*azure_cameras(table, where, size), None)
+        if is_azure(table)
+        else _rig(table, where, size)
+    )
+    for camera in (rig.depth, rig.colour):
+        _check_camera(camera, where)
+    return rig
+
+
+def _check_camera(camera: Camera | None, where: str) -> None:
+    """Raise HabitusError for numbers that no camera has."""
+    if camera is None:
+        return
+    focal = camera.focal_length.tolist()
+    size = (camera.width, camera.height)
+    principal = camera.principal_point.tolist()
+    lens = [] if camera.distortion is None else camera.distortion.tolist()
+    if not (
+        all(0.0 < length <= MAX_PIXEL for length in focal)
+        and all(abs(number) <= MAX_PIXEL for number in principal)
+        and all(1 <= number <= MAX_PIXEL for number in size)
+        and all(abs(number) <= MAX_LENS for number in lens)
+    ):
+        raise HabitusError(
+            f"{where}: focal lengths {focal}, principal point {principal}, size {size}, lens "
+            f"{lens}; expected a camera's, in pixels"
+        )
+
+
+def _rig(table: Mapping[str, Any], where: str, size: tuple[int, int]) -> Rig:
     metres = scale_of(table, where)
     depth_part = _part(table, DEPTH)
     colour_part = _part(table, COLOUR)
@@ -347,11 +386,19 @@ def _rigid(value: Any, where: str, columns: bool) -> tuple[np.ndarray, np.ndarra
             "9 and 3"
         )
     turn = turn.reshape(3, 3).T if columns else turn.reshape(3, 3)
-    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2) or np.linalg.det(turn) < 0:
+    return _checked_rotation(turn, where), shift
+
+
+def _checked_rotation(turn: np.ndarray, where: str) -> np.ndarray:
+    if (
+        np.abs(turn).max() > 1.1
+        or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-2)
+        or np.linalg.det(turn) < 0
+    ):
         raise HabitusError(
             f"{where}: the extrinsics' rotation is none; expected three orthogonal rows"
         )
-    return turn, shift
+    return turn
 
 
 def _in_metres(
@@ -361,6 +408,11 @@ def _in_metres(
     if np.linalg.norm(shift) > FARTHEST_APART:
         shift = shift / 1000.0
         notes = (f"{where}: the colour camera's place was taken as millimetres",)
+    if not np.linalg.norm(shift) <= FARTHEST_APART:
+        raise HabitusError(
+            f"{where}: the colour camera is {np.linalg.norm(shift):.3g} m from the depth camera; "
+            f"expected at most {FARTHEST_APART:g} m"
+        )
     return ((turn.T, -turn.T @ shift) if backwards else (turn, shift)), notes
 
 
@@ -401,7 +453,7 @@ def _numbers(value: Any) -> np.ndarray:
         value = value.get("data", ())
     try:
         found = np.asarray(value, dtype=float).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise HabitusError(f"{shown(value)} where numbers of a camera are expected") from None
     if not np.isfinite(found).all():
         raise HabitusError(f"{shown(value)} where finite numbers of a camera are expected")

@@ -8,6 +8,8 @@ from habitus.body.keypoints import CONVENTIONS
 from habitus.errors import HabitusError
 from habitus.io.rgbd.descriptions import read_description
 
+MAX_PIXEL = 1e6
+"""A keypoint further from the image's corner, or at no number, is one that was not seen."""
 _BY_COUNT = {len(names): names for names in CONVENTIONS.values()}
 
 
@@ -42,7 +44,7 @@ def _points(person: Any) -> dict[str, tuple[float, float, float]]:
     given = next((person[key] for key in ("pose_keypoints_2d", "keypoints") if key in person), None)
     try:
         flat = [float(value) for value in given] if given is not None else []
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return {}
     names = _BY_COUNT.get(len(flat) // 3, ())
     if len(flat) != 3 * len(names):
@@ -53,5 +55,7 @@ def _points(person: Any) -> dict[str, tuple[float, float, float]]:
     )  # COCO's annotators write 2 for visible
     # these conventions count pixels' centres as whole numbers
     return {
-        name: (u + 0.5, v + 0.5, min(scale * sure, 1.0)) for name, (u, v, sure) in rows if sure > 0
+        name: (u + 0.5, v + 0.5, min(scale * sure, 1.0))
+        for name, (u, v, sure) in rows
+        if sure > 0 and abs(u) < MAX_PIXEL and abs(v) < MAX_PIXEL
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from habitus.errors import HabitusError, listed
 from habitus.io.limits import check_text
-from habitus.io.names import inside
+from habitus.io.names import inside, numeric_order
 from habitus.io.rgbd.descriptions import ENDINGS as DESCRIPTIONS
 from habitus.io.rgbd.images import ENDINGS as IMAGES
 
@@ -143,12 +143,7 @@ def _number(path: Path) -> str:
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:
     """By numbers in names, as people count."""
-    return sorted(
-        paths,
-        key=lambda p: [
-            int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)
-        ],
-    )
+    return sorted(paths, key=lambda path: numeric_order(path.name))
 
 
 def _tum(folder: Path, descriptions: tuple[Path, ...]) -> FolderFiles:

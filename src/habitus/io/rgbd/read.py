@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, UInt8
 
 from habitus.errors import HabitusError
 from habitus.io.names import plain_name
 from habitus.io.rgbd.cameras import COLOUR, DEPTH, Rig, placed, read_rig, resized, scale_of
 from habitus.io.rgbd.descriptions import read_description
-from habitus.io.rgbd.images import read_colour, read_depth, read_mask
+from habitus.io.rgbd.images import check_images, read_colour, read_depth, read_mask
 from habitus.io.rgbd.keypoints import read_keypoints
 from habitus.io.rgbd.layouts import FolderFiles, ViewFiles, find_files
 from habitus.observe.camera import Camera
@@ -55,6 +56,7 @@ def read_views(
         notes.append(
             f"{len(files.views)} views are there; {len(chosen)} of them, spread evenly, are used"
         )
+    check_images(_image_paths(chosen, files))
     paths = files.descriptions if cameras is None else (Path(cameras),)
     shape = read_depth(chosen[0].depth, 1.0).shape
     rig = _rig(
@@ -66,7 +68,9 @@ def read_views(
     )
     if depth_unit is None and rig.metres is None and files.metres is None:
         notes.append("no file names the unit of depth; millimetres were assumed (--depth-unit)")
-    made = tuple(_view(one, files, rig, metres, source) for one in chosen)
+    background = None if files.background is None else read_depth(files.background, metres)
+    empty = None if files.background_colour is None else read_colour(files.background_colour)
+    made = tuple(_view(one, rig, metres, background, empty) for one in chosen)
     _check_distance(made, metres, source)
     if (
         rig.colour is None
@@ -149,24 +153,34 @@ def _metres(one: _Told, size: tuple[int, int]) -> float | None:
         return scale_of(one.table, str(one.path))
 
 
-def _view(one: ViewFiles, files: FolderFiles, rig: Rig, metres: float, source: Path) -> DepthView:
+def _image_paths(views: list[ViewFiles], files: FolderFiles) -> list[Path]:
+    """Every image that is read for these views."""
+    paths = [files.background, files.background_colour]
+    for view in views:
+        paths += [view.depth, view.colour, view.mask]
+    return [path for path in paths if path is not None]
+
+
+def _view(
+    one: ViewFiles,
+    rig: Rig,
+    metres: float,
+    background: Float[np.ndarray, "H W"] | None,
+    empty: UInt8[np.ndarray, "h w 3"] | None,
+) -> DepthView:
     depth = read_depth(one.depth, metres)
     camera = _of_size(rig.depth, (depth.shape[1], depth.shape[0]), one.depth)
     colour = None if one.colour is None else read_colour(one.colour)
     colour_camera = (
         None if colour is None else _colour_camera(rig, camera, (colour.shape[1], colour.shape[0]))
     )
-    background = None if files.background is None else read_depth(files.background, metres)
-    empty = None
-    if files.background_colour is not None and colour_camera is not None:
-        empty = read_colour(files.background_colour)
     return DepthView(
         depth,
         camera,
         colour if colour_camera is not None else None,
         colour_camera,
         background,
-        empty,
+        empty if colour_camera is not None else None,
         None if one.mask is None else read_mask(one.mask),
         {} if one.keypoints is None else read_keypoints(one.keypoints),
         plain_name(one.depth.stem),
