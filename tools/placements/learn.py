@@ -34,8 +34,7 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.placements import Seen, learned, offsets_at_rest, seen
 from habitus.fit.subject import ShapeFit
 from habitus.io.captures.read import Capture, read_capture
-from habitus.io.layouts.files import list_layouts, plain_layout
-from habitus.io.layouts.placements import placements_text
+from habitus.io.layouts.files import list_layouts, placements_text, plain_layout
 from habitus.io.models.bodies import load_body
 from habitus.jobs.subjects import Person, leave_out, person_of
 from habitus.markers.layouts import Marker, MarkerLayout

@@ -8,7 +8,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.files import atomic_write
 from habitus.io.models.bodies import save_body
-from habitus.io.models.forms import is_official
+from habitus.io.models.details import is_official
 from habitus.io.models.levels import save_like
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ say (M 4.1).
 A layout's place is a landmark; a technician's is where the landmark feels to be, or where a belt, a
 shoe or a wand puts the marker. The prior is of two levels: a place (``left_asis`` and
 ``right_asis`` are one, mirrored), and at that place a label, which is what sets of markers share.
-Everything here is data; ``habitus.fit.placements`` learns it and ``habitus.io.layouts.placements``
+Everything here is data; ``habitus.fit.placements`` learns it and ``habitus.io.layouts.files``
 reads and writes it.
 """
 

@@ -7,8 +7,7 @@ import pytest
 from mannequin import LABELS, world_points, write_raw_c3d
 
 from habitus.errors import HabitusError
-from habitus.io.captures.labels import computed_labels, is_unlabelled
-from habitus.io.captures.people import split_subjects
+from habitus.io.captures.people import computed_labels, is_unlabelled, split_subjects
 from habitus.io.captures.read import Capture, read_capture, read_captures
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
-from habitus.io.layouts.placements import parse_placements, placements_text
+from habitus.io.layouts.files import parse_placements, placements_text
 from habitus.markers.placements import PlacementPrior, UsualPlace
 
 length = st.integers(-4000, 4000).map(lambda tenths: tenths / 1e4)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.captures.axes import find_axes
-from habitus.io.captures.labels import computed_labels
+from habitus.io.captures.people import computed_labels
 from habitus.io.captures.read import read_raw
 from habitus.io.captures.trajectories import Tracks, hide_far, hide_placeholders
 from habitus.io.names import shown_stem

@@ -24,9 +24,19 @@ from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
-from habitus.io.models.details import DETAILS, coarse_level, read_ages, read_mesh, read_pose_joints
-from habitus.io.models.dynamics import add_dynamics, has_levels, read_dynamics
-from habitus.io.models.forms import is_official, official_form, own_form
+from habitus.io.models.details import (
+    DETAILS,
+    add_dynamics,
+    coarse_level,
+    has_levels,
+    is_official,
+    official_form,
+    own_form,
+    read_ages,
+    read_dynamics,
+    read_mesh,
+    read_pose_joints,
+)
 from habitus.mesh.joint_tree import check_parents
 
 _EXTRAS = (

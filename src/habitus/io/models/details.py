@@ -1,14 +1,21 @@
 """What the project's own body files hold besides SMPL's arrays: ages, quads and textures, two
-levels of detail.
+levels of detail, dynamic blend shapes; and a body model as named arrays for a file, under official
+names or under the project's own.
 """
 
+import os
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int
 
 from habitus.body.body_arrays import Ages, BodyMesh
+from habitus.body.dynamics import Dynamics, DynamicsRegressor
+from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.files import atomic_write
+from habitus.io.archives import NpzArchive
 from habitus.io.models.arrays import ModelArrays
 
 DETAILS = ("coarse", "full")
@@ -136,3 +143,190 @@ def _renumbered(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> 
             "those"
         )
     return found
+
+
+def read_dynamics(arrays: ModelArrays, vertices: int) -> Dynamics | None:
+    """Dynamic blend shapes and their regressor, where the file has them."""
+    if "dynamicsdirs" not in arrays:
+        return None
+    directions = arrays.number("dynamicsdirs", vertices, 3, None)
+    count = directions.shape[2]
+    drive = arrays.number("dynamics_drive", None, count, None)
+    blocks = len(drive)
+    controls = drive.shape[2]
+    reach = arrays.number("dynamics_reach", 2, blocks - 1) if blocks > 1 else np.zeros((2, 0))
+    regressor = DynamicsRegressor(
+        history=arrays.number("dynamics_history", blocks, 2, count, count),
+        drive=drive,
+        joints=arrays.text("dynamics_joints"),
+        rate_hz=float(arrays.number("dynamics_rate")),
+        limits=arrays.number("dynamics_limits", controls),
+        reach=reach,
+        controls=arrays.text("dynamics_controls")[0],
+    )
+    return Dynamics(directions, regressor)
+
+
+def dynamics_form(dynamics: Dynamics | None) -> dict[str, np.ndarray]:
+    """The arrays that `read_dynamics` reads."""
+    if dynamics is None:
+        return {}
+    known = dynamics.regressor
+    named = {
+        "history": known.history,
+        "drive": known.drive,
+        "limits": known.limits,
+        "reach": known.reach,
+    }
+    named |= {
+        "joints": np.array(known.joints),
+        "rate": np.array(known.rate_hz),
+        "controls": np.array(known.controls),
+    }
+    return {"dynamicsdirs": dynamics.directions} | {
+        f"dynamics_{name}": array for name, array in named.items()
+    }
+
+
+def add_dynamics(source: str | os.PathLike[str], dynamics: Dynamics, target: Path) -> None:
+    """Copy a body's ``.npz`` under the project's own names with these dynamics, in the place of any
+    that it has.
+
+    All else stays as it is, both levels of detail included; the dynamics are those of the full one.
+    Blend shapes are kept in float32. Raises HabitusError where the file is of another mesh.
+    """
+    with Path(source).open("rb") as file:
+        archive = NpzArchive(file)
+        arrays = {
+            name: archive.read(name) for name in archive.names if not name.startswith("dynamics")
+        }
+    if len(arrays["v_template"]) != len(dynamics.directions):
+        raise HabitusError(
+            f"{source}: {len(arrays['v_template'])} vertices; expected the "
+            f"{len(dynamics.directions)} of the dynamics"
+        )
+    arrays |= dynamics_form(dynamics) | {"dynamicsdirs": dynamics.directions.astype(np.float32)}
+    with atomic_write(target) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def has_levels(source: str | os.PathLike[str]) -> bool:
+    """Whether a body's file is an ``.npz`` with two levels of detail."""
+    with Path(source).open("rb") as file:
+        if file.read(2) != b"PK":
+            return False
+        file.seek(0)
+        return "coarse_vertices" in NpzArchive(file)
+
+
+def is_official(model: BodyModel) -> bool:
+    """Whether an official file can hold it: pose blend shapes, if any, are linear in vec(R - I)
+    alone.
+    """
+    return model.pose_features == "rotations" and not model.shape_features
+
+
+def official_form(model: BodyModel) -> dict[str, np.ndarray]:
+    """The arrays under the names and in the shapes of the SMPL family's own files, and what only
+    our files hold.
+    """
+    return _official_arrays(model) | _own_arrays(model) | _smplx_fillers(model)
+
+
+def own_form(model: BodyModel) -> dict[str, np.ndarray]:
+    """The arrays under the project's own names: regressor and skinning weights without their
+    zeros.
+    """
+    regressor = model.joint_regressor
+    rows, columns = np.nonzero(regressor)
+    keys = (
+        "v_template",
+        "shapedirs",
+        "posedirs",
+        "expressiondirs",
+        "skinning_index",
+        "skinning_value",
+        "faces",
+    )
+    arrays = {key: value for key in keys if (value := getattr(model, key)) is not None}
+    arrays |= {
+        "joint_regressor_rows": rows,
+        "joint_regressor_cols": columns,
+        "joint_regressor_values": regressor[rows, columns],
+        "parents": np.array(model.parents),
+        "skinning": np.array(model.skinning),
+        "pose_features": np.array(model.pose_features),
+        "shape_features": np.array(model.shape_features),
+    }
+    return arrays | _own_arrays(model) | dict(model.extras)
+
+
+def _official_arrays(model: BodyModel) -> dict[str, np.ndarray]:
+    """What ``smplx`` reads, too."""
+    v = model.num_vertices
+    j = model.num_joints
+    posedirs = model.smpl_posedirs()
+    shapedirs = model.shapedirs
+    expression = model.expressiondirs
+    if expression is not None:  # smplx looks for expressions at a fixed place
+        gap = max(0, (300 if expression.shape[-1] == 100 else 10) - model.num_betas)
+        shapedirs = np.concatenate([shapedirs, np.zeros((v, 3, gap)), expression], -1)
+    return {
+        "v_template": model.v_template,
+        "shapedirs": shapedirs,
+        "num_betas": np.array(model.num_betas),
+        "num_expressions": np.array(0 if expression is None else expression.shape[-1]),
+        "posedirs": np.zeros((v, 3, 9 * (j - 1)), np.float32) if posedirs is None else posedirs,
+        "J_regressor": model.joint_regressor,
+        "weights": model.skinning_weights,
+        "kintree_table": np.array([model.parents, range(j)]).astype(np.uint32),
+        "f": model.faces.astype(np.uint32),
+        "bs_style": np.array(model.skinning),
+        "bs_type": np.array("lrotmin"),
+    }
+
+
+def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
+    """What only this project's files hold."""
+    arrays = {"joint_names": np.array(model.joint_names)}
+    arrays |= {
+        key: value
+        for key in ("part", "mirror", "people_mean")
+        if (value := getattr(model, key)) is not None
+    }
+    arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
+    if model.pose_joints is not None:
+        arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
+    if model.landmarks:
+        arrays["landmark_names"] = np.array(list(model.landmarks))
+        arrays["landmark_vertices"] = np.array(list(model.landmarks.values()))
+    if model.pose_prior is not None:
+        arrays["pose_mean"] = model.pose_prior.mean
+        arrays["pose_precision"] = model.pose_prior.precision
+    if model.female_rows is not None:
+        arrays["gender_weights"], arrays["gender_bias"] = model.female_rows
+    elif model.female_direction is not None:
+        arrays["female_weights"] = model.female_direction[0]
+        arrays["female_bias"] = np.array(model.female_direction[1])
+    return arrays
+
+
+def _smplx_fillers(model: BodyModel) -> dict[str, np.ndarray]:
+    """The file's own extras, over neutral ones that ``smplx`` insists on: flat hands, landmarks at
+    the first face.
+    """
+    mean = np.zeros(45)
+    components = np.eye(45)
+    fillers: dict[str, np.ndarray] = {}
+    if model.num_joints == 16:
+        fillers = {"hands_mean": mean, "hands_components": components}
+    if model.num_joints in (52, 55):
+        fillers = {f"hands_mean{side}": mean for side in "lr"} | {
+            f"hands_components{side}": components for side in "lr"
+        }
+    if model.num_joints == 55:
+        fillers |= {
+            "lmk_faces_idx": np.zeros(51, np.int64),
+            "lmk_bary_coords": np.eye(3)[np.zeros(51, np.int64)],
+        }
+    return fillers | dict(model.extras)

@@ -8,7 +8,7 @@ from habitus.body.model import BodyModel
 from habitus.files import atomic_write
 from habitus.io.archives import open_archive
 from habitus.io.models.bodies import load_body, shipped_file
-from habitus.io.models.forms import own_form
+from habitus.io.models.details import own_form
 
 _OF_THE_FILE = ("license", "version", "description")
 """What a file says of itself, not of the body: another body is another's."""
