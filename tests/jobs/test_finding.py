@@ -105,7 +105,7 @@ def test_real_captures_are_grouped_by_who_wears_which_markers(shared):
 
 def rigid(scale=1.0, subject=None, noise=0.0, labels=12, seed=0) -> MarkerSet:
     rng = np.random.default_rng(seed)
-    markers = scale * rng.uniform(0, 1, (1, labels, 3)) + rng.normal(size=(30, 1, 3))
+    markers = scale * rng.uniform(0, 0.3, (1, labels, 3)) + rng.normal(size=(30, 1, 3))
     markers = markers + noise * rng.normal(size=markers.shape)
     return MarkerSet.of(
         Capture("x", tuple(f"M{k}" for k in range(labels)), markers, 100.0, "+y", subject)
@@ -120,8 +120,22 @@ def test_what_makes_two_captures_alike():
         and not one.like(rigid(seed=1))
         and not one.like(rigid(subject="Ann"))
     )
-    assert not one.like(rigid(noise=0.2))  # nothing keeps its distance: nothing is known
+    assert not one.like(rigid(noise=0.06))  # nothing keeps its distance: nothing is known
     assert not rigid(labels=5).like(rigid(labels=5))
+
+
+def test_a_pose_that_is_held_tells_nothing_of_a_person():
+    """Two segments of six markers each, 1 m apart, and 0.9 m apart in the other capture."""
+    rng = np.random.default_rng(0)
+    segments = rng.uniform(0, 0.2, (2, 6, 3))
+    sets = []
+    for apart in (1.0, 0.9):
+        markers = np.concatenate([segments[0], segments[1] + [apart, 0.0, 0.0]])
+        held = np.repeat(markers[None], 30, axis=0)
+        sets.append(
+            MarkerSet.of(Capture("x", tuple(f"M{k}" for k in range(12)), held, 100.0, "+y"))
+        )
+    assert sets[0].like(sets[1])
 
 
 def test_a_file_of_several_people_and_captures_of_other_folders_stay_alone(tmp_path):
@@ -134,7 +148,7 @@ def test_a_file_of_several_people_and_captures_of_other_folders_stay_alone(tmp_p
 def test_gaps_do_not_hide_what_is_rigid():
     one = rigid()
     rng = np.random.default_rng(3)
-    markers = rng.uniform(0, 1, (1, 12, 3)) + np.zeros((30, 1, 1))
+    markers = rng.uniform(0, 0.3, (1, 12, 3)) + np.zeros((30, 1, 1))
     holed = np.where(rng.random((30, 12, 1)) < 0.4, np.nan, markers)
     capture = Capture("x", tuple(f"M{k}" for k in range(12)), holed, 100.0, "+y")
     whole = replace(capture, markers=np.array(markers))

@@ -80,11 +80,15 @@ def test_frames_of_an_exchange_count_where_both_markers_are_seen(clean):
     assert np.isnan(found.observed_markers[5:12, clean.column("LWRB")]).all()
 
 
-def test_a_fallen_marker_has_no_say(clean, fitted):
+def test_a_fallen_marker_has_no_say(clean):
+    """With the same frames in the shape stage: spread frames are chosen by distances of markers,
+    and a marker that fell makes other frames differ most.
+    """
+    which = settings(frame_choice="random")
     knee = clean.column("RKNE")
     observed = clean.observed.copy()
     observed[30:, knee] += (0.0, -0.3, 0.1)
-    found = fit(clean, observed)
+    found = fit(clean, observed, which)
     assert list(accused(found)) == ["RKNE"]
     reason, frames = accused(found)["RKNE"]
     assert frames == 30 and "from frame 30 on" in reason
@@ -93,10 +97,9 @@ def test_a_fallen_marker_has_no_say(clean, fitted):
     )
     others = np.arange(len(clean.layout)) != knee
     assert found.marker_weights[:, others].min() > 0.8
-    moved = np.linalg.norm(found.predicted_pose_stage - fitted.predicted_pose_stage, axis=2)[
-        :, others
-    ]
-    assert moved.mean() < 3.5 * NOISE and moved.max() < 0.02
+    whole = fit(clean, which=which)
+    apart = np.linalg.norm(found.predicted_pose_stage - whole.predicted_pose_stage, axis=2)
+    assert apart[:, others].mean() < NOISE and apart[:, others].max() < 0.005
     np.testing.assert_array_equal(found.observed_markers, observed)
 
 

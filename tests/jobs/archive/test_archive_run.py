@@ -98,7 +98,7 @@ def test_only_what_is_new_or_changed_is_fitted_and_what_is_broken_is_told(copied
     unused = next(name for name in NAMES[:4] if name not in sources(out, "ann"))
     before = stamps(out)
     write(captures, unused, seed=9, frames=7)
-    write(captures, "ann/new", seed=11)
+    write(captures, "ann/new", seed=10)
     (captures / "bob" / "walk.c3d").write_text("no capture")
     (captures / "notes.csv").write_text("a,b\n")
     failures = []

@@ -60,6 +60,44 @@ def _lying(markers: Markers, rng: np.random.Generator) -> Markers:
     return markers[..., [1, 2, 0]]
 
 
+def _frames_shuffled(markers: Markers, rng: np.random.Generator) -> Markers:
+    """Frames in random order."""
+    return markers[rng.permutation(len(markers))]
+
+
+def _constant(share: float) -> Spoiling:
+    """So many of the markers stay where they were first seen."""
+
+    def spoil(markers: Markers, rng: np.random.Generator) -> Markers:
+        out = markers.copy()
+        for k in rng.permutation(markers.shape[1])[: round(share * markers.shape[1])]:
+            seen = np.isfinite(markers[:, k, 0])
+            out[seen, k] = markers[seen, k][:1]
+        return out
+
+    return spoil
+
+
+def _offset(length: float) -> Spoiling:
+    """Each marker is this far (m) from its place, in a direction of its own."""
+
+    def spoil(markers: Markers, rng: np.random.Generator) -> Markers:
+        way = rng.normal(size=(markers.shape[1], 3))
+        return markers + length * way / np.linalg.norm(way, axis=1, keepdims=True)
+
+    return spoil
+
+
+def _noisy(sd: float) -> Spoiling:
+    """Each coordinate of each sample is off by this standard deviation (m)."""
+    return lambda markers, rng: markers + sd * rng.normal(size=markers.shape)
+
+
+def _frozen(markers: Markers, rng: np.random.Generator) -> Markers:
+    """One frame over and over."""
+    return np.repeat(markers[:1], len(markers), axis=0)
+
+
 SPOILINGS: Mapping[str, Spoiling] = {
     "labels shuffled": _shuffled(1.0),
     "a third of the labels shuffled": _shuffled(0.34),
@@ -71,5 +109,13 @@ SPOILINGS: Mapping[str, Spoiling] = {
     "mirrored": _mirrored(0),
     "upside down and mirrored": _mirrored(2),
     "axes turned": _lying,
+    "frames shuffled": _frames_shuffled,
+    "half of the markers constant": _constant(0.5),
+    "offsets of 40 mm": _offset(0.040),
+    "noise of 30 mm": _noisy(0.030),
+    "scaled by 0.8": _scaled(0.8),
+    "scaled by 1.25": _scaled(1.25),
+    "feet for metres": _scaled(3.2808),
+    "frozen": _frozen,
 }
 """Kinds of spoilt capture."""
