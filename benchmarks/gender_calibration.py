@@ -27,7 +27,7 @@ from rich.table import Table
 
 import habitus
 from habitus.body.gender import female_probability, said_of
-from habitus.results.metrics import fit_female_probability
+from habitus.results.save import fit_female_probability
 
 sys.path.insert(0, str(ROOT))
 from habitus_lab.default_body.gender import calibrated, expected_calibration_error, judged

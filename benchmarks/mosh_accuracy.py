@@ -28,7 +28,7 @@ from rich.table import Table
 import habitus
 from habitus.errors import HabitusError
 from habitus.fit.markers.result import MarkerFit
-from habitus.results.metrics import marker_metrics
+from habitus.results.save import marker_metrics
 
 PAIRS = (
     ("85_02", "85_12"),

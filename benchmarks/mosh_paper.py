@@ -48,7 +48,7 @@ from habitus.jobs.subjects import leave_out, person_of
 from habitus.markers.placements import PlacementPrior
 from habitus.observe.markers import attach, triangle_bases
 from habitus.observe.simulated_markers import misplace, smooth_motion
-from habitus.results.metrics import fit_female_probability
+from habitus.results.save import fit_female_probability
 
 COUNTS = (5, 10, 25, 47, 67)
 MARKERS = 89

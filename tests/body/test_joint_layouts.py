@@ -1,7 +1,7 @@
 import pytest
 
 from habitus.body.joint_layouts import LAYOUTS, find_layout
-from habitus.mesh.joint_tree import check_parents
+from habitus.mesh.template import check_parents
 
 JOINTS = {"smpl": 24, "smplh": 52, "smplx": 55, "mano": 16, "smal": 33}
 

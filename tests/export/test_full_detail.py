@@ -16,7 +16,7 @@ from habitus.export import write_glb, write_obj_sequence
 from habitus.export.obj import fitted_vertices
 from habitus.io.models.bodies import load_body
 from habitus.report import write_report
-from habitus.results.metrics import marker_metrics
+from habitus.results.save import marker_metrics
 from habitus.rotations import up_rotation
 
 

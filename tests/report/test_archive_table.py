@@ -8,7 +8,7 @@ import pytest
 from synthetic_fit import synthetic_fit
 
 from habitus.report.archive import write_archive_page, write_table
-from habitus.results.metrics import finite, marker_metrics
+from habitus.results.save import finite, marker_metrics
 
 
 @pytest.fixture(scope="module")

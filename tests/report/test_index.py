@@ -12,7 +12,7 @@ from synthetic_fit import synthetic_fit
 
 from habitus.errors import HabitusError
 from habitus.report import write_index
-from habitus.results.metrics import marker_metrics, write_json
+from habitus.results.save import marker_metrics, write_json
 
 NASTY = "</td><script>alert(1)</script>\u202e&'\x1b"
 

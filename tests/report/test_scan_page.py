@@ -13,7 +13,7 @@ from habitus.fit.points.scan_result import ScanFit
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
 from habitus.report.registration import scan_page
-from habitus.results.metrics import scan_metrics
+from habitus.results.save import scan_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&'"
 LOOKS = ("Surface", "Scan", "Distances", "Model", "Offset", "Weights")

@@ -11,7 +11,7 @@ from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.parallel import blocks
-from habitus.results.metrics import marker_metrics, write_json
+from habitus.results.save import marker_metrics, write_json
 
 KEYS = {
     *(

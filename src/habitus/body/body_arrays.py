@@ -29,7 +29,7 @@ from habitus.body.pose_features import (
 from habitus.body.prior import PosePrior
 from habitus.body.skinning import SKINNING, Influences
 from habitus.errors import HabitusError
-from habitus.mesh.joint_tree import check_parents
+from habitus.mesh.template import check_parents
 from habitus.types import Array
 
 

@@ -21,7 +21,7 @@ from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.options import SubjectOptions
 from habitus.jobs.subjects import Person, person_of
-from habitus.results.metrics import fit_female_probability
+from habitus.results.save import fit_female_probability
 from habitus.types import PathLike, Progress
 
 MIN_FINGER_MARKERS = 3

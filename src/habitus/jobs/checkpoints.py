@@ -23,9 +23,8 @@ from habitus.learn.estimate import Estimate
 from habitus.learn.options import STOPPING, TrainOptions
 from habitus.learn.posing.rig import Rig
 from habitus.learn.steps.alternation import STEPS
-from habitus.mesh.joint_tree import check_parents
 from habitus.mesh.registrations import Registrations
-from habitus.mesh.template import Template
+from habitus.mesh.template import Template, check_parents
 from habitus.types import Progress
 
 _DAMAGE = Exception  # whatever a spoilt file makes the readers of its parts raise

@@ -14,7 +14,7 @@ from habitus.jobs.exporting import read_moving
 from habitus.report.comparison.differences import Differences, differences
 from habitus.report.comparison.numbers import numbers
 from habitus.report.comparison.page import comparison_page
-from habitus.results.metrics import write_json
+from habitus.results.save import write_json
 from habitus.types import PathLike
 
 PAGE = "compare.html"

@@ -24,7 +24,7 @@ from habitus.mesh.registrations import Registrations
 from habitus.report import drawing
 from habitus.report.evaluation.figures import figures
 from habitus.report.evaluation.page import Picture, training_page
-from habitus.results.metrics import finite
+from habitus.results.save import finite
 from habitus.rotations import matrix_from_rotvec
 
 

@@ -19,7 +19,7 @@ from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
 from habitus.io.people import read_shape
 from habitus.report.diagrams import tape_picture
-from habitus.results.metrics import measurements_csv
+from habitus.results.save import measurements_csv
 from habitus.types import PathLike
 
 POSE = (

@@ -1,5 +1,5 @@
 """The template that registrations are aligned to: a mesh, its parts and the tree of joints between
-them (S 4.1).
+them (S 4.1), a tuple of parents.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError
-from habitus.mesh.joint_tree import check_parents
 from habitus.mesh.registrations import check_faces
 
 
@@ -117,3 +116,19 @@ def _check_partners(key: str, partner: Int[np.ndarray, " n"], count: int) -> Non
             "with another; "
             "expected partners of each other"
         )
+
+
+def check_parents(parents: tuple[int, ...]) -> None:
+    """Raise HabitusError unless ``parents`` is one tree whose root is joint 0 and whose parents
+    come first.
+    """
+    if not parents or parents[0] != -1:
+        raise HabitusError(
+            f"parents begin with {list(parents[:1])}; expected -1: joint 0 is the root"
+        )
+    for joint, parent in enumerate(parents[1:], 1):
+        if not 0 <= parent < joint:
+            raise HabitusError(
+                f"the parent of joint {joint} is {parent}; expected a joint before it (0 to "
+                f"{joint - 1})"
+            )

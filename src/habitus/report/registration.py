@@ -27,7 +27,7 @@ from habitus.report.shell import (
     tiles,
 )
 from habitus.report.still import Look, still_page, still_pictures
-from habitus.results.metrics import finite
+from habitus.results.save import finite
 from habitus.rotations import matrix_from_rotvec
 
 if TYPE_CHECKING:

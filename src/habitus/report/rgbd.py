@@ -41,7 +41,7 @@ from habitus.report.shell import (
     tiles,
 )
 from habitus.report.still import Look, still_page
-from habitus.results.metrics import finite
+from habitus.results.save import finite
 
 if TYPE_CHECKING:
     from habitus.fit.points.depth_result import RgbdFit

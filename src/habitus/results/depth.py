@@ -17,8 +17,7 @@ from habitus.fit.offsets import along_normals
 from habitus.fit.points.depth_result import RgbdFit, ViewEvidence
 from habitus.fit.points.texture import Skin, bake, spread
 from habitus.observe.srgb import srgb_bytes
-from habitus.results.metrics import gender_entry, measurements_csv, write_json
-from habitus.results.save import METRICS, REPORT
+from habitus.results.save import METRICS, REPORT, gender_entry, measurements_csv, write_json
 from habitus.types import PathLike
 
 DEPTH_FILES = ("body.npz", "body.glb", "measurements.csv", METRICS, REPORT)

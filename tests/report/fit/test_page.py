@@ -18,7 +18,7 @@ from habitus.report.fit import texts
 from habitus.report.fit.page import _ordinal, report_page
 from habitus.report.fit.scene import player_stride
 from habitus.report.shell import Blob, json_for_script
-from habitus.results.metrics import marker_metrics
+from habitus.results.save import marker_metrics
 
 NASTY = "</script><script>alert(1)</script><b>&\u2028\"'"
 

@@ -9,7 +9,7 @@ from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.io.limits import check_joints
 from habitus.io.models.arrays import ModelArrays
-from habitus.mesh.joint_tree import check_parents
+from habitus.mesh.template import check_parents
 from habitus_lab.baselines.blendscape import BlendScape
 
 _PLAIN = ("name", "parents", "shape_variances")

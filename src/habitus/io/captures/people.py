@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from habitus.errors import HabitusError
-from habitus.io.captures.axes import Axes, find_axes
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.trajectories import (
     Tracks,
@@ -27,7 +26,7 @@ from habitus.io.captures.trajectories import (
     off_body_points,
 )
 from habitus.io.names import plain_name
-from habitus.io.units import METRES, find_unit, restlessness
+from habitus.io.units import METRES, Axes, find_axes, find_unit, restlessness
 from habitus.parallel.blocks import drop_pages, mapped
 
 _SIDE = re.compile(r"(q_)?(l|r|left|right|lt|rt)", re.IGNORECASE)

@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.errors import HabitusError
-from habitus.io.captures.axes import find_axes
 from habitus.io.captures.people import computed_labels
 from habitus.io.captures.read import read_raw
 from habitus.io.captures.trajectories import Tracks, hide_far, hide_placeholders
 from habitus.io.names import shown_stem
-from habitus.io.units import METRES, find_unit
+from habitus.io.units import METRES, find_axes, find_unit
 
 
 @dataclass(frozen=True)

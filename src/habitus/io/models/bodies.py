@@ -37,7 +37,7 @@ from habitus.io.models.details import (
     read_mesh,
     read_pose_joints,
 )
-from habitus.mesh.joint_tree import check_parents
+from habitus.mesh.template import check_parents
 
 _EXTRAS = (
     "hands_mean",

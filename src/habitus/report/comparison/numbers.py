@@ -7,7 +7,7 @@ import numpy as np
 from habitus.body.motion import Moving
 from habitus.fit.markers.result import MarkerFit
 from habitus.report.comparison.differences import Differences, notes
-from habitus.results.metrics import error_summary
+from habitus.results.save import error_summary
 
 MAX_MOMENTS = 8
 """Worst moments that are listed."""

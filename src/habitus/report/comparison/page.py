@@ -32,7 +32,7 @@ from habitus.report.shell import (
     shell,
     tiles,
 )
-from habitus.results.metrics import finite
+from habitus.results.save import finite
 
 SCRIPTS = (*VIEWER, "compare_player.js", "compare_main.js")
 LAYERS = 9

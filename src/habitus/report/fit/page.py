@@ -39,7 +39,7 @@ from habitus.report.shell import (
     solution_card,
     tiles,
 )
-from habitus.results.metrics import finite, marker_metrics
+from habitus.results.save import finite, marker_metrics
 
 if TYPE_CHECKING:
     from habitus.fit.markers.result import MarkerFit

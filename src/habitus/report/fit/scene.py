@@ -17,7 +17,7 @@ from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.proximity import signed_distance
 from habitus.parallel.blocks import every_nth_frame, mapped
 from habitus.report.shell import Blob
-from habitus.results.metrics import marker_means
+from habitus.results.save import marker_means
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from mannequin import LABELS, world_points, write_raw_c3d
 from scipy.spatial.transform import Rotation
 
-from habitus.io.captures.axes import find_axes
 from habitus.io.captures.read import read_capture
-from habitus.io.units import METRES, extent, find_unit
+from habitus.io.units import METRES, extent, find_axes, find_unit
 
 UPS = ("+x", "-x", "+y", "-y", "+z", "-z")
 
