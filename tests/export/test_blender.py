@@ -62,3 +62,34 @@ def test_skin_and_channels_survive_a_round_trip(tmp_path):
             channels = {channel.name for channel in mesh.blend_deformers[0].channels}
             kept.append((weights, channels, mesh.num_vertices, mesh.num_faces, len(scene.bones)))
     assert kept[0] == kept[1]
+
+
+BVH = """
+import bpy, sys, numpy as np
+out, path, *frames = sys.argv[sys.argv.index("--") + 1 :]
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_anim.bvh(filepath=path, global_scale=0.01, update_scene_fps=True)
+(bones,) = bpy.data.objects
+found = {"fps": bpy.context.scene.render.fps}
+for frame in map(int, frames):
+    bpy.context.scene.frame_set(frame + 1)
+    for bone in bones.pose.bones:
+        found[f"{frame} {bone.name}"] = np.array(bones.matrix_world @ bone.head)
+np.savez(out, **found)
+"""
+
+
+def test_joints_of_a_bvh(tmp_path):
+    """With the options that the documentation names."""
+    if PROGRAMS["bpy"] is None:
+        pytest.skip("no bpy here: pip install bpy")
+    fit = synthetic_fit(60, rate_hz=60.0)
+    fit.export(tmp_path / "a.bvh")
+    (tmp_path / "read.py").write_text(BVH)
+    words = [tmp_path / "found.npz", tmp_path / "a.bvh", *map(str, FRAMES)]
+    run([*PROGRAMS["bpy"], tmp_path / "read.py", "--", *words])
+    with np.load(tmp_path / "found.npz") as found:
+        assert found["fps"] == 60
+        for frame in FRAMES:
+            for name, joint in zip(fit.body.joint_names, fit.joints(frame), strict=True):
+                assert np.linalg.norm(found[f"{frame} {name}"] - joint) < 1e-4

@@ -18,7 +18,9 @@ PROGRAMS = {
     "bpy": [sys.executable] if find_spec("bpy") else None,
 }
 READERS = {
-    "blender": {"glTF": ("glb", "import_scene.gltf"), "FBX": ("fbx", "import_scene.fbx")},
+    # As they are: nothing of an importer is patched. Debian's Blender 3.4.1 reads FBX; its glTF importer
+    # needs a NumPy before 1.24, its BVH importer a Python before 3.11, and USD it does not import.
+    "blender": {"FBX": ("fbx", "import_scene.fbx")},
     "bpy": {
         "glTF": ("glb", "import_scene.gltf"),
         "FBX, in Python": ("fbx", "import_scene.fbx"),
@@ -28,7 +30,6 @@ READERS = {
 }
 _SCRIPT = """
 import bpy, sys, numpy as np
-np.bool = getattr(np, "bool", bool)  # some distributions pair an old importer with a new NumPy
 files, frames, fps = (words.split("|") for words in sys.argv[sys.argv.index("--") + 1 :])
 for path, operator in zip(files[::2], files[1::2]):
     bpy.ops.wm.read_factory_settings(use_empty=True)
