@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from planted import person, plant
+from synthetic_fit import synthetic_fit
 
 from habitus.errors import HabitusError
 from habitus.files import locked, tidy
@@ -85,15 +86,17 @@ def test_a_folder_is_fitted_past_what_is_bad_in_it(planted, subjects, tmp_path):
     written(planted, data / "bob" / "deep" / "walk.c3d")
     written(planted, data / "bob" / "strange.c3d", [f"Q{k}" for k in range(len(planted.layout))])
     (data / "bad.c3d").write_text("no capture"), (data / "notes.csv").write_text("a,b\n")
+    synthetic_fit(5).export(data / "ann" / "one.trc")
     told = []
     outcomes = fit([data], tmp_path / "out", on_done=told.append)
-    assert told == outcomes and len(outcomes) == 6
+    assert told == outcomes and len(outcomes) == 7
     failed = {one.source.name: one.reason for one in outcomes if one.failed}
     assert (
         set(failed) == {"bad.c3d", "strange.c3d"}
         and str(data / "bob" / "strange.c3d") in failed["strange.c3d"]
     )
-    assert [one.source.name for one in outcomes if one.left_out] == ["notes.csv"]
+    left_out = {one.source.name: one.reason for one in outcomes if one.left_out}
+    assert set(left_out) == {"notes.csv", "one.trc"} and "export" in left_out["one.trc"]
     places = {one.folder.relative_to(tmp_path / "out").as_posix() for one in outcomes if one.folder}
     assert places == {"ann/one", "ann/two", "bob/deep/walk"}
     for place in places:

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from synthetic_fit import synthetic_fit
 
 from habitus.errors import HabitusError
+from habitus.export.trc import write_trc
 from habitus.io.captures.read import Capture, read_capture
+from habitus.io.captures.trc import is_fit_export
 from habitus.jobs.finding import Found, MarkerSet, find_captures, grouped
 
 
@@ -154,3 +157,23 @@ def test_gaps_do_not_hide_what_is_rigid():
     whole = replace(capture, markers=np.array(markers))
     np.testing.assert_allclose(MarkerSet.of(capture).rigid, MarkerSet.of(whole).rigid, atol=1e-12)
     assert not MarkerSet.of(capture).like(one) and MarkerSet.of(capture).like(MarkerSet.of(whole))
+
+
+def test_what_habitus_exported_is_no_capture(tmp_path):
+    """A TRC of a fit beside its capture; the capture's results keep their name."""
+    data = touched(tmp_path / "data", "walk.c3d", "other.trc")
+    fit = synthetic_fit(5)
+    fit.export(data / "walk.trc")
+    found = find_captures([data], tmp_path / "out")
+    assert [(one.path.name, one.exported) for one in found] == [
+        ("other.trc", False),
+        ("walk.c3d", False),
+        ("walk.trc", True),
+    ]
+    assert places(found[:2]) == ["other", "walk"]
+    (given,) = find_captures([data / "walk.trc"], tmp_path / "out")
+    assert not given.exported and given.name == "walk"
+    capture = read_capture(data / "walk.trc")  # named by itself it is read as before
+    assert set(fit.body.joint_names) <= {label.removesuffix("_joint") for label in capture.labels}
+    write_trc(capture, data / "again.trc")  # a capture that was written is one
+    assert not is_fit_export(data / "again.trc")

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
+from habitus.io.captures.trc import FIT_EXPORT
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
@@ -41,7 +42,18 @@ def write_trc(
     """
     if unit not in get_args(Unit):
         raise HabitusError(f"unit is {unit!r}; a TRC file is written in mm or m")
-    labels = _writable_labels(capture)
+    _write(capture, _writable_labels(capture), path, unit, y_up, ())
+
+
+def _write(
+    capture: Capture,
+    labels: Sequence[str],
+    path: str | os.PathLike[str],
+    unit: Unit,
+    y_up: bool,
+    remarks: tuple[str, ...],
+) -> None:
+    """Write a file; ``remarks`` end its first line, of which readers take the beginning only."""
     scale, decimals = _PER_METRE[unit]
     turn = scale * (up_rotation(capture.up_axis) if y_up else np.eye(3))
     with (
@@ -49,7 +61,7 @@ def write_trc(
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         name = shown(os.path.basename(os.fspath(path)), 200)
-        file.write(_header(name, labels, len(capture), capture.rate_hz, unit))
+        file.write(_header((name, *remarks), labels, len(capture), capture.rate_hz, unit))
         for lines in _rows(capture, turn, decimals):
             file.write(lines)
 
@@ -77,7 +89,9 @@ def _writable_labels(capture: Capture) -> list[str]:
     return labels
 
 
-def _header(name: str, labels: Sequence[str], frames: int, rate_hz: float, unit: str) -> str:
+def _header(
+    name: tuple[str, ...], labels: Sequence[str], frames: int, rate_hz: float, unit: str
+) -> str:
     keys = (
         "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame "
         "OrigNumFrames"
@@ -86,7 +100,7 @@ def _header(name: str, labels: Sequence[str], frames: int, rate_hz: float, unit:
     values = (rate, rate, str(frames), str(len(labels)), unit, rate, "1", str(frames))
     axes = (f"{axis}{k + 1}" for k in range(len(labels)) for axis in "XYZ")
     rows = (
-        ("PathFileType", "4", "(X/Y/Z)", name),
+        ("PathFileType", "4", "(X/Y/Z)", *name),
         keys,
         values,
         ("Frame#", "Time", *(cell for label in labels for cell in (label, "", ""))),
@@ -127,7 +141,9 @@ def write_points(fit: "Moving", path: str | os.PathLike[str]) -> Capture:
     written comes back.
 
     Millimetres, y up. Joints have the body's names, markers their labels; a joint of the same name
-    as a marker is called ``…_joint``. Raises HabitusError where the file cannot be written.
+    as a marker is called ``…_joint``. The first line marks the file as an export, so that it is not
+    taken for a capture where it lies in a folder of captures. Raises HabitusError where the file
+    cannot be written.
     """
     carried: Any = getattr(fit, "predicted_soft_tissue", None)
     carried = getattr(fit, "predicted_pose_stage", None) if carried is None else carried
@@ -141,5 +157,5 @@ def write_points(fit: "Moving", path: str | os.PathLike[str]) -> Capture:
         fit.rate_hz,
         fit.up_axis,
     )
-    write_trc(capture, path)
+    _write(capture, _writable_labels(capture), path, "mm", True, (FIT_EXPORT,))
     return capture

@@ -16,7 +16,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.names import file_name
 from habitus.jobs.bodies import with_fingers
-from habitus.jobs.finding import SURE, Found, MarkerSet, find_captures, grouped
+from habitus.jobs.finding import EXPORTED, SURE, Found, MarkerSet, find_captures, grouped
 from habitus.jobs.mosh import Mosh
 from habitus.jobs.options import silent
 from habitus.jobs.results import capture_folders, save_fit
@@ -134,7 +134,9 @@ class _Batch:
             yield from self._group(given)
         worn: list[tuple[Found, MarkerSet | None]] = []
         for one in found:
-            if not one.given:
+            if one.exported:
+                yield Outcome(one.path, one.name, error=HabitusError(EXPORTED), left_out=True)
+            elif not one.given:
                 self.progress("read", 0.0)
                 try:
                     worn.append((one, self._worn(one)))

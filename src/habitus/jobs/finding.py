@@ -13,10 +13,15 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.io.captures.read import PARSERS, Capture
+from habitus.io.captures.trc import is_fit_export
 from habitus.io.names import file_name, shown_stem
 
 SURE = (".c3d", ".trc")
 """Endings that only captures have; tables and archives may hold anything."""
+EXPORTED = (
+    "habitus export wrote it from a fit: it is skipped, as it is no capture; name the file itself "
+    "to read it as one"
+)
 _FRAMES = 200
 _LEAST_LABELS = 8
 _LEAST_PAIRS = 10
@@ -33,13 +38,15 @@ class Found:
     """A file that may be a capture; results go to ``place``, relative to the folder for all, and
     are called ``name``.
 
-    ``given``: named by itself, not found in a folder.
+    ``given``: named by itself, not found in a folder. ``exported``: found in a folder, and written
+    by `habitus export`.
     """
 
     path: Path
     place: Path
     name: str
     given: bool
+    exported: bool = False
 
 
 def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
@@ -55,7 +62,13 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
         if path.is_dir():
             start = Path(file_name(path.resolve().name)) if len(folders) > 1 else Path()
             below = [
-                Found(file, start / _safe(file.parent.relative_to(path)), "", False)
+                Found(
+                    file,
+                    start / _safe(file.parent.relative_to(path)),
+                    "",
+                    False,
+                    is_fit_export(file),
+                )
                 for file in _below(path, out)
             ]
             if not below:
@@ -89,13 +102,24 @@ def _named(found: Sequence[Found]) -> list[Found]:
     """With the names of their results: those of one folder that differ in their endings have these
     in their names.
     """
-    stems = Counter((one.place, one.path.stem) for one in found)
+    stems = Counter((one.place, one.path.stem) for one in found if not one.exported)
+    repeated = {key for key, count in stems.items() if count > 1}
     named = [
-        replace(one, name=_stem(one.path, not one.given and stems[one.place, one.path.stem] > 1))
+        replace(
+            one,
+            name=_stem(
+                one.path,
+                one.exported or (not one.given and (one.place, one.path.stem) in repeated),
+            ),
+        )
         for one in found
     ]
     twice = [
-        key for key, count in Counter((one.place, one.name) for one in named).items() if count > 1
+        key
+        for key, count in Counter(
+            (one.place, one.name) for one in named if not one.exported
+        ).items()
+        if count > 1
     ]
     if twice:
         raise HabitusError(

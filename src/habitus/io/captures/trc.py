@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -189,6 +190,24 @@ def _extent(spans: Sequence[tuple[int, int]]) -> tuple[int, int]:
         return _FIRST, _FIRST
     first = np.percentile(filled[:, 0], 100 * _ODD_ROWS, method="higher")
     return int(first), int(np.percentile(filled[:, 1], 100 * (1 - _ODD_ROWS), method="lower"))
+
+
+FIT_EXPORT = "joints and markers of a fit by habitus"
+"""In the first line of files that `habitus export` wrote: points of a body, and no capture."""
+
+MAX_FIRST_LINE = 4096
+"""Bytes of a TRC file that are searched for the mark."""
+
+
+def is_fit_export(path: Path) -> bool:
+    """Whether a file is a TRC that `habitus export` wrote; False where it cannot be read."""
+    if path.suffix.lower() != ".trc":
+        return False
+    try:
+        with path.open("rb") as file:
+            return FIT_EXPORT.encode() in file.readline(MAX_FIRST_LINE)
+    except OSError:
+        return False
 
 
 def parse_trc(content: bytes, name: str) -> RawPoints:

@@ -18,6 +18,7 @@ from habitus.fit.markers.attempts import attempted
 from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
+from habitus.io.captures.trc import is_fit_export
 from habitus.io.layouts.draft import found_layout_text
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
@@ -38,7 +39,7 @@ from habitus.jobs.archive.items import (
     write_known,
 )
 from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
-from habitus.jobs.finding import SURE, MarkerSet
+from habitus.jobs.finding import EXPORTED, SURE, MarkerSet
 from habitus.jobs.options import silent
 from habitus.jobs.results import save_fit
 from habitus.jobs.subjects import Agreed, Person, check_each, gather
@@ -87,6 +88,8 @@ def reason_of(error: Exception, path: Path) -> str:
 
 
 def _look(job: ArchiveJob, path: Path) -> Looked:
+    if is_fit_export(path):
+        return Looked(reason=EXPORTED, no_capture=True)
     try:
         digest = digest_of(path)
         people = job.recipe.read(path)
