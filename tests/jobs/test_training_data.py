@@ -7,7 +7,7 @@ from toy_people import toy
 
 from habitus.errors import HabitusError
 from habitus.io.registrations.open import open_registrations, write_registrations
-from habitus.jobs.training_data import open_training_data
+from habitus.jobs.train import open_training_data
 
 
 def judged(*failed: int):

@@ -1,28 +1,39 @@
-"""A live fit from a stream to a result: ``habitus live`` and ``habitus.live`` both call this."""
+"""A live fit from a stream to a result: the tracker's frames, what outputs receive, the record.
+``habitus live`` and ``habitus.live`` both call this.
+"""
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, listed
 from habitus.export.motion import export_motion
-from habitus.fit.markers.recipe import warm_up
-from habitus.fit.markers.recordings import Recording
+from habitus.fit.markers.gaps import MarkerTargets
+from habitus.fit.markers.live import LiveFrame, Quality
+from habitus.fit.markers.recipe import PoseStage, assemble, warm_up
+from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.suspects import exchange
 from habitus.fit.subject import Subject
+from habitus.io.captures.points import RawPoints
 from habitus.io.people import read_fit
 from habitus.io.streams.open import open_source
-from habitus.io.streams.source import Source
+from habitus.io.streams.source import Frame, Source
+from habitus.io.streams.wiring import rewired
 from habitus.jobs.bodies import loaded
-from habitus.jobs.live_follow import Follower, Sink, status
 from habitus.jobs.live_start import (
     IDLE_S,
+    Followed,
     LiveStart,
     Say,
     Stream,
@@ -32,7 +43,238 @@ from habitus.jobs.live_start import (
 )
 from habitus.jobs.options import LiveOptions, read_age, takes
 from habitus.jobs.results import save_fit
+from habitus.solve.terms import geman_mcclure_weight
 from habitus.types import PathLike
+
+MOST_LOST_S = 60.0
+"""Frames that are missing for longer are not filled in: the result has no time for them."""
+_MOST_NOTES = 40
+
+
+class Now(NamedTuple):
+    """A frame as it is shown and sent on: its number, seconds since the first, the markers (N, 3),
+    what was found.
+    """
+
+    number: int
+    seconds: float
+    markers: Float[np.ndarray, "N 3"]
+    frame: LiveFrame
+
+
+class Sink(Protocol):
+    """Whoever is told of every frame: a viewer, other programs."""
+
+    def show(self, now: Now, quality: Quality) -> None:
+        """Tell of a frame, quickly."""
+        ...
+
+    def close(self) -> None:
+        """No more frames will come."""
+        ...
+
+
+class Follower:
+    """Takes the frames after those that told the shape. For one stream and one thread.
+
+    notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of
+    the last minute or so, those left out that waited until the shape was found.
+    """
+
+    def __init__(
+        self,
+        found: Followed,
+        heading: RawPoints,
+        rate_hz: float,
+        say: Say,
+        sinks: Sequence[Sink],
+        keep: bool = True,
+    ):
+        self._found = found
+        self._wiring = found.wiring
+        self._heading = heading
+        self._rate = rate_hz
+        self._say = say
+        self._known = heading.labels
+        self.quality = Quality(found.known.layout.labels, rate_hz, found.settings)
+        self.record = Record() if keep else None
+        self.notes = list[str]()
+        self.latencies = deque[float](maxlen=10_000)
+        self.count = 0
+        self._sinks = list(sinks)
+        self._state = "nobody"
+        for frame, markers in zip(found.frames, found.markers, strict=True):
+            self._add(frame, markers)
+
+    @property
+    def seconds(self) -> float:
+        """Of the stream, since the first frame that was gathered."""
+        return self.count / self._rate
+
+    def take(self, frame: Frame, missing: int, waited: bool = False) -> Now:
+        """Fit the next frame, before which so many are missing; whether it ``waited`` until the
+        shape was found.
+        """
+        if frame.heading is not self._heading:
+            self._relabelled(frame.heading)
+        for _ in range(self._bridged(missing)):
+            self._add(self._found.tracker.step(self._none()), self._none())
+        markers = self._wiring.markers(frame.points)
+        found = self._found.tracker.step(markers)
+        if not waited:
+            self.latencies.append(time.perf_counter() - frame.arrived)
+        now = Now(frame.number, self.seconds, markers, found)
+        self._add(found, markers)
+        for sink in self._sinks:
+            sink.show(now, self.quality)
+        return now
+
+    def rehearse(self) -> None:
+        """To be called shortly before a frame is due."""
+        self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
+        self._found.tracker.rehearse()
+
+    def _add(self, found: LiveFrame, markers: np.ndarray) -> None:
+        self._tell(found)
+        self.quality.add(found)
+        self.count += 1
+        if self.record is not None:
+            self.record.add(found, markers)
+
+    def _bridged(self, missing: int) -> int:
+        """How many missing frames are filled in."""
+        most = int(MOST_LOST_S * self._rate)
+        if missing > 0.1 * self._rate:
+            self._note(f"{missing} frames were lost at {self.seconds:.1f} s", "warning:")
+        if missing > most:
+            self._note(
+                f"of these {missing - most} are left out of the time that follows", "warning:"
+            )
+        return min(missing, most)
+
+    def _tell(self, found: LiveFrame) -> None:
+        """Says when somebody leaves, returns or is begun anew."""
+        before = self._state
+        self._state = found.state
+        if found.state == "nobody" and before != "nobody":
+            self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
+        elif found.state == "started" and self.count:
+            what = (
+                "the subject is seen again"
+                if before == "nobody"
+                else "the body was astray and is begun anew"
+            )
+            self._note(f"{what} at {self.seconds:.1f} s", "")
+
+    def _relabelled(self, heading: RawPoints) -> None:
+        """The stream calls its points something else: markers are found by their labels, and what
+        changed is said.
+        """
+        self._heading = heading
+        self._wiring, gone, new = rewired(self._found.wiring, self._known, heading.labels)
+        labels = self._found.known.layout.labels
+        left = int((self._wiring.columns >= 0).sum())
+        said = (
+            f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers "
+            "are left"
+        )
+        said += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
+        said += f"; not used, as their places are not known: {listed(new)}" if new else ""
+        said += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
+        self._note(said, "warning:")
+
+    def _note(self, text: str, mark: str) -> None:
+        self._say(text, mark)
+        if len(self.notes) < _MOST_NOTES:
+            self.notes.append(text)
+
+    def _none(self) -> np.ndarray:
+        return np.full((len(self._wiring.columns), 3), np.nan)
+
+    def close(self) -> None:
+        """Let go of viewers and other programs."""
+        for sink in self._sinks:
+            sink.close()
+
+
+def status(follower: Follower, trouble: str) -> str:
+    """One line on how it goes; ``trouble``: what was wrong with the stream."""
+    quality = follower.quality
+    verdict = follower.quality.verdict
+    took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
+    said = (
+        f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  "
+        f"{quality.mean_mm:.1f} mm"
+    )
+    said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
+    return f"{said}  {trouble}" if trouble else said
+
+
+class Record:
+    """Keeps the frames of a stream; about 1 kB each."""
+
+    def __init__(self) -> None:
+        self._poses: list[np.ndarray] = []
+        self._trans: list[np.ndarray] = []
+        self._costs: list[float] = []
+        self._observed: list[np.ndarray] = []
+
+    def __len__(self) -> int:
+        """How many frames there are."""
+        return len(self._poses)
+
+    def add(self, frame: LiveFrame, observed: np.ndarray) -> None:
+        """The next frame, with the markers (N, 3) that it was told; nobody's markers are not
+        kept.
+        """
+        self._poses.append(frame.pose)
+        self._trans.append(frame.trans)
+        self._costs.append(frame.cost)
+        self._observed.append(
+            (observed if frame.state != "nobody" else np.full_like(observed, np.nan)).astype("f4")
+        )
+
+    def fit(
+        self,
+        known: Subject,
+        recording: Recording,
+        settings: MoshSettings,
+        notes: Sequence[str],
+    ) -> MarkerFit:
+        """The fit of all frames; where nobody was seen the body stands as it was last, and the
+        frames are flagged.
+        """
+        standing = _held(np.isfinite(np.array(self._trans)[:, 0]))
+        pose = np.array(self._poses)[standing]
+        trans = np.array(self._trans)[standing]
+        observed = exchange(np.array(self._observed, dtype=np.float64), known.exchanged)
+        scale = np.full(observed.shape[1], settings.robust_scale[1])
+        costs = np.array(self._costs)
+        result = SequenceResult(
+            pose,
+            trans,
+            None,
+            {"frames": float(costs.sum())},
+            costs,
+            np.ones(observed.shape[:2]),
+            "causal",
+            len(costs),
+            (float(costs.sum()),),
+        )
+        found = PoseStage(result, observed, MarkerTargets(observed, None), scale)
+        recording = replace(recording, warnings=(*recording.warnings, *notes))
+        seconds = {"shape": known.seconds, "pose": None, "soft_tissue": None}
+        fit = assemble(recording, known, found, None, seconds, settings)
+        distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
+        return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
+
+
+def _held(valid: np.ndarray) -> np.ndarray:
+    """For each frame the last valid one up to it; of those before the first, the first."""
+    rows = np.where(valid, np.arange(len(valid)), -1)
+    rows = np.maximum.accumulate(rows)
+    return np.where(rows < 0, int(np.argmax(valid)), rows)
+
 
 STATUS_S = 1.0
 REHEARSED = 0.7

@@ -13,8 +13,7 @@ from habitus.fit.markers.live import Quality
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.subject import Subject
 from habitus.io.streams.source import host_and_port
-from habitus.jobs.live import MakeSink
-from habitus.jobs.live_follow import Now, Sink
+from habitus.jobs.live import MakeSink, Now, Sink
 from habitus.report.live import NEEDED, Board, Shown, serve
 from habitus.report.page_server import new_token, page_address
 
