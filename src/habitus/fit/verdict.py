@@ -148,7 +148,7 @@ def part_of_joint(joint_names: Sequence[str], parents: Sequence[int]) -> tuple[s
 
 def vertex_parts(body: BodyModel) -> Int[np.ndarray, " V"]:
     """The number in `PARTS` of each vertex's part."""
-    parts = part_of_joint(body.joint_names, body.parents.tolist())
+    parts = part_of_joint(body.joint_names, body.parents)
     return np.array([PARTS.index(part) for part in parts])[body.strongest_joint]
 
 
