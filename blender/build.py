@@ -95,16 +95,16 @@ def _measures(model: Any) -> dict[str, np.ndarray]:
         "sole": people[:, height < height.min() + NEAR, 1],
         "crotch": people[:, midline[height[midline] < height[midline].min() + NEAR], 1],
     }
-    for k, one in enumerate([model, *map(model.at_age, model.ages.years)]):
-        points |= {f"tape_{name}_{k}": each for name, each in _tapes(one, people).items()}
+    for k, model_at_age in enumerate([model, *map(model.at_age, model.ages.years)]):
+        points |= {f"tape_{name}_{k}": each for name, each in _tapes(model_at_age, people).items()}
     full = model.full
     density = 1000.0 * volume(model.v_template, model.faces) / volume(full.v_template, full.faces)
-    found = {
+    measures = {
         name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1))
         for name, p in points.items()
     }
     rarest = chdtri(np.arange(1, 7), 2 * ndtr(-MOST_SD))  # sums of so many squares, so rare as that
-    return found | {"density": np.array(density), "rarest": rarest}
+    return measures | {"density": np.array(density), "rarest": rarest}
 
 
 def _tapes(model: Any, people: np.ndarray) -> dict[str, np.ndarray]:
@@ -114,12 +114,12 @@ def _tapes(model: Any, people: np.ndarray) -> dict[str, np.ndarray]:
     posed = standing.prepared.carried(
         people[:, standing.vertices], model.joint_regressor @ people, standing.pose
     )
-    found = {
+    tapes = {
         name: standing.tapes[name].points(posed) @ standing.tapes[name].axes.T
         for name in ("chest", "hip")
     }
     (waist,) = (tape.rings[0] for tape in kit.tapes if tape.name == "waist")
-    return found | {"waist": waist.points(people) @ waist.axes.T}
+    return tapes | {"waist": waist.points(people) @ waist.axes.T}
 
 
 def build(path: Path, small: bool = True) -> Path:

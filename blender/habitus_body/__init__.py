@@ -150,12 +150,14 @@ class HABITUS_OT_import(_OfFile, bpy.types.Operator):
                 context.object.habitus_file if is_person(context.object) else ""
             )
             if "poses" in arrays and not name:
-                told = str(
+                message = str(
                     arrays.get(
                         "surface_model_type", arrays.get("body", "a body that it does not name")
                     )
                 )
-                raise ValueError(f"is of {told}; add that body's file, select it, and import again")
+                raise ValueError(
+                    f"is of {message}; add that body's file, select it, and import again"
+                )
             motion = Motion(self.filepath, arrays, body_called(name or "neutral"))
         except (OSError, ValueError, KeyError) as error:
             return self.refused(error)
@@ -300,7 +302,7 @@ def _export_menu(self, _context):
 
 def _properties():
     sexes = [(name, name.capitalize(), "") for name in SHIPPED]
-    found = {
+    properties = {
         "file": StringProperty(name="Body's file"),
         "sex": EnumProperty(name="Sex", items=sexes, update=fit_measures),
         "age": FloatProperty(name="Age", min=0.0, max=80.0, update=fit_measures),
@@ -310,10 +312,10 @@ def _properties():
         "known": BoolVectorProperty(name="Known", size=len(NAMES), update=fit_measures),
     }
     for name, (least, most) in _RANGES.items():
-        found[name] = FloatProperty(
+        properties[name] = FloatProperty(
             name=name, min=0.1, soft_min=least, soft_max=most, precision=3, update=tell(name)
         )
-    return found
+    return properties
 
 
 def register():

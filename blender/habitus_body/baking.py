@@ -69,12 +69,12 @@ class _baked:
         """The weights of shape keys in these frames, (K, T)."""
         if not keys:
             return np.zeros((0, len(frames)))
-        found, before = [], self.context.scene.frame_current
+        values, before = [], self.context.scene.frame_current
         for frame in frames:
             self.context.scene.frame_set(int(frame))
-            found.append([key.value for key in keys])
+            values.append([key.value for key in keys])
         self.context.scene.frame_set(before)
-        return np.array(found).reshape(-1, len(keys)).T
+        return np.array(values).reshape(-1, len(keys)).T
 
     def __exit__(self, *_):
         baked = self.keys.animation_data.action

@@ -53,18 +53,18 @@ class Body:
         start, vertices, values = (
             self.arrays[f"pose_{name}"] for name in ("start", "vertices", "values")
         )
-        found = np.zeros_like(self.arrays["v_template"])
+        offsets = np.zeros_like(self.arrays["v_template"])
         for k, joint in enumerate(self.drivers):
             rows = slice(start[k], start[k + 1])
-            found[vertices[rows]] += values[rows] @ (rotations[joint] - np.eye(3)).reshape(9)
-        return self.grown(age)[1] * found
+            offsets[vertices[rows]] += values[rows] @ (rotations[joint] - np.eye(3)).reshape(9)
+        return self.grown(age)[1] * offsets
 
     def _shaped(
         self, template: str, directions: str, ages: str, betas: np.ndarray, age: float
     ) -> np.ndarray:
         shares, tall = self.grown(age)
-        found = self.arrays[template] + tall * (self.arrays[directions] @ self.padded(betas))
-        return found + self.arrays[ages] @ shares if shares.any() else found
+        shaped = self.arrays[template] + tall * (self.arrays[directions] @ self.padded(betas))
+        return shaped + self.arrays[ages] @ shares if shares.any() else shaped
 
     def padded(self, betas: np.ndarray) -> np.ndarray:
         """Betas (B,), of those that were given and zeros."""
@@ -143,8 +143,8 @@ def whose(arrays: dict) -> str:
     """The name of the shipped body that a motion's betas belong to; "" where they belong to
     another.
     """
-    told = str(arrays.get("surface_model_type", arrays.get("body", "")))
-    return "" if "character_vertices" in arrays else SHIPPED.get(told, "")
+    name = str(arrays.get("surface_model_type", arrays.get("body", "")))
+    return "" if "character_vertices" in arrays else SHIPPED.get(name, "")
 
 
 def layouts() -> dict:

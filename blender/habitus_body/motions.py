@@ -139,7 +139,7 @@ def simulate(context, person, strength):
     slow rates.
     """
     pose, trans, frames, rate = recorded(context, person)
-    found = simulated(
+    coefficients = simulated(
         body_of(person),
         np.array(person.habitus_betas),
         person.habitus_age,
@@ -148,7 +148,7 @@ def simulate(context, person, strength):
         rate,
         strength,
     )
-    key_tissue(person, found, frames.astype(np.float32))
+    key_tissue(person, coefficients, frames.astype(np.float32))
 
 
 def key_tissue(person, coefficients, times):

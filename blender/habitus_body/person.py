@@ -229,9 +229,9 @@ def fit_measures(person, context):
 
 def points_of(key) -> np.ndarray:
     """Where a shape key has the vertices (V, 3)."""
-    found = np.empty(3 * len(key.data), np.float32)
-    key.data.foreach_get("co", found)
-    return found.reshape(-1, 3)
+    points = np.empty(3 * len(key.data), np.float32)
+    key.data.foreach_get("co", points)
+    return points.reshape(-1, 3)
 
 
 def rotations_of(person) -> np.ndarray:

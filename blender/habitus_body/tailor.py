@@ -26,14 +26,14 @@ def measure(body: Body, betas: np.ndarray, age: float = 0.0) -> tuple[np.ndarray
         for name, sign in (("sole", -1), ("crown", 1), ("crotch", -1))
     )
     weight = _weight(body, betas, age)
-    found = [
+    measured = [
         (crown[0] - sole[0], crown[1] - sole[1]),
         (weight[0], None),
         *(_girth(body.arrays, name, shares, c) for name in ("chest", "waist", "hip")),
         (crotch[0] - sole[0], crotch[1] - sole[1]),
     ]
-    slopes = [weight[1] if way is None else tall * way[1 + len(shares) :] for _, way in found]
-    return np.array([value for value, _ in found]), np.array(slopes)
+    slopes = [weight[1] if way is None else tall * way[1 + len(shares) :] for _, way in measured]
+    return np.array([value for value, _ in measured]), np.array(slopes)
 
 
 def _end(points: np.ndarray, c: np.ndarray, sign: int) -> tuple[float, np.ndarray]:
@@ -47,9 +47,9 @@ def _girth(arrays: dict, name: str, shares: np.ndarray, c: np.ndarray) -> tuple[
     people.
     """
     parts = [(share, k + 1) for k, share in enumerate(shares) if share > 0] or [(1.0, 0)]
-    found = [(share, *_tape(arrays[f"tape_{name}_{k}"], c)) for share, k in parts]
-    return sum(share * value for share, value, _ in found), sum(
-        share * slope for share, _, slope in found
+    parts_of_tape = [(share, *_tape(arrays[f"tape_{name}_{k}"], c)) for share, k in parts]
+    return sum(share * value for share, value, _ in parts_of_tape), sum(
+        share * slope for share, _, slope in parts_of_tape
     )
 
 
@@ -98,9 +98,9 @@ def tailored(body: Body, wanted: dict, age: float = 0.0) -> np.ndarray:
     values = np.array([wanted[name] for name in wanted], np.float64)
     noise, betas = PRECISION * values, mean.copy()
     for _ in range(_STEPS if rows else 0):
-        found, slopes = (each[rows] for each in measure(body, betas, age))
+        measured, slopes = (each[rows] for each in measure(body, betas, age))
         gain = np.linalg.solve(slopes @ slopes.T + np.diag(noise**2), slopes).T
-        step = mean + gain @ (values - found + slopes @ (betas - mean)) - betas
+        step = mean + gain @ (values - measured + slopes @ (betas - mean)) - betas
         betas = betas + step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
         if np.abs(step).max() < _SMALL or np.linalg.norm(betas) > _FAR:
             break

@@ -34,10 +34,10 @@ def simulated(
     history, drive = _of_person(arrays, body.padded(betas), own)
     controls = _resampled(_controls(body, body.joints(betas, age), pose, trans, rate), rate, own)
     limits = arrays["dynamics_limits"]
-    found = _free_run(history, np.clip(controls, -limits, limits) @ drive.T)
-    if len(found) != len(pose) or rate != own:
-        found = _at_frames(found, np.arange(len(pose)) * (own / rate))
-    return strength * found
+    coefficients = _free_run(history, np.clip(controls, -limits, limits) @ drive.T)
+    if len(coefficients) != len(pose) or rate != own:
+        coefficients = _at_frames(coefficients, np.arange(len(pose)) * (own / rate))
+    return strength * coefficients
 
 
 def _of_person(arrays: dict, betas: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -94,10 +94,10 @@ def _differences(steps: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _free_run(history: np.ndarray, pushes: np.ndarray) -> np.ndarray:
-    found = np.zeros((len(pushes) + 2, pushes.shape[1]))
+    coefficients = np.zeros((len(pushes) + 2, pushes.shape[1]))
     for t, push in enumerate(pushes):
-        found[t + 2] = history[0] @ found[t + 1] + history[1] @ found[t] + push
-    return found[2:]
+        coefficients[t + 2] = history[0] @ coefficients[t + 1] + history[1] @ coefficients[t] + push
+    return coefficients[2:]
 
 
 def _resampled(values: np.ndarray, rate: float, to: float) -> np.ndarray:

@@ -11,7 +11,7 @@ import habitus
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
-from habitus.jobs.comparing import told_apart
+from habitus.jobs.comparing import distinct_names
 
 
 def run(*arguments: object) -> int:
@@ -100,4 +100,4 @@ def test_from_python_with_fits_in_memory(tmp_path):
 )
 def test_names_tell_paths_apart(paths, names, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert told_apart(*paths) == names
+    assert distinct_names(*paths) == names

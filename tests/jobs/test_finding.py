@@ -117,14 +117,14 @@ def rigid(scale=1.0, subject=None, noise=0.0, labels=12, seed=0) -> MarkerSet:
 
 def test_what_makes_two_captures_alike():
     one = rigid()
-    assert one.like(rigid(noise=1e-3)) and one.like(rigid(scale=1.01))
+    assert one.matches(rigid(noise=1e-3)) and one.matches(rigid(scale=1.01))
     assert (
-        not one.like(rigid(scale=1.06))
-        and not one.like(rigid(seed=1))
-        and not one.like(rigid(subject="Ann"))
+        not one.matches(rigid(scale=1.06))
+        and not one.matches(rigid(seed=1))
+        and not one.matches(rigid(subject="Ann"))
     )
-    assert not one.like(rigid(noise=0.06))  # nothing keeps its distance: nothing is known
-    assert not rigid(labels=5).like(rigid(labels=5))
+    assert not one.matches(rigid(noise=0.06))  # nothing keeps its distance: nothing is known
+    assert not rigid(labels=5).matches(rigid(labels=5))
 
 
 def test_a_pose_that_is_held_tells_nothing_of_a_person():
@@ -138,7 +138,7 @@ def test_a_pose_that_is_held_tells_nothing_of_a_person():
         sets.append(
             MarkerSet.of(Capture("x", tuple(f"M{k}" for k in range(12)), held, 100.0, "+y"))
         )
-    assert sets[0].like(sets[1])
+    assert sets[0].matches(sets[1])
 
 
 def test_a_file_of_several_people_and_captures_of_other_folders_stay_alone(tmp_path):
@@ -156,7 +156,9 @@ def test_gaps_do_not_hide_what_is_rigid():
     capture = Capture("x", tuple(f"M{k}" for k in range(12)), holed, 100.0, "+y")
     whole = replace(capture, markers=np.array(markers))
     np.testing.assert_allclose(MarkerSet.of(capture).rigid, MarkerSet.of(whole).rigid, atol=1e-12)
-    assert not MarkerSet.of(capture).like(one) and MarkerSet.of(capture).like(MarkerSet.of(whole))
+    assert not MarkerSet.of(capture).matches(one) and MarkerSet.of(capture).matches(
+        MarkerSet.of(whole)
+    )
 
 
 def test_what_habitus_exported_is_no_capture(tmp_path):

@@ -59,28 +59,30 @@ def run(options: Body, console: "Console | None" = None) -> None:
     from habitus.jobs.estimates import body_from_measurements, save_estimate
 
     console = console or screen()
-    told = {
+    measurements = {
         name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None
     } | _also(options.also)
-    found = body_from_measurements(sex=options.sex, age=options.age, body=options.body, **told)
+    estimate = body_from_measurements(
+        sex=options.sex, age=options.age, body=options.body, **measurements
+    )
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "± sd", ""):
         table.add_column(heading, justify="left" if heading in ("measurement", "") else "right")
-    for name, value in found.measurements.items():
+    for name, value in estimate.measurements.items():
         scale, unit = (1.0, "kg") if name.endswith("_kg") else (100.0, "cm")
-        given = "given" if name in found.given else ""
+        given = "given" if name in estimate.given else ""
         table.add_row(
-            name, f"{scale * value:.1f} {unit}", f"{scale * found.spread[name]:.1f}", given
+            name, f"{scale * value:.1f} {unit}", f"{scale * estimate.spread[name]:.1f}", given
         )
     console.print(table)
-    if found.sd_from_mean > _RARE:
+    if estimate.sd_from_mean > _RARE:
         say(
             console,
-            f"such a person is rare: {found.sd_from_mean:.1f} standard deviations from the mean",
+            f"such a person is rare: {estimate.sd_from_mean:.1f} standard deviations from the mean",
             "note",
         )
     if options.out is not None:
-        save_estimate(found, options.out)
+        save_estimate(estimate, options.out)
         say(console, f"wrote {plain(options.out)}")
 
 

@@ -88,13 +88,13 @@ def fit_all(
     model = recipe.body(body)
     target = Path(out)
     recipe.check(model)
-    found = find_captures([Path(path) for path in paths], target)
+    files = find_captures([Path(path) for path in paths], target)
     outcomes: list[Outcome] = []
     with locked(target, MARKER_FILES):
-        for place in {one.place for one in found}:
+        for place in {file.place for file in files}:
             tidy(target / place, MARKER_FILES)
-        batch = _Batch(recipe, model, body, target, _Counted(progress, len(found), outcomes))
-        for outcome in batch.run(found):
+        batch = _Batch(recipe, model, body, target, _Counted(progress, len(files), outcomes))
+        for outcome in batch.run(files):
             outcomes.append(outcome)
             on_done(outcome)
         try:
@@ -127,44 +127,44 @@ class _Batch:
     out: Path
     progress: Progress
 
-    def run(self, found: Sequence[Found]) -> Iterator[Outcome]:
+    def run(self, files: Sequence[Found]) -> Iterator[Outcome]:
         """What becomes of each, group after group."""
-        given = [one for one in found if one.given]
+        given = [file for file in files if file.given]
         if given:
             yield from self._group(given)
         worn: list[tuple[Found, MarkerSet | None]] = []
-        for one in found:
-            if one.exported:
-                yield Outcome(one.path, one.name, error=HabitusError(EXPORTED), left_out=True)
-            elif not one.given:
+        for file in files:
+            if file.exported:
+                yield Outcome(file.path, file.name, error=HabitusError(EXPORTED), left_out=True)
+            elif not file.given:
                 self.progress("read", 0.0)
                 try:
-                    worn.append((one, self._worn(one)))
+                    worn.append((file, self._worn(file)))
                 except Exception as error:
                     yield Outcome(
-                        one.path,
-                        one.name,
+                        file.path,
+                        file.name,
                         error=error,
-                        left_out=one.path.suffix.lower() not in SURE,
+                        left_out=file.path.suffix.lower() not in SURE,
                     )
         for group in grouped(worn):
             yield from self._group(group)
 
-    def _worn(self, found: Found) -> MarkerSet | None:
+    def _worn(self, file: Found) -> MarkerSet | None:
         """None for a file of several people, which is fitted by itself."""
-        captures = self.recipe.read(found.path)
+        captures = self.recipe.read(file.path)
         return MarkerSet.of(captures[0]) if len(captures) == 1 else None
 
     def _group(self, group: Sequence[Found]) -> Iterator[Outcome]:
         files: dict[Found, tuple[Capture, ...]] = {}
         began = time.perf_counter()
-        for one in group:
+        for file in group:
             self.progress("read", 0.0)
             try:
-                file_name(one.name, shown(one.path))
-                files[one] = tuple(replace(c, name=one.name) for c in self.recipe.read(one.path))
+                file_name(file.name, shown(file.path))
+                files[file] = tuple(replace(c, name=file.name) for c in self.recipe.read(file.path))
             except Exception as error:
-                yield Outcome(one.path, one.name, error=error)
+                yield Outcome(file.path, file.name, error=error)
         yield from self._fitted(files, time.perf_counter() - began)
 
     def _fitted(self, files: _Files, seconds: float) -> Iterator[Outcome]:
@@ -181,7 +181,7 @@ class _Batch:
         except Exception as error:
             yield from self._apart(files, seconds, error)
             return
-        owners = {id(capture): one for one, captures in files.items() for capture in captures}
+        owners = {id(capture): file for file, captures in files.items() for capture in captures}
         left = {id(capture) for person in people for capture in person.captures}
         try:
             fits = self.recipe.fit_people(body, people, seconds, progress=self.progress)
@@ -189,11 +189,11 @@ class _Batch:
                 left.discard(id(capture))
                 yield self._saved(owners[id(capture)], fit, folders[id(capture)])
         except Exception as error:
-            for one in dict.fromkeys(owners[key] for key in owners if key in left):
-                if len(files) == 1 or any(id(capture) not in left for capture in files[one]):
-                    yield Outcome(one.path, one.name, error=error)
+            for file in dict.fromkeys(owners[key] for key in owners if key in left):
+                if len(files) == 1 or any(id(capture) not in left for capture in files[file]):
+                    yield Outcome(file.path, file.name, error=error)
                 else:
-                    yield from self._fitted({one: files[one]}, seconds / len(files))
+                    yield from self._fitted({file: files[file]}, seconds / len(files))
 
     def _people(self, files: _Files) -> tuple[list[Person], dict[int, Path]]:
         recipe = self.recipe
@@ -208,20 +208,20 @@ class _Batch:
 
     def _apart(self, files: _Files, seconds: float, error: Exception) -> Iterator[Outcome]:
         bad: dict[Found, Exception] = {}
-        for one, captures in files.items():
+        for file, captures in files.items():
             try:
-                self._people({one: captures})
+                self._people({file: captures})
             except Exception as its_own:
-                bad[one] = its_own
-                yield Outcome(one.path, one.name, error=error if len(files) == 1 else its_own)
-        rest = {one: captures for one, captures in files.items() if one not in bad}
-        for some in [rest] if bad else [{one: captures} for one, captures in rest.items()]:
+                bad[file] = its_own
+                yield Outcome(file.path, file.name, error=error if len(files) == 1 else its_own)
+        rest = {file: captures for file, captures in files.items() if file not in bad}
+        for some in [rest] if bad else [{file: captures} for file, captures in rest.items()]:
             yield from self._fitted(some, seconds * len(some) / len(files))
 
-    def _saved(self, found: Found, fit: MarkerFit, folder: Path) -> Outcome:
+    def _saved(self, file: Found, fit: MarkerFit, folder: Path) -> Outcome:
         try:
             save_fit(fit, folder, self.recipe.obj, self.recipe.npz_style)
             numbers = json.loads((folder / "metrics.json").read_text("utf-8"))
         except Exception as error:
-            return Outcome(found.path, folder.name, error=error)
-        return Outcome(found.path, folder.name, folder, numbers)
+            return Outcome(file.path, folder.name, error=error)
+        return Outcome(file.path, folder.name, folder, numbers)

@@ -64,10 +64,10 @@ def _of_body(body: BodyModel) -> list[np.ndarray]:
 
 
 def _digest(arrays: Sequence[np.ndarray], words: Sequence[str]) -> str:
-    found = hashlib.sha256(json.dumps([str(word) for word in words]).encode())
+    digest = hashlib.sha256(json.dumps([str(word) for word in words]).encode())
     for array in arrays:
-        found.update(np.ascontiguousarray(array, np.float64).tobytes())
-    return found.hexdigest()
+        digest.update(np.ascontiguousarray(array, np.float64).tobytes())
+    return digest.hexdigest()
 
 
 @dataclass
@@ -89,13 +89,13 @@ class Checkpoint:
 
         Raises HabitusError where the folder holds another training's, or cannot be written to.
         """
-        told = json.loads(json.dumps(run))
+        record = json.loads(json.dumps(run))
         file = folder / "run.json"
         tidy(folder)
         if restart and file.exists():
             shutil.rmtree(folder)
         if file.exists():
-            other = _differences(_read_json(file), told)
+            other = _differences(_read_json(file), record)
             if other:
                 raise HabitusError(
                     f"{folder}: it belongs to a training with other {other}; expected the same to "
@@ -106,7 +106,7 @@ class Checkpoint:
             for left in ("progress.npz", "surfaces.json"):
                 if (folder / left).exists():
                     (folder / left).unlink()
-            _write_json(file, told)
+            _write_json(file, record)
         return Checkpoint(folder)
 
     def save(self, state: TrainingState, seconds: Sequence[float]) -> None:
@@ -118,7 +118,7 @@ class Checkpoint:
         arrays = _arrays(estimate, "")
         if state.before is not None:
             arrays |= _arrays(state.before, _BEFORE)
-        told = {
+        record = {
             "finished": state.finished,
             "parents": estimate.rig.parents,
             "skinning": estimate.rig.skinning,
@@ -129,7 +129,7 @@ class Checkpoint:
         }
         (self.folder / "surfaces.json").unlink(missing_ok=True)
         with atomic_write(self.folder / "progress.npz") as temporary, temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, told=np.array(json.dumps(told)), **arrays)
+            np.savez(file, allow_pickle=False, record=np.array(json.dumps(record)), **arrays)
         self._surfaces = None
 
     def load(self) -> tuple[TrainingState | None, list[float]]:
@@ -141,13 +141,15 @@ class Checkpoint:
             return None, []
         try:
             with open_archive(path) as file:
-                told = json.loads(str(file["told"]))
-                before = _estimate(told, file, _BEFORE) if f"{_BEFORE}index" in file else None
+                record = json.loads(str(file["record"]))
+                before = _estimate(record, file, _BEFORE) if f"{_BEFORE}index" in file else None
                 history = tuple(
-                    Record(number, step, Energy(terms)) for number, step, terms in told["history"]
+                    Record(number, step, Energy(terms)) for number, step, terms in record["history"]
                 )
-                state = TrainingState(_estimate(told, file, ""), history, told["finished"], before)
-                return checked_state(state, told["seconds"])
+                state = TrainingState(
+                    _estimate(record, file, ""), history, record["finished"], before
+                )
+                return checked_state(state, record["seconds"])
         except _DAMAGE as error:
             raise _damaged(path, error) from error
 
@@ -218,12 +220,12 @@ def _arrays(estimate: Estimate, lead: str) -> dict[str, np.ndarray]:
     return {f"{lead}{key}": value for key, value in arrays.items()}
 
 
-def _estimate(told: Mapping[str, Any], file: Any, lead: str) -> Estimate:
+def _estimate(record: Mapping[str, Any], file: Any, lead: str) -> Estimate:
     words = (
-        tuple(told["parents"]),
-        told["skinning"],
-        told["pose_features"],
-        told["shape_features"],
+        tuple(record["parents"]),
+        record["skinning"],
+        record["pose_features"],
+        record["shape_features"],
     )
     rig = Rig(*words, file[f"{lead}index"], file[f"{lead}value"], file.get(f"{lead}posedirs"))
     return Estimate(rig, **{key: file[f"{lead}{key}"] for key in _ESTIMATE})
@@ -248,24 +250,24 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
 
 def _flat(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options by name, those of groups with the group's name before theirs."""
-    found: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for key, value in options.items():
-        found |= (
-            {f"{key}.{name}": one for name, one in value.items()}
+        arrays |= (
+            {f"{key}.{name}": entry for name, entry in value.items()}
             if isinstance(value, Mapping)
             else {key: value}
         )
-    return found
+    return arrays
 
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except _DAMAGE as error:
         raise _damaged(path, error) from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise _damaged(path, TypeError("no object in it"))
-    return found
+    return content
 
 
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:

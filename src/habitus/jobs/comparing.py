@@ -51,10 +51,10 @@ class Comparison:
             "joint_rotations_degrees": "joints' rotations",
             "shape_at_rest_mm": "shape at rest",
         }
-        apart = {what: self.numbers[key] for key, what in named.items()}
-        apart["markers, predicted"] = (self.numbers["markers"] or {}).get("distance_mm")
+        distances = {what: self.numbers[key] for key, what in named.items()}
+        distances["markers, predicted"] = (self.numbers["markers"] or {}).get("distance_mm")
         rows = []
-        for what, values in apart.items():
+        for what, values in distances.items():
             if values and values["mean"] is not None:
                 unit = "°" if "rotations" in what else " mm"
                 rows.append((what, *(f"{values[key]:.1f}{unit}" for key in ("mean", "p95", "max"))))
@@ -93,18 +93,18 @@ def compare(
     two have no moment, or no joint, in common.
     """
     sides = [_read(source, body) for source, body in ((a, body_a), (b, body_b))]
-    names = told_apart(a, b)
-    found = differences(sides[0], sides[1], offset=offset, align=align)
+    names = distinct_names(a, b)
+    result = differences(sides[0], sides[1], offset=offset, align=align)
     pages = tuple(
         None if isinstance(source, Moving) else _report(Path(source)) for source in (a, b)
     )
-    comparison = Comparison(names, found, numbers(found, names), (pages[0], pages[1]))
+    comparison = Comparison(names, result, numbers(result, names), (pages[0], pages[1]))
     if out is not None:
         comparison.save(out)
     return comparison
 
 
-def told_apart(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
+def distinct_names(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
     """Short names of the two: the parts of their paths in which these differ, or the captures'
     names.
     """
@@ -116,9 +116,9 @@ def told_apart(a: Moving | PathLike, b: Moving | PathLike) -> tuple[str, str]:
     if parts[0] == parts[1]:
         return Path(a).name, Path(b).name
     while min(map(len, parts)) > 1 and parts[0][-1] == parts[1][-1]:
-        parts = [one[:-1] for one in parts]
+        parts = [words[:-1] for words in parts]
     while min(map(len, parts)) > 1 and parts[0][0] == parts[1][0]:
-        parts = [one[1:] for one in parts]
+        parts = [words[1:] for words in parts]
     return "/".join(parts[0]), "/".join(parts[1])
 
 

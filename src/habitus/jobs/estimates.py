@@ -48,7 +48,7 @@ def body_from_measurements(
     return replace(estimate_body(model.at_age(age), measurements), space=model.name, age=float(age))
 
 
-def save_estimate(found: BodyEstimate, path: PathLike) -> None:
+def save_estimate(estimate: BodyEstimate, path: PathLike) -> None:
     """Write the person as a mesh at rest (.ply, .obj, .glb), or as an .npz that `habitus measure`
     reads.
 
@@ -58,16 +58,16 @@ def save_estimate(found: BodyEstimate, path: PathLike) -> None:
     """
     target = Path(path)
     if target.suffix.lower() != ".npz":
-        write_surface((found.body.full or found.body)(found.betas), target)
+        write_surface((estimate.body.full or estimate.body)(estimate.betas), target)
         return
-    write_arrays(target, _arrays(found))
+    write_arrays(target, _arrays(estimate))
 
 
-def _arrays(found: BodyEstimate) -> Mapping[str, np.ndarray]:
-    gender = found.space if found.space in SEXES else "neutral"
-    return shape_arrays(found.body, found.betas, found.space, gender) | {
-        "betas_covariance": found.covariance,
-        "measurement_names": np.array(list(found.measurements)),
-        "measurements": np.array(list(found.measurements.values())),
-        "measurement_spread": np.array(list(found.spread.values())),
+def _arrays(estimate: BodyEstimate) -> Mapping[str, np.ndarray]:
+    gender = estimate.space if estimate.space in SEXES else "neutral"
+    return shape_arrays(estimate.body, estimate.betas, estimate.space, gender) | {
+        "betas_covariance": estimate.covariance,
+        "measurement_names": np.array(list(estimate.measurements)),
+        "measurements": np.array(list(estimate.measurements.values())),
+        "measurement_spread": np.array(list(estimate.spread.values())),
     }

@@ -64,15 +64,15 @@ def load_models(
 
     Raises HabitusError for files that are no models, and for two models of one name.
     """
-    found = []
+    opened = []
     for given, name in zip(models, model_names(models), strict=True):
         model = _load(given, name)
         file = str(given) if isinstance(given, (str, os.PathLike)) else None
-        found.append(Loaded(model, file))
+        opened.append(Loaded(model, file))
         if plain and isinstance(model, PosableBody) and model.body.posedirs is not None:
             body = without_pose_shapes(model.body)
-            found.append(Loaded(PosableBody(body, f"{name}, plain"), file, name))
-    return found
+            opened.append(Loaded(PosableBody(body, f"{name}, plain"), file, name))
+    return opened
 
 
 def rest_template(model: ComparedModel) -> Template:
@@ -203,14 +203,14 @@ def evaluate(
         true = _clean_vertices(
             _chosen(clean, options), registrations, _source(clean, "the clean dataset")
         )
-    for one in loaded:
-        check_topology(one.model, registrations, source)
+    for each in loaded:
+        check_topology(each.model, registrations, source)
     refuse(check_registrations(registrations, rest_template(loaded[0].model)))
     with _prepared(out), open_workers(workers) as ready:
         fitted = _fitted(loaded, registrations, counts, true, ready, progress)
         progress("run time", 1.0)
-        found = _assembled(loaded, fitted, _times(loaded, counts, options.repeats, options.seed))
-        evaluation = Evaluation(source, registrations, true, found)
+        result = _assembled(loaded, fitted, _times(loaded, counts, options.repeats, options.seed))
+        evaluation = Evaluation(source, registrations, true, result)
         if out is not None:
             from habitus.jobs.evaluation_files import write_evaluation
 
@@ -285,7 +285,7 @@ def _fitted(
         len(registrations) + several * (len(registrations) - len(registrations.subjects))
     )
     before = 0
-    found = []
+    curves = []
 
     def reporting(stage: str) -> ReportingWorkers:
         """Workers that report the share of all fits."""
@@ -293,21 +293,21 @@ def _fitted(
         progress(stage, start / total)
         return ReportingWorkers(workers, lambda done, _: progress(stage, (start + done) / total))
 
-    for one in loaded:
-        stage = f"model generalisation of {one.model.name}"
+    for each in loaded:
+        stage = f"model generalisation of {each.model.name}"
         shape = model_generalisation(
-            one.model, registrations, counts, clean=clean, workers=reporting(stage)
+            each.model, registrations, counts, clean=clean, workers=reporting(stage)
         )
         before += len(shape.rows)
         pose = None
         if several:
-            stage = f"pose generalisation of {one.model.name}"
+            stage = f"pose generalisation of {each.model.name}"
             pose = pose_generalisation(
-                one.model, registrations, shape, clean=clean, workers=reporting(stage)
+                each.model, registrations, shape, clean=clean, workers=reporting(stage)
             )
             before += len(pose.rows)
-        found.append((shape, pose))
-    return found
+        curves.append((shape, pose))
+    return curves
 
 
 def _assembled(
@@ -315,15 +315,15 @@ def _assembled(
 ) -> tuple[ModelEvaluation, ...]:
     return tuple(
         ModelEvaluation(
-            one.model,
-            one.file,
-            one.without_pose_shapes_of,
+            each.model,
+            each.file,
+            each.without_pose_shapes_of,
             *curves,
-            times[one.model.name],
-            *shape_variances(one.model, one.file),
+            times[each.model.name],
+            *shape_variances(each.model, each.file),
             twist,
         )
-        for one, curves, twist in zip(loaded, fitted, _twists(loaded), strict=True)
+        for each, curves, twist in zip(loaded, fitted, _twists(loaded), strict=True)
     )
 
 
@@ -332,31 +332,31 @@ def _times(
 ) -> dict[str, ForwardTimes]:
     """Models with as many joints take turns."""
     by_joints: dict[int, list[ComparedModel]] = {}
-    for one in loaded:
-        by_joints.setdefault(len(one.model.parents), []).append(one.model)
+    for each in loaded:
+        by_joints.setdefault(len(each.model.parents), []).append(each.model)
     used = (0, *counts)
     options = {"repeats": repeats, "seed": seed}
-    found = (
+    measured = (
         time_forward(group, used, joints=joints, **options) for joints, group in by_joints.items()
     )
-    return {times.model: times for group in found for times in group}
+    return {times.model: times for group in measured for times in group}
 
 
 def _twists(loaded: Sequence[Loaded]) -> list[NeckTwist | None]:
     bodies = {
-        one.model.name: one.model.body for one in loaded if isinstance(one.model, PosableBody)
+        each.model.name: each.model.body for each in loaded if isinstance(each.model, PosableBody)
     }
     necks = {
         name: body for name, body in bodies.items() if twist_joints(body.joint_names, body.parents)
     }
-    found = dict(
+    twists = dict(
         zip(
             necks,
             neck_twist([replace(body, name=name) for name, body in necks.items()]),
             strict=True,
         )
     )
-    return [found.get(one.model.name) for one in loaded]
+    return [twists.get(each.model.name) for each in loaded]
 
 
 WHO = ("all", "new people", "known people")
@@ -404,30 +404,32 @@ def evaluate_known(
         report = ReportingWorkers(ready, lambda done, total: progress("known poses", done / total))
         errors = known_errors(bodies, data, report)
     others = {
-        one for one, where in zip(everything.subject, everything.set, strict=True) if where != split
+        subject
+        for subject, where in zip(everything.subject, everything.set, strict=True)
+        if where != split
     }
-    known = np.array([one in others for one in data.subject])
+    known = np.array([subject in others for subject in data.subject])
     groups = {
         name: rows
         for name, rows in zip(WHO, (known | ~known, ~known, known), strict=True)
         if rows.any()
     }
     plain = next(iter(errors))
-    found = {
+    means = {
         name: {
             who: {
-                **one.over(rows),
-                "removed": 1 - one.over(rows)["mean"] / errors[plain].over(rows)["mean"],
+                **error.over(rows),
+                "removed": 1 - error.over(rows)["mean"] / errors[plain].over(rows)["mean"],
             }
             for who, rows in groups.items()
         }
-        for name, one in errors.items()
+        for name, error in errors.items()
     }
-    evaluation = KnownEvaluation(found, len(data), errors)
+    evaluation = KnownEvaluation(means, len(data), errors)
     if out is not None:
         with atomic_write(writable_folder(Path(out)) / "known.json") as temporary:
-            told = {"registrations": len(data), "set": split, "metres": found}
-            temporary.write_text(json.dumps(told, indent=1, ensure_ascii=False), encoding="utf-8")
+            record = {"registrations": len(data), "set": split, "metres": means}
+            temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
     return evaluation
 
 
@@ -435,11 +437,11 @@ def _bodies(models: Sequence[PathLike | BodyModel], data: Registrations) -> dict
     """Plain LBS and DQBS of the first model, then all as they are."""
     loaded = [_body(model, data) for model in models]
     plain = replace(without_pose_shapes(loaded[0]), pose_joints=None)
-    found = {
+    evaluated = {
         "plain LBS": replace(plain, skinning="lbs"),
         "plain DQBS": replace(plain, skinning="dqbs"),
     }
-    return found | dict(zip(model_names(models), loaded, strict=True))
+    return evaluated | dict(zip(model_names(models), loaded, strict=True))
 
 
 def _body(model: PathLike | BodyModel, data: Registrations) -> BodyModel:

@@ -63,22 +63,22 @@ def write_evaluation(evaluation: Evaluation, folder: Path) -> None:
 def _figures_of_before(folder: Path) -> set[str]:
     """The figures that an evaluation wrote to this folder earlier, by its own account."""
     try:
-        told = json.loads((folder / "evaluation.json").read_text("utf-8"))["figures"]
-        return {name for name in told if name == f"figures/{Path(name).name}"}
+        figures = json.loads((folder / "evaluation.json").read_text("utf-8"))["figures"]
+        return {name for name in figures if name == f"figures/{Path(name).name}"}
     except (OSError, ValueError, KeyError, TypeError):
         return set()
 
 
 def _per_vertex(evaluation: Evaluation) -> dict[str, np.ndarray]:
     """Mean errors (m) of vertices, (K, V): "<model>/<measure>" and "<model>/<measure>/clean"."""
-    found = {}
+    colours = {}
     for entry in evaluation.models:
         for curve in filter(None, (entry.shape, entry.pose)):
             key = f"{slug(entry.name)}/{curve.measure}"
-            found[key] = curve.per_vertex.astype(np.float32)
+            colours[key] = curve.per_vertex.astype(np.float32)
             if curve.clean_per_vertex is not None:
-                found[f"{key}/clean"] = curve.clean_per_vertex.astype(np.float32)
-    return found
+                colours[f"{key}/clean"] = curve.clean_per_vertex.astype(np.float32)
+    return colours
 
 
 # -- numbers ---------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def _removed(models: Sequence[ModelEvaluation]) -> dict[str, dict[str, Any]]:
     pose generalisation these remove, against noise-free meshes where there are any.
     """
     by_name = {entry.name: entry for entry in models}
-    found = {}
+    shares = {}
     for entry in models:
         full = by_name.get(entry.without_pose_shapes_of or "")
         if full and full.pose and entry.pose:
@@ -127,8 +127,8 @@ def _removed(models: Sequence[ModelEvaluation]) -> dict[str, dict[str, Any]]:
             )
             with_them, without = means
             percent = 100 * (1 - with_them / np.maximum(without, 1e-12))
-            found[full.name] = {"counts": list(full.pose.counts), "percent": percent.tolist()}
-    return found
+            shares[full.name] = {"counts": list(full.pose.counts), "percent": percent.tolist()}
+    return shares
 
 
 def _model_numbers(entry: ModelEvaluation) -> dict[str, Any]:
@@ -274,13 +274,13 @@ def _necks(evaluation: Evaluation) -> Iterator[Picture]:
     if not bodies:
         return
     rows = neck_vertices(bodies)
-    found = [
+    necks = [
         [turned_head(body, angle, rows) for angle in (-HEAD_TURN, 0, HEAD_TURN)] for body in bodies
     ]
     limit = max(
-        0.05, float(np.percentile([np.abs(change) for each in found for _, change in each], 99))
+        0.05, float(np.percentile([np.abs(change) for each in necks for _, change in each], 99))
     )
-    for entry, body, heads in zip(entries, bodies, found, strict=True):
+    for entry, body, heads in zip(entries, bodies, necks, strict=True):
         views = [_head(body, surface, rows, change, limit) for surface, change in heads]
         assert entry.twist is not None
         girth = dict(zip(entry.twist.angles, entry.twist.girth - 1, strict=True))

@@ -57,7 +57,7 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
     for a folder without captures and for results that would have one name.
     """
     folders = [path for path in paths if path.is_dir()]
-    found = []
+    captures = []
     for path in paths:
         if path.is_dir():
             start = Path(file_name(path.resolve().name)) if len(folders) > 1 else Path()
@@ -76,10 +76,10 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
                     f"{path}: there is no capture in this folder ({', '.join(PARSERS)}); check "
                     "the path"
                 )
-            found += below
+            captures += below
         else:
-            found.append(Found(path, Path(), "", True))
-    return _named(found)
+            captures.append(Found(path, Path(), "", True))
+    return _named(captures)
 
 
 def _below(folder: Path, out: Path) -> Iterator[Path]:
@@ -98,26 +98,29 @@ def _safe(relative: Path) -> Path:
     return Path(*(file_name(part) for part in relative.parts))
 
 
-def _named(found: Sequence[Found]) -> list[Found]:
+def _named(captures: Sequence[Found]) -> list[Found]:
     """With the names of their results: those of one folder that differ in their endings have these
     in their names.
     """
-    stems = Counter((one.place, one.path.stem) for one in found if not one.exported)
+    stems = Counter(
+        (capture.place, capture.path.stem) for capture in captures if not capture.exported
+    )
     repeated = {key for key, count in stems.items() if count > 1}
     named = [
         replace(
-            one,
+            capture,
             name=_stem(
-                one.path,
-                one.exported or (not one.given and (one.place, one.path.stem) in repeated),
+                capture.path,
+                capture.exported
+                or (not capture.given and (capture.place, capture.path.stem) in repeated),
             ),
         )
-        for one in found
+        for capture in captures
     ]
     twice = [
         key
         for key, count in Counter(
-            (one.place, one.name) for one in named if not one.exported
+            (capture.place, capture.name) for capture in named if not capture.exported
         ).items()
         if count > 1
     ]
@@ -155,19 +158,19 @@ class MarkerSet:
             kept &= _median(np.abs(between - distances)) < _RIGID * distances
         return MarkerSet(capture.subject, capture.labels, np.where(kept, distances, np.nan))
 
-    def like(self, other: "MarkerSet") -> bool:
+    def matches(self, other: "MarkerSet") -> bool:
         """Whether markers that keep their distance in both captures are as far apart in one as in
         the other.
         """
-        apart = self.apart(other)
-        return self.subject == other.subject and apart is not None and apart < _ALIKE
+        difference = self.relative_difference(other)
+        return self.subject == other.subject and difference is not None and difference < _ALIKE
 
-    def unlike(self, other: "MarkerSet") -> bool:
+    def differs(self, other: "MarkerSet") -> bool:
         """Whether such markers are not as far apart; False where too few can tell."""
-        apart = self.apart(other)
-        return apart is not None and apart >= _ALIKE
+        difference = self.relative_difference(other)
+        return difference is not None and difference >= _ALIKE
 
-    def apart(self, other: "MarkerSet") -> float | None:
+    def relative_difference(self, other: "MarkerSet") -> float | None:
         """The median of what such distances differ by, as a share; None where too few can tell.
 
         Measured on 19 real captures: at most 1.5 % for one person in one session, and at least
@@ -203,12 +206,12 @@ def grouped(worn: Sequence[tuple[Found, MarkerSet | None]]) -> list[list[Found]]
     other one alone.
     """
     groups: dict[Path, list[tuple[MarkerSet | None, list[Found]]]] = defaultdict(list)
-    for found, seen in worn:
-        here = groups[found.path.parent]
+    for capture, seen in worn:
+        here = groups[capture.path.parent]
         for first, members in here:
-            if seen is not None and first is not None and first.like(seen):
-                members.append(found)
+            if seen is not None and first is not None and first.matches(seen):
+                members.append(capture)
                 break
         else:
-            here.append((seen, [found]))
+            here.append((seen, [capture]))
     return [members for here in groups.values() for _, members in here]

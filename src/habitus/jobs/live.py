@@ -83,27 +83,27 @@ class Follower:
 
     def __init__(
         self,
-        found: Followed,
+        followed: Followed,
         heading: RawPoints,
         rate_hz: float,
         say: Say,
         sinks: Sequence[Sink],
         keep: bool = True,
     ):
-        self._found = found
-        self._wiring = found.wiring
+        self._found = followed
+        self._wiring = followed.wiring
         self._heading = heading
         self._rate = rate_hz
         self._say = say
         self._known = heading.labels
-        self.quality = Quality(found.known.layout.labels, rate_hz, found.settings)
+        self.quality = Quality(followed.known.layout.labels, rate_hz, followed.settings)
         self.record = Record() if keep else None
         self.notes = list[str]()
         self.latencies = deque[float](maxlen=10_000)
         self.count = 0
         self._sinks = list(sinks)
         self._state = "nobody"
-        for frame, markers in zip(found.frames, found.markers, strict=True):
+        for frame, markers in zip(followed.frames, followed.markers, strict=True):
             self._add(frame, markers)
 
     @property
@@ -120,11 +120,11 @@ class Follower:
         for _ in range(self._bridged(missing)):
             self._add(self._found.tracker.step(self._none()), self._none())
         markers = self._wiring.markers(frame.points)
-        found = self._found.tracker.step(markers)
+        live = self._found.tracker.step(markers)
         if not waited:
             self.latencies.append(time.perf_counter() - frame.arrived)
-        now = Now(frame.number, self.seconds, markers, found)
-        self._add(found, markers)
+        now = Now(frame.number, self.seconds, markers, live)
+        self._add(live, markers)
         for sink in self._sinks:
             sink.show(now, self.quality)
         return now
@@ -134,12 +134,12 @@ class Follower:
         self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
         self._found.tracker.rehearse()
 
-    def _add(self, found: LiveFrame, markers: np.ndarray) -> None:
-        self._tell(found)
-        self.quality.add(found)
+    def _add(self, live: LiveFrame, markers: np.ndarray) -> None:
+        self._report_state(live)
+        self.quality.add(live)
         self.count += 1
         if self.record is not None:
-            self.record.add(found, markers)
+            self.record.add(live, markers)
 
     def _bridged(self, missing: int) -> int:
         """How many missing frames are filled in."""
@@ -152,13 +152,13 @@ class Follower:
             )
         return min(missing, most)
 
-    def _tell(self, found: LiveFrame) -> None:
+    def _report_state(self, live: LiveFrame) -> None:
         """Says when somebody leaves, returns or is begun anew."""
         before = self._state
-        self._state = found.state
-        if found.state == "nobody" and before != "nobody":
+        self._state = live.state
+        if live.state == "nobody" and before != "nobody":
             self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
-        elif found.state == "started" and self.count:
+        elif live.state == "started" and self.count:
             what = (
                 "the subject is seen again"
                 if before == "nobody"
@@ -261,10 +261,10 @@ class Record:
             len(costs),
             (float(costs.sum()),),
         )
-        found = PoseStage(result, observed, MarkerTargets(observed, None), scale)
+        stage = PoseStage(result, observed, MarkerTargets(observed, None), scale)
         recording = replace(recording, warnings=(*recording.warnings, *notes))
         seconds = {"shape": known.seconds, "pose": None, "soft_tissue": None}
-        fit = assemble(recording, known, found, None, seconds, settings)
+        fit = assemble(recording, known, stage, None, seconds, settings)
         distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
         return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
 
@@ -362,12 +362,12 @@ def _session(
         f"{'shape' if start.fit is None else 'markers'}",
         "",
     )
-    found = learn_meanwhile(stream, gathered, start)
-    for text in found.recording.warnings:
+    followed = learn_meanwhile(stream, gathered, start)
+    for text in followed.recording.warnings:
         say(text, "warning:")
-    made = [make(found.known, found.recording) for make in sinks]
-    follower = Follower(found, gathered.heading, rate, say, made, keep)
-    say(_introduced(follower, found.known, start), "")
+    made = [make(followed.known, followed.recording) for make in sinks]
+    follower = Follower(followed, gathered.heading, rate, say, made, keep)
+    say(_introduced(follower, followed.known, start), "")
     try:
         _follow(stream, follower, rate, over, say, on_status)
     except KeyboardInterrupt:
@@ -383,7 +383,7 @@ def _session(
     notes = [*follower.notes, *([f"of the stream: {trouble}"] if trouble else [])]
     if follower.record is None:
         return None
-    return follower.record.fit(found.known, found.recording, start.settings, notes)
+    return follower.record.fit(followed.known, followed.recording, start.settings, notes)
 
 
 def _introduced(follower: Follower, known: Subject, start: LiveStart) -> str:
@@ -405,20 +405,20 @@ def _follow(
     on_status: Callable[[str], None],
 ) -> None:
     """Every frame until the end; a status now and then, silence said."""
-    told = time.perf_counter()
+    printed = time.perf_counter()
     fresh = False
     heard = time.perf_counter()
     while not stream.ended and not over():
         waited = stream.behind
-        found = stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
-        if found is not None:
-            follower.take(*found, waited)
+        received = stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
+        if received is not None:
+            follower.take(*received, waited)
             heard = time.perf_counter()
         elif fresh:
             follower.rehearse()
         else:
             heard = silence(stream.source, heard, say)
-        fresh = found is not None
-        if time.perf_counter() - told > STATUS_S and not stream.behind:
-            told = time.perf_counter()
+        fresh = received is not None
+        if time.perf_counter() - printed > STATUS_S and not stream.behind:
+            printed = time.perf_counter()
             on_status(status(follower, stream.trouble))

@@ -202,11 +202,11 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
     seconds = start.options.seconds
     needed = seconds if start.fit is None else min(seconds, KNOWN_S)
     while not stream.ended and not over():
-        found = stream.following(None, IDLE_S)
-        if found is None:
+        received = stream.following(None, IDLE_S)
+        if received is None:
             heard = silence(stream.source, heard, say)
             continue
-        (frame, missing), heard = found, time.perf_counter()
+        (frame, missing), heard = received, time.perf_counter()
         if gathered and (frame.heading is not gathered[-1].heading or missing > MOST_MISSING):
             gathered.clear()
         if gathered:
@@ -238,11 +238,11 @@ def silence(source: Source, heard: float, say: Say) -> float:
     return time.perf_counter()
 
 
-def _rate(gathered: Sequence[Frame], told: float | None, stride: int) -> float:
+def _rate(gathered: Sequence[Frame], given: float | None, stride: int) -> float:
     """Frames a second: as is said, else as they come; 0 where that is not known yet."""
     if not gathered:
         return 0.0
-    said = told or gathered[-1].heading.rate_hz
+    said = given or gathered[-1].heading.rate_hz
     if said:
         return said / stride
     span = gathered[-1].arrived - gathered[0].arrived

@@ -419,7 +419,7 @@ def check_placements(
     notes = [f"placements-from: not told there: {listed(lacking)}"] if lacking else []
     own = [MarkerSet.of(replace(capture, subject=None)) for capture in whole.captures]
     for other in others:
-        if not any(MarkerSet.of(replace(other, subject=None)).like(worn) for worn in own):
+        if not any(MarkerSet.of(replace(other, subject=None)).matches(worn) for worn in own):
             notes.append(
                 f"placements-from: markers of {other.name} are not as far apart as here; is it the "
                 "same person, and were "

@@ -145,9 +145,9 @@ def retarget(
     _check(out)
     motion = motion_of(source, body)
     target, betas, name = find_target(motion, to)
-    found = retargeted(motion, target, betas, name)
-    _written(found.motion, out)
-    return replace(found, motion=Motion.of(found.motion))
+    result = retargeted(motion, target, betas, name)
+    _written(result.motion, out)
+    return replace(result, motion=Motion.of(result.motion))
 
 
 def motion_of(source: Moving | PathLike, body: BodyModel | PathLike | None) -> BodyMotion:

@@ -128,9 +128,11 @@ def _signature(own: inspect.Signature, kind: type) -> inspect.Signature:
         for field in fields(kind)
         if field.init
     ]
-    kept = [one for name, one in own.parameters.items() if name != "options"]
-    first = [one for one in kept if one.kind is not inspect.Parameter.KEYWORD_ONLY]
-    last = [one for one in kept if one.kind is inspect.Parameter.KEYWORD_ONLY]
+    kept = [parameter for name, parameter in own.parameters.items() if name != "options"]
+    first = [
+        parameter for parameter in kept if parameter.kind is not inspect.Parameter.KEYWORD_ONLY
+    ]
+    last = [parameter for parameter in kept if parameter.kind is inspect.Parameter.KEYWORD_ONLY]
     return own.replace(parameters=[*first, *added, *last])
 
 

@@ -70,28 +70,29 @@ def subject_of(
     """`person`, whose layout is found by fitting a body first where that is asked for."""
     if not asks_to_discover(layout):
         return person_of(captures, layout)
-    found = discovered(captures, body, progress)
+    discovery = discovered(captures, body, progress)
     return replace(
-        person_of(captures, found.layout, notes=found.notes, doubts=found.doubts), discovery=found
+        person_of(captures, discovery.layout, notes=discovery.notes, doubts=discovery.doubts),
+        discovery=discovery,
     )
 
 
 def _people(files: Sequence[Sequence[Capture]], subject: str | None) -> list[list[Capture]]:
-    found = [capture for file in files for capture in file]
+    captures = [capture for file in files for capture in file]
     if subject is not None:
         chosen = [
-            capture for capture in found if (capture.subject or "").lower() == subject.lower()
+            capture for capture in captures if (capture.subject or "").lower() == subject.lower()
         ]
         if not chosen:
-            names = sorted({capture.subject or "(unnamed)" for capture in found})
+            names = sorted({capture.subject or "(unnamed)" for capture in captures})
             raise HabitusError(
                 f"no capture holds a subject called {subject!r}; found {', '.join(names)}"
             )
         return [chosen]
     if all(len(file) == 1 for file in files):
-        return [found]
-    names = list(dict.fromkeys(capture.subject for capture in found))
-    return [[capture for capture in found if capture.subject == name] for name in names]
+        return [captures]
+    names = list(dict.fromkeys(capture.subject for capture in captures))
+    return [[capture for capture in captures if capture.subject == name] for name in names]
 
 
 def person_of(
@@ -110,16 +111,18 @@ def person_of(
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
-        told = (*capture.warnings, _matched(match), *notes, *match.warnings)
+        warnings = (*capture.warnings, _matched(match), *notes, *match.warnings)
         markers = _on(union, match, capture)
-        found = _suspects(match, len(markers))
+        suspects = _suspects(match, len(markers))
         known = {
             "recorded": dict(capture.recorded),
             "layout_confidence": _confidence(match),
             "doubts": (*capture.doubts, *_mirrored(match), *doubts),
         }
         recordings.append(
-            Recording(capture.name, markers, capture.rate_hz, capture.up_axis, told, found, **known)
+            Recording(
+                capture.name, markers, capture.rate_hz, capture.up_axis, warnings, suspects, **known
+            )
         )
     left = dict.fromkeys(
         label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER
@@ -163,25 +166,28 @@ class Agreed:
         known.
         """
         match = _checked([capture], self.layout)[0]
-        placed = {one.text for one in match.corrections if one.exchange is None}
+        placed = {each.text for each in match.corrections if each.exchange is None}
         match = replace(
-            match, corrections=tuple(one for one in match.corrections if one.exchange is not None)
+            match,
+            corrections=tuple(each for each in match.corrections if each.exchange is not None),
         )
         names = tuple(marker.aliases[0] for marker in match.layout.markers)
         known = replace(match.layout, markers=tuple(self.layout[name] for name in names))
         match = replace(match, layout=known)
         own = [text for text in match.warnings if text not in placed]
-        told = dict.fromkeys((*capture.warnings, _matched(match), *self.warnings, *own))
-        found = _suspects(match, len(capture))
-        common = [one for one in self.suspects if (one.label, one.reason) not in _reasons(found)]
-        common = [replace(one, frames=len(capture)) for one in common if one.label in names]
+        warnings = dict.fromkeys((*capture.warnings, _matched(match), *self.warnings, *own))
+        suspects = _suspects(match, len(capture))
+        common = [
+            each for each in self.suspects if (each.label, each.reason) not in _reasons(suspects)
+        ]
+        common = [replace(each, frames=len(capture)) for each in common if each.label in names]
         return Recording(
             capture.name,
             _on(self.layout, match, capture),
             capture.rate_hz,
             capture.up_axis,
-            tuple(told),
-            (*found, *common),
+            tuple(warnings),
+            (*suspects, *common),
             recorded=dict(capture.recorded),
             layout_confidence=self.confidence,
             doubts=tuple(dict.fromkeys((*capture.doubts, *self.doubts))),
@@ -200,7 +206,7 @@ def _mirrored(match: LayoutMatch) -> tuple[str, ...]:
 
 
 def _reasons(suspects: Sequence[Suspect]) -> set[tuple[str, str]]:
-    return {(one.label, one.reason) for one in suspects}
+    return {(suspect.label, suspect.reason) for suspect in suspects}
 
 
 def _matched_words(recording: Recording) -> str:
@@ -284,13 +290,13 @@ def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str
     looked at.
     """
     places = {marker.label: marker.place for marker in plain.markers}
-    found = {marker.label: marker.place for marker in checked.markers}
-    for a in found:
-        for b in found:
+    checked_places = {marker.label: marker.place for marker in checked.markers}
+    for a in checked_places:
+        for b in checked_places:
             if (
                 a != b
                 and places.get(a) != places.get(b)
-                and (found[a], found[b]) == (places.get(b), places.get(a))
+                and (checked_places[a], checked_places[b]) == (places.get(b), places.get(a))
             ):
                 yield a, b
 
@@ -343,7 +349,7 @@ def _on(layout: MarkerLayout, match: LayoutMatch, capture: Capture) -> np.ndarra
 
 def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
     """Markers whose labels or places the capture's geometry put right."""
-    found = []
+    suspects = []
     for correction in match.corrections:
         if correction.exchange is not None:
             pair = [
@@ -351,16 +357,16 @@ def _suspects(match: LayoutMatch, frames: int) -> tuple[Suspect, ...]:
                 for k in (correction.exchange.first, correction.exchange.second)
             ]
             count = int(correction.exchange.frames.sum())
-            found += [
+            suspects += [
                 Suspect(a, f"swapped with {b}; exchanged back", count, True)
                 for a, b in (pair, pair[::-1])
             ]
         elif not correction.quiet:
-            found += [
+            suspects += [
                 Suspect(marker.label, correction.text, frames, True)
                 for marker in correction.markers
             ]
-    return tuple(found)
+    return tuple(suspects)
 
 
 def _only(capture: Capture, labels: Sequence[str]) -> Capture:
@@ -426,10 +432,10 @@ def known_labels(labels: Sequence[str], body: BodyModel) -> dict[str, Marker]:
     """What some labels usually mean, by the layout that explains most of them and where others
     agree; on this body.
     """
-    found = interpreted(labels, shipped_layouts()).found
+    meanings = interpreted(labels, shipped_layouts()).found
     return {
         labels[column]: marker
-        for column, marker in found.items()
+        for column, marker in meanings.items()
         if set(marker.landmarks) <= set(body.landmarks)
     }
 

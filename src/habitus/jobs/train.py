@@ -130,23 +130,23 @@ def open_template(
     has no mirror.
     """
     if isinstance(template, Template):
-        found = template
+        opened = template
         body = None
     elif isinstance(template, BodyModel):
-        found = body_template(template)
+        opened = body_template(template)
         body = template
     else:
-        found, body = template_and_body(str(template), detail=detail, joints=joints)
+        opened, body = template_and_body(str(template), detail=detail, joints=joints)
     if options.start == "body" and body is None:
         raise HabitusError(
             "start 'body' with a template that is of no body model; expected a body's file, or "
             "'default'"
         )
     try:
-        return with_mirror(found), body, []
+        return with_mirror(opened), body, []
     except HabitusError as error:
         return (
-            found,
+            opened,
             body,
             [f"the template is not symmetric: {error}; nothing holds left and right together"],
         )
@@ -254,7 +254,9 @@ def write_record(done: Training, folder: Path) -> None:
         "warnings": list(done.warnings),
         "seconds": dict(done.seconds),
         **_history(done.trained, seconds["model"]),
-        "baselines": {name: _history(one, seconds[name]) for name, one in done.baselines.items()},
+        "baselines": {
+            name: _history(baseline, seconds[name]) for name, baseline in done.baselines.items()
+        },
     }
     with atomic_write(folder / "training.json") as temporary:
         temporary.write_text(json.dumps(record, indent=1, ensure_ascii=False), encoding="utf-8")
@@ -449,10 +451,10 @@ def _train_baselines(run: _Run, folder: Path | None, done: Training) -> Training
 
 
 def _fewer_betas(trained: TrainedBody, options: TrainOptions) -> list[str]:
-    found = trained.body.num_betas
-    if found == options.num_betas or "shapedirs" in options.fixed:
+    count = trained.body.num_betas
+    if count == options.num_betas or "shapedirs" in options.fixed:
         return []
-    return [f"shape directions: {found}, not {options.num_betas}; the people vary along no more"]
+    return [f"shape directions: {count}, not {options.num_betas}; the people vary along no more"]
 
 
 def _train_body(

@@ -90,7 +90,7 @@ class DynamicsTraining:
             ],
             "chosen": asdict(best),
             "choices": [asdict(choice) for choice in learned.choices],
-            "test": [_told(one) for one in self.errors],
+            "test": [_error_numbers(errors) for errors in self.errors],
             "options": asdict(self.options),
             "seconds": self.seconds,
         }
@@ -135,22 +135,24 @@ def train_dynamics(
 
 def _opened(given: Any, fps: float | None, unit: str) -> list[MovingSurface]:
     paths = [given] if isinstance(given, str | os.PathLike) else list(given)
-    found: list[MovingSurface] = []
-    for one in paths:
-        known = isinstance(one, MovingSurface)
-        found += [one] if known else open_moving_surfaces(os.fspath(one), fps=fps, unit=unit)
-    return found
+    sequences: list[MovingSurface] = []
+    for source in paths:
+        known = isinstance(source, MovingSurface)
+        sequences += (
+            [source] if known else open_moving_surfaces(os.fspath(source), fps=fps, unit=unit)
+        )
+    return sequences
 
 
 def _moving(
     body: BodyModel, sequences: list[MovingSurface], workers: Workers, progress: Progress
 ) -> list[MovingSurface]:
-    known = [one.for_body(body) for one in sequences]
-    found = []
-    for one in with_motions(body, known, workers):
-        found.append(one)
-        progress("motions", len(found) / len(known))
-    return found
+    known = [each.for_body(body) for each in sequences]
+    moving = []
+    for each in with_motions(body, known, workers):
+        moving.append(each)
+        progress("motions", len(moving) / len(known))
+    return moving
 
 
 def _write(training: DynamicsTraining, body: PathLike | BodyModel, folder: Path) -> None:
@@ -163,14 +165,14 @@ def _write(training: DynamicsTraining, body: PathLike | BodyModel, folder: Path)
         temporary.write_text(json.dumps(training.numbers(), indent=1) + "\n", encoding="utf-8")
 
 
-def _told(one: DynamicsErrors) -> dict[str, Any]:
+def _error_numbers(result: DynamicsErrors) -> dict[str, Any]:
     errors = {
         way: dict(zip(QUANTITIES, row, strict=True))
-        for way, row in zip(MODES, one.errors.tolist(), strict=True)
+        for way, row in zip(MODES, result.errors.tolist(), strict=True)
     }
     return {
-        "sequence": one.name,
-        "subject": one.subject,
-        "frames": len(one.fitted),
+        "sequence": result.name,
+        "subject": result.subject,
+        "frames": len(result.fitted),
         "errors": errors,
     }

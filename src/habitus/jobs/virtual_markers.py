@@ -73,14 +73,14 @@ def virtual_markers(
         labels = moving.labels
         attachment = moving.attachment
     else:
-        found = load_layout(layout)
-        found = found.restricted_to(
-            tuple(marker.label for marker in found.markers if not marker.optional)
+        marker_layout = load_layout(layout)
+        marker_layout = marker_layout.restricted_to(
+            tuple(marker.label for marker in marker_layout.markers if not marker.optional)
         )
-        places = found.vertices(moving.body), found.distances()
+        places = marker_layout.vertices(moving.body), marker_layout.distances()
         attachment = layout_attachment(moving, *places, faults.placement, rng)
-        name = f"layout {found.name}"
-        labels = found.labels
+        name = f"layout {marker_layout.name}"
+        labels = marker_layout.labels
     markers = recorded(carried_markers(moving, attachment), faults, rng)
     note = (
         f"virtual marker, {name}, on {moving.body_name or moving.body.name}: {moving.capture_name}"
@@ -153,22 +153,24 @@ def fill_capture(
         raise HabitusError(
             f"{target}: is the capture itself, which stays as it is; choose another name with --out"
         )
-    found = fit if isinstance(fit, MarkerFit) else read_fit(fit, body)
-    person, columns = _person(found, source)
-    observed = np.full((len(person), len(found.labels), 3), np.nan)
+    marker_fit = fit if isinstance(fit, MarkerFit) else read_fit(fit, body)
+    person, columns = _person(marker_fit, source)
+    observed = np.full((len(person), len(marker_fit.labels), 3), np.nan)
     observed[:, columns >= 0] = person.markers[:, columns[columns >= 0]]
     left_out = {
-        label: _SEVERAL for label, column in zip(found.labels, columns, strict=True) if column < 0
+        label: _SEVERAL
+        for label, column in zip(marker_fit.labels, columns, strict=True)
+        if column < 0
     }
     in_file = None
     if source.suffix.lower() == ".c3d":
         in_file = _file_columns(source, person, columns)
         left_out |= {
             label: _SEVERAL
-            for label, (column, _) in zip(found.labels, in_file, strict=True)
+            for label, (column, _) in zip(marker_fit.labels, in_file, strict=True)
             if column < 0
         }
-    filling = fill_gaps(found, observed, left_out)
+    filling = fill_gaps(marker_fit, observed, left_out)
     markers = np.array(person.markers)
     for marker, column in enumerate(columns):
         if column >= 0:
@@ -211,9 +213,9 @@ def _person(fit: MarkerFit, source: Path) -> tuple[Capture, np.ndarray]:
     none is it.
     """
     people = [each for each in read_captures(source) if len(each) == fit.num_frames]
-    found = [(same_columns(fit.observed_markers, each.markers), each) for each in people]
+    matches = [(same_columns(fit.observed_markers, each.markers), each) for each in people]
     columns, person = max(
-        found, key=lambda pair: int((pair[0] >= 0).sum()), default=(np.zeros(0), None)
+        matches, key=lambda pair: int((pair[0] >= 0).sum()), default=(np.zeros(0), None)
     )
     if person is None or 2 * (columns >= 0).sum() < len(fit.labels):
         held = (
@@ -239,10 +241,12 @@ def _file_columns(
     known = columns >= 0
     best = np.full(len(columns), -1), np.ones(3)
     for signs in (np.ones(3), *(1.0 - 2.0 * np.eye(3))):  # a mirrored capture has one axis negated
-        found = np.full(len(columns), -1)
-        found[known] = same_columns(person.markers[:, columns[known]], raw.points * (unit * signs))
-        if (found >= 0).sum() > (best[0] >= 0).sum():
-            best = found, signs
+        indices = np.full(len(columns), -1)
+        indices[known] = same_columns(
+            person.markers[:, columns[known]], raw.points * (unit * signs)
+        )
+        if (indices >= 0).sum() > (best[0] >= 0).sum():
+            best = indices, signs
     return [(int(column), best[1] / unit) for column in best[0]]
 
 
@@ -263,29 +267,29 @@ _LOOKED_AT = 40
 
 
 def same_columns(
-    wanted: Float[np.ndarray, "T M 3"], found: Float[np.ndarray, "T N 3"]
+    wanted: Float[np.ndarray, "T M 3"], tracks: Float[np.ndarray, "T N 3"]
 ) -> Int[np.ndarray, " M"]:
-    """For each marker ``wanted`` the column of ``found`` that holds every sample of it, NaN where
+    """For each marker ``wanted`` the column of ``tracks`` that holds every sample of it, NaN where
     missing; else -1.
 
-    ``found`` may hold more samples. Of several equal columns it is the first.
+    ``tracks`` may hold more samples. Of several equal columns it is the first.
     """
     return np.array(
-        [_column(wanted[:, marker], found) for marker in range(wanted.shape[1])], dtype=np.int64
+        [_column(wanted[:, marker], tracks) for marker in range(wanted.shape[1])], dtype=np.int64
     )
 
 
-def _column(track: np.ndarray, found: np.ndarray) -> int:
+def _column(track: np.ndarray, tracks: np.ndarray) -> int:
     seen = np.flatnonzero(np.isfinite(track[:, 0]))
     if not len(seen):
         return -1
     some = seen[np.linspace(0, len(seen) - 1, min(_LOOKED_AT, len(seen))).astype(int)]
-    near = _same(track[some, None], found[some]).all(axis=0)
+    near = _same(track[some, None], tracks[some]).all(axis=0)
     return next(
-        (int(k) for k in np.flatnonzero(near) if _same(track[seen], found[seen, k]).all()), -1
+        (int(k) for k in np.flatnonzero(near) if _same(track[seen], tracks[seen, k]).all()), -1
     )
 
 
-def _same(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _same(samples: np.ndarray, other: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
-        return np.abs(one - other).max(axis=-1) < SAME  # false for NaN
+        return np.abs(samples - other).max(axis=-1) < SAME  # false for NaN

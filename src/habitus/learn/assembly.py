@@ -104,5 +104,5 @@ def sex_direction(
     betas = np.linalg.lstsq(columns, surfaces.reshape(len(columns), -1), rcond=None)[0][
         : body.num_betas
     ]
-    found = direction @ betas
-    return found[1:], bias + float(found[0])
+    scores = direction @ betas
+    return scores[1:], bias + float(scores[0])

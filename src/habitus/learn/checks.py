@@ -60,7 +60,8 @@ def check_registrations(
     measures = list(over(partial(_measure, ruler, registrations), range(len(registrations))))
     posed = registrations.made.tolist()
     wrong = [
-        _fault(one, template.num_vertices, made) for one, made in zip(measures, posed, strict=True)
+        _fault(measure, template.num_vertices, made)
+        for measure, made in zip(measures, posed, strict=True)
     ]
     findings += [
         Finding("error", name, fault)
@@ -150,13 +151,13 @@ def _fault(measures: Measures | str, vertices: int, made: bool) -> str | None:
         return "its vertices are collapsed to a point or a line; repair or leave it out"
     if not 0.22 < m.edge < 2.2 and m.strain < _STRAINED:
         factor = min(_UNITS, key=lambda factor: abs(np.log(m.edge / factor)))
-        told = (
+        problems = (
             f"it seems to be {_UNITS[factor]}"
             if abs(np.log(m.edge / factor)) < np.log(1.6)
             else "no known unit"
         )
         return (
-            f"its edges are {m.edge:.4g} times the template's: {told}; expected metres: say "
+            f"its edges are {m.edge:.4g} times the template's: {problems}; expected metres: say "
             "its unit"
         )
     if m.short > 0.05:

@@ -183,9 +183,9 @@ def asymmetry(partner: Int[np.ndarray, " n"], scale: np.ndarray | float = 1.0) -
     """The matrix (3n, 3n) that takes flattened points X to scale (X - U(X))."""
     count = len(partner)
     swap = sparse.csr_array((np.ones(count), (np.arange(count), partner)), shape=(count, count))
-    apart: Sparse = sparse.eye_array(3 * count) - sparse.kron(swap, sparse.diags_array(FLIP))
+    difference: Sparse = sparse.eye_array(3 * count) - sparse.kron(swap, sparse.diags_array(FLIP))
     scales: Sparse = sparse.diags_array(np.broadcast_to(scale, (count, 3)).ravel())
-    return (scales @ apart).tocsr()
+    return (scales @ difference).tocsr()
 
 
 def _repeated(matrix: Sparse, points: Float[np.ndarray, "*S n 3"]) -> Sparse:
@@ -199,13 +199,13 @@ def _repeated(matrix: Sparse, points: Float[np.ndarray, "*S n 3"]) -> Sparse:
 def _stacked(parts: dict[str, Sparse]) -> dict[str, Sparse]:
     """Jacobians of residuals that follow each other, each of one unknown."""
     rows = [part.shape[0] for part in parts.values()]
-    found = {}
+    stacked = {}
     for k, (name, part) in enumerate(parts.items()):
         blocks = [
             part if i == k else sparse.csr_array((n, part.shape[1])) for i, n in enumerate(rows)
         ]
-        found[name] = sparse.vstack(blocks, format="csr")
-    return found
+        stacked[name] = sparse.vstack(blocks, format="csr")
+    return stacked
 
 
 # -- E_P and E_W -----------------------------------------------------------------------------------
@@ -258,10 +258,10 @@ def normal_equations(
         assert callable(outcome.jacobians)
         jacobians = outcome.jacobians()
         residual = np.asarray(outcome.value)
-        for name, one in jacobians.items():
-            gradient[columns[name]] += term.weight * (one.T @ residual)
+        for name, jacobian in jacobians.items():
+            gradient[columns[name]] += term.weight * (jacobian.T @ residual)
             for other, two in jacobians.items():
-                matrix[columns[name], columns[other]] += term.weight * (one.T @ two).toarray()
+                matrix[columns[name], columns[other]] += term.weight * (jacobian.T @ two).toarray()
     return matrix, gradient
 
 

@@ -316,9 +316,9 @@ def duplicates(
     return [Finding("warning", "the registrations", message)]
 
 
-def _alike(one: Measures, other: Measures) -> bool:
+def _alike(measures: Measures, other: Measures) -> bool:
     return all(
-        np.allclose(getattr(one, key), getattr(other, key), rtol=0, atol=atol, equal_nan=True)
+        np.allclose(getattr(measures, key), getattr(other, key), rtol=0, atol=atol, equal_nan=True)
         for key, atol in (("build", _SAME), ("turns", 10 * _SAME))
     )
 

@@ -266,7 +266,8 @@ def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) 
     laplacian = edge_distance(template.faces, template.num_vertices).laplacian
     away = estimate.templates - template.vertices
     filled = [
-        fill_holes(laplacian, one >= HOLD, values) for one, values in zip(seen, away, strict=True)
+        fill_holes(laplacian, weights >= HOLD, values)
+        for weights, values in zip(seen, away, strict=True)
     ]
     templates = template.vertices + np.stack(filled)
     held = "joint_regressor" in problem.options.fixed
@@ -300,8 +301,8 @@ def normalize_shapes(
     blocks = [
         range(done + b.start, done + b.stop) for b in in_blocks(len(registrations) - done, _BLOCK)
     ]
-    for rows, found in zip(blocks, workers.map(_normalized, shared, blocks), strict=True):
-        surfaces[rows.start : rows.stop] = found
+    for rows, normalised in zip(blocks, workers.map(_normalized, shared, blocks), strict=True):
+        surfaces[rows.start : rows.stop] = normalised
         callback.on_surfaces_stored(rows.stop)
     return surfaces
 

@@ -238,9 +238,9 @@ def waist_middle(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     across = scene.markers[:, sides[0]] - scene.markers[:, sides[1]]
     if not np.isfinite(across).any():
         return
-    apart = np.nanmedian(np.abs(along(across, left)))
+    distance = np.nanmedian(np.abs(along(across, left)))
     ahead = np.nanmedian(along(across, front))
-    if not (apart < 0.06 and abs(ahead) > 0.12):
+    if not (distance < 0.06 and abs(ahead) > 0.12):
         return
     names = ("waist_front", "waist_back") if ahead > 0 else ("waist_back", "waist_front")
     markers = [layout.markers[column] for column in sides]

@@ -415,7 +415,7 @@ def _part_of(
         for one in joint.corrections
     )
     corrections = tuple(one for one in cut if one is not None)
-    told = {correction.text for correction in joint.corrections}
+    reported = {correction.text for correction in joint.corrections}
     lacking = [
         m for index, m in enumerate(joint.layout.markers) if index not in kept and not m.optional
     ]
@@ -431,7 +431,7 @@ def _part_of(
         left_out={label: why for label, why in joint.left_out.items() if label in labels},
         corrections=corrections,
         warnings=(
-            *(text for text in joint.warnings if text not in told),
+            *(text for text in joint.warnings if text not in reported),
             *(correction.text for correction in corrections if not correction.quiet),
         ),
     )

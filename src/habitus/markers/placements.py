@@ -89,11 +89,11 @@ class PlacementPrior:
         ]
         found = {(sideless(m.place), keys[m.label]): mirrored(m, offset) for m, offset in near}
         twins = [found.get((sideless(m.place), keys[m.label]), np.zeros(3)) for m in layout.markers]
-        told = [
+        expected_places = [
             self.alike[is_free(m)] * mirrored(m, twin)
             for m, twin in zip(layout.markers, twins, strict=True)
         ]
-        return np.array(told).reshape(-1, 3)
+        return np.array(expected_places).reshape(-1, 3)
 
     def _moved(self, marker: Marker, key: str) -> Marker:
         usual = self.usual(marker, key)

@@ -47,9 +47,9 @@ def measured_from_betas(
     through its measuring points.
     """
     here, there = (np.concatenate([b, np.ones((len(b), 1))], 1) for b in betas)
-    told = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
+    predicted = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
     points = there @ np.linalg.lstsq(here, train.points.reshape(len(here), -1), rcond=None)[0]
-    errors = told - test.values, tapes.values(lambda where: points[:, where]) - test.values
+    errors = predicted - test.values, tapes.values(lambda where: points[:, where]) - test.values
     unit = np.where(np.array(MEASURES) == "weightkg", 1.0, 1000.0)
     rms = [unit * np.sqrt((e**2).mean(0)) for e in errors]
     bias = unit * errors[1].mean(0)

@@ -115,21 +115,21 @@ def joint_places(person: Person) -> dict[str, float]:
         "wrist_from_mid_styloids": joint("left_wrist")
         - _between(person, "left_wrist_radial", "left_wrist_ulnar"),
     }
-    told = {name: 1000 * float(np.linalg.norm(gap)) for name, gap in found.items()}
+    gaps_mm = {name: 1000 * float(np.linalg.norm(gap)) for name, gap in found.items()}
     below = 1000 * float(acromion[1] - shoulder[1])
-    told |= {"shoulder_below_acromion": below, "de_leva": 1000 * DE_LEVA * float(arm)}
-    told |= {
+    gaps_mm |= {"shoulder_below_acromion": below, "de_leva": 1000 * DE_LEVA * float(arm)}
+    gaps_mm |= {
         "rab": 2000 * RAB * float(acromion[0]),
         "shoulder_inside_acromion": 1000 * float(acromion[0] - shoulder[0]),
     }
-    told["hip_spacing"] = 2000 * float(joint("left_hip")[0])
+    gaps_mm["hip_spacing"] = 2000 * float(joint("left_hip")[0])
     back = person.vertices[np.abs(person.vertices[:, 0]) < 1e-6]
     for name in ("spine1", "spine2", "spine3", "neck"):
         level = back[np.abs(back[:, 1] - joint(name)[1]) < 0.015]
-        told[f"{name}_under_the_skin"] = 1000 * float(
+        gaps_mm[f"{name}_under_the_skin"] = 1000 * float(
             joint(name)[2] - level[level[:, 2] < joint(name)[2], 2].max()
         )
-    return {name: round(value, 1) for name, value in told.items()}
+    return {name: round(value, 1) for name, value in gaps_mm.items()}
 
 
 def _between(person: Person, a: str, b: str) -> np.ndarray:

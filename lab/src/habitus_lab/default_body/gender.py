@@ -108,14 +108,14 @@ def judged(betas: np.ndarray, female: np.ndarray, seed: int = 1) -> dict[str, fl
     for k in range(5):
         p[fold == k] = calibrated(betas[fold != k], female[fold != k]).probability(betas[fold == k])
     right = (p > 0.5) == female
-    told = (p < SURE[0]) | (p > SURE[1])
+    certain = (p < SURE[0]) | (p > SURE[1])
     return {
         "accuracy": float(0.5 * (right[female].mean() + right[~female].mean())),
         "women": float(right[female].mean()),
         "men": float(right[~female].mean()),
         "calibration_error": expected_calibration_error(p, female),
-        "cannot_tell": float(1 - told.mean()),
-        "accuracy_where_told": float(right[told].mean()),
+        "cannot_tell": float(1 - certain.mean()),
+        "accuracy_where_told": float(right[certain].mean()),
     }
 
 

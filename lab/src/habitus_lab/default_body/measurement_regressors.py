@@ -50,13 +50,16 @@ def report(space: str, folder: Path, count: int, people: int | None) -> dict[str
     own = measured(body, few, soldiers.names)
     own += (soldiers.values - own)[~out].mean(0)
     weights, mean = fit_regressors(betas[~out, :count], soldiers.values[~out])
-    told = betas[:, :count] @ weights.T + mean
-    guess = np.broadcast_to(soldiers.values[~out].mean(0), told.shape)
+    predicted = betas[:, :count] @ weights.T + mean
+    guess = np.broadcast_to(soldiers.values[~out].mean(0), predicted.shape)
     found = {}
     for k, name in enumerate(soldiers.names):
         truth = soldiers.values[out, k]
         scale = 1.0 if name.endswith("_kg") else 1000.0
-        rms = [scale * np.sqrt(np.mean((each[out, k] - truth) ** 2)) for each in (told, own, guess)]
+        rms = [
+            scale * np.sqrt(np.mean((each[out, k] - truth) ** 2))
+            for each in (predicted, own, guess)
+        ]
         found[name] = {
             "regressor": rms[0],
             "body": rms[1],

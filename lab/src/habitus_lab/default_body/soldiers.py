@@ -50,7 +50,7 @@ def read_soldiers(
     """What the survey knows of the measurements that bodies have; ``count`` soldiers drawn at
     random, or all.
     """
-    names = names or tuple(name for name, told in DEFINITIONS.items() if told.column)
+    names = names or tuple(name for name, definition in DEFINITIONS.items() if definition.column)
     values = []
     female = []
     age = []

@@ -144,10 +144,10 @@ def collapse_half(
     queue = [(mesh.cost(u, v), u, v) for u in mesh.around for v in mesh.neighbours(u)]
     heapq.heapify(queue)
     while count > vertices and queue:
-        told, u, v = heapq.heappop(queue)
+        cost, u, v = heapq.heappop(queue)
         if u not in mesh.around or v not in mesh.neighbours(u):
             continue
-        if (now := mesh.cost(u, v)) > told:  # costs only grow: this one has its turn later
+        if (now := mesh.cost(u, v)) > cost:  # costs only grow: this one has its turn later
             heapq.heappush(queue, (now, u, v))
         elif mesh.allowed(u, v):
             count -= 1 if middle[u] else 2

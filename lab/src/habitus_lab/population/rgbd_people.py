@@ -91,9 +91,13 @@ def rgbd_scene(
         for vertices in dressed
     ]
     (empty, empty_colour), *seen = drawn
-    told = colour_camera.replace(translation=colour_camera.translation - torch.from_numpy(wrong))
+    claimed_camera = colour_camera.replace(
+        translation=colour_camera.translation - torch.from_numpy(wrong)
+    )
     views = tuple(
-        DepthView(depth, depth_camera, colour, told, empty, empty_colour, name=f"{name} {k}")
+        DepthView(
+            depth, depth_camera, colour, claimed_camera, empty, empty_colour, name=f"{name} {k}"
+        )
         for k, (depth, colour) in enumerate(seen)
     )
     return Scene(

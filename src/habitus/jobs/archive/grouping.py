@@ -58,7 +58,7 @@ def read_subjects(path: Path, files: Iterable[Path]) -> SubjectsTable:
                 "is"
             )
         if place not in known:
-            near = get_close_matches(str(place), [str(one) for one in known], n=1)
+            near = get_close_matches(str(place), [str(each) for each in known], n=1)
             hint = (
                 f"did you mean {near[0]}?"
                 if near
@@ -122,24 +122,24 @@ def grouped_by_subject(
     folder is not.
     """
     heads: dict[str, list[MarkerSet]] = defaultdict(list)
-    found: dict[Key, str] = {}
+    subjects: dict[Key, str] = {}
     for path, person, seen in worn:
-        told = table.subject(Path(path)) if table is not None and not person else None
-        name = told or _folder_name(path, seen.subject, top)
+        given = table.subject(Path(path)) if table is not None and not person else None
+        name = given or _folder_name(path, seen.subject, top)
         kin = heads[name]
         number = next(
             (
                 k
                 for k, head in enumerate(kin)
-                if (not head.unlike(seen) if told else head.like(seen))
+                if (not head.differs(seen) if given else head.matches(seen))
             ),
             None,
         )
         if number is None:
             number = len(kin)
             kin.append(seen)
-        found[path, person] = name if number == 0 else f"{name} ({number + 1})"
-    return found
+        subjects[path, person] = name if number == 0 else f"{name} ({number + 1})"
+    return subjects
 
 
 def _folder_name(path: str, subject: str | None, top: str) -> str:

@@ -77,7 +77,7 @@ def write_known(known: KnownSubject, path: Path) -> str:
         "triangles": shape.attachment.triangles,
         "coefficients": shape.attachment.coefficients,
     }
-    told = {
+    record = {
         "choice": asdict(known.choice),
         "layout": asdict(known.agreed.layout),
         "agreed": asdict(replace(known.agreed, layout=None)),  # type: ignore[arg-type]
@@ -86,12 +86,12 @@ def write_known(known: KnownSubject, path: Path) -> str:
         "found_layout": known.found_layout,
         "shape": {"costs": shape.costs, "status": shape.status, "iterations": shape.iterations},
     }
-    text = json.dumps(told, sort_keys=True, default=_plain)
+    text = json.dumps(record, sort_keys=True, default=_plain)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
             allow_pickle=False,
-            told=np.array(text),
+            record=np.array(text),
             seconds=np.float64(known.seconds),
             **arrays,
         )
@@ -106,18 +106,18 @@ def read_known(path: Path) -> KnownSubject:
     try:
         with np.load(path) as file:
             arrays = {name: file[name] for name in (*_ARRAYS, "triangles", "coefficients")}
-            told = json.loads(str(file["told"]))
+            record = json.loads(str(file["record"]))
             seconds = float(file["seconds"])
         attachment = MarkerAttachment(arrays.pop("triangles"), arrays.pop("coefficients"))
-        shape = ShapeFit(**arrays, attachment=attachment, **told["shape"])
+        shape = ShapeFit(**arrays, attachment=attachment, **record["shape"])
         return KnownSubject(
-            BodyChoice(**told["choice"] | {"notes": tuple(told["choice"]["notes"])}),
-            _agreed(told["agreed"], _layout(told["layout"])),
+            BodyChoice(**record["choice"] | {"notes": tuple(record["choice"]["notes"])}),
+            _agreed(record["agreed"], _layout(record["layout"])),
             shape,
-            tuple((i, j) for i, j in told["exchanged"]),
-            tuple(told["misplaced"]),
+            tuple((i, j) for i, j in record["exchanged"]),
+            tuple(record["misplaced"]),
             seconds,
-            told["found_layout"],
+            record["found_layout"],
         )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise HabitusError(
@@ -125,23 +125,25 @@ def read_known(path: Path) -> KnownSubject:
         ) from error
 
 
-def _layout(told: Mapping[str, Any]) -> MarkerLayout:
-    tuples = {name: tuple(told[name]) for name in ("sources", "also_known_as", "fingerprint")}
-    markers = {name: tuple(_marker(one) for one in told[name]) for name in ("markers", "fingers")}
-    return MarkerLayout(**{**told, **tuples, **markers})
+def _layout(record: Mapping[str, Any]) -> MarkerLayout:
+    tuples = {name: tuple(record[name]) for name in ("sources", "also_known_as", "fingerprint")}
+    markers = {
+        name: tuple(_marker(marker) for marker in record[name]) for name in ("markers", "fingers")
+    }
+    return MarkerLayout(**{**record, **tuples, **markers})
 
 
-def _marker(told: Mapping[str, Any]) -> Marker:
+def _marker(record: Mapping[str, Any]) -> Marker:
     fields: dict[str, Any] = {
-        name: tuple(x) if isinstance(x, list) else x for name, x in told.items()
+        name: tuple(x) if isinstance(x, list) else x for name, x in record.items()
     }
     return Marker(**fields)
 
 
-def _agreed(told: Mapping[str, Any], layout: MarkerLayout) -> Agreed:
-    suspects = tuple(Suspect(**one) for one in told["suspects"])
+def _agreed(record: Mapping[str, Any], layout: MarkerLayout) -> Agreed:
+    suspects = tuple(Suspect(**suspect) for suspect in record["suspects"])
     return Agreed(
-        layout, told["confidence"], tuple(told["warnings"]), suspects, tuple(told["doubts"])
+        layout, record["confidence"], tuple(record["warnings"]), suspects, tuple(record["doubts"])
     )
 
 

@@ -64,24 +64,24 @@ class Manifest:
         return {path: (size, changed, state) for path, size, changed, state in rows}
 
     def looked(
-        self, path: str, stamp: tuple[int, int], found: Looked, folders: Sequence[str]
+        self, path: str, stamp: tuple[int, int], content: Looked, folders: Sequence[str]
     ) -> None:
         """What a file holds, in the place of what was known of it; results whose input is the same
         stay.
         """
-        state = "left out" if found.no_capture else FAILED if found.reason else DONE
+        state = "left out" if content.no_capture else FAILED if content.reason else DONE
         with self._db:
             self._db.execute(
                 "INSERT OR REPLACE INTO files VALUES (?, ?, ?, ?, ?, ?)",
-                (path, *stamp, found.digest, state, found.reason),
+                (path, *stamp, content.digest, state, content.reason),
             )
-            names = _names(found.people)
+            names = _names(content.people)
             kept = ",".join("?" * len(names))
             self._db.execute(
                 f"DELETE FROM captures WHERE path = ? AND person NOT IN ({kept})", (path, *names)
             )
-            for name, folder, seen in zip(names, folders, found.people, strict=True):
-                told = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.worn))
+            for name, folder, seen in zip(names, folders, content.people, strict=True):
+                row = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.worn))
                 self._db.execute(
                     "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, "
                     "subject, state, key) "
@@ -89,7 +89,7 @@ class Manifest:
                     "person) DO UPDATE SET "
                     "folder = excluded.folder, said = excluded.said, frames = excluded.frames, "
                     "rate_hz = excluded.rate_hz, worn = excluded.worn",
-                    (path, name, *told),
+                    (path, name, *row),
                 )
 
     def forget(self, paths: Sequence[str]) -> None:
@@ -131,23 +131,23 @@ class Manifest:
         )
         return [Row(*row) for row in rows]
 
-    def fitted(self, row: Row, key: str, found: Fitted) -> None:
+    def fitted(self, row: Row, key: str, result: Fitted) -> None:
         """What came of a capture; ``key`` stands for all that it depends on."""
-        told = FAILED if found.reason else DONE
-        numbers = json.dumps(found.numbers, ensure_ascii=False) if found.numbers else None
-        self._set(row, (told, key, found.reason, numbers, found.picture, found.seconds))
+        state = FAILED if result.reason else DONE
+        numbers = json.dumps(result.numbers, ensure_ascii=False) if result.numbers else None
+        self._set(row, (state, key, result.reason, numbers, result.picture, result.seconds))
 
     def failed(self, row: Row, reason: str) -> None:
         """A capture that cannot be fitted."""
         self._set(row, (FAILED, "", reason, None, None, None))
 
-    def _set(self, row: Row, told: tuple[Any, ...]) -> None:
+    def _set(self, row: Row, values: tuple[Any, ...]) -> None:
         with self._db:
             self._db.execute(
                 "UPDATE captures SET state = ?, key = ?, reason = ?, numbers = ?, picture = ?, "
                 "seconds = ? "
                 "WHERE path = ? AND person = ?",
-                (*told, row.path, row.person),
+                (*values, row.path, row.person),
             )
 
     # -- subjects ----------------------------------------------------------------------------------
@@ -162,20 +162,20 @@ class Manifest:
         return row and (row[0], row[1], json.loads(row[2]), row[3])
 
     def shaped(
-        self, name: str, file: str, recipe: str, sources: Mapping[str, str], found: Shaped
+        self, name: str, file: str, recipe: str, sources: Mapping[str, str], shape: Shaped
     ) -> None:
         """A subject's shape."""
-        told = (
+        values = (
             json.dumps(sources),
-            found.digest,
-            found.reason,
-            json.dumps(found.measured),
-            json.dumps(found.betas),
+            shape.digest,
+            shape.reason,
+            json.dumps(shape.measured),
+            json.dumps(shape.betas),
         )
         with self._db:
             self._db.execute(
                 "INSERT OR REPLACE INTO subjects VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (name, file, recipe, *told, found.picture, found.seconds),
+                (name, file, recipe, *values, shape.picture, shape.seconds),
             )
 
     # -- what became of all ------------------------------------------------------------------------
@@ -204,9 +204,10 @@ class Manifest:
             "SELECT name, reason, measured, betas, picture, seconds FROM subjects ORDER BY name"
         )
         keys = ("name", "reason", "measured", "betas", "picture", "seconds")
-        found = [dict(zip(keys, row, strict=True)) for row in rows]
+        people = [dict(zip(keys, row, strict=True)) for row in rows]
         return [
-            one | {name: json.loads(one[name]) for name in ("measured", "betas")} for one in found
+            person | {name: json.loads(person[name]) for name in ("measured", "betas")}
+            for person in people
         ]
 
     def count(self) -> int:
@@ -252,22 +253,22 @@ def open_manifest(folder: Path) -> Iterator[Manifest]:
             connection.close()
 
 
-def folder_names(found: Found, people: Sequence[Seen]) -> list[str]:
+def folder_names(file: Found, people: Sequence[Seen]) -> list[str]:
     """The folders of the results of everybody in a file, below the folder for all."""
     from habitus.io.names import file_name
 
-    name = file_name(found.name)
+    name = file_name(file.name)
     names = (
         [name]
         if len(people) == 1
-        else [file_name(f"{name}_{one or 'unnamed'}") for one in _names(people)]
+        else [file_name(f"{name}_{each or 'unnamed'}") for each in _names(people)]
     )
-    return [(found.place / one).as_posix() for one in names]
+    return [(file.place / each).as_posix() for each in names]
 
 
 def _names(people: Sequence[Seen]) -> list[str]:
     """What tells people of a file apart: nothing where there is one."""
-    return [""] if len(people) == 1 else [one.subject or "" for one in people]
+    return [""] if len(people) == 1 else [person.subject or "" for person in people]
 
 
 def _packed(worn: MarkerSet) -> bytes:

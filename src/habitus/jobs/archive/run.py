@@ -147,27 +147,27 @@ class Plan:
             return task
         return self._shapes.popleft() if self._shapes else None
 
-    def shaped(self, task: Shape, found: Shaped) -> None:
+    def shaped(self, task: Shape, shape: Shaped) -> None:
         """A subject's shape is known, or cannot be found: then each capture is fitted by itself."""
         rows = self._of_shape[task.name]
         self._left -= _SHAPE_COST
-        for k, reason in found.bad.items():
+        for k, reason in shape.bad.items():
             self._failed(rows[k], reason)
-        rest = [row for k, row in enumerate(rows) if k not in found.bad]
-        sources = {_key(rows[k]): rows[k].digest for k in found.sources}
-        if not found.reason:
-            self._manifest.shaped(task.name, task.file, self._recipe, sources, found)
-        self._fit_with(rest, task.file if not found.reason else None, found.digest)
+        rest = [row for k, row in enumerate(rows) if k not in shape.bad]
+        sources = {_key(rows[k]): rows[k].digest for k in shape.sources}
+        if not shape.reason:
+            self._manifest.shaped(task.name, task.file, self._recipe, sources, shape)
+        self._fit_with(rest, task.file if not shape.reason else None, shape.digest)
 
-    def fitted(self, task: Fit, found: Fitted) -> None:
+    def fitted(self, task: Fit, result: Fitted) -> None:
         """A capture is done."""
         row, key = self._under_way.pop(task.capture.folder)
-        self._manifest.fitted(row, key, found)
+        self._manifest.fitted(row, key, result)
         self._left -= _cost(row)
-        self.fitted_now += not found.reason
-        if found.reason:
+        self.fitted_now += not result.reason
+        if result.reason:
             self.failed += 1
-            self._on_failure(row.path, found.reason)
+            self._on_failure(row.path, result.reason)
 
     def _failed(self, row: Row, reason: str) -> None:
         self._manifest.failed(row, reason)
@@ -267,18 +267,18 @@ def archive(
     top = Path(folder).absolute()
     if not top.is_dir():
         raise HabitusError(f"{folder}: is no folder; an archive is made of all captures below one")
-    found = find_captures([top], job.out)
+    captures = find_captures([top], job.out)
     table = (
         None
         if subjects is None
-        else read_subjects(Path(subjects), [one.path.relative_to(top) for one in found])
+        else read_subjects(Path(subjects), [capture.path.relative_to(top) for capture in captures])
     )
     with locked(job.out, MARKER_FILES), ExitStack() as stack:
-        for place in {one.place for one in found}:
+        for place in {capture.place for capture in captures}:
             tidy(job.out / place, MARKER_FILES)
         manifest = stack.enter_context(open_manifest(job.out))
         processes = cache(lambda: stack.enter_context(open_queue(workers)))
-        files = {_called(one.path.relative_to(top)): one for one in found}
+        files = {_called(capture.path.relative_to(top)): capture for capture in captures}
         run = _Run(job, top, files, manifest, processes, progress, on_failure)
         run.look()
         run.group(table)
@@ -309,7 +309,7 @@ class _Run:
         known = self.manifest.stamps()
         here = self.files
         self.manifest.forget([path for path in known if path not in here])
-        stamps = {path: _stamp(one.path) for path, one in here.items()}
+        stamps = {path: _stamp(file.path) for path, file in here.items()}
         new = deque(path for path in here if known.get(path) != (*stamps[path], DONE))
         count = len(new)
         names = {here[path].path: path for path in new}
@@ -322,9 +322,9 @@ class _Run:
                 self.on_failure(path, result.reason)
             self.progress(Tally("reading", captures=count, done=looked, share=looked / count))
 
-    def _named(self, one: Found, result: Looked) -> tuple[Looked, list[str]]:
+    def _named(self, file: Found, result: Looked) -> tuple[Looked, list[str]]:
         try:
-            names = folder_names(one, result.people)
+            names = folder_names(file, result.people)
             if len(set(names)) < len(names):
                 raise HabitusError("several people in the file have one name; rename them")
             return result, names
@@ -339,7 +339,7 @@ class _Run:
 
     def _done(self, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:
         """Items as they end; no process is started for none."""
-        first = [one for one in [take()] if one is not None]
+        first = [item for item in [take()] if item is not None]
         return (
             self.processes().done(work, self.job, lambda: first.pop() if first else take())
             if first
@@ -350,7 +350,7 @@ class _Run:
 
     def fit(self) -> None:
         """Find the shapes that are missing and fit the captures that are not done."""
-        paths = {name: one.path for name, one in self.files.items()}
+        paths = {name: file.path for name, file in self.files.items()}
         plan = Plan(self.manifest, self.job, paths, self.recipe, self.on_failure)
         self.progress(plan.tally())
         for task, result in self._done(plan.take):
@@ -406,7 +406,7 @@ def _called(relative: Path) -> str:
 
 def _stamp(path: Path) -> tuple[int, int]:
     try:
-        told = path.stat()
+        status = path.stat()
     except OSError:
         return 0, 0
-    return told.st_size, told.st_mtime_ns
+    return status.st_size, status.st_mtime_ns

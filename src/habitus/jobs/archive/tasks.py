@@ -95,7 +95,10 @@ def _look(job: ArchiveJob, path: Path) -> Looked:
         people = job.recipe.read(path)
         return Looked(
             digest,
-            tuple(Seen(one.subject, len(one), one.rate_hz, MarkerSet.of(one)) for one in people),
+            tuple(
+                Seen(capture.subject, len(capture), capture.rate_hz, MarkerSet.of(capture))
+                for capture in people
+            ),
         )
     except Exception as error:
         return Looked(reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE)
@@ -111,7 +114,7 @@ def _read(job: ArchiveJob, taken: Taken) -> Capture:
         )
     people = job.recipe.read(taken.path)
     if taken.person is not None:
-        people = tuple(one for one in people if (one.subject or "") == taken.person)
+        people = tuple(capture for capture in people if (capture.subject or "") == taken.person)
     return replace(people[0], name=file_name(taken.folder.name))
 
 
@@ -204,11 +207,19 @@ def _shaped(
     )
     _, subject = found
     layout = subject.layout
-    told = "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
+    layout_text = (
+        "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
+    )
     choice = BodyChoice(joints, model.body.age, model.sex, model.female_probability, model.notes)
     agreed = replace(Agreed.of(person), layout=layout)
     known = KnownSubject(
-        choice, agreed, subject.shape, subject.exchanged, subject.misplaced, subject.seconds, told
+        choice,
+        agreed,
+        subject.shape,
+        subject.exchanged,
+        subject.misplaced,
+        subject.seconds,
+        layout_text,
     )
     digest = write_known(known, job.out / task.file)
     betas = subject.shape.betas
@@ -275,6 +286,6 @@ _kept = lru_cache(maxsize=4)(lambda path, changed: read_known(path))
 @lru_cache(maxsize=4)
 def fitted_body(body: str, joints: str, age: Any, sex: str) -> BodyModel:
     """A body by its words (`BodyChoice`), with its kernels loaded."""
-    found = of_sex(loaded(body, joints, None if age == "auto" else age), sex)
-    warm_up(found)
-    return found
+    model = of_sex(loaded(body, joints, None if age == "auto" else age), sex)
+    warm_up(model)
+    return model

@@ -348,9 +348,9 @@ def _judged(
     wrong = np.zeros(1 + _ROUNDS)
     whole = 0.0
     for used, judged in folds:
-        found = _errors(equations, list(_rounds(equations, used, choice, _ROUNDS)), judged, sizes)
-        wrong = wrong + found[0]
-        whole = whole + found[1]
+        rounds = _errors(equations, list(_rounds(equations, used, choice, _ROUNDS)), judged, sizes)
+        wrong = wrong + rounds[0]
+        whole = whole + rounds[1]
     errors = (wrong / max(whole, 1e-300)).tolist()
     return [replace(choice, error=error, rounds=k) for k, error in enumerate(errors)]
 

@@ -80,14 +80,14 @@ def subject_step(problem: Problem, estimate: Estimate, workers: Workers) -> Esti
     """Rest surface, joints, poses and translations of each subject (E_D + E_Y + E_J)."""
     sample = sample_parts(problem.initial_weights, problem.anatomy.mirror)
     shared = (problem, estimate, sample, subset_rig(estimate.rig, sample.vertices))
-    found = list(workers.map(_subject, shared, range(problem.subjects)))
+    solutions = list(workers.map(_subject, shared, range(problem.subjects)))
     pose = estimate.pose.copy()
     trans = estimate.trans.copy()
-    for subject, (_, _, its_pose, its_trans) in enumerate(found):
+    for subject, (_, _, its_pose, its_trans) in enumerate(solutions):
         rows = problem.rows_of(subject)
         pose[rows], trans[rows] = its_pose, its_trans
-    templates = np.stack([t for t, *_ in found])
-    joints = np.stack([j for _, j, *_ in found])
+    templates = np.stack([t for t, *_ in solutions])
+    joints = np.stack([j for _, j, *_ in solutions])
     return replace(estimate, templates=templates, joints=joints, pose=pose, trans=trans)
 
 
@@ -172,7 +172,7 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
     person = estimate.person(subject)
     surfaces, weights = zip(*(problem.registrations.read_seen(row) for row in rows), strict=True)
     tries = [(estimate.pose[rows], estimate.trans[rows])]
-    found = []
+    poses = []
     if "pose" not in problem.held:
         targets = [
             SampledTarget(
@@ -189,8 +189,8 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
             estimate.rig, person.descriptor, *terms, held=held, around=person.template
         )
         person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *terms)
-        found.append((person_energy, (*rest, pose, trans)))
-    return min(found, key=lambda pair: pair[0])[1]
+        poses.append((person_energy, (*rest, pose, trans)))
+    return min(poses, key=lambda pair: pair[0])[1]
 
 
 def _refined(

@@ -169,8 +169,8 @@ def solve_local(
     order = np.lexsort(driven.T)
     chunks = [order[block.start : block.stop] for block in in_blocks(len(order), _CHUNK)]
     table = rig.posedirs.copy()
-    for chunk, found in zip(chunks, workers.map(_chunk, task, chunks), strict=True):
-        table[chunk] = found
+    for chunk, solution in zip(chunks, workers.map(_chunk, task, chunks), strict=True):
+        table[chunk] = solution
     return table
 
 
@@ -269,12 +269,12 @@ def _solved(
     )
     equations = [_normal_equations(features[rows], square[rows], right[rows]) for rows in halves]
     size = features.shape[1]
-    found = np.zeros((square.shape[1], 3, columns.size))
+    solution = np.zeros((square.shape[1], 3, columns.size))
     penalty = np.kron(np.eye(3 * size // len(task.penalty)), task.penalty)
     groups = (
         np.arange(3 * size).reshape(3, *columns.shape).transpose(1, 0, 2).reshape(len(columns), -1)
     )
-    for k in range(len(found)):
+    for k in range(len(solution)):
         grams = [gram[k] for gram, _ in equations]
         pulls = [pull[k] for _, pull in equations]
         use = np.arange(3 * size)
@@ -286,8 +286,8 @@ def _solved(
         if len(use):
             ridge = penalty[np.ix_(use, use)] + max(floor - weight, 0.0) * np.eye(len(use))
             factor = cho_factor(gram + ridge)
-            found[k].reshape(-1)[use] = cho_solve(factor, np.asarray(sum(pulls))[use])
-    return found
+            solution[k].reshape(-1)[use] = cho_solve(factor, np.asarray(sum(pulls))[use])
+    return solution
 
 
 def _normal_equations(
@@ -298,12 +298,12 @@ def _normal_equations(
     """Of each vertex: sums over registrations of A'A (x) f f' and of A'y (x) f."""
     count = square.shape[1]
     size = features.shape[1]
-    one, two = np.triu_indices(size)
-    products = features[:, one] * features[:, two]
+    row, two = np.triu_indices(size)
+    products = features[:, row] * features[:, two]
     sums = (square.reshape(len(square), -1).astype(np.float64).T @ products).reshape(count, 6, -1)
     gram = np.empty((count, 3, size, 3, size))
     for c, (a, b) in enumerate(_UPPER):
-        gram[:, a, one, b, two] = gram[:, a, two, b, one] = sums[:, c]
-        gram[:, b, one, a, two] = gram[:, b, two, a, one] = sums[:, c]
+        gram[:, a, row, b, two] = gram[:, a, two, b, row] = sums[:, c]
+        gram[:, b, row, a, two] = gram[:, b, two, a, row] = sums[:, c]
     pull = np.tensordot(right.astype(np.float64), features, (0, 0))
     return gram.reshape(count, 3 * size, 3 * size), pull.reshape(count, -1)

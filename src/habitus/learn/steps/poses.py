@@ -236,7 +236,7 @@ def fit_pose(
             difference, here.pose_jacobian()
         )
 
-    found = descend(
+    solution = descend(
         problem,
         start.ravel(),
         Levenberg(1e-4),
@@ -244,9 +244,9 @@ def fit_pose(
         tolerances=tolerances,
         callback=None,
     )
-    pose = _shortest(rig, found.x.reshape(-1, 3))
+    pose = _shortest(rig, solution.x.reshape(-1, 3))
     trans = mean_of(target - _PosedPerson.at(rig, person, pose).moved, distance.weight)
-    return PoseFit(pose, trans, 2.0 * found.cost)
+    return PoseFit(pose, trans, 2.0 * solution.cost)
 
 
 @dataclass(frozen=True, eq=False)

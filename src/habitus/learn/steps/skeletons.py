@@ -223,12 +223,11 @@ def _step(
         matrix[size:], right[size:] = 0.0, 0.0
         matrix[size:, size:] = np.eye(len(matrix) - size)
     matrix[np.diag_indices(len(matrix))] += damping * np.abs(matrix.diagonal()) + 1e-9
-    found = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
+    step = cho_solve(cho_factor(matrix, lower=True, overwrite_a=True), right)
     turns = [
-        solve_triangular(f, s[:, -1] - s[:, :-1] @ found, lower=True, trans=1)
-        for f, s in eliminated
+        solve_triangular(f, s[:, -1] - s[:, :-1] @ step, lower=True, trans=1) for f, s in eliminated
     ]
-    return found[:size], found[size:], np.stack(turns)
+    return step[:size], step[size:], np.stack(turns)
 
 
 def _eliminate_poses(
@@ -243,15 +242,15 @@ def _eliminate_poses(
     eliminated = []
     for pose, trans, target in zip(subject.pose, subject.trans, system.targets, strict=True):
         count = weighted(system.sample.count, target.weight)
-        one = _normal_equations(
+        equations = _normal_equations(
             system.rig, count, subject.person, pose, target.vertices - trans, damping
         )
-        one.add_to(matrix, right)
-        columns = np.column_stack([one.cross.T, one.pull])
-        solved = solve_triangular(one.factor, columns, lower=True, check_finite=False)
+        equations.add_to(matrix, right)
+        columns = np.column_stack([equations.cross.T, equations.pull])
+        solved = solve_triangular(equations.factor, columns, lower=True, check_finite=False)
         matrix = dsyrk(-1.0, solved[:, :-1], beta=1.0, c=matrix, trans=1, lower=1, overwrite_c=1)
         right -= solved[:, :-1].T @ solved[:, -1]
-        eliminated.append((one.factor, solved))
+        eliminated.append((equations.factor, solved))
     return matrix, right, eliminated
 
 

@@ -100,8 +100,8 @@ def subject_energy(
 
 def joint_asymmetry(partner: Int[np.ndarray, " J"]) -> Float[np.ndarray, "C C"]:
     """The quadratic form of |J - U(J)|^2 over the flattened joints, C = 3 J."""
-    apart = asymmetry(partner)
-    return (apart.T @ apart).toarray()
+    difference = asymmetry(partner)
+    return (difference.T @ difference).toarray()
 
 
 def _solve(
@@ -137,11 +137,11 @@ def _solve(
             [joints - flat.T @ by_cross, unit + flat.T @ by_ring],
         ]
     )
-    found = np.linalg.solve(
+    solution = np.linalg.solve(
         matrix, np.concatenate([scale * (ring @ by_right), right_joints - flat.T @ by_right])
     )
-    joint = found[:columns]
-    pull = found[columns:]
+    joint = solution[:columns]
+    pull = solution[columns:]
     surface = by_right - by_cross @ joint + by_ring @ pull
     return surface.reshape(count, 3), joint.reshape(-1, 3)
 

@@ -75,14 +75,14 @@ def simulate(shop: Workshop, task: Task) -> str:
         return f"{task.shape.name}: {error}"
     gauge = ruler(person)
     rows = []
-    told = []
+    reports = []
     for stop in walk(person.flesh, person, list(task.session.poses), shop.way):
         vertices = person.surface(stop.pose, stop.nodes)
         rows.append(vertices.astype(np.float32))
-        told.append(gauge.gauge(stop.pose, stop.nodes, vertices, stop.steps).words())
+        reports.append(gauge.gauge(stop.pose, stop.nodes, vertices, stop.steps).words())
     seconds = time.thread_time() - begin
-    _write(path, task, person, np.stack(rows), told, seconds)
-    bad = sum(not one["passes"] for one in told)
+    _write(path, task, person, np.stack(rows), reports, seconds)
+    bad = sum(not one["passes"] for one in reports)
     return (
         f"{task.shape.name} {task.session.name}: {len(rows)} poses, {seconds:.1f} s, {bad} "
         "outside the gates"
@@ -90,7 +90,12 @@ def simulate(shop: Workshop, task: Task) -> str:
 
 
 def _write(
-    path: Path, task: Task, person: Person, vertices: np.ndarray, told: list[dict], seconds: float
+    path: Path,
+    task: Task,
+    person: Person,
+    vertices: np.ndarray,
+    reports: list[dict],
+    seconds: float,
 ) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -102,6 +107,6 @@ def _write(
             betas=task.shape.betas,
             age=np.array(np.nan if task.shape.age is None else task.shape.age),
             rest=person.rest.astype(np.float32),
-            gauges=np.array([json.dumps(one) for one in told]),
+            gauges=np.array([json.dumps(one) for one in reports]),
             seconds=np.array(seconds),
         )

@@ -75,9 +75,9 @@ def _sequences(
             habitus.load_body(each, detail="full", joints="smplx") for each in (sex, name)
         )
         for path in sorted(options.shakes.glob(f"{sex}_*/*.npz")):
-            with np.load(path) as told:
-                farthest = told["farthest"].max()
-                folded = (told["least"] < 0).mean()
+            with np.load(path) as arrays:
+                farthest = arrays["farthest"].max()
+                folded = (arrays["least"] < 0).mean()
             if farthest > FARTHEST or folded > FOLDED:
                 print(
                     f"{path}: goes {1e3 * farthest:.0f} mm, inside out in {100 * folded:.0f} % of "
@@ -196,12 +196,12 @@ def table(numbers: dict) -> str:
             f"    {way:10}" + "".join(f"{errors[way][key]:10.2f}" for key in QUANTITIES)
             for way in MODES
         ]
-    told = numbers["prediction"]
-    minutes = told["largest_coefficient_by_minute"]
+    prediction = numbers["prediction"]
+    minutes = prediction["largest_coefficient_by_minute"]
     lines += [
         f"  ten minutes: largest coefficient {min(minutes):.2f} to {max(minutes):.2f} by the "
         "minute, "
-        f"{100 * told['left_after_2_s']:.2g} % left after 2 s; {told['frames_per_second']:,.0f} "
+        f"{100 * prediction['left_after_2_s']:.2g} % left after 2 s; {prediction['frames_per_second']:,.0f} "
         "frames/s"
     ]
     return "\n".join(lines)

@@ -157,9 +157,9 @@ def _partners(
     closest_around(where, nearest, skin.rest, skin.faces, *skin.around, place)
     foot = _in_tets_of(skin, nearest, place)
     normal = normals[nearest]
-    apart = vertices[mine] - foot(nodes)
-    along = (apart * normal).sum(1)
-    aside = np.linalg.norm(apart - along[:, None] * normal, axis=1)
+    offsets = vertices[mine] - foot(nodes)
+    along = (offsets * normal).sum(1)
+    aside = np.linalg.norm(offsets - along[:, None] * normal, axis=1)
     other = np.linalg.norm(place - skin.rest[mine], axis=1) >= rule.near
     keep = other & (along < rule.wide) & (along > -rule.deep) & (aside < rule.aside)
     own = skin.embedding.of(mine[keep])
