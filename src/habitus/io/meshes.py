@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.errors import HabitusError, require_extra, shown
+from habitus.errors import HabitusError, shown
 from habitus.io.archives import reason
 from habitus.io.limits import check_present
 
@@ -22,14 +22,15 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     reordered.
 
     Polygons are cut into triangles, always alike. Raises HabitusError where the file is no such
-    mesh, or trimesh, which reads it, is not installed.
+    mesh.
     """
     source = Path(path)
     if source.suffix.lower() not in ENDINGS:
         raise HabitusError(
             f"{source}: ending {source.suffix!r}; expected a mesh ({' or '.join(ENDINGS)})"
         )
-    trimesh = require_extra("trimesh", "meshes")
+    import trimesh
+
     try:
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":
@@ -37,7 +38,7 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
                 content = file
             else:
                 check_obj(file, source.stat().st_size)
-                content = io.StringIO(file.read().decode("utf-8-sig", "replace"))
+                content = io.StringIO(_geometry(file.read().decode("utf-8-sig", "replace")))
             mesh = trimesh.load(
                 content,
                 file_type=source.suffix[1:].lower(),
@@ -75,6 +76,18 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
     if not np.isfinite(vertices[faces]).all():
         raise HabitusError(f"{source}: vertices of its faces are no numbers; export it again")
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
+
+
+def _geometry(obj: str) -> str:
+    """An OBJ's vertices and faces alone: for texture coordinates trimesh would ask for Pillow."""
+    lines = obj.replace("\r\n", "\n").replace("\\\n", " ").splitlines()
+    words = ((line, line.split(maxsplit=1)[:1]) for line in lines)
+    kept = (
+        re.sub(r"/\S*", "", line) if word == ["f"] else line
+        for line, word in words
+        if word in (["v"], ["f"])
+    )
+    return "\n".join(kept) + "\n"
 
 
 def _numbers(mesh: object, key: str) -> np.ndarray:

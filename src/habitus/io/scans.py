@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.errors import HabitusError, require_extra
+from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.io.archives import reason
 from habitus.io.gltf_claims import check_gltf
@@ -102,8 +102,7 @@ ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off", ".xyz")
 def read_scan(path: str | os.PathLike[str]) -> Scan:
     """The points of a scan, its normals where the file has them, its triangles where it is a mesh.
 
-    Raises HabitusError where the file is none of these, or trimesh, which reads it, is not
-    installed.
+    Raises HabitusError where the file is none of these.
     """
     source = Path(path)
     ending = source.suffix.lower()
@@ -111,9 +110,8 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         raise HabitusError(
             f"{source}: ending {source.suffix!r}; expected a scan ({', '.join(ENDINGS)})"
         )
-    trimesh = require_extra("trimesh", "scans", "scans")
     try:
-        loaded = _loaded(trimesh, source, ending)
+        loaded = _loaded(source, ending)
         _check_pictures(loaded, source.stat().st_size)
         return _scan(source, loaded)
     except HabitusError as error:
@@ -126,8 +124,10 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
         ) from error
 
 
-def _loaded(trimesh: Any, source: Path, ending: str) -> Any:
+def _loaded(source: Path, ending: str) -> Any:
     """What trimesh reads, after what the file claims has been held against its size."""
+    import trimesh
+
     if ending in (".glb", ".gltf"):
         check_gltf(source)
     if ending == ".gltf":  # it names other files
