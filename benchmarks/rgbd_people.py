@@ -27,9 +27,9 @@ from scipy.optimize import lsq_linear
 from habitus.body.model import BodyModel
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.depth import fit_views
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
-from habitus.fit.points.settings import RgbdSettings
 from habitus.io.models.bodies import load_body
 from habitus.observe.depth_views import RgbdCapture
 from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene

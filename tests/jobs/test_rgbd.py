@@ -15,7 +15,7 @@ from rgbd_scene_small import small_scene
 import habitus as hb
 from habitus.cli.main import main
 from habitus.files import locked
-from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.io.rgbd.write import write_views
 
 

@@ -34,9 +34,9 @@ from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_frames, trunk_weights
 from habitus.fit.points.depth import fit_state
+from habitus.fit.points.depth_settings import STANDARD
 from habitus.fit.points.prepared_views import segment
 from habitus.fit.points.scans import Registrar
-from habitus.fit.points.settings import STANDARD
 from habitus.fit.sensors import Cloud, MarkerData, ScanData, SegmentedView, SensorData, ViewData
 from habitus.fit.subject import ShapeFit, Subject
 from habitus.fit.verdict import Verdict

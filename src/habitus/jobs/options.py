@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from habitus.body.model import BodyModel
     from habitus.fit.markers.result import MarkerFit
     from habitus.fit.markers.settings import MoshSettings, MoshWeights
-    from habitus.fit.points.settings import RgbdSettings, ScanSettings
+    from habitus.fit.points.depth_settings import RgbdSettings
+    from habitus.fit.points.settings import ScanSettings
     from habitus.io.captures.read import Capture
     from habitus.types import PathLike
 

@@ -7,7 +7,7 @@ from typing import Any, Self
 from habitus.body.model import BodyModel
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_result import RgbdFit
-from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.jobs.options import DepthOptions, RgbdOptions, takes

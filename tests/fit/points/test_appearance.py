@@ -9,7 +9,6 @@ import torch
 from rgbd_scene_small import small_scene
 
 from habitus.fit.points.appearance import (
-    LIGHT_SD,
     ColourShift,
     Samples,
     channel_terms,
@@ -20,6 +19,7 @@ from habitus.fit.points.appearance import (
     to_linear,
 )
 from habitus.fit.points.depth_result import Evidence, ViewEvidence, judge
+from habitus.fit.points.depth_settings import APPEARANCE
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import sphere
@@ -56,7 +56,7 @@ def test_the_terms_of_a_channel_have_the_derivatives_that_small_steps_show():
     samples = Samples(vertex, rng.uniform(0.2, 0.6, (40, 3)), shape, rng.uniform(0.2, 1.0, 40))
     usual = np.r_[1.1, np.zeros(8)]
     edges = edges_of(np.asarray(ball.faces))
-    terms = channel_terms(samples, samples.colour[:, 0], usual, LIGHT_SD, edges)
+    terms = channel_terms(samples, samples.colour[:, 0], usual, APPEARANCE.light_sd, edges)
     values = {
         "log_albedo": np.log(rng.uniform(0.3, 0.5, count)),
         "light": usual + 0.05 * rng.normal(size=9),

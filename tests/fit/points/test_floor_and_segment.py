@@ -7,8 +7,7 @@ import pytest
 from rgbd_scene_small import small_scene
 
 from habitus.errors import HabitusError
-from habitus.fit.points.floor import Floor, find_floor, level_frame
-from habitus.fit.points.prepared_views import segment
+from habitus.fit.points.prepared_views import Floor, find_floor, level_frame, segment
 from habitus_lab.population.rgbd_people import _TILT, CAMERA_HEIGHT
 
 

@@ -12,13 +12,13 @@ from scipy import sparse
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.appearance import edges_of, find_appearance, log_smoothness
-from habitus.fit.points.colour_terms import ALBEDO_DAMPING, WHITE, colour_equations
+from habitus.fit.points.colour_terms import WHITE, colour_equations
 from habitus.fit.points.colour_views import ColourLevel, Look, Moving, ViewRows, view_rows
-from habitus.fit.points.depth import SURE, _chosen, _Coarse, _with_colour, fit_state
+from habitus.fit.points.depth import _chosen, _Coarse, _with_colour, fit_state
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
-from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.shapes import sphere
 from habitus.observe.depth_views import RgbdCapture
@@ -165,7 +165,7 @@ def test_eliminating_albedo_changes_no_step():
         left = (
             rows.by_albedo.T @ (rows.weight * linear)
             + settings.colour * (smooth @ log + pull)
-            + ALBEDO_DAMPING * log
+            + settings.appearance.albedo_damping * log
         )
         assert np.abs(left).max() < 1e-8 * np.abs(rows.by_albedo.T @ rows.weight).max()
     np.testing.assert_allclose(after.shift, look.shift + step[-3:])
@@ -178,16 +178,17 @@ def test_the_body_that_explains_the_views_is_taken(plain):
     bodies = {"neutral": body, "right": body, "wrong": stout}
     settings = replace(RgbdSettings(), colour_levels=())
     told = fit_state(one, bodies, settings, start=found.state.pose[1:])
-    assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + SURE
+    assert told.kind == "right" and told.tried["wrong"] > told.tried["right"] + settings.body_margin
 
 
 def test_bodies_that_explain_the_views_alike_leave_the_first():
+    margin = RgbdSettings().body_margin
     near, far = (
         _Coarse(name, None, None, (9.0, cost))
-        for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * SURE))
+        for name, cost in (("a", 100.0), ("b", 100.0 + 2.0 * margin))
     )
-    assert _chosen([far, near]) is near and _chosen([near]) is near
-    assert _chosen([near, replace(near, name="c")]) is None and _chosen([]) is None
+    assert _chosen([far, near], margin) is near and _chosen([near], margin) is near
+    assert _chosen([near, replace(near, name="c")], margin) is None and _chosen([], margin) is None
 
 
 def test_as_many_poses_as_views(plain):

@@ -7,7 +7,7 @@ from synthetic import synthetic_body
 
 from habitus.body.state import BodyState
 from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
-from habitus.fit.points.settings import DepthStage, RgbdSettings
+from habitus.fit.points.depth_settings import DepthStage, RgbdSettings
 from habitus.fit.points.terms import points_around
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.alternate import alternate

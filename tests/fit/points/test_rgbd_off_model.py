@@ -11,12 +11,12 @@ from rgbd_scene_small import small_scene
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.depth import fit_state
+from habitus.fit.points.depth_correspondences import Footpads
 from habitus.fit.points.depth_energy import DepthEnergy
 from habitus.fit.points.depth_limbs import limbs_tried_again
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
-from habitus.fit.points.floor import LIFTED, Footpads
 from habitus.fit.points.prepared_views import segment
-from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import (
     SkinDepth,
     SkinField,
@@ -139,10 +139,12 @@ def test_soles_stand_as_high_as_they_are_at_rest(body):
     rest = body.rest_vertices(np.zeros(body.num_betas))
     used = body.faces[pads.face, pads.corner]
     standing = rest - [0.0, rest[used, 1].min(), 0.0]
-    here = pads.on_floor(1e4, standing, body)
+    here = pads.on_floor(standing, body, RgbdSettings(floor=1.0))
     apart = points_on_surface(standing, body.faces, here.face, here.barycentric) - here.target
     assert np.abs(apart[:, 1]).max() < 0.006  # 14 mm, were all of a sole drawn to the floor
-    lifted = pads.on_floor(1e4, standing + np.array([0.0, LIFTED, 0.0]), body)
+    lifted = pads.on_floor(
+        standing + np.array([0.0, RgbdSettings().floor_scale, 0.0]), body, RgbdSettings(floor=1.0)
+    )
     assert np.allclose(
         np.median(
             np.linalg.norm(lifted.directions, axis=-1) / np.linalg.norm(here.directions, axis=-1)
@@ -202,7 +204,8 @@ def test_a_person_cut_out_of_the_background_is_fitted_by_depth_alone():
             colour_camera=None, background_colour=None,
         )  # fmt: skip
         views.append(cut)
-    few = replace(SETTINGS, skin_steps=1, turns=(0.0,), arms=((45.0, 0.0, 0.0),))
+    search = replace(SETTINGS.search, turns=(0.0,), arms=((45.0, 0.0, 0.0),))
+    few = replace(SETTINGS, skin_steps=1, search=search)
     found = fit_state(replace(scene.capture, views=tuple(views)), body, few)
     assert not any(view.on_floor for view in found.sights)
     assert set(found.terms) == {"depth", "shape", "pose", "skin"}

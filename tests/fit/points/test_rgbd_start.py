@@ -11,6 +11,7 @@ from rgbd_scene_small import small_scene
 from scipy.spatial import KDTree
 
 from habitus.fit.points.depth_correspondences import look, misfit
+from habitus.fit.points.depth_settings import FOLDED
 from habitus.fit.points.depth_start import (
     arm_poses,
     planar_term,
@@ -19,7 +20,6 @@ from habitus.fit.points.depth_start import (
     seen_joints,
 )
 from habitus.fit.points.prepared_views import PreparedView, segment
-from habitus.fit.points.settings import FOLDED
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
 from habitus.solve.alternate import Stage, alternate

@@ -12,8 +12,8 @@ from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
-from habitus.fit.points.prepared_views import MIN_GRID_PIXELS, PreparedView, segment
-from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.depth_settings import SEGMENTATION, RgbdSettings
+from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.skin_offsets import SkinField
 
 
@@ -75,4 +75,4 @@ def test_a_grid_of_few_pixels_is_finer():
     sight = PreparedView.of(view, segment(view))
     assert sight.grid(2).stride == 2
     coarse = sight.grid(40)
-    assert coarse.stride < 40 and coarse.own.sum() >= MIN_GRID_PIXELS
+    assert coarse.stride < 40 and coarse.own.sum() >= SEGMENTATION.grid_pixels

@@ -1,9 +1,9 @@
 """A body fitted to points: 3D scans, and depth views with or without colour.
 
-Where to begin: `scans` is the recipe for scans, `depth` the one for depth views, `settings` holds
-the constants of both (`ScanSettings`, `RgbdSettings`). "Thesis" is Loper's PhD thesis
-(University of Tuebingen, 2017), chapters 4 (depth views) and 5 (scans); terms without a source are
-ours.
+Where to begin: `scans` is the recipe for scans and `settings` holds its constants (`ScanSettings`);
+`depth` is the recipe for depth views and `depth_settings` holds its constants (`RgbdSettings`).
+"Thesis" is Loper's PhD thesis (University of Tuebingen, 2017), chapters 4 (depth views) and 5
+(scans); terms without a source are ours.
 
     file                                        energy or step
     scan_fitting                                scan energy: points or skin offsets, priors, colours
@@ -12,7 +12,7 @@ ours.
     scan, scan_start, limbs                     cleaning; multi-start search; lost limbs and hands
     scan_result                                 result, evidence and verdict of a scan fit
     depth_energy                                depth energy: all terms and their minimisation
-    depth_correspondences, floor, skin_offsets  its terms depth and outline; floor; depth with skin
+    depth_correspondences, skin_offsets         its terms depth, outline and floor; depth with skin
     colour_terms, colour_views, appearance      its term colour; first light, albedo, camera shift
     prepared_views, depth_start, depth_limbs    segmentation; multi-start search; limbs placed again
     depth_result                                result, evidence and verdict of a depth fit
@@ -48,8 +48,8 @@ Depth energy (`depth_energy`; thesis eq. 4.3). Fields are those of `RgbdSettings
     shape    E_S       sec. 4.6.1     1                               shape
     pose     E_P       sec. 4.6.1     2 / 0.2^2, stiff 2 / 0.1^2      pose, pose_sd, stiff_sd
     skin     -         ours           1 per number z of the field     skin, skin_reach, skin_places
-    colour   E_C, E_Q  eqs. 4.4, 4.7  w 0.02 factor^2 / 0.02^2,       colour, rim; sds of light,
-                                      edges 0.02 / 0.05^2             albedo, camera: `appearance`
+    colour   E_C, E_Q  eqs. 4.4, 4.7  w 0.02 factor^2 / 0.02^2,       colour, rim; of `appearance`:
+                                      edges 0.02 / 0.05^2             noise, smooth_sd, light_sd
 
 spread = hypot(noise z^2 cosine, model_sd) for a pixel at distance z (m) whose ray meets the surface
 at that cosine, 0.3 at least; stride and factor are full-size pixels along the side of one that is

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.ndimage import binary_erosion, binary_opening, gaussian_filter, label, map_coordinates
 
+from habitus.fit.points.depth_settings import APPEARANCE, AppearanceSettings
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
@@ -31,19 +32,7 @@ from habitus.render.jacobians.images import silhouette_jacobian
 from habitus.render.triangles import Triangles
 from habitus.solve.least_squares import Levenberg, Tolerances
 from habitus.solve.minimize import Minimized, minimize
-from habitus.solve.terms import GemanMcClure, Term
-
-SHIFT_STEPS = 5
-BLUR = 1.5
-REDUCED = 0.5
-CAMERA_SHIFT_SD = 0.008
-"""Metres by which a calibration may be off."""
-CERTAINTY = 0.01
-"""Weight of a pixel of the outlines' difference: neighbours along an outline are off together."""
-MIN_OVERLAP = 0.6
-"""Share of the outline's pixels that must be the model's: with less, something else differs from
-the background.
-"""
+from habitus.solve.terms import GemanMcClure, Term, geman_mcclure_weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +46,17 @@ class ColourShift:
     status: str = "not tried"
 
 
-def person_in_colour(sight: PreparedView) -> Bool[np.ndarray, "h w"] | None:
+def person_in_colour(
+    sight: PreparedView, settings: AppearanceSettings = APPEARANCE
+) -> Bool[np.ndarray, "h w"] | None:
     """Pixels of the colour image that differ from the empty room's; None without that."""
     view = sight.view
     if view.colour is None or view.background_colour is None:
         return None
-    apart = np.abs(view.colour.astype(np.float32) - view.background_colour).max(-1)
-    smooth = gaussian_filter(apart, 1.0)
-    found = binary_opening(smooth > max(12.0, 5.0 * float(np.median(smooth))))
+    difference = np.abs(view.colour.astype(np.float32) - view.background_colour).max(-1)
+    smooth = gaussian_filter(difference, 1.0)
+    usual = settings.difference_medians * float(np.median(smooth))
+    found = binary_opening(smooth > max(settings.min_difference, usual))
     pieces, count = cast(tuple[np.ndarray, int], label(found))
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     sizes[0] = 0
@@ -72,14 +64,17 @@ def person_in_colour(sight: PreparedView) -> Bool[np.ndarray, "h w"] | None:
 
 
 def find_shift(
-    sights: list[PreparedView], vertices: list[Float[np.ndarray, "V 3"]], triangles: Triangles
+    sights: list[PreparedView],
+    vertices: list[Float[np.ndarray, "V 3"]],
+    triangles: Triangles,
+    settings: AppearanceSettings = APPEARANCE,
 ) -> ColourShift:
     """The shift at which the model's outlines in colour are the person's.
 
-    "outline"      1/2 c sum |G * (drawn - observed)|^2,    c = `CERTAINTY`, G a Gaussian
-    "calibration"  1/2 |shift|^2 / `CAMERA_SHIFT_SD`^2
+    "outline"      1/2 c sum |G * (drawn - observed)|^2,    c = ``outline``, G a Gaussian
+    "calibration"  1/2 |shift|^2 / camera_shift_sd^2
     """
-    seen = [person_in_colour(sight) for sight in sights]
+    seen = [person_in_colour(sight, settings) for sight in sights]
     pairs = [
         (sight.colour_camera, mask, surface)
         for sight, mask, surface in zip(sights, seen, vertices, strict=True)
@@ -90,7 +85,9 @@ def find_shift(
 
     def outlines(shift: np.ndarray) -> list["Outline"]:
         return [
-            Outline.of(moved(camera, shift).scaled(REDUCED), mask, surface, triangles)
+            Outline.of(
+                moved(camera, shift).scaled(settings.reduction), mask, surface, triangles, settings
+            )
             for camera, mask, surface in pairs
         ]
 
@@ -104,18 +101,19 @@ def find_shift(
 
     found = minimize(
         {
-            "outline": Term(difference, CERTAINTY),
-            "calibration": Term(calibration, CAMERA_SHIFT_SD**-2.0),
+            "outline": Term(difference, settings.outline),
+            "calibration": Term(calibration, settings.camera_shift_sd**-2.0),
         },
         {"shift": np.zeros(3)},
-        Levenberg(DAMPING),
-        max_iterations=SHIFT_STEPS,
+        Levenberg(settings.damping),
+        max_iterations=settings.shift_steps,
         tolerances=Tolerances(cost=1e-4),
         stretch=False,
     )
     shift = found.values["shift"]
     overlap = min(each.overlap for each in outlines(shift))
-    wrong = overlap < MIN_OVERLAP or np.linalg.norm(shift) > 3.0 * CAMERA_SHIFT_SD
+    largest = settings.max_shift_sds * settings.camera_shift_sd
+    wrong = overlap < settings.min_overlap or np.linalg.norm(shift) > largest
     return ColourShift(np.zeros(3) if wrong else shift, overlap, found.status)
 
 
@@ -135,6 +133,7 @@ class Outline:
     points: torch.Tensor
     residual: Float[np.ndarray, " hw"]
     overlap: float
+    blur: float
 
     @staticmethod
     def of(
@@ -142,6 +141,7 @@ class Outline:
         mask: Bool[np.ndarray, "H W"],
         vertices: Float[np.ndarray, "V 3"],
         triangles: Triangles,
+        settings: AppearanceSettings,
     ) -> "Outline":
         """camera: of a reduced image; mask: of the full one."""
         points = torch.from_numpy(vertices)
@@ -149,14 +149,14 @@ class Outline:
         assert isinstance(frame, Frame)  # one camera, one surface
         drawn = frame.silhouette().numpy()
         rows, columns = (
-            ((np.arange(size) + 0.5) / REDUCED).astype(int).clip(max=limit - 1)
+            ((np.arange(size) + 0.5) / settings.reduction).astype(int).clip(max=limit - 1)
             for size, limit in zip((camera.height, camera.width), mask.shape, strict=True)
         )
         observed = mask[np.ix_(rows, columns)].astype(float)
         union = max(float(np.maximum(drawn, observed).sum()), 1e-9)
         overlap = float(np.minimum(drawn, observed).sum()) / union
-        residual = gaussian_filter(drawn - observed, BLUR).ravel()
-        return Outline(frame, camera, points, residual, overlap)
+        residual = gaussian_filter(drawn - observed, settings.blur).ravel()
+        return Outline(frame, camera, points, residual, overlap, settings.blur)
 
     def jacobian(self) -> Float[np.ndarray, "hw 3"]:
         """Of the residual by the camera's translation."""
@@ -165,37 +165,8 @@ class Outline:
         )["translation"]
         shape = (self.camera.height, self.camera.width)
         return np.stack(
-            [gaussian_filter(each.reshape(shape), BLUR).ravel() for each in by_pixel.T], 1
+            [gaussian_filter(each.reshape(shape), self.blur).ravel() for each in by_pixel.T], 1
         )
-
-
-GREY_STEPS = 8
-CHANNEL_STEPS = 4
-DAMPING = 1e-6
-"""Levenberg-Marquardt's at the start, relative to the diagonal."""
-MAX_LOG_STEP = 1.0
-"""Largest change of a log albedo in one step."""
-MIN_SHADE = 0.05
-"""Light on a surface, at least: light falls nowhere below it, whatever nine harmonics say."""
-MIN_ALBEDO = 0.003
-MAX_ALBEDO = 3.0
-SMOOTH_SD = 0.05
-"""Spread of log albedo between neighbouring vertices (T eq. 4.7)."""
-LIGHT_SD = (0.01, 0.5, 0.25)
-"""Spread of the light's harmonics of order 0, 1 and 2 about white light from everywhere."""
-TINT_SD = (0.01, 0.01, 0.01)
-"""Spread of a channel's light about the grey one's."""
-NOISE = 0.02
-"""Of colours, linear."""
-OUTLIER = 0.15
-"""Difference of colours that counts a quarter."""
-EDGE = 0.2
-"""Jump of log albedo between neighbours that counts a quarter: seams of clothing are none of the
-light's doing.
-"""
-STEEPEST = 0.25
-BEHIND = 0.02
-DARKEST = 0.004
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +201,7 @@ def find_appearance(
     vertices: Float[np.ndarray, "K V 3"],
     faces: Int[np.ndarray, "F 3"],
     shift: ColourShift | None = None,
+    settings: AppearanceSettings = APPEARANCE,
 ) -> Appearance | None:
     """Light and albedo from all views with colour; None where there is none, or too little is seen.
 
@@ -241,20 +213,24 @@ def find_appearance(
     some = [sights[k] for k in with_colour]
     surfaces = [vertices[k] for k in with_colour]
     triangles = Triangles.of(faces, num_vertices=vertices.shape[1])
-    shift = shift or find_shift(some, surfaces, triangles)
+    shift = shift or find_shift(some, surfaces, triangles, settings)
     samples = joined(
         [
-            sample(sight, surface, triangles, shift.shift)
+            sample(sight, surface, triangles, shift.shift, settings)
             for sight, surface in zip(some, surfaces, strict=True)
         ]
     )
-    if len(samples.vertex) < 200:
+    if len(samples.vertex) < settings.min_samples:
         return None
-    return solve_appearance(samples, faces, vertices.shape[1], shift)
+    return solve_appearance(samples, faces, vertices.shape[1], shift, settings)
 
 
 def solve_appearance(
-    samples: Samples, faces: Int[np.ndarray, "F 3"], count: int, shift: ColourShift
+    samples: Samples,
+    faces: Int[np.ndarray, "F 3"],
+    count: int,
+    shift: ColourShift,
+    settings: AppearanceSettings = APPEARANCE,
 ) -> Appearance:
     """Light and albedo of samples, of ``count`` vertices: of grey first, then of each channel, its
     light about the grey one's.
@@ -263,15 +239,16 @@ def solve_appearance(
     white = float(samples.harmonics[0, 0])
     usual = np.zeros(9)
     usual[0] = 1.0 / white
-    found = _solved(samples, samples.colour.mean(1), usual, LIGHT_SD, edges, GREY_STEPS)
+    mean = samples.colour.mean(1)
+    found = _solved(samples, mean, usual, settings.light_sd, edges, settings.grey_steps, settings)
     grey = found.values["light"]
     channels = [
-        _solved(samples, samples.colour[:, channel], grey, TINT_SD, edges, CHANNEL_STEPS)
-        for channel in range(3)
+        _solved(samples, each, grey, settings.tint_sd, edges, settings.channel_steps, settings)
+        for each in samples.colour.T
     ]
     light = np.stack([each.values["light"] for each in channels], 1)
     logs = np.stack([each.values["log_albedo"] for each in channels], 1)
-    albedo = np.exp(np.clip(logs, np.log(MIN_ALBEDO), np.log(MAX_ALBEDO)))
+    albedo = np.exp(logs).clip(settings.min_albedo, settings.max_albedo)
     scale = light[0] * white
     light = light / scale
     albedo = albedo * scale
@@ -291,14 +268,15 @@ def _solved(
     spread: tuple[float, float, float],
     edges: sparse.csr_array,
     steps: int,
+    settings: AppearanceSettings,
 ) -> Minimized:
     """Log albedo (V,) and light (9,) of one channel, from the usual light."""
     albedo = _lit(samples, colour, usual, edges.shape[1])
     return minimize(
-        channel_terms(samples, colour, usual, spread, edges),
+        channel_terms(samples, colour, usual, spread, edges, settings),
         {"log_albedo": np.log(albedo), "light": usual},
-        Levenberg(DAMPING),
-        max_step={"log_albedo": MAX_LOG_STEP},
+        Levenberg(settings.damping),
+        max_step={"log_albedo": settings.max_log_step},
         max_iterations=steps,
         tolerances=Tolerances(cost=1e-4),
         stretch=False,
@@ -311,6 +289,7 @@ def channel_terms(
     usual: Float[np.ndarray, " 9"],
     spread: tuple[float, float, float],
     edges: sparse.csr_array,
+    settings: AppearanceSettings = APPEARANCE,
 ) -> dict[str, Term]:
     """E_C and E_Q of one channel, and the prior of its light about ``usual``."""
     shape = samples.harmonics
@@ -318,26 +297,28 @@ def channel_terms(
     root = np.sqrt(samples.weight)
     ends = np.arange(len(vertex) + 1)
     sd = np.array(spread)[ORDERS]
+    noise = settings.noise
+    smooth_sd = settings.smooth_sd
 
     def observed(log_albedo: np.ndarray, light: np.ndarray) -> tuple[np.ndarray, Any]:
         albedo = np.exp(log_albedo)[vertex]
-        drawn = albedo * (shape @ light).clip(MIN_SHADE)
+        drawn = albedo * (shape @ light).clip(settings.min_shade)
         by_albedo = sparse.csr_array(
-            (root * drawn / NOISE, vertex, ends), (len(vertex), len(log_albedo))
+            (root * drawn / noise, vertex, ends), (len(vertex), len(log_albedo))
         )
-        by_light = (root * albedo / NOISE)[:, None] * shape
-        residual = (root * (drawn - colour) / NOISE)[:, None]
+        by_light = (root * albedo / noise)[:, None] * shape
+        residual = (root * (drawn - colour) / noise)[:, None]
         return residual, {"log_albedo": by_albedo, "light": by_light}
 
     def jumps(log_albedo: np.ndarray) -> tuple[np.ndarray, Any]:
-        return (edges @ log_albedo)[:, None] / SMOOTH_SD, {"log_albedo": edges / SMOOTH_SD}
+        return (edges @ log_albedo)[:, None] / smooth_sd, {"log_albedo": edges / smooth_sd}
 
     def about_usual(light: np.ndarray) -> tuple[np.ndarray, Any]:
         return (light - usual) / sd, {"light": np.diag(1.0 / sd)}
 
     return {
-        "colour": Term(observed, robust=GemanMcClure(root * OUTLIER / NOISE)),
-        "smoothness": Term(jumps, robust=GemanMcClure(EDGE / SMOOTH_SD)),
+        "colour": Term(observed, robust=GemanMcClure(root * settings.outlier / noise)),
+        "smoothness": Term(jumps, robust=GemanMcClure(settings.edge / smooth_sd)),
         "light": Term(about_usual),
     }
 
@@ -353,23 +334,28 @@ def _lit(
 
 
 def log_smoothness(
-    edges: sparse.csr_array, albedo: Float[np.ndarray, " V"]
+    edges: sparse.csr_array,
+    albedo: Float[np.ndarray, " V"],
+    settings: AppearanceSettings = APPEARANCE,
 ) -> tuple[sparse.csr_array, Float[np.ndarray, " V"]]:
     """E_Q of one channel (T eq. 4.7), over log albedo: its Gauss-Newton matrix (V, V) and gradient
     (V,).
     """
     log = np.log(albedo)
     jump = edges @ log
-    smooth = (
-        edges.T @ sparse.diags_array(1.0 / (1.0 + (jump / EDGE) ** 2) ** 2 / SMOOTH_SD**2) @ edges
-    )
+    weight = geman_mcclure_weight(jump, settings.edge) / settings.smooth_sd**2
+    smooth = edges.T @ sparse.diags_array(weight) @ edges
     return smooth, smooth @ log
 
 
-def smoothness_cost(edges: sparse.csr_array, albedo: Float[np.ndarray, " V"]) -> float:
+def smoothness_cost(
+    edges: sparse.csr_array,
+    albedo: Float[np.ndarray, " V"],
+    settings: AppearanceSettings = APPEARANCE,
+) -> float:
     """E_Q of one channel, robust (Geman-McClure)."""
     square = (edges @ np.log(albedo)) ** 2
-    return 0.5 * float((square / (1.0 + square / EDGE**2)).sum()) / SMOOTH_SD**2
+    return 0.5 * float((square / (1.0 + square / settings.edge**2)).sum()) / settings.smooth_sd**2
 
 
 ORDERS = np.repeat([0, 1, 2], [1, 3, 5])
@@ -400,13 +386,14 @@ def sample(
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     shift: Float[np.ndarray, " 3"],
+    settings: AppearanceSettings = APPEARANCE,
 ) -> Samples:
     """The vertices that a view's colour camera sees well, and their colours."""
     normals = vertex_normals(vertices, triangles.faces.numpy())
     assert sight.colour_camera is not None
     camera = moved(sight.colour_camera, shift)
     colour, weight = look_up(
-        sight, camera, vertices, normals, depth_of(camera, vertices, triangles)
+        sight, camera, vertices, normals, depth_of(camera, vertices, triangles), settings
     )
     rows = np.flatnonzero(weight > 0)
     shade = harmonics(torch.from_numpy(normals[rows])).numpy()
@@ -426,6 +413,7 @@ def look_up(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     depth: Float[np.ndarray, "h w"],
+    settings: AppearanceSettings = APPEARANCE,
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """Linear colours (N, 3) of points on the surface and how far to trust them (N,), 0 where they
     are not seen.
@@ -443,13 +431,14 @@ def look_up(
     inside = ((at > 1) & (at < np.array(depth.shape)[:, None] - 2)).all(0)
     cell = np.where(inside, np.round(at), 0).astype(int)
     solid = np.asarray(binary_erosion(np.isfinite(depth), iterations=3), dtype=bool)
-    shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + BEHIND) & (cosine > STEEPEST)
+    shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + settings.hidden)
+    shown &= cosine > settings.min_cosine
     assert sight.view.colour is not None
     linear = to_linear(sight.view.colour)
     colour = np.stack(
         [map_coordinates(linear[..., c], np.where(inside, at, 0.0), order=1) for c in range(3)], 1
     )
-    shown &= (colour.max(1) > DARKEST) & (colour.min(1) < 0.995)
+    shown &= (colour.max(1) > settings.min_colour) & (colour.min(1) < settings.max_colour)
     return colour, shown * np.maximum(cosine, 0.0) ** 2
 
 

@@ -20,10 +20,6 @@ from scipy.sparse.linalg import splu
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import (
-    CAMERA_SHIFT_SD,
-    LIGHT_SD,
-    MAX_ALBEDO,
-    MIN_ALBEDO,
     ORDERS,
     log_smoothness,
     moved,
@@ -38,13 +34,11 @@ from habitus.fit.points.colour_views import (
     rim_pixels,
     view_rows,
 )
-from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.depth_settings import AppearanceSettings, RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.normals import vertex_normals
 from habitus.render.triangles import Triangles
 from habitus.solve.terms import Quadratic, Term
-
-ALBEDO_DAMPING = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +62,7 @@ class ColourEquations:
     gradient: Float[np.ndarray, " n"]
     matrix: Float[np.ndarray, "n n"]
     eliminated: tuple[Eliminated, ...]
+    settings: AppearanceSettings
 
     def after(self, look: Look, step: Float[np.ndarray, " n"]) -> Look:
         """What the person looks like a step further."""
@@ -75,7 +70,7 @@ class ColourEquations:
         for c, one in enumerate(self.eliminated):
             change = -one.solved[:, -1] - one.solved[:, :-1] @ step[one.columns]
             log[one.vertices, c] += np.clip(change, -1.0, 1.0)
-        albedo = np.exp(np.clip(log, np.log(MIN_ALBEDO), np.log(MAX_ALBEDO)))
+        albedo = np.exp(log).clip(self.settings.min_albedo, self.settings.max_albedo)
         light = look.light + step[-30:-3].reshape(3, 9).T
         return Look(albedo, light, look.shift + step[-3:])
 
@@ -89,6 +84,7 @@ def colour_equations(
     settings: RgbdSettings,
 ) -> ColourEquations:
     """The normal equations of all views that have colours (None: it has none)."""
+    looks = settings.appearance
     head = len(state.betas)
     width = 3 + state.pose[0].size
     moving = head + width * len(state.pose)
@@ -111,16 +107,16 @@ def colour_equations(
         own, slope, found = _channel(
             rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings
         )
-        certain = settings.colour / np.array(LIGHT_SD)[ORDERS] ** 2
+        certain = settings.colour / np.array(looks.light_sd)[ORDERS] ** 2
         own[light, light] += certain
         slope[light] += certain * (look.light[:, c] - WHITE)
         matrix = matrix + own
         gradient = gradient + slope
         solved.append(found)
     last = size - 3 + np.arange(3)
-    matrix[last, last] += 1.0 / CAMERA_SHIFT_SD**2
-    gradient[last] += look.shift / CAMERA_SHIFT_SD**2
-    return ColourEquations(gradient, matrix, tuple(solved))
+    matrix[last, last] += 1.0 / looks.camera_shift_sd**2
+    gradient[last] += look.shift / looks.camera_shift_sd**2
+    return ColourEquations(gradient, matrix, tuple(solved), looks)
 
 
 def _channel(
@@ -137,9 +133,9 @@ def _channel(
     matrix = np.zeros((size, size))
     gradient = np.zeros(size)
     shown = np.unique(np.concatenate([rows.by_albedo.indices for rows, _ in views]))
-    smooth, pull = log_smoothness(edges, albedo)
+    smooth, pull = log_smoothness(edges, albedo, settings.appearance)
     inner = settings.colour * smooth[shown][:, shown] + sparse.diags_array(
-        np.full(len(shown), ALBEDO_DAMPING)
+        np.full(len(shown), settings.appearance.albedo_damping)
     )
     right = settings.colour * pull[shown]
     meeting = np.zeros((len(shown), size))
@@ -203,8 +199,10 @@ class ColourEnergy:
                 rims.append(None)
                 continue
             moving, level = view
-            drawn = Drawn.of(moving.vertices, moving.normals, triangles, level, look)
-            rims.append(rim_pixels(drawn.frame, level, moving))
+            drawn = Drawn.of(
+                moving.vertices, moving.normals, triangles, level, look, settings.appearance
+            )
+            rims.append(rim_pixels(drawn.frame, level, moving, settings.appearance.rim_cosine))
             rows.append(view_rows(moving, triangles, level, look, settings, drawn))
             cost += drawn.cost(level, rims[-1], settings)
         state = BodyState(values["betas"], values["pose"], values["trans"])
@@ -266,7 +264,7 @@ class ColourEnergy:
             here = replace(level, camera=moved(level.camera, look.shift - self.look.shift))
             surface = np.ascontiguousarray(surface)
             normals = vertex_normals(surface, self.body.faces)
-            drawn = Drawn.of(surface, normals, self.triangles, here, look)
+            drawn = Drawn.of(surface, normals, self.triangles, here, look, self.settings.appearance)
             total += drawn.cost(level, rim, self.settings)
         return total
 
@@ -312,9 +310,9 @@ def _in_order(values: Mapping[str, Any]) -> Float[np.ndarray, " n"]:
 
 def _prior_cost(look: Look, edges: sparse.csr_array, settings: RgbdSettings) -> float:
     """E_Q, and the priors of light and colour camera."""
-    certain = settings.colour / np.array(LIGHT_SD)[ORDERS] ** 2
+    looks = settings.appearance
+    certain = settings.colour / np.array(looks.light_sd)[ORDERS] ** 2
     light = 0.5 * float((certain @ (look.light - WHITE[:, None]) ** 2).sum())
-    smooth = sum(smoothness_cost(edges, look.albedo[:, c]) for c in range(3))
-    return (
-        light + settings.colour * smooth + 0.5 * float(look.shift @ look.shift) / CAMERA_SHIFT_SD**2
-    )
+    smooth = sum(smoothness_cost(edges, look.albedo[:, c], looks) for c in range(3))
+    shift = 0.5 * float(look.shift @ look.shift) / looks.camera_shift_sd**2
+    return light + settings.colour * smooth + shift

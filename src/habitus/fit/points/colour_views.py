@@ -20,17 +20,13 @@ from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.appearance import (
-    MAX_ALBEDO,
-    MIN_ALBEDO,
-    NOISE,
-    OUTLIER,
     Appearance,
     eye_of,
     moved,
     to_linear,
 )
+from habitus.fit.points.depth_settings import APPEARANCE, AppearanceSettings, RgbdSettings
 from habitus.fit.points.prepared_views import PreparedView
-from habitus.fit.points.settings import RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.normals import normal_jacobian, vertex_normals
 from habitus.observe.camera import Camera
@@ -40,11 +36,6 @@ from habitus.render.frame import Frame
 from habitus.render.jacobians.images import image_jacobian
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
-
-MARGIN = 24
-"""Full-size pixels around the person that are looked at."""
-SATURATED = 254
-"""Bytes from which a pixel is overexposed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +58,7 @@ class ColourLevel:
         vertices: Float[np.ndarray, "V 3"],
         shift: Float[np.ndarray, " 3"],
         factor: int,
+        settings: AppearanceSettings = APPEARANCE,
     ) -> "ColourLevel | None":
         """The neighbourhood of a surface in a view; None without colour of the person and of the
         empty room.
@@ -80,8 +72,8 @@ class ColourLevel:
         camera = moved(sight.colour_camera, shift)
         pixels = camera.project(torch.from_numpy(vertices))[0].numpy()
         size = np.array([camera.width, camera.height])
-        low = np.clip(np.floor(pixels.min(0)) - MARGIN, 0, size - factor).astype(int)
-        high = np.clip(np.ceil(pixels.max(0)) + MARGIN, low + factor, size).astype(int)
+        low = np.clip(np.floor(pixels.min(0)) - settings.margin, 0, size - factor).astype(int)
+        high = np.clip(np.ceil(pixels.max(0)) + settings.margin, low + factor, size).astype(int)
         across, down = (high - low) // factor * factor
         part = (slice(low[1], low[1] + down), slice(low[0], low[0] + across))
         small = camera.replace(
@@ -93,7 +85,7 @@ class ColourLevel:
         seen, room = (
             to_linear(image[part]) for image in (sight.view.colour, sight.view.background_colour)
         )
-        usable = (sight.view.colour[part].max(-1) < SATURATED)[..., None].astype(float)
+        usable = (sight.view.colour[part].max(-1) < settings.saturated)[..., None].astype(float)
         least = _means(usable, factor)[..., 0] > 1.0 - 1e-9
         return ColourLevel(
             small, factor, _means(seen, factor), _means(room, factor), least.astype(float)
@@ -103,13 +95,6 @@ class ColourLevel:
 def _means(image: Float[np.ndarray, "H W C"], factor: int) -> Float[np.ndarray, "h w C"]:
     height, width = (size // factor for size in image.shape[:2])
     return image.reshape(height, factor, width, factor, -1).mean((1, 3))
-
-
-RIM_COSINE = 0.15
-"""Between view and surface: below it a pixel belongs to the rim."""
-RIM_OUTLIER = 0.6
-"""Difference of colours that counts a quarter at the rim."""
-DARKEST_SHADE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +108,10 @@ class Look:
     shift: Float[np.ndarray, " 3"]
 
     @staticmethod
-    def of(found: Appearance) -> "Look":
+    def of(found: Appearance, settings: AppearanceSettings = APPEARANCE) -> "Look":
         """The look of light and albedo as they were found."""
-        return Look(found.albedo.clip(MIN_ALBEDO, MAX_ALBEDO), found.light, found.shift.shift)
+        albedo = found.albedo.clip(settings.min_albedo, settings.max_albedo)
+        return Look(albedo, found.light, found.shift.shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +180,11 @@ class Drawn:
         triangles: Triangles,
         level: ColourLevel,
         look: Look,
+        settings: AppearanceSettings,
     ) -> "Drawn":
         """In the light and albedo of ``look``."""
         shape = harmonics(torch.from_numpy(normals)).numpy()
-        values = look.albedo * (shape @ look.light).clip(DARKEST_SHADE)
+        values = look.albedo * (shape @ look.light).clip(settings.min_drawn_shade)
         frame = draw(level.camera, torch.from_numpy(vertices), triangles)
         assert isinstance(frame, Frame)  # one camera, one surface
         image = frame.image(torch.from_numpy(values), torch.from_numpy(level.room)).numpy()
@@ -207,9 +194,10 @@ class Drawn:
         self, level: ColourLevel, rim: Bool[np.ndarray, " HW"], settings: RgbdSettings
     ) -> float:
         """E_C of the view, robust; rim: pixels that count as the model's rim."""
-        weight = settings.colour * level.factor**2 / NOISE**2 * level.usable.ravel()
+        looks = settings.appearance
+        weight = settings.colour * level.factor**2 / looks.noise**2 * level.usable.ravel()
         weight = weight * np.where(rim, settings.rim, 1.0)
-        scale = np.where(rim, RIM_OUTLIER, OUTLIER)[:, None]
+        scale = np.where(rim, looks.rim_outlier, looks.outlier)[:, None]
         loss = self.residual**2 / (1.0 + (self.residual / scale) ** 2)
         return 0.5 * float(weight @ loss.sum(1))
 
@@ -223,7 +211,9 @@ def view_rows(
     drawn: Drawn | None = None,
 ) -> list[ViewRows]:
     """The three channels' rows of one view; drawn: the surface, where that is known."""
-    drawn = drawn or Drawn.of(moving.vertices, moving.normals, triangles, level, look)
+    looks = settings.appearance
+    if drawn is None:
+        drawn = Drawn.of(moving.vertices, moving.normals, triangles, level, look, looks)
     frame, shape, values = drawn.frame, drawn.shape, drawn.values
     slope = harmonics_slope(torch.from_numpy(moving.normals)).numpy()
     points = torch.from_numpy(moving.vertices)
@@ -233,7 +223,7 @@ def view_rows(
     shown = found.values.tocsr()
     pixels = np.flatnonzero(np.diff(shown.indptr))
     shown = shown[pixels]
-    inner = ~rim_pixels(frame, level, moving)[pixels]
+    inner = ~rim_pixels(frame, level, moving, looks.rim_cosine)[pixels]
     usable = level.usable.ravel()[pixels] * np.where(inner, 1.0, settings.rim)
     shift = np.tile(matrix_from_rotvec(level.camera.rotation).numpy().T, (len(values), 1))
     corners = np.unique(shown.indices)
@@ -250,12 +240,12 @@ def view_rows(
             own @ shift,
         ]
         residual = drawn.residual[pixels, c]
-        scale = np.where(inner, OUTLIER, RIM_OUTLIER)
+        scale = np.where(inner, looks.outlier, looks.rim_outlier)
         weight = (
             settings.colour
             * level.factor**2
             * usable
-            / NOISE**2
+            / looks.noise**2
             / (1.0 + (residual / scale) ** 2) ** 2
         )
         by_albedo = (
@@ -268,9 +258,13 @@ def view_rows(
     return rows
 
 
-def rim_pixels(frame: Frame, level: ColourLevel, moving: Moving) -> Bool[np.ndarray, " HW"]:
-    """Pixels of the model where its surface turns away from the camera, or where it ends."""
+def rim_pixels(
+    frame: Frame, level: ColourLevel, moving: Moving, max_cosine: float
+) -> Bool[np.ndarray, " HW"]:
+    """Pixels of the model where its surface turns away from the camera (cosine between view and
+    normal below ``max_cosine``), or where it ends.
+    """
     view = moving.vertices - eye_of(level.camera)
     view /= np.linalg.norm(view, axis=1, keepdims=True)
     cosine = -(moving.normals * view).sum(1, keepdims=True)
-    return frame.image(torch.from_numpy(cosine), 0.0).numpy().ravel() < RIM_COSINE
+    return frame.image(torch.from_numpy(cosine), 0.0).numpy().ravel() < max_cosine

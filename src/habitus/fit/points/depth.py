@@ -1,5 +1,5 @@
-"""Body shape, poses and places from depth views (T 4.6.1): segment, start, staged Gauss-Newton
-steps, looks.
+"""Body shape, poses and places from depth views (T 4.6.1): segmentation, start, staged solves,
+appearance.
 """
 
 import time
@@ -17,18 +17,13 @@ from habitus.fit.points.colour_views import Look
 from habitus.fit.points.depth_energy import DepthEnergy, SkinnedState
 from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_result import RgbdFit, gather
+from habitus.fit.points.depth_settings import STANDARD, RgbdSettings
 from habitus.fit.points.depth_start import find_start, scaled_to_height
 from habitus.fit.points.prepared_views import PreparedView, segment
-from habitus.fit.points.settings import STANDARD, RgbdSettings
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.depth_views import RgbdCapture
 from habitus.solve.minimize import Minimized
-
-SURE = 20.0
-"""By how much the energy of a woman's or a man's body must be the lower one: 28 of 28 made people
-had 69 at least.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +88,7 @@ def _fitted(
     given: Float[np.ndarray, "K J 3"] | None,
 ) -> ViewsFit:
     clock = [time.perf_counter()]
-    sights, kept, notes = _prepared(capture)
+    sights, kept, notes = _prepared(capture, settings)
     turns = tuple(turns[k] for k in kept)
     given = None if given is None else np.asarray(given)[kept]
     clock.append(time.perf_counter())
@@ -104,7 +99,7 @@ def _fitted(
     rivals = [
         _rival(name, body, energy, start, means) for name, body in bodies.items() if name != first
     ]
-    chosen = _chosen(rivals) or _coarse(first, energy, start, means)
+    chosen = _chosen(rivals, settings.body_margin) or _coarse(first, energy, start, means)
     energy = chosen.energy
     field = SkinField.of(energy.body, settings)
     state, means = limbs_tried_again(energy, chosen.state, means)
@@ -137,7 +132,9 @@ def _fitted(
     )
 
 
-def _prepared(capture: RgbdCapture) -> tuple[list[PreparedView], list[int], tuple[str, ...]]:
+def _prepared(
+    capture: RgbdCapture, settings: RgbdSettings
+) -> tuple[list[PreparedView], list[int], tuple[str, ...]]:
     """The views that show a person, their numbers in the capture, and a note on each other view.
 
     Raises HabitusError where no view shows a person.
@@ -147,7 +144,9 @@ def _prepared(capture: RgbdCapture) -> tuple[list[PreparedView], list[int], tupl
     errors: list[HabitusError] = []
     for k, view in enumerate(capture.views):
         try:
-            found.append(PreparedView.of(view, segment(view)))
+            found.append(
+                PreparedView.of(view, segment(view, settings.segmentation), settings.segmentation)
+            )
             kept.append(k)
         except HabitusError as error:
             errors.append(error)
@@ -172,7 +171,7 @@ def _rival(
 ) -> _Coarse:
     """Another body from the first one's poses."""
     energy = DepthEnergy.of(body, first.views, first.settings)
-    state = replace(start, betas=scaled_to_height(body, list(first.views)))
+    state = replace(start, betas=scaled_to_height(body, list(first.views), first.settings.search))
     return _coarse(name, energy, state, means)
 
 
@@ -181,13 +180,13 @@ def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray)
     return _Coarse(name, energy, found.state, found.history)
 
 
-def _chosen(rivals: list[_Coarse]) -> _Coarse | None:
+def _chosen(rivals: list[_Coarse], margin: float) -> _Coarse | None:
     """Of women's and men's bodies the one that explains the views much better than the other; None
     where none does.
     """
     ranked = sorted(rivals, key=lambda one: one.history[-1])
     sure = len(ranked) == 1 or (
-        len(ranked) > 1 and ranked[1].history[-1] - ranked[0].history[-1] > SURE
+        len(ranked) > 1 and ranked[1].history[-1] - ranked[0].history[-1] > margin
     )
     return ranked[0] if sure else None
 
@@ -202,16 +201,19 @@ def _with_colour(
     should: waists of twelve people were 4.3 cm off (RMSE) with these steps, 1.7 without.
     """
     faces = energy.body.faces
+    looks = energy.settings.appearance
     state = settled.state
     views = energy.views
-    shown = find_appearance(views, field.seen(energy.surfaces(state), state.skin), faces)
+    shown = find_appearance(
+        views, field.seen(energy.surfaces(state), state.skin), faces, None, looks
+    )
     few = len(views) < 2 or not energy.settings.colour_levels
     if few or shown is None or shown.shift.overlap is None:
         return settled, state, shown
-    found, state, seen_look = energy.with_colour(state, Look.of(shown), means, field)
+    found, state, seen_look = energy.with_colour(state, Look.of(shown, looks), means, field)
     shift = ColourShift(seen_look.shift, shown.shift.overlap)
     seen = field.seen(energy.surfaces(state), state.skin)
-    return found, state, find_appearance(views, seen, faces, shift)
+    return found, state, find_appearance(views, seen, faces, shift, looks)
 
 
 def fit_views(
@@ -232,7 +234,7 @@ def fit_views(
     """
     found = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
-    evidence = gather(found.body, found.state, found.sights, settings.noise, found.seen, found.skin)
+    evidence = gather(found.body, found.state, found.sights, settings, found.seen, found.skin)
     state = found.state
     told = ()
     if not isinstance(bodies, BodyModel):

@@ -1,5 +1,6 @@
-"""Which point of the model's surface a pixel belongs to: the nearest that the camera would see, or
-the same pixel's.
+"""Correspondences of depth views: "depth", the point of the model's surface that a pixel belongs to
+(the nearest that the camera would see, or the same pixel's); "outline", the silhouette's nearest
+pixel of what covers the background; "floor", the soles at their heights above it (thesis eq. 4.6).
 """
 
 from collections.abc import Mapping
@@ -10,16 +11,15 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
+from habitus.fit.points.depth_settings import STANDARD, DepthStage, RgbdSettings
 from habitus.fit.points.prepared_views import Grid
-from habitus.fit.points.settings import DepthStage, RgbdSettings
+from habitus.fit.retarget.contacts import find_soles
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations
 from habitus.solve.terms import geman_mcclure_weight
-
-CLEAR = 0.08
-"""Metres that what was seen lies behind the model where the model cannot be."""
-LEAST_COSINE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def match(
     view = point - grid.eye
     depth = np.linalg.norm(view, axis=1)
     cosine = np.abs((normal * view).sum(1)) / np.maximum(depth, 1e-6)
-    spread = np.hypot(noise * depth**2 * np.maximum(cosine, LEAST_COSINE), settings.model_sd)
+    spread = np.hypot(noise * depth**2 * np.maximum(cosine, settings.min_cosine), settings.model_sd)
     off = ((point - target) * normal).sum(1)
     distance = (
         np.linalg.norm(point - target, axis=1) if stage.matching == "nearest" else np.abs(off)
@@ -112,7 +112,7 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     """Points of the model before what was seen through are drawn to the person's nearest pixel,
     across the view.
     """
-    rows = wrong_rows(grid, drawn)
+    rows = wrong_rows(grid, drawn, settings.seen_through)
     pixel = drawn.pixel[rows]
     nearest = grid.nearest.reshape(2, -1)[:, pixel]
     depth = np.linalg.norm(drawn.points[rows] - grid.eye, axis=1)
@@ -122,7 +122,7 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     target = grid.eye + rays * depth[:, None]
     weight = settings.outline * grid.stride**2 / settings.outline_sd**2
     weight = weight * geman_mcclure_weight(
-        np.linalg.norm(target - drawn.points[rows], axis=1), max(reach, 0.05)
+        np.linalg.norm(target - drawn.points[rows], axis=1), max(reach, settings.min_outline_scale)
     )
     across = np.cross(rays, [0.0, 1.0, 0.0])
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
@@ -130,19 +130,62 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
     return PointObservations(drawn.face[rows], drawn.barycentric[rows], target, directions)
 
 
-def wrong_rows(grid: Grid, drawn: Drawn) -> Int[np.ndarray, " n"]:
-    """Points of the model that lie before something that was seen through them."""
+def wrong_rows(grid: Grid, drawn: Drawn, clearance: float) -> Int[np.ndarray, " n"]:
+    """Points of the model that lie ``clearance`` (m) or more before what was seen through them."""
     behind, own = (image.ravel()[drawn.pixel] for image in (grid.behind, grid.own))
     depth = grid.camera.to_camera(torch.from_numpy(drawn.points)).numpy()[:, 2]
-    return np.flatnonzero(~own & (behind > depth + CLEAR))
+    return np.flatnonzero(~own & (behind > depth + clearance))
 
 
-def misfit(grid: Grid, drawn: Drawn, most: float = 0.15) -> float:
-    """How badly the model explains a view: mean metres, cut at ``most``, from the person's pixels
-    to the model, and ``most`` for each pixel of the model that was seen through.
+def misfit(grid: Grid, drawn: Drawn, settings: RgbdSettings = STANDARD) -> float:
+    """How badly the model explains a view: mean distance (m), capped, from the person's pixels to
+    the model, and the cap for each pixel of the model that was seen through.
     """
+    most = settings.search.max_misfit_distance
     own = grid.points[grid.own]
     if not len(drawn.points) or not len(own):
         return 2.0 * most
     distance = np.minimum(KDTree(drawn.points).query(own)[0], most).mean()
-    return float(distance + most * len(wrong_rows(grid, drawn)) / len(own))
+    return float(distance + most * len(wrong_rows(grid, drawn, settings.seen_through)) / len(own))
+
+
+@dataclass(frozen=True, eq=False)
+class Footpads:
+    """Vertices of the soles as points of the surface: face and corner of each, and how high (m)
+    above the floor each is where the foot stands flat: soles are arched, and round at their rims.
+    """
+
+    face: Int[np.ndarray, " P"]
+    corner: Int[np.ndarray, " P"]
+    height: Float[np.ndarray, " P"]
+
+    @staticmethod
+    def of(body: BodyModel) -> "Footpads | None":
+        """Those of a body; None where it has no feet."""
+        try:
+            used = find_soles(body).used
+        except HabitusError:
+            return None
+        order = np.argsort(body.faces.ravel(), kind="stable")
+        first = order[np.searchsorted(body.faces.ravel(), used, sorter=order)]
+        mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+        rest = body.rest_vertices(mean)[:, 1]
+        return Footpads(first // 3, first % 3, rest[used] - rest[used].min())
+
+    def on_floor(
+        self, surface: Float[np.ndarray, "V 3"], body: BodyModel, settings: RgbdSettings
+    ) -> PointObservations:
+        """E_F: drawn to their heights, all together with the weight of one; robust, as a foot may
+        be lifted.
+        """
+        count = len(self.face)
+        target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
+        off = surface[body.faces[self.face, self.corner], 1] - self.height
+        weight = settings.floor / settings.floor_sd**2 / count
+        root = np.sqrt(weight * geman_mcclure_weight(off, settings.floor_scale))
+        return PointObservations(
+            self.face,
+            np.eye(3)[self.corner],
+            target,
+            root[:, None, None] * np.array([0.0, 1.0, 0.0]),
+        )

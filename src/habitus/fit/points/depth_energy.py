@@ -5,15 +5,17 @@
     "depth"    E_D, robust (thesis eq. 4.5): pixels against the surface (`depth_correspondences`),
                with skin offsets in the last stages (`skin_offsets`)
     "outline"  points of the model before background that was seen, against the silhouette (ours)
-    "floor"    E_F (thesis eq. 4.6): soles on the floor (`floor`), once a stage moves all unknowns
+    "floor"    E_F (thesis eq. 4.6): soles on the floor (`depth_correspondences`), once a stage
+               moves all unknowns
     "shape"    E_S, "pose" E_P (thesis sec. 4.6.1): Gaussians (`priors`)
     "skin"     1/2 |z|^2, the prior of the skin offsets (ours)
     "colour"   E_C + E_Q (thesis eqs. 4.4 and 4.7) with the priors of light and colour camera
                (`colour_terms`)
 
-The weights are in the table of `habitus.fit.points`: fields of `settings.RgbdSettings`, for light,
-albedo and camera shift constants of `appearance`. Correspondences are found anew before each step
-(`habitus.solve.alternate`); a step that raises the cost at its correspondences is refused.
+The weights are in the table of `habitus.fit.points`: fields of `depth_settings.RgbdSettings`,
+those of light, albedo and camera shift of `AppearanceSettings`. Correspondences are found anew
+before each step (`habitus.solve.alternate`); a step that raises the cost at its correspondences is
+refused.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,10 +30,9 @@ from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
 from habitus.fit.points.colour_terms import ColourEnergy
 from habitus.fit.points.colour_views import ColourLevel, Look, Moving
-from habitus.fit.points.depth_correspondences import look, match
-from habitus.fit.points.floor import Footpads
+from habitus.fit.points.depth_correspondences import Footpads, look, match
+from habitus.fit.points.depth_settings import STIFF, DepthStage, RgbdSettings
 from habitus.fit.points.prepared_views import Grid, PreparedView
-from habitus.fit.points.settings import STIFF, DepthStage, RgbdSettings
 from habitus.fit.points.skin_offsets import SkinDepth, SkinField, moved_back, skin_depth_term
 from habitus.fit.points.terms import points_around, pose_prior, shape_prior
 from habitus.render.triangles import Triangles
@@ -138,6 +139,7 @@ class DepthEnergy:
         coarse to fine in the colours.
         """
         edges = edges_of(self.body.faces)
+        looks = self.settings.appearance
         levels = self.settings.colour_levels
         names = ("betas", "pose", "trans", "skin")
         last: ColourEnergy | None = None
@@ -149,7 +151,7 @@ class DepthEnergy:
             views = []
             for k, view in enumerate(self.views):
                 moving = Moving.of(self.body, now.body, k, field, now.skin)
-                level = ColourLevel.of(view, moving.vertices, seen.shift, levels[step])
+                level = ColourLevel.of(view, moving.vertices, seen.shift, levels[step], looks)
                 views.append(None if level is None else (moving, level))
             last = ColourEnergy.of(
                 self.body, field, self.triangles, values, views, seen, edges, self.settings
@@ -199,8 +201,7 @@ class DepthEnergy:
             drawn = look(grid, surface, self.triangles)
             here = dict(match(grid, drawn, stage, scale, noise, self.settings).matches)
             if self.pads is not None and view.on_floor and stage.moves == "all":
-                weight = self.settings.floor / self.settings.floor_sd**2
-                here["floor"] = self.pads.on_floor(weight, surface, self.body)
+                here["floor"] = self.pads.on_floor(surface, self.body, self.settings)
             found.append(here)
         return found
 

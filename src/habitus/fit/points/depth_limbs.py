@@ -14,39 +14,18 @@ from scipy.spatial import KDTree
 from habitus.body.state import BodyState
 from habitus.fit.points.depth_correspondences import Drawn, look, misfit
 from habitus.fit.points.depth_energy import DepthEnergy
-from habitus.fit.points.depth_start import ASIDE, COARSE, Tried, arm_poses, refined
-from habitus.fit.points.prepared_views import Grid, PreparedView
-from habitus.fit.points.settings import DepthStage
+from habitus.fit.points.depth_settings import DepthStage
+from habitus.fit.points.depth_start import Tried, arm_poses, refined
+from habitus.fit.points.prepared_views import Grid
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 LIMBS = {"arm": ("shoulder", "elbow", "wrist", "hand"), "leg": ("hip", "knee", "ankle", "foot")}
-APART = 0.15
-"""Metres that a limb's joint is elsewhere in another view, seen from the pelvis, from which on it
-is tried again.
-"""
-UNEXPLAINED, FAR = 0.01, 0.05
-"""Share of a person's pixels that are so far (m) from the body from which on both arms are tried
-again.
-"""
-PASSES = 2
-KEPT = 2
-BETTER = 0.97
-"""Share of its misfit to which another way must bring a view."""
-PIXELS = 2000
-"""Of the person, that are looked at; a quarter of them in coarse steps."""
 
 
-def _stride(sight: PreparedView) -> int:
-    """Every how-manieth pixel leaves about so many of the person."""
-    return int(np.clip(np.sqrt(sight.mask.sum() / PIXELS), 1, 4))
-
-
-def _coarse(stride: int) -> DepthStage:
-    return replace(COARSE[-1][1], stride=2 * stride)
-
-
-def _fine(stride: int) -> DepthStage:
-    return DepthStage(6, moves="pose", matching="nearest", stride=stride, scales=(0.12, 0.05))
+def _stride(energy: DepthEnergy, k: int) -> int:
+    """Of pixels, that leaves about `DepthLimbSettings.pixels` of the person."""
+    pixels = energy.settings.limbs.pixels
+    return int(np.clip(np.sqrt(energy.views[k].mask.sum() / pixels), 1, 4))
 
 
 def limbs_tried_again(
@@ -55,7 +34,7 @@ def limbs_tried_again(
     """The state with limbs in doubt where they explain their views best, and what the pose's prior
     is then around.
     """
-    for _ in range(PASSES):
+    for _ in range(energy.settings.limbs.passes):
         before = state
         for k in range(len(energy.views)):
             state, means = _of_view(energy, state, means, k)
@@ -70,27 +49,31 @@ def _of_view(
     """Limbs of one view, and the whole pose of another view where pixels are unexplained; the state
     as it is where nothing is in doubt.
     """
+    settings = energy.settings
     joints = _own_frames(energy, state)
-    grid = energy.views[k].grid(_stride(energy.views[k]))
+    grid = energy.views[k].grid(_stride(energy, k))
     drawn = look(grid, energy.surfaces(state)[k], energy.triangles)
-    lost = _unexplained(grid, drawn) > UNEXPLAINED
+    unexplained = _unexplained(grid, drawn, settings.explained_distance)
+    lost = unexplained > settings.limbs.max_unexplained
     first = Tried(
         BodyState(state.betas, state.pose[k : k + 1], state.trans[k : k + 1]),
         means[k],
-        misfit(grid, drawn),
+        misfit(grid, drawn, settings),
     )
     now = first
     for limb in LIMBS:
         for rows in (_rows(energy, side, limb) for side in ("left", "right")):
-            apart = np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
-            if len(rows) and (apart > APART or (lost and limb == "arm")):
+            difference = np.linalg.norm(joints[:, rows] - joints[k, rows], axis=-1).max(initial=0.0)
+            if len(rows) and (
+                difference > settings.limbs.max_difference or (lost and limb == "arm")
+            ):
                 now = _best_way(energy, k, now, rows, _ways(energy, state, k, limb))
     if lost and len(state.pose) > 1:
         ways = [
             _turned(pose, state.pose[k], yaw)
             for j, pose in enumerate(state.pose)
             if j != k
-            for yaw in ASIDE
+            for yaw in settings.search.side_turns
         ]
         now = _best_way(energy, k, now, np.arange(energy.body.num_joints), ways)
     if now is first:
@@ -113,11 +96,11 @@ def _own_frames(energy: DepthEnergy, state: BodyState) -> Float[np.ndarray, "K J
     )
 
 
-def _unexplained(grid: Grid, drawn: Drawn) -> float:
-    """Share of the person's pixels that are far from the body."""
+def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:
+    """Share of the person's pixels that are further from the body than ``distance`` (m)."""
     if not len(drawn.points):
         return 1.0
-    return float((KDTree(drawn.points).query(grid.points[grid.own])[0] > FAR).mean())
+    return float((KDTree(drawn.points).query(grid.points[grid.own])[0] > distance).mean())
 
 
 def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:
@@ -133,7 +116,9 @@ def _ways(
 ) -> list[Float[np.ndarray, "J 3"]]:
     """Poses that have a limb otherwise: those of other views, and the usual ones of arms."""
     others = [pose for j, pose in enumerate(state.pose) if j != k]
-    return others + (list(arm_poses(energy.body, energy.settings.arms)) if limb == "arm" else [])
+    return others + (
+        list(arm_poses(energy.body, energy.settings.search.arms)) if limb == "arm" else []
+    )
 
 
 def _best_way(
@@ -146,12 +131,15 @@ def _best_way(
     """The way to hold a limb that explains view k best after some steps, coarse for all and fine
     for the best; ``now`` itself where none is better.
     """
-    stride = _stride(energy.views[k])
-    tried = [_stepped(energy, k, _held(now, way, rows), _coarse(stride)) for way in ways]
-    tried = sorted(tried, key=lambda one: one.misfit)[:KEPT]
-    stays, *others = (_stepped(energy, k, one, _fine(stride)) for one in (now, *tried))
+    settings = energy.settings
+    stride = _stride(energy, k)
+    coarse = replace(settings.search.coarse[-1][1], stride=2 * stride)
+    fine = replace(settings.limbs.fine, stride=stride)
+    tried = [_stepped(energy, k, _held(now, way, rows), coarse) for way in ways]
+    tried = sorted(tried, key=lambda one: one.misfit)[: settings.limbs.kept]
+    stays, *others = (_stepped(energy, k, one, fine) for one in (now, *tried))
     best = min(others, key=lambda one: one.misfit)
-    return best if best.misfit < BETTER * stays.misfit else now
+    return best if best.misfit < settings.limbs.improvement * stays.misfit else now
 
 
 def _turned(
@@ -176,9 +164,8 @@ def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]
 
 def _stepped(energy: DepthEnergy, k: int, one: Tried, stage: DepthStage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
-    sight = energy.views[k]
-    fine = sight.grid(_stride(sight))
+    fine = energy.views[k].grid(_stride(energy, k))
     prepared = energy.body.prepare(one.state.betas)
     one = refined(energy, k, prepared, one, stage)
     surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
-    return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles)))
+    return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles), energy.settings))

@@ -24,6 +24,7 @@ from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance
 from habitus.fit.points.depth_correspondences import look, wrong_rows
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
 from habitus.fit.verdict import (
     DOUBTFUL,
@@ -44,10 +45,6 @@ from habitus.fit.verdict import (
 )
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
-
-STRIDE = 3
-FAR = 0.05
-"""Metres from the body at which a pixel of the person is not explained by it."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ def gather(
     body: BodyModel,
     state: BodyState,
     sights: Sequence[PreparedView],
-    noise: float,
+    settings: RgbdSettings,
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
 ) -> Evidence:
@@ -110,7 +107,7 @@ def gather(
             surface,
             triangles,
             state.pose[k, 0],
-            noise if sight.noise is None else sight.noise,
+            settings,
         )
         for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
     )
@@ -178,9 +175,10 @@ def _of_view(
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     root: np.ndarray,
-    noise: float,
+    settings: RgbdSettings,
 ) -> ViewEvidence:
-    grid = sight.grid(STRIDE)
+    noise = settings.noise if sight.noise is None else sight.noise
+    grid = sight.grid(settings.judged_stride)
     drawn = look(grid, vertices, triangles)
     own = grid.own.ravel()
     shown = np.zeros(grid.own.size, bool)
@@ -190,7 +188,7 @@ def _of_view(
     off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
     far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
     near = (
-        KDTree(drawn.points).query(grid.points[grid.own])[0] < FAR
+        KDTree(drawn.points).query(grid.points[grid.own])[0] < settings.explained_distance
         if len(drawn.points)
         else np.zeros(1, bool)
     )
@@ -203,7 +201,7 @@ def _of_view(
         float(1e3 * np.percentile(size, 95)),
         float(1e3 * 0.6745 * noise * np.median(far**2)) if len(far) else np.nan,
         float(near.mean()),
-        float(len(wrong_rows(grid, drawn)) / max(len(drawn.pixel), 1)),
+        float(len(wrong_rows(grid, drawn, settings.seen_through)) / max(len(drawn.pixel), 1)),
         float((own & shown).sum() / max((own | shown).sum(), 1)),
         float(np.rad2deg(np.arctan2(facing[0], facing[2]))),
         sight.on_floor,

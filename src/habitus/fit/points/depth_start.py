@@ -20,42 +20,15 @@ from habitus.body.prepared import PreparedBody
 from habitus.body.state import BodyState, BodySurface
 from habitus.fit.points.depth_correspondences import Drawn, look, match, misfit
 from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
+from habitus.fit.points.depth_settings import STANDARD, DepthSearchSettings, DepthStage
 from habitus.fit.points.prepared_views import Grid, PreparedView
-from habitus.fit.points.settings import DepthStage
 from habitus.fit.points.terms import pose_prior
-from habitus.render.triangles import Triangles
 from habitus.residuals.points import JointObservations, points_term
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import minimize
 from habitus.solve.terms import Quadratic, Term
-
-STRIDE = 8
-COARSE = (
-    (12, DepthStage(2, moves="pose", matching="nearest", stride=STRIDE, scales=(0.3, 0.2))),
-    (4, DepthStage(4, moves="pose", matching="nearest", stride=STRIDE, scales=(0.2, 0.15))),
-)
-"""How many starts go on, and the steps they then make."""
-FINE = DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.1))
-"""Steps after which front and back are told apart."""
-FACING = 0.003
-APART = 7.0
-"""Degrees that each leg stands outwards."""
-ASIDE = (0.0, 30.0, -30.0)
-"""Degrees about a turn that was given."""
-MIDDLE_STEPS = 2
-"""Moves of the model's drawn middle onto the observed one."""
-PLANAR_STEPS = 3
-"""Steps in which the whole body turns and moves, before its joints do."""
-MAX_PLANAR_STEP = 0.3
-"""Of turn (rad) and place (m)."""
-PLANAR_SCALE = 0.3
-"""Geman-McClure's, m."""
-PLANAR_DAMPING = 1e-3
-"""Levenberg-Marquardt's at the start: a turn of a round body is hardly determined."""
-TALL = (1.3, 2.15)
-"""Metres that grown people are tall; another height in a view is not believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +62,7 @@ def find_start(
     turns: degrees by which the person is turned from facing the camera, to the person's left; None:
     to be found. given: poses to start from, in place of those that are tried.
     """
-    betas = scaled_to_height(energy.body, list(energy.views))
+    betas = scaled_to_height(energy.body, list(energy.views), energy.settings.search)
     found = [
         _best(energy, k, betas, turn, None if given is None else given[k])
         for k, turn in enumerate(turns)
@@ -102,7 +75,11 @@ def find_start(
     return state, np.stack([one.mean for one in found]), [one.misfit for one in found]
 
 
-def scaled_to_height(body: BodyModel, sights: list[PreparedView]) -> Float[np.ndarray, " B"]:
+def scaled_to_height(
+    body: BodyModel,
+    sights: list[PreparedView],
+    settings: DepthSearchSettings = STANDARD.search,
+) -> Float[np.ndarray, " B"]:
     """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot
     be seen.
     """
@@ -113,14 +90,15 @@ def scaled_to_height(body: BodyModel, sights: list[PreparedView]) -> Float[np.nd
         if not sight.cut_off:
             low = 0.0 if sight.on_floor else np.percentile(own[:, 1], 0.3)
             heights.append(np.percentile(own[:, 1], 99.7) - low)
-    heights = [height for height in heights if TALL[0] < height < TALL[1]]
+    low, high = settings.heights
+    heights = [height for height in heights if low < height < high]
     if not heights:
         return mean
     top, sole = (pick(body.v_template[:, 1]) for pick in (np.argmax, np.argmin))
     slope = body.shapedirs[top, 1] - body.shapedirs[sole, 1]
     now = np.ptp(body.rest_vertices(mean)[[top, sole], 1])
     step = (float(np.median(heights)) - now) * slope / max(float(slope @ slope), 1e-9)
-    return mean + np.clip(step, -2.5, 2.5)
+    return mean + np.clip(step, -settings.max_beta, settings.max_beta)
 
 
 def _best(
@@ -135,46 +113,46 @@ def _best(
     """
     body = energy.body
     view = energy.views[k]
-    settings = energy.settings
+    settings = energy.settings.search
     turns = settings.turns if turn is None else (turn,)
     prepared = body.prepare(betas)
-    grid = view.grid(STRIDE)
-    poses = list(arm_poses(body, settings.arms))
+    grid = view.grid(settings.stride)
+    poses = list(arm_poses(body, settings.arms, settings.leg_spread))
     if given is not None:
-        turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in ASIDE)
+        turns = tuple(np.rad2deg(_yaw(given[0])) + aside for aside in settings.side_turns)
         poses = [np.concatenate([np.zeros((1, 3)), given[1:]]), *poses]
-    posed = pose_of_keypoints(body, view, betas) if given is None else None
+    posed = pose_of_keypoints(body, view, betas, settings) if given is None else None
     if posed is not None:
         pose, trans = posed
         one = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
-        return refined(energy, k, prepared, one, COARSE[-1][1])
+        return refined(energy, k, prepared, one, settings.coarse[-1][1])
     started = [
-        _placed(grid, energy.triangles, prepared(pose), betas, pose, degrees)
+        _placed(energy, grid, prepared(pose), betas, pose, degrees)
         for pose in poses
         for degrees in turns
     ]
-    for kept, stage in COARSE:
+
+    def penalised(one: Tried) -> float:
+        """Misfit, and a little for who turns their back."""
+        return one.misfit + settings.facing * (1.0 - np.cos(one.yaw)) / 2.0
+
+    for kept, stage in settings.coarse:
         started = sorted(started, key=lambda one: one.misfit)[:kept]
         started = [refined(energy, k, prepared, one, stage) for one in started]
-    started = sorted(started, key=_doubt)
+    started = sorted(started, key=penalised)
     opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
     rivals = started[:1] + opposite[:1]
     if len(rivals) > 1:
-        rivals = [refined(energy, k, prepared, one, FINE) for one in rivals]
-    return min(rivals, key=_doubt)
-
-
-def _doubt(one: Tried) -> float:
-    """Misfit, and a little for who turns their back: from front and back people look alike but for
-    nose and toes.
-    """
-    return one.misfit + FACING * (1.0 - np.cos(one.yaw)) / 2.0
+        rivals = [refined(energy, k, prepared, one, settings.fine) for one in rivals]
+    return min(rivals, key=penalised)
 
 
 def arm_poses(
-    body: BodyModel, arms: tuple[tuple[float, float, float], ...]
+    body: BodyModel,
+    arms: tuple[tuple[float, float, float], ...],
+    leg_spread: float = STANDARD.search.leg_spread,
 ) -> Iterator[Float[np.ndarray, "J 3"]]:
-    """A standing pose for each way to hold the arms, as `arm_pose` takes them."""
+    """A standing pose for each pose of the arms, as `arm_pose` takes them; leg_spread: degrees."""
     for held in arms:
         pose = np.zeros((body.num_joints, 3))
         for side, sign in (("left", -1.0), ("right", 1.0)):
@@ -182,7 +160,7 @@ def arm_poses(
                 if f"{side}_{joint}" in body.joint_names:
                     pose[body.joint_names.index(f"{side}_{joint}")] = turned
             if f"{side}_hip" in body.joint_names:
-                pose[body.joint_names.index(f"{side}_hip"), 2] = np.deg2rad(-sign * APART)
+                pose[body.joint_names.index(f"{side}_hip"), 2] = np.deg2rad(-sign * leg_spread)
         yield pose
 
 
@@ -203,8 +181,8 @@ def arm_pose(
 
 
 def _placed(
+    energy: DepthEnergy,
     grid: Grid,
-    triangles: Triangles,
     surface: BodySurface,
     betas: np.ndarray,
     pose: np.ndarray,
@@ -213,34 +191,40 @@ def _placed(
     """The pose turned, where the middle of what the camera would see of it is the middle of what it
     saw; then turned and moved on the floor plan until it is nearest to the observed points.
     """
+    settings = energy.settings.search
     observed = grid.points[grid.own]
     tree = KDTree(observed)
     root = np.asarray(surface.joints[0])
     shape = np.asarray(surface.vertices) - root
 
     def drawn_at(yaw: np.ndarray, place: np.ndarray) -> Drawn:
-        return look(grid, shape @ _about_y(float(yaw[0])).T + place, triangles)
+        return look(grid, shape @ _about_y(float(yaw[0])).T + place, energy.triangles)
 
     def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
-        return {"depth": planar_term(drawn_at(**values), observed, tree, **values)}
+        return {
+            "depth": planar_term(
+                drawn_at(**values), observed, tree, **values, scale=settings.planar_scale
+            )
+        }
 
     yaw = np.array([np.deg2rad(degrees)])
     place = _middle(observed) - _middle(shape)
-    for _ in range(MIDDLE_STEPS):
+    for _ in range(settings.middle_steps):
         drawn = drawn_at(yaw, place)
         if len(drawn.points):
             place = place + _middle(observed) - _middle(drawn.points)
+    limit = settings.max_planar_step
     found = alternate(
         terms_at,
         {"yaw": yaw, "place": place},
-        [Stage(PLANAR_STEPS, max_step={"yaw": MAX_PLANAR_STEP, "place": MAX_PLANAR_STEP})],
-        steps=Levenberg(PLANAR_DAMPING),
+        [Stage(settings.planar_steps, max_step={"yaw": limit, "place": limit})],
+        steps=Levenberg(settings.planar_damping),
     )
     yaw, place = found.values["yaw"], found.values["place"]
     turned = pose.copy()
     turned[0, 1] = yaw[0]
     state = BodyState(betas, turned[None], (place - root)[None])
-    return Tried(state, turned, misfit(grid, drawn_at(yaw, place)))
+    return Tried(state, turned, misfit(grid, drawn_at(yaw, place), energy.settings))
 
 
 def planar_term(
@@ -249,9 +233,11 @@ def planar_term(
     tree: KDTree,
     yaw: Float[np.ndarray, " 1"],
     place: Float[np.ndarray, " 3"],
+    scale: float = STANDARD.search.planar_scale,
 ) -> Term:
     """Drawn points of a surface against planes through the observed ones nearest to them: over the
-    turn about the upright through ``place`` (rad) and ``place`` (m), around these values.
+    turn about the upright through ``place`` (rad) and ``place`` (m), around these values. scale:
+    Geman-McClure's (m).
 
         1/2 sum_p w_p (n_p . (R(yaw - yaw0) (p - place0) + place - t_p))^2
     """
@@ -259,7 +245,7 @@ def planar_term(
     turning = np.stack([arms[:, 2], np.zeros(len(arms)), -arms[:, 0]], 1)
     columns = np.column_stack([(turning * drawn.normals).sum(1), drawn.normals])
     distance, row = tree.query(drawn.points)
-    weight = geman_mcclure_weight(distance, PLANAR_SCALE)
+    weight = geman_mcclure_weight(distance, scale)
     missing = ((observed[row] - drawn.points) * drawn.normals).sum(1)
     matrix = (columns * weight[:, None]).T @ columns
     pull = (columns * weight[:, None]).T @ missing
@@ -318,39 +304,31 @@ def refined(
         blocks=BLOCKS,
     )
     drawn = drawn_at(found.state)
-    worst = misfit(grid, drawn) if len(drawn.points) else np.inf
+    worst = misfit(grid, drawn, settings) if len(drawn.points) else np.inf
     return Tried(found.state, one.mean, worst)
 
 
-DEPTHS = {"shoulder": 0.06, "elbow": 0.04, "wrist": 0.03, "hip": 0.09, "knee": 0.06, "ankle": 0.05}
-"""Metres that a joint lies behind the skin."""
-SURE = 0.3
-PIXELS = 6.0
-"""How near a depth pixel must be to a keypoint, in colour pixels."""
-STEPS = 15
-JOINT_SD = 0.5
-POINT_SD = 0.03
-MAX_JOINT_STEP = 0.6
-FEWEST = 6
-
-
 def pose_of_keypoints(
-    body: BodyModel, sight: PreparedView, betas: Float[np.ndarray, " B"]
+    body: BodyModel,
+    sight: PreparedView,
+    betas: Float[np.ndarray, " B"],
+    settings: DepthSearchSettings = STANDARD.search,
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]] | None:
     """Pose and place at which the body's joints are where a view's keypoints say; None where too
     few say so.
     """
-    joints, points = seen_joints(body, sight)
-    if len(joints) < FEWEST:
+    joints, points = seen_joints(body, sight, settings)
+    if len(joints) < settings.min_keypoints:
         return None
     found = [
-        _solved(body, betas, joints, points, turn) for turn in np.deg2rad([0.0, 90.0, 180.0, 270.0])
+        _solved(body, betas, joints, points, turn, settings)
+        for turn in np.deg2rad([0.0, 90.0, 180.0, 270.0])
     ]
     return min(found, key=lambda one: one[2])[:2]
 
 
 def seen_joints(
-    body: BodyModel, sight: PreparedView
+    body: BodyModel, sight: PreparedView, settings: DepthSearchSettings = STANDARD.search
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Joints that keypoints name, and where they are in the world (m), by the depth beside them."""
     joints = []
@@ -359,29 +337,35 @@ def seen_joints(
         return np.zeros(0, np.int64), np.zeros((0, 3))
     own = sight.points[sight.mask]
     tree = KDTree(sight.colour_camera.project(torch.from_numpy(own))[0].numpy())
-    for name, (u, v, sure) in sight.view.keypoints.items():
+    for name, (u, v, confidence) in sight.view.keypoints.items():
         part = name.partition("_")[2]
-        near = tree.query_ball_point((u, v), PIXELS)
-        if sure < SURE or part not in DEPTHS or name not in body.joint_names or not near:
+        near = tree.query_ball_point((u, v), settings.keypoint_pixels)
+        known = part in settings.joint_depths and name in body.joint_names
+        if confidence < settings.min_confidence or not known or not near:
             continue
         skin = np.median(own[near], axis=0)
         away = (skin - sight.eye) / np.linalg.norm(skin - sight.eye)
         joints.append(body.joint_names.index(name))
-        points.append(skin + DEPTHS[part] * away)
+        points.append(skin + settings.joint_depths[part] * away)
     return np.array(joints, np.int64), np.array(points).reshape(-1, 3)
 
 
 def _solved(
-    body: BodyModel, betas: np.ndarray, joints: np.ndarray, points: np.ndarray, turn: float
+    body: BodyModel,
+    betas: np.ndarray,
+    joints: np.ndarray,
+    points: np.ndarray,
+    turn: float,
+    settings: DepthSearchSettings,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Pose, translation and cost from a turn."""
     pose = np.zeros((1, body.num_joints, 3))
     pose[0, 0] = rotvec_from_matrix(matrix_from_rotvec(np.array([0.0, turn, 0.0])))
     trans = points.mean(0) - body.rest_joints(betas)[joints].mean(0)
-    precision = np.full(pose.size, JOINT_SD**-2.0)
+    precision = np.full(pose.size, settings.keypoint_joint_sd**-2.0)
     precision[:3] = 1e-6
     count = len(joints)
-    directions = np.tile(np.eye(3) / POINT_SD, (count, 1, 1))
+    directions = np.tile(np.eye(3) / settings.keypoint_sd, (count, 1, 1))
     seen = JointObservations(joints, np.zeros((count, 3)), points, directions)
     found = minimize(
         {
@@ -391,8 +375,8 @@ def _solved(
         BodyState(betas, pose, trans[None]),
         "levenberg",
         fixed=("betas",),
-        max_step={"pose": MAX_JOINT_STEP},
-        max_iterations=STEPS,
+        max_step={"pose": settings.max_joint_step},
+        max_iterations=settings.keypoint_steps,
         blocks=BLOCKS,
     )
     return found.state.pose[0], found.state.trans[0], found.cost

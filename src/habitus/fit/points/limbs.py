@@ -116,7 +116,7 @@ def _misfit(fitter: ScanFitter, state: BodyState, hand: Cloud) -> float:
     square += NORMAL_DISTANCE**2 * 2.0 * (1.0 - np.clip(found.cosine, -1.0, 1.0))
     deviation = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
     distance = np.minimum(np.sqrt(square), settings.max_distance).mean()
-    return float(distance + settings.per_nat * 0.5 * (deviation @ deviation))
+    return float(distance + settings.prior_distance * 0.5 * (deviation @ deviation))
 
 
 def scan_distances(

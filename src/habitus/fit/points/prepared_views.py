@@ -1,5 +1,7 @@
 """A depth view prepared for the fit: the pixels that show the person (nearer than the empty room,
 or standing out of floor and walls), their points in an upright world, and grids of fewer pixels.
+The floor is the largest level plane below the camera: its normal is up, and E_F (thesis eq. 4.6)
+keeps the soles on it.
 """
 
 from dataclasses import dataclass
@@ -12,22 +14,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_opening, convolve, distance_transform_edt, find_objects, label
 
 from habitus.errors import HabitusError
-from habitus.fit.points.floor import Floor, find_floor, level_frame
+from habitus.fit.points.depth_settings import NOISE, SEGMENTATION, SegmentationSettings
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-
-LEAST_PIXELS = 400
-JUMP = 0.05
-"""Metres between neighbouring pixels that part two surfaces."""
-ABOVE_FLOOR = 0.03
-GROWTHS = 10
-"""Times that the person is grown by 3 pixels of like depth, where walls and floor were told by
-planes.
-"""
-REACH = 1.4
-"""Metres from the middle of a person to the end of a limb."""
-
 
 SEGMENTATIONS = ("planes", "mask", "background")
 """By what a person is told from the room, the least certain first."""
@@ -44,6 +34,97 @@ CHECK = {
 
 
 @dataclass(frozen=True, eq=False)
+class Floor:
+    """A plane in the sensor's frame: ``normal`` (up) times a point is ``height``; below the camera
+    height < 0.
+    """
+
+    normal: Float[np.ndarray, " 3"]
+    height: float
+
+    def above(self, points: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any"]:
+        """Metres of points above it."""
+        return points @ self.normal - self.height
+
+    @property
+    def world(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+        """Rotation and translation from the sensor's frame to a world with y up and the floor at
+        0.
+        """
+        return level_frame(self.normal), np.array([0.0, -self.height, 0.0])
+
+
+def level_frame(up: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The rotation from the sensor's frame to one whose y is up and whose z points back to the
+    camera.
+    """
+    back = np.array([0.0, 0.0, -1.0])
+    back = back - up * (back @ up)
+    back /= np.linalg.norm(back)
+    return np.stack([np.cross(up, back), up, back])
+
+
+def find_floor(
+    points: Float[np.ndarray, "H W 3"],
+    seen: Bool[np.ndarray, "H W"],
+    settings: SegmentationSettings = SEGMENTATION,
+    seed: int = 0,
+) -> Floor | None:
+    """The floor among the points (m) that were seen, or None. Sensor's frame: y down, z forward."""
+    found = points[seen]
+    if len(found) < settings.min_floor_points:
+        return None
+    rng = np.random.default_rng(seed)
+    some = found[rng.choice(len(found), min(settings.floor_points, len(found)), replace=False)]
+    best = None
+    best_score = 0.0
+    for _ in range(settings.floor_tries):
+        plane = _through(some[rng.choice(len(some), 3, replace=False)], settings)
+        if plane is None:
+            continue
+        share = np.mean(np.abs(plane.above(some)) < _tolerance(some, settings))
+        below = np.mean(plane.above(some) < -2.0 * _tolerance(some, settings))
+        allowed = (
+            plane.height < -settings.min_camera_height
+            and share > settings.min_floor_share
+            and below < settings.max_below
+        )
+        if allowed and share - below > best_score:
+            best = plane
+            best_score = float(share - below)
+    return None if best is None else _refined(best, found, settings)
+
+
+def _tolerance(points: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
+    """Distance (m) from a plane within which points count as on it."""
+    return settings.floor_distance + settings.floor_noise * points[:, 2] ** 2
+
+
+def _through(points: Float[np.ndarray, "3 3"], settings: SegmentationSettings) -> Floor | None:
+    normal = np.cross(points[1] - points[0], points[2] - points[0])
+    length = np.linalg.norm(normal)
+    if length < 1e-6:
+        return None
+    normal = normal / length * -np.sign(normal[1] or 1.0)
+    if -normal[1] < np.cos(np.deg2rad(settings.max_tilt)):
+        return None
+    return Floor(normal, float(points[0] @ normal))
+
+
+def _refined(plane: Floor, points: np.ndarray, settings: SegmentationSettings) -> Floor:
+    """The plane of least squares through the points near it, each by its certainty."""
+    for _ in range(3):
+        near = points[np.abs(plane.above(points)) < _tolerance(points, settings)]
+        weight = 1.0 / near[:, 2] ** 4
+        middle = (near * weight[:, None]).sum(0) / weight.sum()
+        apart = near - middle
+        normal = np.linalg.eigh((apart * weight[:, None]).T @ apart)[1][:, 0]
+        normal = normal * -np.sign(normal[1] or 1.0)
+        plane = Floor(normal, float(middle @ normal))
+    return plane
+
+
+@dataclass(frozen=True, eq=False)
 class Segment:
     """Where the person is (H, W), the floor if it was found, and sd of depth over its square if the
     views tell; segmentation: by what the person was found, one of `SEGMENTATIONS`.
@@ -55,7 +136,7 @@ class Segment:
     segmentation: str
 
 
-def segment(view: DepthView) -> Segment:
+def segment(view: DepthView, settings: SegmentationSettings = SEGMENTATION) -> Segment:
     """The person in a view: by the mask that is given, by the empty room, or by what stands out of
     planes.
 
@@ -65,31 +146,31 @@ def segment(view: DepthView) -> Segment:
     noise = None
     if view.background is not None:
         empty = DepthView(view.background, view.camera)
-        floor = find_floor(empty.points(), empty.depth > 0)
-        noise = _noise(view.depth, empty.depth)
-        found = _nearer(view.depth, empty.depth, noise)
+        floor = find_floor(empty.points(), empty.depth > 0, settings)
+        noise = _noise(view.depth, empty.depth, settings)
+        found = _nearer(view.depth, empty.depth, noise, settings)
         segmentation = "background"
     else:
-        floor = find_floor(points, view.depth > 0)
-        found = _standing_out(view.depth, points, floor)
+        floor = find_floor(points, view.depth > 0, settings)
+        found = _standing_out(view.depth, points, floor, settings)
         segmentation = "planes"
     if view.mask is not None:
         found = view.mask & (view.depth > 0)
         segmentation = "mask"
-    mask = _one_person(_without_flying(found, view.depth), points)
-    if mask.sum() < LEAST_PIXELS:
+    mask = _one_person(_without_flying(found, view.depth), points, settings)
+    if mask.sum() < settings.min_pixels:
         raise HabitusError(
             f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found by "
-            f"{FOUND_BY[segmentation]}; expected {LEAST_PIXELS} or more: check that "
+            f"{FOUND_BY[segmentation]}; expected {settings.min_pixels} or more: check that "
             f"{CHECK[segmentation]}"
         )
     return Segment(mask, floor, noise, segmentation)
 
 
-def _noise(depth: np.ndarray, empty: np.ndarray) -> float | None:
+def _noise(depth: np.ndarray, empty: np.ndarray, settings: SegmentationSettings) -> float | None:
     """Spread of one image's depth over its square, of pixels that show the empty room twice."""
     both = (depth > 0) & (empty > 0)
-    if both.sum() < LEAST_PIXELS:
+    if both.sum() < settings.min_pixels:
         return None
     change = (depth - empty)[both] / empty[both] ** 2
     apart = np.abs(change - np.median(change))
@@ -109,23 +190,28 @@ def _rounding(depth: np.ndarray) -> float:
     )
 
 
-def _nearer(depth: np.ndarray, empty: np.ndarray, noise: float | None) -> np.ndarray:
-    tolerance = np.maximum(0.02, 6.0 * (noise or 1.5e-3) * empty**2)
+def _nearer(
+    depth: np.ndarray, empty: np.ndarray, noise: float | None, settings: SegmentationSettings
+) -> np.ndarray:
+    spread = (noise or NOISE) * empty**2
+    tolerance = np.maximum(settings.min_noise_difference, settings.background_noises * spread)
     return (depth > 0) & (empty > 0) & (depth < empty - tolerance)
 
 
-def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) -> np.ndarray:
+def _standing_out(
+    depth: np.ndarray, points: np.ndarray, floor: Floor | None, settings: SegmentationSettings
+) -> np.ndarray:
     """What is above the floor, in one piece, nearest to the middle of the image: walls behind are
     another piece.
     """
     found = depth > 0
     if floor is not None:
         above = floor.above(points)
-        found &= (above > ABOVE_FLOOR) & (above < 2.4)
+        found &= (above > settings.above_floor) & (above < settings.max_height)
     smooth = found.copy()
     for axis in (0, 1):
         step = np.abs(np.diff(depth, axis=axis, prepend=depth.take([0], axis)))
-        smooth &= step < JUMP
+        smooth &= step < settings.jump
     pieces, count = cast(tuple[np.ndarray, int], label(binary_opening(smooth)))
     best = found & False
     most = 0.0
@@ -133,7 +219,7 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
         piece = pieces[where] == k
         near = depth[where][piece]
         size = piece.sum()
-        if size < LEAST_PIXELS or k > count:
+        if size < settings.min_pixels or k > count:
             continue
         off = abs((where[1].start + where[1].stop) / 2 / depth.shape[1] - 0.5)
         tall = np.ptp(points[where][piece][:, 1])
@@ -142,17 +228,18 @@ def _standing_out(depth: np.ndarray, points: np.ndarray, floor: Floor | None) ->
             best = np.zeros_like(found)
             most = score
             best[where] = piece
-    for _ in range(GROWTHS if best.any() else 0):  # arms are thin, and opening cut them off
-        best = found & _grown(best, depth)
+    for _ in range(settings.growths if best.any() else 0):
+        best = found & _grown(best, depth, settings)
     return best
 
 
-def _grown(piece: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """The piece and what lies within 3 pixels of it and at its depth."""
-    away, nearest = cast(
+def _grown(piece: np.ndarray, depth: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
+    """The piece and what lies within a few pixels of it and at its depth."""
+    distance, nearest = cast(
         tuple[np.ndarray, np.ndarray], distance_transform_edt(~piece, return_indices=True)
     )
-    return (away <= 3) & (np.abs(depth - depth[tuple(nearest)]) < JUMP)
+    like = np.abs(depth - depth[tuple(nearest)]) < settings.jump
+    return (distance <= settings.growth_pixels) & like
 
 
 def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]) -> np.ndarray:
@@ -169,7 +256,7 @@ def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W
     return mask & (agree >= 4)
 
 
-def _one_person(mask: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _one_person(mask: np.ndarray, points: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
     """The largest piece and others within a limb's reach of it, without specks."""
     pieces, count = cast(tuple[np.ndarray, int], label(mask, structure=np.ones((3, 3))))
     if not count:
@@ -180,9 +267,9 @@ def _one_person(mask: np.ndarray, points: np.ndarray) -> np.ndarray:
     kept = np.zeros(count + 1, bool)
     for k in np.flatnonzero(sizes >= max(0.003 * sizes.max(), 12)) + 1:
         where = np.median(points[pieces == k], axis=0)
-        kept[k] = k == main or (
-            np.linalg.norm((where - middle)[[0, 2]]) < REACH and abs(where[2] - middle[2]) < 0.8
-        )
+        across = np.linalg.norm((where - middle)[[0, 2]])
+        near = across < settings.limb_reach and abs(where[2] - middle[2]) < settings.limb_depth
+        kept[k] = k == main or near
     return kept[pieces]
 
 
@@ -192,12 +279,6 @@ def seen_through(view: DepthView, mask: Bool[np.ndarray, "H W"]) -> Float[np.nda
     """
     crowded = convolve((~mask).astype(np.int8), np.ones((3, 3), np.int8), mode="nearest") == 9
     return np.where(crowded & (view.depth > 0), view.depth, 0.0)
-
-
-MIN_GRID_PIXELS = 24
-"""Pixels of the person in a grid: with fewer its middle and its nearest points are undefined."""
-MARGIN = 60
-"""Pixels around the person that are looked at too: where the model may wrongly be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +324,12 @@ class PreparedView:
     turn: Float[np.ndarray, "3 3"]
     shift: Float[np.ndarray, " 3"]
     segmentation: str
+    settings: SegmentationSettings = SEGMENTATION
 
     @staticmethod
-    def of(view: DepthView, found: Segment) -> "PreparedView":
+    def of(
+        view: DepthView, found: Segment, settings: SegmentationSettings = SEGMENTATION
+    ) -> "PreparedView":
         """The view in the world of its floor, or one whose y is the camera's own up."""
         if found.floor is not None:
             turn, shift = found.floor.world
@@ -269,6 +353,7 @@ class PreparedView:
             turn,
             shift,
             found.segmentation,
+            settings,
         )
 
     @property
@@ -284,25 +369,26 @@ class PreparedView:
 
     def grid(self, stride: int) -> Grid:
         """Every stride-th pixel around the person; a smaller stride where that would leave fewer
-        than `MIN_GRID_PIXELS` of them.
+        than `SegmentationSettings.grid_pixels` of them.
         """
-        part, camera = around(self.mask, self.camera, stride)
-        while stride > 1 and self.mask[part].sum() < MIN_GRID_PIXELS:
+        margin = self.settings.margin
+        part, camera = around(self.mask, self.camera, stride, margin)
+        while stride > 1 and self.mask[part].sum() < self.settings.grid_pixels:
             stride -= 1
-            part, camera = around(self.mask, self.camera, stride)
+            part, camera = around(self.mask, self.camera, stride, margin)
         return Grid(camera, stride, self.points[part], self.mask[part], self.behind[part], self.eye)
 
 
 def around(
-    mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int
+    mask: Bool[np.ndarray, "H W"], camera: Camera, stride: int, margin: int
 ) -> tuple[tuple[slice, slice], Camera]:
     """Every stride-th pixel of the neighbourhood of a mask: the part of an image, and the camera
     that sees it.
     """
     rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    top = max(rows[0] - MARGIN, 0)
-    left = max(columns[0] - MARGIN, 0)
-    part = (slice(top, rows[-1] + MARGIN, stride), slice(left, columns[-1] + MARGIN, stride))
+    top = max(rows[0] - margin, 0)
+    left = max(columns[0] - margin, 0)
+    part = (slice(top, rows[-1] + margin, stride), slice(left, columns[-1] + margin, stride))
     first = torch.tensor([left + 0.5, top + 0.5], dtype=torch.float64)
     height, width = mask[part].shape
     small = camera.replace(

@@ -1,10 +1,9 @@
-"""Settings of the fits to scans and to depth views: every constant with its unit and its reason.
+"""Settings of the fit to scans: every constant with its unit and its reason.
 
 The terms that the weights belong to, and full citations, are in `habitus.fit.points`.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
 from habitus.solve.alternate import Stage
@@ -12,125 +11,6 @@ from habitus.solve.least_squares import Tolerances
 
 ALL_BETAS = 1000
 """More than any body has."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthStage(Stage):
-    """Steps of the fit to depth views; `steps` correspondences are made in it.
-
-    moves: "place" (translation and root), "pose" or "all". matching: "nearest" (the closest surface
-    point in space) or "pixel" (the one at the same pixel). stride: of pixels in both directions.
-    scales: Geman-McClure's, at the first step and the last, m: a pixel so far off weighs a quarter.
-    It is the robust norm of thesis eq. 4.5, whose loss ends below the absolute value.
-    """
-
-    moves: str
-    matching: str
-    stride: int
-    scales: tuple[float, float]
-
-
-STAGES = (
-    DepthStage(3, moves="place", matching="nearest", stride=4, scales=(0.15, 0.15)),
-    DepthStage(4, moves="pose", matching="nearest", stride=4, scales=(0.15, 0.10)),
-    DepthStage(2, moves="all", matching="nearest", stride=4, scales=(0.10, 0.08)),
-    DepthStage(3, moves="all", matching="pixel", stride=4, scales=(0.08, 0.06)),
-    DepthStage(6, moves="all", matching="pixel", stride=2, scales=(0.06, 0.03)),
-)
-"""Nearest points forgive a start that is off but shrink girths under noise; the same pixel is
-unbiased near it.
-"""
-
-STIFF = (
-    "knee",
-    "spine1",
-    "spine2",
-    "spine3",
-    "collar",
-    "wrist",
-    "foot",
-    "ankle",
-    "hand",
-    "head",
-    "neck",
-)
-"""Parts of the names of joints that hardly bend when people stand."""
-
-FOLDED = (70.0, 95.0, 50.0)
-"""Degrees, in the order of `RgbdSettings.arms`: forearms before the belly."""
-
-
-@dataclass(frozen=True)
-class RgbdSettings:
-    """Weights and constants of the fit to depth views (thesis sec. 4.6.1). Metres and radians."""
-
-    stages: tuple[DepthStage, ...] = STAGES
-    depth: float = 0.02
-    """Of E_D: share of each full-size pixel's certainty, as the errors of neighbouring pixels are
-    alike."""
-    shape: float = 1.0
-    """Of E_S, the prior of betas, per squared standard deviation."""
-    pose: float = 2.0
-    """Of E_P, the pose prior, per squared deviation in ``pose_sd`` or ``stiff_sd``."""
-    pose_sd: float = 0.2
-    """Standard deviation of joints in E_P, rad."""
-    stiff_sd: float = 0.1
-    """Standard deviation in E_P of joints that hardly bend when people stand (`STIFF`), rad."""
-    outline: float = 0.2
-    """Of each full-size pixel in which the model covers background that was seen."""
-    outline_sd: float = 0.01
-    """Standard deviation of the distance of such a point from the silhouette, metres."""
-    colour: float = 0.02
-    """Of E_C and E_Q: share of each full-size pixel's certainty; 0.02 as for depth."""
-    rim: float = 3.0
-    """Factor of E_C in pixels where the surface turns away: they show where it ends."""
-    colour_levels: tuple[int, ...] = (4, 4, 2, 2)
-    """Full-size pixels along the side of one of the pyramid's, for each step with colour; () for a
-    fit by depth alone."""
-    floor: float = 2.0
-    """Of E_F, for all vertices of the soles together."""
-    floor_sd: float = 0.01
-    """Standard deviation of the soles' height above the floor, metres."""
-    slide: float = 0.1
-    """Weight of point to point over point to plane in E_D with "nearest" matching."""
-    noise: float = 1.5e-3
-    """Standard deviation of depth over its square (1 / m), where the views do not give it."""
-    model_sd: float = 0.003
-    """Metres (sd) of the surface that no body of the model explains."""
-    arms: tuple[tuple[float, float, float], ...] = (
-        (10.0, 0.0, 0.0),
-        (45.0, 0.0, 0.0),
-        (72.0, 0.0, 0.0),
-        FOLDED,
-    )
-    """Arms of the multi-start, degrees: below the level, bent at the elbow, turned inwards about
-    the upper arm."""
-    skin: float = 0.75
-    """Standard deviation of the skin offset, as a factor of `habitus.fit.offsets.offset_spread`."""
-    skin_reach: float = 0.19
-    """Metres at which the correlation of two skin offsets is 0.14 (`OffsetSettings.range`)."""
-    skin_places: int = 120
-    """Vertices whose values determine the field of skin offsets, at most."""
-    skin_depth: float = 0.1
-    """``depth`` in the steps with skin offsets: what neighbours have in common is explained then.
-    """
-    skin_steps: int = 4
-    """Steps with skin offsets by depth alone, before those with colour."""
-    max_step: Mapping[str, float] = field(
-        default_factory=lambda: {"trans": 0.5, "pose": 0.4, "betas": 1.5}
-    )
-    """Largest change of a number of each unknown in one step: metres, rad, standard deviations."""
-    damping: float = 1e-6
-    """Levenberg-Marquardt's at the start, relative to the diagonal."""
-    clothes: float = 0.001
-    """Thickness in metres of tight clothes on trunk and thighs, which is taken off."""
-    hair: float = 0.003
-    """Thickness in metres of flat hair under a cap, which is taken off."""
-    turns: tuple[float, ...] = (0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0)
-    """Turns of the multi-start: degrees from facing the camera."""
-
-
-STANDARD = RgbdSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,7 +146,7 @@ class LimbSettings:
         ScanStage(5, points=1000, scale=0.05, noise=0.005, slide=0.2, betas=0),
         ScanStage(3, points=1000, scale=0.02, noise=0.005, slide=0.1, betas=0),
     )
-    per_nat: float = 0.0003
+    prior_distance: float = 0.0003
     """Metres that one unit of the pose prior's energy adds to the mean distance of a hand's points.
     """
     rounds: int = 2

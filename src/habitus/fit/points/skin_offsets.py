@@ -28,8 +28,8 @@ from habitus.fit.offsets import (
     offset_spread,
 )
 from habitus.fit.points.correspondences import hidden_vertices
-from habitus.fit.points.floor import Footpads
-from habitus.fit.points.settings import RgbdSettings
+from habitus.fit.points.depth_correspondences import Footpads
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import farthest_points
 from habitus.residuals.points import PointObservations, points_on_surface
