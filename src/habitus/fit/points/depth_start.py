@@ -28,7 +28,7 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import minimize
-from habitus.solve.terms import Quadratic, Term
+from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
 
 @dataclass(frozen=True, eq=False)

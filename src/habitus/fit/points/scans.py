@@ -191,8 +191,10 @@ class Registrar:
         all proportion.
         """
         distances = self.fitter.matched(state, 0, cloud).distances(cloud.points)
-        rare = not len(state.betas) or np.sqrt(np.mean(state.betas**2)) > LIMITS.betas.failed
-        return not (rare and np.median(distances) > LIMITS.model.doubtful)
+        search = self.settings.search
+        betas = state.betas
+        rare = not len(betas) or np.sqrt(np.mean(betas**2)) > search.max_person_betas
+        return not (rare and np.median(distances) > search.max_person_distance)
 
     def _start(self, scan: Cleaned, up: str, previous: BodyState | None) -> Start:
         """The best start of a scan."""

@@ -119,6 +119,11 @@ class SearchSettings:
     """Starts that are fitted in full."""
     distinct: float = 0.12
     """Distance between joints from which on two candidates are different poses."""
+    max_person_betas: float = 2.8
+    """Root mean square of a start's betas beyond which, with ``max_person_distance``, a scan is
+    taken for no person's, and not fitted."""
+    max_person_distance: float = 0.008
+    """Median distance of the scan from such a start."""
     followed_points: int = 5000
     """Points by which it is decided whether a scan of a sequence starts from the one before."""
     followed_distance: float = 0.05
