@@ -186,3 +186,15 @@ def cross(a: Array, b: Array, axis: int = -1) -> Array:
 def multiply_add(total: Array, a: Array, b: Array) -> Array:
     """``total + a * b``, in one pass where the library can."""
     return total.addcmul(a, b) if is_tensor(total) else total + a * b
+
+
+def first_not_finite(array: np.ndarray, rows: int = 1 << 16) -> int | None:
+    """The first row of an array that holds NaN or an infinity, None where there is none; looked for
+    ``rows`` at a time, as long arrays may lie over files.
+    """
+    for start in range(0, len(array), rows):
+        part = np.isfinite(array[start : start + rows])
+        if not part.all():
+            known = part.reshape(len(part), -1).all(axis=1)
+            return start + int(np.argmin(known))
+    return None

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import textwrap
 import threading
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +47,25 @@ def test_ctrl_c_while_modules_are_imported_is_one_line(module, tmp_path):
     out, said = process.communicate(timeout=60)
     assert (process.returncode, out, said) == (130, "", "habitus: stopped; nothing was written\n")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("module", ["habitus.cli", "habitus.cli.main"])
+def test_ctrl_c_in_the_first_moment_is_one_line(module):
+    code = STOPS_AT.replace("sys.argv[-1]", repr(module))
+    begin = textwrap.dedent(code) + "\nfrom habitus.__main__ import start\nstart()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", begin, "--version"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    out, said = process.communicate(timeout=60)
+    assert (process.returncode, out, said) == (130, "", "habitus: stopped; nothing was written\n")
+
+
+def test_the_command_is_that_which_handles_ctrl_c_first():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert project["project"]["scripts"]["habitus"] == "habitus.__main__:start"
 
 
 def test_ctrl_c_at_work_is_an_exception_and_a_second_one_the_end():

@@ -2,6 +2,8 @@
 such.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from read_fbx import Fbx
@@ -9,7 +11,8 @@ from synthetic_fit import synthetic_fit
 
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
-from habitus.export.motion import export_motion
+from habitus.export.motion import export_motion, write_motion
+from habitus.export.npz import write_npz
 from habitus.io.captures.read import read_capture
 from habitus.jobs.estimates import body_from_measurements, save_estimate
 from habitus.jobs.exporting import export_file
@@ -48,3 +51,28 @@ def test_a_person_without_a_motion_is_a_rig_on_the_ground(tmp_path):
     np.savez(tmp_path / "other.npz", betas=np.ones(30), body=np.array("male"))
     with pytest.raises(HabitusError, match="30 betas; male has 24"):
         export_file(tmp_path / "other.npz", tmp_path / "a.fbx")
+
+
+ARRAYS = ("pose", "trans", "betas", "soft_tissue")
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none_are_refused_with_their_frame(tmp_path, name, value):
+    fit = synthetic_fit(5)
+    array = np.array(getattr(fit, name))
+    array[(1, *[0] * (array.ndim - 1))] = value
+    spoilt = replace(fit, **{name: array})
+    for ending in (".bvh", ".glb", ".npz", ".trc", ".fbx"):
+        with pytest.raises(HabitusError, match=r"1, counted from 0"):
+            export_file(spoilt, tmp_path / f"out{ending}")
+    assert not list(tmp_path.iterdir())
+    write_npz(fit, tmp_path / "body.npz")
+    write_motion(BodyMotion.of(fit), tmp_path / "motion.npz")
+    key = {"pose": "poses", "soft_tissue": "soft_tissue_betas"}.get(name, name)
+    for file in ("body.npz", "motion.npz"):
+        arrays = dict(np.load(tmp_path / file))
+        arrays[key] = array.reshape(arrays[key].shape)
+        np.savez(tmp_path / file, **arrays)
+        with pytest.raises(HabitusError, match="finite"):
+            export_file(tmp_path / file, tmp_path / "out.bvh", body=fit.body)

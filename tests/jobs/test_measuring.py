@@ -74,6 +74,31 @@ def test_of_an_unknown_mesh_only_what_is_safe_is_measured(tmp_path):
         measure_file(tmp_path / "block.ply", "default")
 
 
+def test_a_part_of_a_body_has_no_stature(body, tmp_path):
+    surface = body()
+    vertices, faces = np.asarray(surface.vertices), np.asarray(body.faces)
+    for name, keep in {"upper": vertices[:, 1] > 0.0, "lower": vertices[:, 1] < 0.0}.items():
+        trimesh.Trimesh(vertices, faces[keep[faces].all(1)], process=False).export(
+            tmp_path / f"{name}.ply"
+        )
+        with pytest.raises(HabitusError, match="part of a body"):
+            measure_file(tmp_path / f"{name}.ply")
+    low = vertices[:, 1].min()
+    soleless = faces[(vertices[faces][:, :, 1] > low + 0.02).all(1)]
+    trimesh.Trimesh(vertices, soleless, process=False).export(tmp_path / "soleless.ply")
+    found = measure_file(tmp_path / "soleless.ply")
+    assert set(found.values) == {"height_m"} and "WARNING" in " ".join(found.notes)
+
+
+def test_vertices_that_are_no_numbers_are_refused(body, tmp_path):
+    vertices = np.array(body().vertices)
+    vertices[100] = np.nan
+    for faces in (body.faces, body.faces[10:]):
+        trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "a.ply")
+        with pytest.raises(HabitusError, match="no numbers"):
+            measure_file(tmp_path / "a.ply")
+
+
 def test_files_that_hold_no_person(tmp_path):
     np.savez(tmp_path / "amass.npz", betas=np.zeros(10), gender="female")
     with pytest.raises(HabitusError, match="betas name no body"):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from habitus.arrays import first_not_finite
 from habitus.body.motion import BodyMotion, Moving
 from habitus.body.recentred import recentred_arrays
 from habitus.body.surface_files import write_surface
@@ -138,6 +139,7 @@ def export_motion(
     target = Path(path)
     check_motion_path(target)
     check_correctives(correctives)
+    _check_finite(motion)
     moving = at_rate(motion, fps)
     found = _WRITERS[target.suffix.lower()][0](moving, target, Wanted(correctives, detail, frame))
     told = (target, len(moving.pose), float(moving.rate_hz))
@@ -145,6 +147,19 @@ def export_motion(
         return Exported(*told)
     left_out = found.morph_worst, write_drivers(found, target), found.morph_elsewhere
     return Exported(*told, len(found.morphs), *left_out)
+
+
+def _check_finite(motion: Moving) -> None:
+    """Raises HabitusError, naming the first frame, where a pose or a place is no number."""
+    arrays = {"pose": motion.pose, "trans": motion.trans, "betas": motion.betas}
+    arrays |= {"soft_tissue": motion.soft_tissue, "dynamics": motion.dynamics}
+    for name, array in arrays.items():
+        at = None if array is None else first_not_finite(np.asarray(array))
+        if at is not None:
+            raise HabitusError(
+                f"{motion.capture_name}: {name} at {'coefficient' if name == 'betas' else 'frame'} "
+                f"{at}, counted from 0, are no finite numbers; leave these frames out or fit again"
+            )
 
 
 def check_motion_path(path: str | os.PathLike[str]) -> None:

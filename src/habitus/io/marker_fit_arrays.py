@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from habitus.arrays import first_not_finite
 from habitus.body.model import BodyModel
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _MAX_RATE = 1e6  # Hz
+_WITH_GAPS = ("markers_obs", "markers_sim", "markers_sim_pose_stage", "marker_weights")
 
 
 def latent_marker_distance(arrays: Mapping[str, np.ndarray], body: BodyModel) -> float:
@@ -112,8 +114,20 @@ def checked_fit(fit: MarkerFit) -> MarkerFit:
     for name, (array, shape) in shapes.items():
         if array is not None and (array.shape != shape or array.dtype.kind != "f"):
             raise ValueError(f"{name} are {array.dtype} of shape {array.shape}; expected {shape}")
+        if array is not None and name not in _WITH_GAPS:
+            check_finite(name, array)
     check_rate(fit.rate_hz)
     return fit
+
+
+def check_finite(name: str, array: np.ndarray) -> None:
+    """Raises ValueError, naming the first frame (or marker, or coefficient), where numbers are not
+    finite.
+    """
+    at = first_not_finite(array)
+    if at is not None:
+        row = {"betas": "value", "markers_latent": "marker", "marker_noise": "marker"}
+        raise ValueError(f"{name} are not finite at {row.get(name, 'frame')} {at}, counted from 0")
 
 
 def _number(value: np.ndarray | None) -> float | None:

@@ -31,7 +31,13 @@ from habitus.body.recentred import recentred
 from habitus.errors import HabitusError, shown
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.archives import open_archive, reason
-from habitus.io.marker_fit_arrays import check_rate, checked_fit, latent_marker_distance, marker_fit
+from habitus.io.marker_fit_arrays import (
+    check_finite,
+    check_rate,
+    checked_fit,
+    latent_marker_distance,
+    marker_fit,
+)
 from habitus.io.meshes import ENDINGS as MESH_ENDINGS
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED, load_body
@@ -402,8 +408,10 @@ def _checked_motion(motion: BodyMotion) -> BodyMotion:
         "soft_tissue_dynamics": (motion.dynamics, (frames, body.num_dynamics)),
     }
     for name, (array, shape) in shapes.items():
-        if array is not None and (array.shape != shape or not np.isfinite(array).all()):
-            raise ValueError(f"{name} of shape {array.shape}; expected finite numbers {shape}")
+        if array is not None and array.shape != shape:
+            raise ValueError(f"{name} of shape {array.shape}; expected {shape}")
+        if array is not None:
+            check_finite(name, array)
     if not frames:
         raise ValueError("no frames")
     check_rate(motion.rate_hz)
@@ -429,6 +437,7 @@ def _fitted_model(file: _PersonFile, body: BodyLike) -> BodyModel:
             f"{file.source}: was fitted with the body {file.body_name!r} of {expected[0]} joints "
             f"and {expected[1]} betas; {model.name} has {counts[0]} and {counts[1]}"
         )
+    check_finite("betas", np.asarray(arrays["betas"], np.float64))
     distance = latent_marker_distance(arrays, model)
     if distance > _SAME_BODY:
         where = f"{1e3 * distance:.0f} mm away" if np.isfinite(distance) else "of another mesh"

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from habitus.body.measurements import DENSITY, is_closed, volume
 from habitus.body.model import BodyModel
@@ -28,6 +30,8 @@ POSE = (
 )
 SPACES = ("neutral", "female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
+_END = 0.05  # of the height: within it a hole is at the end of a body
+_MAX_CUT = 0.3  # of the height: a wider hole is a cut through a body; below a skirt it is narrower
 _TURNED = np.deg2rad(8.0)  # a bone of a mesh at rest lies this near to the body's own
 
 
@@ -149,5 +153,38 @@ def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measur
         values["mass_kg"] = DENSITY * abs(float(volume(vertices, faces)))
     else:
         notes.append("its surface has holes, so it was not weighed")
+        width = _open_end(used[:, 1].min(), height, vertices, faces)
+        if width > _MAX_CUT * height:
+            raise HabitusError(
+                f"{source}: its upper or lower end is open over {width:.2f} m of {height:.2f} m: a "
+                "part of a body, whose extent is nobody's stature; expected a whole person"
+            )
+        if width > 0.0:
+            notes.append(
+                f"WARNING: its upper or lower end is open over {width:.2f} m; its extent is the "
+                "stature only if crown and soles are in it"
+            )
     notes.append("height is its extent along y, as if the person stands upright")
     return Measurements(str(source), values, tuple(notes))
+
+
+def _open_end(
+    lowest: float, height: float, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> float:
+    """How wide (m) the widest hole is that reaches the upper or lower end of a mesh, y up; 0 where
+    there is none.
+    """
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, index, count = np.unique(np.sort(sides, 1), axis=0, return_index=True, return_counts=True)
+    rims = sides[index[count == 1]]
+    if not len(rims):
+        return 0.0
+    graph = coo_array((np.ones(len(rims)), tuple(rims.T)), shape=(len(vertices),) * 2)
+    _, hole = connected_components(graph, directed=False)
+    widest = 0.0
+    for one in np.unique(hole[rims]):
+        points = vertices[hole == one]
+        level = (points[:, 1] - lowest) / height
+        if level.min() < _END or level.max() > 1.0 - _END:
+            widest = max(widest, float(np.ptp(points[:, [0, 2]], axis=0).max()))
+    return widest
