@@ -332,6 +332,24 @@ def test_options_that_do_not_exist(options, walk, run):
     assert code == 2 and options[0] in said and "Traceback" not in said
 
 
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (["body", "--gender", "female"], "--sex"),
+        (["mosh", "walk.c3d", "--gender=female"], "--sex"),
+        (["export", "walk.npz", "--to", "walk.fbx"], "--out"),
+        (["mosh", "walk.c3d", "--rate", "120"], "--fps"),
+        (["body", "--heigth", "1.7"], "--height"),
+        (["archive", "data", "--worker", "4"], "--workers"),
+    ],
+)
+def test_an_option_of_another_name_is_named(words, near, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and near in said and said.count("\n") == 1
+
+
 # -- help, and the command as users start it -------------------------------------------------------
 
 

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from types import FrameType
 from typing import Any
 
@@ -185,6 +185,7 @@ def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:
     import tyro
 
     command = import_module(f"habitus.cli.{name.replace('-', '_')}")
+    _check_names(name, arguments, command.OPTIONS)
     config = (tyro.conf.OmitSubcommandPrefixes, tyro.conf.DisallowNone)
     prog = f"habitus {name}"
     about = cleandoc(command.ABOUT)
@@ -217,6 +218,43 @@ def _unwrapped_help() -> Iterator[None]:
         yield
     finally:
         docstring_parser.parse_from_object = parse
+
+
+ALSO_CALLED = {
+    "gender": ("sex",),
+    "rate": ("fps",),
+    "hz": ("fps",),
+    "to": ("out",),
+    "output": ("out",),
+    "jobs": ("workers",),
+    "threads": ("workers",),
+    "model": ("body",),
+    "mass": ("weight",),
+    "stature": ("height",),
+    "correctives": ("bake-correctives",),
+}
+"""What options are called elsewhere, and here."""
+
+
+def _check_names(command: str, arguments: list[str], options: Any) -> None:
+    """Raise HabitusError for an option that the command does not have and that resembles one of
+    its own.
+    """
+    from difflib import get_close_matches
+
+    if not is_dataclass(options):
+        return  # it has commands of its own
+    known = [field.name.replace("_", "-") for field in fields(options)]
+    for word in arguments:
+        given = word.partition("=")[0].removeprefix("--").replace("_", "-")
+        if not word.startswith("--") or given.removeprefix("no-") in (*known, "", "help"):
+            continue
+        near = [name for name in ALSO_CALLED.get(given, ()) if name in known]
+        near = near or get_close_matches(given, known, 1, 0.75)
+        if near:
+            raise HabitusError(
+                f"habitus {command} has no option --{shown(given)}; did you mean --{near[0]}?"
+            )
 
 
 def _unknown(name: str) -> str:

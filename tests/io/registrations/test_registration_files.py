@@ -443,13 +443,6 @@ def test_an_obj_keeps_its_vertices_where_textures_have_seams_and_cuts_quads_alik
     assert np.array_equal(faces, read_mesh(tmp_path / "b.obj")[1])
 
 
-def test_without_the_library_that_reads_meshes_it_is_named(tmp_path, monkeypatch):
-    write_meshes(tmp_path, people(1))
-    monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
-    with pytest.raises(HabitusError, match=r"trimesh, which is not installed; .*habitus\[train\]"):
-        read_mesh(tmp_path / "0.ply")
-
-
 @pytest.mark.parametrize("content", [b"", b"hello", b"v 0 0 0\n", b"f 1 2 3\n"])
 @pytest.mark.parametrize("name", ["a.obj", "a.ply"])
 def test_what_is_no_mesh_is_named(tmp_path, name, content):
