@@ -67,3 +67,30 @@ def test_a_capture_becomes_files_without_torch(tmp_path):
     )
     written = {path.suffix for path in (tmp_path / "out" / "walk").rglob("*")}
     assert {".npz", ".glb", ".json", ".html", ".obj"} <= written
+
+
+def test_markers_are_fitted_beside_a_scan_and_terms_without_torch():
+    said = run(
+        """
+        from dataclasses import replace
+        import numpy as np
+        import habitus as hb
+        from habitus.body.shipped_prior import shipped_prior
+        from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
+
+        body, layout = hb.load_body("default").with_betas(4), hb.load_layout("cmu-41")
+        prior, rng = shipped_prior().for_joints(body.joint_names), np.random.default_rng(0)
+        pose, trans = smooth_motion(prior.mean, np.sqrt(np.diag(prior.covariance)), 24, 60.0, rng)
+        betas, places = np.ones(4), layout.vertices(body)
+        made = simulate_capture(body, betas, pose, trans, places, layout.distances(), Faults(), rng)
+        markers = hb.Markers(made.observed, layout, fps=60.0)
+        settings = hb.FitSettings(frames=4, motion=False)
+        alone = hb.Fit(body, markers, settings).solve()
+        scan = hb.Scan(np.asarray(body(betas, pose[5], trans[5]).vertices), frame=5)
+        prior = {"mine": hb.Term(lambda betas: (betas, {"betas": np.eye(4)}))}
+        both = hb.Fit(body, [markers, scan], settings, prior).solve()
+        print(*(np.linalg.norm(fit.betas - betas) for fit in (alone, both)))
+        """
+    )
+    alone, both = map(float, said.split())
+    assert both < alone < 1.5

@@ -1,55 +1,14 @@
-"""Laws of `habitus.Fit`: sensors of one person help each other, terms of one's own join, refusals."""
+"""Laws of `habitus.Fit` of several sensors: they help each other, terms of one's own join."""
 
-import importlib.util
-import sys
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from sensor_people import QUICK, SHOTS, body, halves, joint_error, person, scan_of, shape_error
 
 import habitus as hb
-from habitus.fit.body_fit import JointStage
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-QUICK = hb.FitSettings(
-    frames=4,
-    motion=False,
-    stages=(JointStage(0.06, 2.0, iterations=5), JointStage(0.03, 1.0, "pixel", iterations=8)),
-)
-SHOTS = (0, 30)
-
-
-@cache
-def example():
-    spec = importlib.util.spec_from_file_location("two_sensors", EXAMPLES / "two_sensors.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["two_sensors"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
-def body():
-    return hb.load_body("default").with_betas(6)
-
-
-@cache
-def person(seed):
-    return example().person(body(), seed)
-
-
-def shape_error(fit, truth):
-    off = body().rest_vertices(fit.betas) - body().rest_vertices(truth[0])
-    return np.linalg.norm(off, axis=1).mean()
-
-
-def joint_error(fit, truth, frames):
-    off = [
-        fit.joints(f"frame {k}") - body()(truth[0], truth[1][k], truth[2][k]).joints for k in frames
-    ]
-    return np.linalg.norm(off, axis=2).mean()
+from habitus.fit.problem import Problem
 
 
 @cache
@@ -67,9 +26,10 @@ def test_views_of_the_capture_better_shape_and_pose():
         both = hb.Fit(body(), [markers, hb.Depth(views, frames=SHOTS)], QUICK).solve()
         assert both.status in ("converged", "iterations") and both.motion is None
         assert sum(both.costs.values()) < np.inf and {"depth 1", "markers"} <= set(both.costs)
+        joints = ([fit.joints(f"frame {k}") for k in SHOTS] for fit in (alone, both))
         errors.append(
             [shape_error(alone, truth), shape_error(both, truth)]
-            + [joint_error(fit, truth, SHOTS) for fit in (alone, both)]
+            + [joint_error(each, truth, SHOTS) for each in joints]
         )
     shape_alone, shape_both, joints_alone, joints_both = np.mean(errors, axis=0)
     assert shape_both < 0.9 * shape_alone
@@ -89,12 +49,59 @@ def test_views_alone_are_fitted_in_their_cameras_frames():
         assert np.linalg.norm(fit.joints(k) - seen, axis=1).mean() < 0.02
 
 
+def test_a_scan_and_views_give_a_better_shape_than_either():
+    truth, _, views = person(0)
+    seen = hb.Fit(body(), hb.Depth(views), QUICK).solve()
+    scan = scan_of(0, 0, noise=0.012)
+    scanned = hb.Fit(body(), scan, QUICK).solve()
+    both = hb.Fit(body(), [hb.Depth(views), replace(scan, noise=0.012)], QUICK).solve()
+    assert both.poses == ("view 0", "view 1", "scan 0")
+    assert shape_error(both, truth) <= min(shape_error(fit, truth) for fit in (seen, scanned))
+
+
+def test_two_scans_give_a_better_shape_than_either():
+    truth, _, _ = person(0)
+    scans = [scan_of(0, k) for k in SHOTS]
+    alone = [hb.Fit(body(), scan, QUICK).solve() for scan in scans]
+    both = hb.Fit(body(), scans, QUICK).solve()
+    assert shape_error(both, truth) <= min(shape_error(fit, truth) for fit in alone)
+    np.testing.assert_array_equal(*(each.betas for each in both.results))
+
+
+def test_two_captures_share_shape_and_latent_markers_and_help_each_other():
+    """One has the upper markers, one the lower; a pose is better for the shape from both."""
+    truth, captures = halves(0)
+    alone = [hb.Fit(body(), each, QUICK).solve() for each in captures]
+    both = hb.Fit(body(), captures, QUICK).solve()
+    assert both.poses[0] == "capture 0 frame 0" and len(both.poses) == 30
+    assert shape_error(both, truth) < min(shape_error(each, truth) for each in alone)
+    np.testing.assert_array_equal(*(each.latent_markers for each in both.motions))
+    off = [
+        joint_error(each.motions[-1].joints(), truth, range(40, 55)) for each in (both, alone[1])
+    ]
+    assert off[0] < off[1]
+
+
+def test_two_captures_and_a_scan_of_a_frame_of_one():
+    truth, captures = halves(0)
+    at = 10
+    surface = np.asarray(body()(truth[0], truth[1][40 + at], truth[2][40 + at]).vertices)
+    scan = hb.Scan((surface, body().faces), frame=at, capture=1)
+    settings = replace(QUICK, motion=True)
+    fit = hb.Fit(body(), [*captures, scan], settings).solve()
+    assert f"capture 1 frame {at}" in fit.poses and len(fit.motions) == 2
+    assert shape_error(fit, truth) < 0.002
+    assert {"markers 0", "markers 1"} <= set(fit.verdicts)
+    for each in fit.motions:
+        np.testing.assert_array_equal(each.betas, fit.betas)
+        np.testing.assert_array_equal(each.latent_markers, fit.latent_markers)
+
+
 def test_a_scan_in_the_captures_world_gives_the_shape_and_the_capture_its_motion():
     truth, markers, _ = person(1)
     vertices = np.asarray(body()(truth[0], truth[1][20], truth[2][20]).vertices)
     scan = hb.Scan((vertices, body().faces), frame=20)
-    settings = replace(QUICK, motion=True, mosh=replace(QUICK.mosh, soft_tissue=False))
-    fit = hb.Fit(body(), [scan, markers], settings).solve()
+    fit = hb.Fit(body(), [scan, markers], replace(QUICK, motion=True)).solve()
     assert shape_error(fit, truth) < 0.002 < shape_error(by_markers(1), truth)
     assert fit.residuals_mm["scan 0"]["median"] < 2.0
     assert fit.motion.num_frames == len(truth[1]) and "markers" in fit.verdicts
@@ -127,26 +134,26 @@ def test_a_term_of_ones_own_joins_the_others():
     assert fit.joints(0)[foot, 1] > alone.joints(0)[foot, 1] + 0.02
 
 
-@pytest.mark.parametrize(
-    ("sensors", "word"),
-    [
-        (lambda markers, views: [], "no sensor"),
-        (lambda markers, views: [markers, markers], "2 captures"),
-        (lambda markers, views: [hb.Depth(views, frames=SHOTS)], "without a capture"),
-        (lambda markers, views: [markers, hb.Depth(views, frames=(0, 99))], "frame 99"),
-        (lambda markers, views: [markers, hb.Depth(views, frames=(0,))], "1 frames for 2"),
-        (lambda markers, views: ["walk.c3d"], "str"),
-        (lambda markers, views: replace(markers, layout="auto"), "layout"),
-        (lambda markers, views: replace(markers, capture=markers.capture[:, :5]), "12"),
-    ],
-)
-def test_what_cannot_be_fitted_is_refused(sensors, word):
-    _, markers, views = person(0)
-    with pytest.raises(hb.HabitusError, match=word):
-        hb.Fit(body(), sensors(markers, views), QUICK).solve()
+def test_a_sensor_counts_by_its_noise():
+    """A surer scan draws the shape further from the markers'."""
+    truth, markers, _ = person(0)
+    wrong = np.asarray(body()(truth[0] + 1.0, truth[1][0], truth[2][0]).vertices)
+    errors = [
+        shape_error(
+            hb.Fit(body(), [markers, hb.Scan(wrong[::3], frame=0, noise=noise)], QUICK).solve(),
+            (truth[0] + 1.0,),
+        )
+        for noise in (0.002, 0.02)
+    ]
+    assert errors[0] < 0.7 * errors[1]
 
 
 def test_a_term_named_as_another_is_refused():
     _, markers, _ = person(0)
     with pytest.raises(hb.HabitusError, match="rename"):
         hb.Fit(body(), markers, QUICK, {"betas": lambda betas: betas}).solve()
+
+
+def test_a_problem_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        Problem(body(), None, QUICK, None, (), None, (), ()).poses = ("another",)

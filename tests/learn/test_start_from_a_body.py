@@ -13,7 +13,7 @@ from habitus.errors import HabitusError
 from habitus.io.layouts.files import shipped_layouts
 from habitus.io.models.bodies import load_body, save_body
 from habitus.io.registrations.templates import template_and_body
-from habitus.learn.assembly import assemble, sex_direction
+from habitus.learn.assembly import SIGNS, assemble, sex_direction
 from habitus.learn.callback import NoCallback
 from habitus.learn.energy import measure_energy
 from habitus.learn.options import TrainOptions
@@ -25,6 +25,19 @@ from habitus.learn.steps.alternation import subject_step
 from habitus.learn.train import train_body
 
 
+@pytest.mark.parametrize("ending", [".npz", ".pkl"])
+@pytest.mark.parametrize(("lowest", "signs"), [(0.0, "non-negative"), (-0.1, "signed")])
+def test_the_file_of_a_trained_body_says_which_signs_its_joint_regressor_has(
+    lowest, signs, ending, tmp_path
+):
+    regressor = np.full_like(SMALL.regressor, 1.0 / SMALL.regressor.shape[1])
+    regressor[:, 0] += lowest - regressor[0, 0]
+    shape = ShapeSpace(body_of().v_template, body_of().shapedirs, np.ones(BETAS))
+    trained = assemble("trained", template_of(body_of()), small_rig(SMALL), regressor, shape)
+    save_body(trained, tmp_path / f"model{ending}")
+    assert str(load_body(tmp_path / f"model{ending}").extras[SIGNS]) == signs
+
+
 def test_what_a_body_knows_besides_is_carried_over():
     body = body_of()
     shape = ShapeSpace(body.v_template, body.shapedirs, np.ones(BETAS))
@@ -32,7 +45,7 @@ def test_what_a_body_knows_besides_is_carried_over():
         "trained", template_of(body), small_rig(SMALL), body.joint_regressor, shape, body
     )
     assert dict(found.landmarks) == dict(body.landmarks) and found.pose_prior is body.pose_prior
-    assert set(found.extras) == {"hands_mean"}
+    assert set(found.extras) == {"hands_mean", SIGNS}
     bare = assemble("trained", template_of(body), small_rig(SMALL), body.joint_regressor, shape)
     assert (
         bare.pose_prior is None

@@ -12,38 +12,36 @@ from habitus.body.state import BodyState, BodySurface
 from habitus.errors import HabitusError
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.points.depth_settings import STANDARD, RgbdSettings
+from habitus.fit.points.settings import SCANS, ScanSettings
 from habitus.fit.verdict import Verdict
+from habitus.solve.least_squares import Tolerances
 
 
 @dataclass(frozen=True)
 class JointStage:
-    """Some steps of all sensors together.
-
-    reach (m): distance at which a pixel or a point counts a quarter; markers have three times that.
-    prior: what the priors of pose, shape and marker places are multiplied by. matching, stride: of
-    depth pixels. rounds: how often markers are attached and weighed anew; iterations: steps in
-    each.
-    """
+    """Some steps of all sensors together."""
 
     reach: float
+    """Metres at which a pixel or a point counts a quarter (Geman-McClure's scale)."""
     prior: float
+    """Factor of the priors of pose, shape and marker places."""
     matching: str = "nearest"
+    """Of depth pixels: "nearest" or "pixel" (`habitus.residuals.surface_terms.Depth`)."""
     stride: int = 4
+    """Of depth pixels, in both directions."""
     rounds: int = 1
+    """Times that markers are attached and weighed anew."""
     iterations: int = 8
+    """In each round, at most."""
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings of a fit to several sensors.
+    """Settings of a fit to several sensors, and of each sensor's own recipe: weights, noise and
+    starts are the recipes'.
 
-    frames: of the capture that are solved with the other sensors. betas, pose, placement: weights
-    of the shape prior, of the pose prior and of the latent markers' places: MoSh's (M 6).
-    depth_share: of each full-size pixel's certainty, as neighbours err alike (`RgbdSettings`);
-    outline_share: the same of silhouettes. scan_points: how many points of a scan are fitted;
-    scan_worth: as how many independent ones they count. enough_markers: labelled markers from which
-    on a capture alone gives the start's shape. motion: whether the whole capture is solved at the
-    end, by ``mosh``, which has its settings.
+    The stages were chosen on simulated people (examples/two_sensors.py).
     """
 
     stages: tuple[JointStage, ...] = (
@@ -52,18 +50,32 @@ class FitSettings:
         JointStage(0.03, 1.0, "pixel", 2, rounds=2, iterations=10),
     )
     frames: int = 12
-    betas: float = 1.0
-    pose: float = 0.25
-    placement: float = 0.25
-    surface: float = 100.0
-    depth_share: float = 0.02
+    """Of each capture, that are solved with the other sensors: as many as MoSh's shape stage."""
+    marker_reach: float = 3.0
+    """Geman-McClure's scale of a marker, as a factor of `JointStage.reach`: 9 cm at last, near
+    MoSh's 10 cm, since the noise of single markers is not known here."""
     outline_share: float = 0.1
-    scan_points: int = 3000
-    scan_worth: float = 1500.0
+    """Of each full-size pixel's certainty in silhouettes, as neighbouring pixels err alike."""
     enough_markers: int = 8
+    """Labelled markers in a frame from which on captures give the shape of the start, rather than
+    depth views: fewer leave it to the prior."""
+    max_step: Mapping[str, float] = field(
+        default_factory=lambda: {"pose": 0.4, "trans": 0.3, "betas": 1.5}
+    )
+    """Largest change of a number of each unknown in one step: rad, metres, standard deviations."""
+    tolerances: Tolerances = field(default_factory=lambda: Tolerances(cost=1e-4, step=1e-6))
+    """Of each round."""
     motion: bool = True
+    """Whether the whole captures are solved at the end, by ``mosh``; a fit to markers alone always
+    solves them."""
     mosh: MoshSettings = field(default_factory=MoshSettings)
+    """Of markers, and of the priors of shape and pose: `MoshSettings.shape` holds the weights."""
+    depth: RgbdSettings = STANDARD
+    """Of depth views."""
+    scans: ScanSettings = SCANS
+    """Of scans: the last of ``stages`` says how many points are used and their noise."""
     seed: int = 0
+    """Of the choice of frames and of scan points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +85,9 @@ class BodyFit:
     poses: what each of the F poses is of. Those of a capture's frames, and of views and scans that
     name a frame, are in the capture's world; those of a view of its own in the camera's frame;
     those of a scan of its own in metres with y up. latent_markers (M, 3): where markers sit at
-    rest. status, costs, iterations: of the last stage; costs by term sum to the energy. residuals:
+    rest. status, costs: of the last stage; costs by term sum to the energy. residuals:
     distances (m) by sensor: of markers, of pixels from the surface, of points from the surface.
-    motion: the whole capture, where there is one. verdicts: by sensor, where its own recipe judges
-    it.
+    motions: the whole captures. verdicts: by sensor, where its own recipe judges it.
     """
 
     body: BodyModel
@@ -86,12 +97,16 @@ class BodyFit:
     poses: tuple[str, ...]
     status: str
     costs: Mapping[str, float]
-    iterations: int
     residuals: Mapping[str, Float[np.ndarray, " n"]]
     latent_markers: Float[np.ndarray, "M 3"] | None = None
-    motion: MarkerFit | None = None
+    motions: tuple[MarkerFit, ...] = ()
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def motion(self) -> MarkerFit | None:
+        """The whole capture, the first of several; None without markers."""
+        return self.motions[0] if self.motions else None
 
     @property
     def state(self) -> BodyState:

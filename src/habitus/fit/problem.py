@@ -6,56 +6,95 @@
     + sum of robust squared distances / s^2           pixels and points to the skin (T eq. 4.5)
     + silhouettes + shape prior + pose prior          (T 4.6.1, M eqs. 6 and 7)
 
-One shape is shared by all; a frame is one of the capture, or belongs to a view or a scan alone.
-Each sensor's own recipe gives a start: MoSh's multi-start on the capture's frames, the search over
-stances of depth views and scans where these have poses of their own. Then all terms are minimised
-together, stage by stage, with reach and priors annealed. At the end the capture's whole motion is
-solved with the shape and the latent markers held (M 6, the pose stage).
+Shape and latent markers are shared by all; a frame is one of a capture, or belongs to a view or a
+scan alone. Each sensor's own recipe gives a start (`habitus.fit.starts`): MoSh's shape stage, the
+search over stances of depth views and scans where these have poses of their own. Then all terms are
+minimised together, stage by stage, with reach and priors annealed. At the end each capture's whole
+motion is solved with the shape and the latent markers held (M 6, the pose stage).
+
+Markers and priors are the terms of MoSh's shape stage (`habitus.fit.markers.energy.shape_terms`),
+views and scans the public terms `Depth`, `Silhouette` and `Points`.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
+from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.body_fit import BodyFit, FitSettings, JointStage
-from habitus.fit.markers.energy import Placement, place
-from habitus.fit.markers.gaps import fill_short_gaps
+from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.recipe import fit_known
-from habitus.fit.markers.recordings import spread_frames
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import shape_stage
-from habitus.fit.markers.start import start_frames, trunk_weights
-from habitus.fit.points.depth import fit_state
-from habitus.fit.points.depth_settings import STANDARD
-from habitus.fit.points.prepared_views import segment
-from habitus.fit.points.scans import Registrar
-from habitus.fit.sensors import Cloud, MarkerData, ScanData, SegmentedView, SensorData, ViewData
-from habitus.fit.subject import ShapeFit, Subject
+from habitus.fit.sensors import ScanData, SensorData, ViewData
+from habitus.fit.starts import (
+    MarkerStart,
+    ScanStart,
+    ViewStart,
+    most_markers,
+    start_markers,
+    start_scans,
+    start_views,
+)
 from habitus.fit.verdict import Verdict
 from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import signed_distance
-from habitus.observe.depth_views import RgbdCapture
 from habitus.observe.marker_prediction import marked_body, predict
-from habitus.observe.markers import LatentMarkers, attach, default_markers
-from habitus.residuals import shape_stage as energy
+from habitus.observe.markers import LatentMarkers, attach
 from habitus.residuals.points import PointSolver
+from habitus.residuals.shape_stage import pose_prior, shape_prior
 from habitus.residuals.surface_terms import Depth, Points, Silhouette
-from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import Minimized, minimize
 from habitus.solve.terms import Term, geman_mcclure_weight
 from habitus.types import Progress
 
-Values = dict[str, np.ndarray]
+Values = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPixels:
+    """A view, the person's pixels, sd of depth over its square (1 / m), and the pose (row of the
+    state) it shows.
+    """
+
+    data: ViewData
+    mask: Bool[np.ndarray, "H W"]
+    noise: float
+    row: int
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoints:
+    """Some points of a scan (m) and their normals, their noise (m), and the pose (row of the state)
+    they show.
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    normals: Float[np.ndarray, "P 3"] | None
+    noise: float
+    row: int
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One person's data, each with the pose (row of the state) it belongs to: first the frames of
+    captures, then views and scans with poses of their own. ``poses`` names them.
+    """
+
+    body: BodyModel
+    prior: PosePrior
+    settings: FitSettings
+    solver: PointSolver
+    poses: tuple[str, ...]
+    markers: MarkerStart | None
+    views: tuple[ViewPixels, ...]
+    scans: tuple[ScanPoints, ...]
 
 
 def fit_sensors(
@@ -69,404 +108,356 @@ def fit_sensors(
     """One person from all that was observed.
 
     prior: of poses, matched by joint names. terms: more terms, by name, of betas, pose (F, J, 3)
-    and trans (F, 3), which join the others; the first poses are those of the capture's frames, in
+    and trans (F, 3), which join the others; the first poses are those of the captures' frames, in
     their order, then those of views and of scans of their own. Raises HabitusError where there is
     nothing to fit, for frames that a capture does not have, and as each sensor's own recipe does.
     """
     settings = settings or FitSettings()
-    _check(data)
+    data.check()
+    if not settings.stages:
+        raise HabitusError("the settings have no stages; expected one at least")
+    prior = prior.for_joints(body.joint_names)
     with one_blas_thread():
-        problem = _Problem(body, prior.for_joints(body.joint_names), data, settings, terms or {})
-        return problem.solve(progress)
-
-
-def _check(data: SensorData) -> None:
-    if data.markers is None and not data.views and not data.scans:
-        raise HabitusError("no sensor was given; expected markers, depth views or scans")
-    if data.markers is None and data.frames:
-        raise HabitusError(
-            f"frames {', '.join(map(str, data.frames))} are named without a capture; leave frames "
-            "out, or give the markers too"
-        )
-    if data.markers is not None:
-        count = len(data.markers.recording.observed)
-        wrong = [k for k in (*data.frames, *(data.markers.frames or ())) if not 0 <= k < count]
-        if wrong:
-            raise HabitusError(f"frame {wrong[0]} is named; the capture has 0 to {count - 1}")
-
-
-@dataclass(frozen=True, eq=False)
-class _Markers:
-    """The capture's frames that are solved with the others: observed (F, M, 3), NaN where missing,
-    of the first F poses.
-    """
-
-    data: MarkerData
-    placement: Placement
-    frames: Int[np.ndarray, " F"]
-    observed: Float[np.ndarray, "F M 3"]
-
-    @staticmethod
-    def of(body: BodyModel, data: SensorData, settings: FitSettings) -> "_Markers | None":
-        """With markers that are never seen left out, and short gaps filled."""
-        markers = data.markers
-        if markers is None:
-            return None
-        seen = np.isfinite(markers.recording.observed[..., 0]).any(axis=0)
-        labels = [markers.layout.markers[k] for k in np.flatnonzero(seen)]
-        markers = replace(
-            markers,
-            layout=replace(markers.layout, markers=tuple(labels)),
-            recording=replace(markers.recording, observed=markers.recording.observed[:, seen]),
-        )
-        filled = fill_short_gaps(markers.recording.observed, markers.recording.rate_hz)
-        chosen = markers.frames
-        if chosen is None:
-            chosen = tuple(spread_frames(filled, settings.frames, settings.seed).tolist())
-        frames = np.unique([*chosen, *data.frames]).astype(np.int64)
-        return _Markers(markers, place(markers.layout, body), frames, filled[frames])
-
-    @property
-    def enough(self) -> int:
-        """Labelled markers of the fullest frame."""
-        return int(np.isfinite(self.observed[..., 0]).sum(1).max())
-
-    def start(
-        self, body: BodyModel, prior: PosePrior, betas: np.ndarray | None, settings: MoshSettings
-    ) -> ShapeFit:
-        """By MoSh's own shape stage, or, with a shape that is known, poses alone on the layout's
-        places.
-        """
-        shape = np.zeros(body.num_betas) if betas is None else betas
-        latent = default_markers(body, shape, self.placement.vertices, self.placement.distance)
-        attachment = attach(latent, body.rest_vertices(shape), body.faces)
-        rig = marked_body(body, shape, attachment)
-        trunk = trunk_weights(body, self.placement.vertices)
-        pose, trans = start_frames(rig, body.joint_names, trunk, self.observed, prior)
-        if betas is None:
-            return shape_stage(body, self.placement, self.observed, prior, pose, trans, settings)
-        return ShapeFit(betas, latent, attachment, pose, trans, {}, "start", 0)
-
-
-class _Problem:
-    """Body, data and settings, and from them starts, terms and the result."""
-
-    def __init__(
-        self,
-        body: BodyModel,
-        prior: PosePrior,
-        data: SensorData,
-        settings: FitSettings,
-        terms: Mapping[str, Term],
-    ) -> None:
-        self.body = body
-        self.prior = prior
-        self.data = data
-        self.settings = settings
-        self.own_terms = dict(terms)
-        self.solver = PointSolver.of(body)
-        self.markers = _Markers.of(body, data, settings)
-        self.views: list[SegmentedView] = []
-        self.clouds: list[Cloud] = []
-        self.verdicts: dict[str, Verdict] = {}
-        self.poses: list[str] = []
-
-    def solve(self, progress: Progress) -> BodyFit:
-        """Start, joint stages, motion."""
         clock = [time.perf_counter()]
         progress("start", 0.0)
-        state = self._start()
+        problem, state, verdicts = start(body, prior, data, settings)
         clock.append(time.perf_counter())
-        result = None
-        for k, stage in enumerate(self.settings.stages):
-            progress("together", 0.4 + 0.3 * k / len(self.settings.stages))
-            for _ in range(stage.rounds):
-                result = self._descend(state, stage)
-                state = result.values
-        if result is None:
-            raise HabitusError("the settings have no stages; expected one at least")
+        result = _together(problem, state, terms or {}, progress)
+        state = result.values
         clock.append(time.perf_counter())
         progress("motion", 0.7)
-        motion = self._motion(state, result, clock[-1] - clock[0])
+        motions = _motions(problem, result, clock[-1] - clock[0]) if settings.motion else ()
         clock.append(time.perf_counter())
-        names = ("start", "together", "motion")
-        return BodyFit(
-            self.body,
-            state["betas"],
-            state["pose"],
-            state["trans"],
-            tuple(self.poses),
-            result.status,
-            result.costs,
-            result.iterations,
-            self._residuals(state),
-            state.get("latent_markers"),
-            motion,
-            self.verdicts if motion is None else {**self.verdicts, "markers": motion.verdict},
-            dict(zip(names, np.diff(clock).tolist(), strict=True)),
+    names = ("start", "together", "motion")
+    return BodyFit(
+        body=body,
+        betas=state["betas"],
+        pose=state["pose"],
+        trans=state["trans"],
+        poses=problem.poses,
+        status=result.status,
+        costs=result.costs,
+        residuals=residuals(problem, state),
+        latent_markers=state.get("latent_markers"),
+        motions=motions,
+        verdicts={**verdicts, **verdicts_of(motions)},
+        seconds=dict(zip(names, np.diff(clock).tolist(), strict=True)),
+    )
+
+
+# ---- start ---------------------------------------------------------------------------------------
+
+
+def start(
+    body: BodyModel, prior: PosePrior, data: SensorData, settings: FitSettings
+) -> tuple[Problem, Values, dict[str, Verdict]]:
+    """The problem, betas, latent markers and poses to begin with, and verdicts on scans.
+
+    The shape is that of the sensor that sees most of it: scans, then captures with enough markers,
+    then depth views.
+    """
+    scans = start_scans(body, prior, data, settings)
+    views = start_views(body, data, settings)
+    betas = None if scans is None else scans.betas
+    if betas is None and views is not None and most_markers(data) < settings.enough_markers:
+        betas = views.betas
+    markers = None
+    if data.captures:
+        markers = start_markers(body, prior, data, betas, settings)
+        betas = markers.subject.betas
+    if betas is None:
+        assert views is not None
+        betas = views.betas
+    parts = [] if markers is None else [(markers.pose, markers.trans)]
+    parts += [] if views is None else [(views.pose, views.trans)]
+    parts += [] if scans is None else [(each.pose[None], each.trans[None]) for each in scans.fits]
+    pose, trans = (np.concatenate(part) for part in zip(*parts, strict=True))
+    state = {"betas": betas, "pose": pose, "trans": trans}
+    if markers is not None:
+        state["latent_markers"] = markers.subject.shape.latent_markers
+    frames = 0 if markers is None else len(markers.frames)
+    own = 0 if views is None else len(views.views)
+    problem = Problem(
+        body=body,
+        prior=prior,
+        settings=settings,
+        solver=PointSolver.of(body),
+        poses=_pose_names(markers, views, scans, len(data.captures)),
+        markers=markers,
+        views=(*_own_views(views, frames, settings), *_shared_views(data, markers, settings)),
+        scans=(
+            *_own_scans(data, scans, frames + own, settings),
+            *_shared_scans(data, markers, settings),
+        ),
+    )
+    verdicts = {} if scans is None else {each.scan_name: each.verdict for each in scans.fits}
+    return problem, state, verdicts
+
+
+def _pose_names(
+    markers: MarkerStart | None, views: ViewStart | None, scans: ScanStart | None, captures: int
+) -> tuple[str, ...]:
+    names = [] if markers is None else [pose_name(*at, captures) for at in markers.frames]
+    if views is not None:
+        names += [each.view.name or f"view {k}" for k, each in enumerate(views.views)]
+    return (*names, *(() if scans is None else (each.scan_name for each in scans.fits)))
+
+
+def pose_name(capture: int, frame: int, captures: int) -> str:
+    """The name of a capture's frame among the poses of a fit."""
+    return f"frame {frame}" if captures == 1 else f"capture {capture} frame {frame}"
+
+
+def _own_views(
+    start: ViewStart | None, first: int, settings: FitSettings
+) -> tuple[ViewPixels, ...]:
+    if start is None:
+        return ()
+    return tuple(
+        ViewPixels(data, mask, _view_noise(data, noise, settings), first + k)
+        for k, (data, mask, noise) in enumerate(
+            zip(start.views, start.masks, start.noise, strict=True)
         )
+    )
 
-    # ---- start ----------------------------------------------------------------------------------
 
-    def _start(self) -> Values:
-        """Betas, latent markers and poses, each sensor's by its own recipe; the shape by the one
-        that sees most of it: scans, then a capture with enough markers, then depth.
-        """
-        own = [self._start_scan(scan) for scan in self.data.scans if scan.frame is None]
-        views = [_in_own_frame(view) for view in self.data.views if view.frame is None]
-        shown = self._start_views(views) if views else None
-        betas = own[0][0] if own else None
-        markers = self.markers
-        shape = None
-        if markers is not None:
-            few = markers.enough < self.settings.enough_markers
-            known = shown[0] if betas is None and few and shown is not None else betas
-            shape = markers.start(self.body, self.prior, known, self.settings.mosh)
-            betas = shape.betas if betas is None else betas
-        if betas is None:
-            assert shown is not None
-            betas = shown[0]
-        poses, places = [], []
-        if shape is not None:
-            assert markers is not None
-            poses.extend(shape.pose)
-            places.extend(shape.trans)
-            self.poses += [f"frame {k}" for k in markers.frames]
-        for k, view in enumerate(views):
-            assert shown is not None
-            poses.append(shown[1][k])
-            places.append(shown[2][k])
-            self.poses.append(view.view.name or f"view {k}")
-            self._add_view(view, len(poses) - 1, shown[3][k])
-        for _, pose, trans, cloud in own:
-            poses.append(pose)
-            places.append(trans)
-            self.poses.append(cloud.data.scan.name)
-            self.clouds.append(replace(cloud, row=len(poses) - 1))
-        self._add_shared()
-        state = {"betas": betas, "pose": np.stack(poses), "trans": np.stack(places)}
-        return state if shape is None else {**state, "latent_markers": shape.latent_markers}
+def _shared_views(
+    data: SensorData, markers: MarkerStart | None, settings: FitSettings
+) -> tuple[ViewPixels, ...]:
+    """Views of captures' frames, which start from the markers' poses."""
+    views = [each for each in data.views if each.at is not None]
+    if markers is None or not views:
+        return ()
+    from habitus.fit.points.prepared_views import segment  # needs PyTorch, as views do
 
-    def _add_shared(self) -> None:
-        """Views and scans of the capture's frames: they start from the markers' poses."""
-        for view in self.data.views:
-            if view.frame is not None:
-                self._add_view(view, self._row(view.frame), segment(view.view).mask)
-        for scan in self.data.scans:
-            if scan.frame is not None:
-                self.clouds.append(self._cloud(scan, self._row(scan.frame)))
+    found = [segment(each.view) for each in views]
+    return tuple(
+        ViewPixels(each, part.mask, _view_noise(each, part.noise, settings), _row(markers, each))
+        for each, part in zip(views, found, strict=True)
+    )
 
-    def _row(self, frame: int) -> int:
-        assert self.markers is not None
-        return int(np.flatnonzero(self.markers.frames == frame)[0])
 
-    def _cloud(self, data: ScanData, row: int) -> Cloud:
-        """Some points of a scan, and their normals where it has any that point outward."""
-        scan = data.scan
+def _view_noise(data: ViewData, measured: float | None, settings: FitSettings) -> float:
+    """What is given, else what the view's empty room shows, else the recipe's."""
+    known = [noise for noise in (data.noise, measured) if noise is not None]
+    return known[0] if known else settings.depth.noise
+
+
+def _own_scans(
+    data: SensorData, start: ScanStart | None, first: int, settings: FitSettings
+) -> tuple[ScanPoints, ...]:
+    if start is None:
+        return ()
+    last = settings.scans.stages[-1]
+    own = [each for each in data.scans if each.at is None]
+    clouds = [fit.cloud.first(last.points) for fit in start.fits]
+    return tuple(
+        ScanPoints(cloud.points, cloud.normals, each.noise or last.noise, first + k)
+        for k, (each, cloud) in enumerate(zip(own, clouds, strict=True))
+    )
+
+
+def _shared_scans(
+    data: SensorData, markers: MarkerStart | None, settings: FitSettings
+) -> tuple[ScanPoints, ...]:
+    """Scans of captures' frames: some points, and their normals where any point outward."""
+    last = settings.scans.stages[-1]
+    found = []
+    for each in data.scans:
+        if each.at is None or markers is None:
+            continue
+        scan = each.scan
         normals = scan.normals if scan.oriented else None
         if normals is None and scan.faces is not None:
             normals = vertex_normals(scan.points, scan.faces)
-        some = np.random.default_rng(self.settings.seed).permutation(len(scan.points))
-        some = some[: self.settings.scan_points]
+        some = np.random.default_rng(settings.seed).permutation(len(scan.points))[: last.points]
         chosen = None if normals is None else np.asarray(normals)[some]
-        return Cloud(data, scan.points[some], chosen, row)
+        noise = each.noise or last.noise
+        found.append(ScanPoints(scan.points[some], chosen, noise, _row(markers, each)))
+    return tuple(found)
 
-    def _add_view(self, view: ViewData, row: int, mask: np.ndarray) -> None:
-        noise = 1.5e-3 if view.noise is None else view.noise
-        self.views.append(SegmentedView(view, mask, noise, row))
 
-    def _start_views(self, views) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-        """Betas, poses, places in the cameras' frames, and masks, by the recipe of depth views."""
-        capture = RgbdCapture("views", tuple(each.view for each in views)).without("colour")
-        found = fit_state(capture, self.body, replace(STANDARD, skin_steps=1))
-        state = found.state
-        moved = [
-            _in_frame(
-                self.body, state.betas, state.pose[k], state.trans[k], sight.turn, sight.shift
+def _row(markers: MarkerStart, data: ViewData | ScanData) -> int:
+    assert data.at is not None
+    return markers.frames.index(data.at)
+
+
+# ---- all sensors together ------------------------------------------------------------------------
+
+
+def _together(
+    problem: Problem, state: Values, terms: Mapping[str, Term], progress: Progress
+) -> Minimized:
+    """All stages; marker attachments and robust weights are found anew in each round."""
+    settings = problem.settings
+    result = None
+    for k, stage in enumerate(settings.stages):
+        progress("together", 0.4 + 0.3 * k / len(settings.stages))
+        for _ in range(stage.rounds):
+            result = minimize(
+                joint_terms(problem, state, stage, terms),
+                dict(state),
+                "levenberg",
+                blocks=("trans", "pose"),
+                max_iterations=stage.iterations,
+                tolerances=settings.tolerances,
+                max_step=settings.max_step,
+                stretch=False,
             )
-            for k, sight in enumerate(found.sights)
-        ]
-        pose, trans = (np.stack(part) for part in zip(*moved, strict=True))
-        return state.betas, pose, trans, [sight.mask for sight in found.sights]
+            state = result.values
+    assert result is not None
+    return result
 
-    def _start_scan(self, scan: ScanData) -> tuple[np.ndarray, np.ndarray, np.ndarray, Cloud]:
-        """Betas, pose, trans and points in metres with y up, by the recipe of scans."""
-        registrar = Registrar.of(self.body, self.prior)
-        given = {"unit": scan.unit, "up": scan.up, "seed": self.settings.seed}
-        found = registrar.register([scan.scan], **given)[0]
-        self.verdicts[scan.scan.name] = found.verdict
-        some = found.cloud.first(self.settings.scan_points)
-        return found.betas, found.pose, found.trans, Cloud(scan, some.points, some.normals, 0)
 
-    # ---- terms ----------------------------------------------------------------------------------
+def joint_terms(
+    problem: Problem, state: Values, stage: JointStage, more: Mapping[str, Term]
+) -> dict[str, Term]:
+    """The energy, with marker attachments and robust marker weights of this state."""
+    terms = {
+        **_markers_and_priors(problem, state, stage),
+        **_view_terms(problem, stage),
+        **_scan_terms(problem, stage),
+    }
+    for name in more:
+        if name in terms:
+            raise HabitusError(f"your term {name!r} is named as one of the fit is; rename it")
+    return {**terms, **more}
 
-    def _descend(self, state: Values, stage: JointStage) -> Minimized:
-        """Some steps of all terms together."""
-        return minimize(
-            self.terms(state, stage),
-            state,
-            "levenberg",
-            blocks=("trans", "pose"),
-            max_iterations=stage.iterations,
-            tolerances=Tolerances(cost=1e-4, step=1e-6),
-            max_step={"pose": 0.4, "trans": 0.3, "betas": 1.5},
-            stretch=False,
-        )
 
-    def terms(self, state: Values, stage: JointStage) -> dict[str, Term]:
-        """The energy, with marker attachments and robust marker weights of this state."""
-        settings = self.settings
-        prior = self.prior
-        terms = {
-            **self._marker_terms(state, stage),
-            **self._view_terms(stage),
-            **self._scan_terms(stage),
-            "betas": energy.shape_prior(self.body.num_betas, stage.prior * settings.betas),
-            "pose": energy.pose_prior(
-                prior.mean, prior.whitening, len(state["pose"]), stage.prior * settings.pose
-            ),
-        }
-        twice = set(terms) & set(self.own_terms)
-        if twice:
-            raise HabitusError(
-                f"a term of yours is named {sorted(twice)[0]!r}, as one of the fit is; rename it"
-            )
-        return {**terms, **self.own_terms}
-
-    def _marker_terms(self, state: Values, stage: JointStage) -> dict[str, Term]:
-        """E_D, E_S and E_I of the shape stage (M eqs. 3 to 5), on the capture's frames."""
-        if self.markers is None:
-            return {}
-        placement = self.markers.placement
-        observed = np.full((len(state["pose"]), *self.markers.observed.shape[1:]), np.nan)
-        observed[: len(self.markers.observed)] = self.markers.observed
-        rest = self.body.rest_vertices(state["betas"])
-        triangles = attach(state["latent_markers"], rest, self.body.faces).triangles
-        latent = LatentMarkers(self.body, triangles)
-        filled = np.nan_to_num(observed)
-        off = np.linalg.norm(latent(**state) - filled, axis=2)
-        weights = np.isfinite(observed[..., 0]) * geman_mcclure_weight(off, 3.0 * stage.reach)
-        lam = self.settings
-        per_cm2 = 1.0 / (energy.per_m2(1.0) * self.markers.data.noise**2)
+def _markers_and_priors(problem: Problem, state: Values, stage: JointStage) -> dict[str, Term]:
+    """The energy of MoSh's shape stage on the frames of captures, or its priors alone."""
+    body = problem.body
+    prior = problem.prior
+    settings = problem.settings
+    count = len(state["pose"])
+    if problem.markers is None:
+        weight = settings.mosh.shape
         return {
-            "markers": energy.data(latent, filled, weights, per_cm2),
-            "surface": energy.surface_distance(
-                self.body, placement.distance, placement.distance_spread, lam.surface
-            ),
-            "placement": energy.start_place(
-                self.body,
-                placement.vertices,
-                placement.distance,
-                placement.place_spread,
-                stage.prior * lam.placement,
-            ),
+            "betas": shape_prior(body.num_betas, stage.prior * weight.betas),
+            "pose": pose_prior(prior.mean, prior.whitening, count, stage.prior * weight.pose),
         }
+    markers = problem.markers
+    observed = np.full((count, *markers.observed.shape[1:]), np.nan)
+    observed[: len(markers.observed)] = markers.observed
+    rest = body.rest_vertices(state["betas"])
+    latent = LatentMarkers(body, attach(state["latent_markers"], rest, body.faces).triangles)
+    filled = np.nan_to_num(observed)
+    off = np.linalg.norm(latent(**state) - filled, axis=2)
+    weights = np.isfinite(observed[..., 0]) * geman_mcclure_weight(
+        off, settings.marker_reach * stage.reach
+    )
+    weights[: len(markers.weight)] *= markers.weight[:, None]
+    placement = place(markers.subject.layout, body)
+    terms = shape_terms(body, latent, placement, filled, weights, prior, settings.mosh, stage.prior)
+    names = {"data": "markers", "start": "placement"}
+    return {names.get(name, name): term for name, term in terms.items()}
 
-    def _view_terms(self, stage: JointStage) -> dict[str, Term]:
-        terms: dict[str, Term] = {}
-        for k, each in enumerate(self.views):
-            view = each.data.view
-            common = {"frame": each.row, "stride": stage.stride}
-            terms[f"depth {k}"] = Term(
-                Depth(
-                    self.solver,
-                    view.camera,
-                    view.depth,
-                    each.mask,
-                    matching=stage.matching,
-                    noise=each.noise,
-                    reach=stage.reach,
-                    share=self.settings.depth_share,
-                    **common,
-                )
-            )
-            known = each.mask | (view.depth > 0.0)
-            share = self.settings.outline_share
-            terms[f"silhouette {k}"] = Term(
-                Silhouette(self.solver, view.camera, each.mask, known, share=share, **common)
-            )
-        return terms
 
-    def _scan_terms(self, stage: JointStage) -> dict[str, Term]:
-        terms: dict[str, Term] = {}
-        for k, each in enumerate(self.clouds):
-            share = min(1.0, self.settings.scan_worth / len(each.points))
-            terms[f"scan {k}"] = Term(
-                Points(
-                    self.solver,
-                    each.points,
-                    each.normals,
-                    each.row,
-                    each.data.noise,
-                    stage.reach,
-                    share=share,
-                )
-            )
-        return terms
-
-    # ---- result ---------------------------------------------------------------------------------
-
-    def _residuals(self, state: Values) -> dict[str, np.ndarray]:
-        """Distances (m) by sensor."""
-        found: dict[str, np.ndarray] = {}
-        if self.markers is not None:
-            rest = self.body.rest_vertices(state["betas"])
-            attachment = attach(state["latent_markers"], rest, self.body.faces)
-            rig = marked_body(self.body, state["betas"], attachment)
-            count = len(self.markers.observed)
-            predicted = predict(rig, state["pose"][:count], state["trans"][:count])
-            off = np.linalg.norm(predicted - self.markers.observed, axis=2)
-            found["markers"] = off[np.isfinite(off)]
-        for k, each in enumerate(self.views):
-            depth = Depth(self.solver, each.data.view.camera, each.data.view.depth, each.mask)
-            found[f"depth {k}"] = self._distance(state, each.row, depth.targets)
-        for k, each in enumerate(self.clouds):
-            found[f"scan {k}"] = self._distance(state, each.row, each.points)
-        return found
-
-    def _distance(self, state: Values, row: int, points: np.ndarray) -> np.ndarray:
-        surface = self.body(state["betas"], state["pose"][row], state["trans"][row]).vertices
-        return np.abs(signed_distance(points, np.asarray(surface), self.body.faces).distance)
-
-    def _motion(self, state: Values, result: Minimized, seconds: float) -> MarkerFit | None:
-        """Pose and soft-tissue stage of the whole capture, shape and latent markers held."""
-        if self.markers is None or not self.settings.motion:
-            return None
-        rest = self.body.rest_vertices(state["betas"])
-        attachment = attach(state["latent_markers"], rest, self.body.faces)
-        count = len(self.markers.observed)
-        shape = ShapeFit(
-            state["betas"],
-            state["latent_markers"],
-            attachment,
-            state["pose"][:count],
-            state["trans"][:count],
-            result.costs,
-            result.status,
-            result.iterations,
+def _view_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
+    settings = problem.settings
+    terms: dict[str, Term] = {}
+    for k, each in enumerate(problem.views):
+        view = each.data.view
+        depth = Depth(
+            problem.solver,
+            view.camera,
+            view.depth,
+            each.mask,
+            frame=each.row,
+            matching=stage.matching,
+            noise=each.noise,
+            model_sd=settings.depth.model_sd,
+            reach=stage.reach,
+            slide=settings.depth.slide,
+            share=settings.depth.depth,
+            stride=stage.stride,
         )
-        data = self.markers.data
-        subject = Subject(self.body, self.prior, data.layout, shape, seconds=seconds)
-        return fit_known(data.recording, subject, self.settings.mosh)
+        silhouette = Silhouette(
+            problem.solver,
+            view.camera,
+            each.mask,
+            each.mask | (view.depth > 0.0),
+            frame=each.row,
+            share=settings.outline_share,
+            stride=stage.stride,
+        )
+        terms |= {f"depth {k}": Term(depth), f"silhouette {k}": Term(silhouette)}
+    return terms
 
 
-def _in_own_frame(view: ViewData) -> ViewData:
-    """The view with its camera at the origin: its own frame is the world of its pose."""
-    still = torch.zeros(3, dtype=torch.float64)
-    camera = view.view.camera.to(torch.float64).replace(rotation=still, translation=still)
-    return replace(view, view=replace(view.view, camera=camera))
+def _scan_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
+    settings = problem.settings.scans
+    terms: dict[str, Term] = {}
+    for k, each in enumerate(problem.scans):
+        points = Points(
+            problem.solver,
+            each.points,
+            each.normals,
+            frame=each.row,
+            noise=each.noise,
+            reach=stage.reach,
+            slide=settings.stages[-1].slide,
+            share=min(1.0, settings.effective_points / len(each.points)),
+        )
+        terms[f"scan {k}"] = Term(points)
+    return terms
 
 
-def _in_frame(
-    body: BodyModel,
-    betas: np.ndarray,
-    pose: np.ndarray,
-    trans: np.ndarray,
-    turn: np.ndarray,
-    shift: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """A pose of the world turn x + shift as one of the frame x."""
-    root = np.asarray(body.rest_joints(betas))[0]
-    moved = pose.copy()
-    moved[0] = rotvec_from_matrix(turn.T @ matrix_from_rotvec(pose[0]))
-    return moved, turn.T @ (root + trans - shift) - root
+# ---- result --------------------------------------------------------------------------------------
+
+
+def residuals(problem: Problem, state: Values) -> dict[str, Float[np.ndarray, " n"]]:
+    """Distances (m) by sensor."""
+    body = problem.body
+    found: dict[str, np.ndarray] = {}
+    if problem.markers is not None:
+        rest = body.rest_vertices(state["betas"])
+        rig = marked_body(body, state["betas"], attach(state["latent_markers"], rest, body.faces))
+        count = len(problem.markers.frames)
+        predicted = predict(rig, state["pose"][:count], state["trans"][:count])
+        off = np.linalg.norm(predicted - problem.markers.observed, axis=2)
+        found["markers"] = off[np.isfinite(off)]
+    whole = BodyState(state["betas"], state["pose"], state["trans"])
+    for k, each in enumerate(problem.views):
+        depth = Depth(problem.solver, each.data.view.camera, each.data.view.depth, each.mask)
+        found[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets)
+    for k, each in enumerate(problem.scans):
+        found[f"scan {k}"] = distances_to(body, whole[each.row], each.points)
+    return found
+
+
+def distances_to(
+    body: BodyModel, state: BodyState, points: Float[np.ndarray, "P 3"]
+) -> Float[np.ndarray, " P"]:
+    """Distances (m) of points from the skin of one pose."""
+    surface = np.asarray(body(state.betas, state.pose, state.trans).vertices)
+    return np.abs(signed_distance(points, surface, body.faces).distance)
+
+
+def verdicts_of(motions: Sequence[MarkerFit]) -> dict[str, Verdict]:
+    """The verdicts on captures, by sensor."""
+    several = len(motions) > 1
+    return {f"markers {k}" if several else "markers": e.verdict for k, e in enumerate(motions)}
+
+
+def _motions(problem: Problem, result: Minimized, seconds: float) -> tuple[MarkerFit, ...]:
+    """Pose and soft-tissue stage of the whole captures, shape and latent markers held."""
+    markers = problem.markers
+    if markers is None:
+        return ()
+    state = result.values
+    count = len(markers.frames)
+    rest = problem.body.rest_vertices(state["betas"])
+    shape = replace(
+        markers.subject.shape,
+        betas=state["betas"],
+        latent_markers=state["latent_markers"],
+        attachment=attach(state["latent_markers"], rest, problem.body.faces),
+        pose=state["pose"][:count],
+        trans=state["trans"][:count],
+        costs=result.costs,
+        status=result.status,
+        iterations=result.iterations,
+    )
+    subject = replace(markers.subject, shape=shape, seconds=seconds)
+    return tuple(fit_known(each, subject, problem.settings.mosh) for each in markers.recordings)

@@ -1,95 +1,107 @@
 """What several sensors observed of one person, for `habitus.fit.problem`: data, its noise, and
 which poses it belongs to.
 
-Noise is a standard deviation of one observation, with what the body model cannot explain of it. A
-view or scan either names the frames of the capture in which it was taken, and is then in the
-capture's world, or has a pose and a world of its own.
+Noise is the standard deviation of one observation, including what the body model cannot explain of
+it; without one it is that of the sensor's own recipe (`FitSettings`). A view or scan either names
+the frame of a capture in which it was taken, and is then in the capture's world, or has a pose and
+a world of its own.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from jaxtyping import Bool, Float
-
+from habitus.errors import HabitusError
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.points.scan import Scan
 from habitus.markers.layouts import MarkerLayout
-from habitus.observe.depth_views import DepthView
+
+if TYPE_CHECKING:  # depth views need PyTorch; markers and scans do not
+    from habitus.observe.depth_views import DepthView
+
+
+class FrameOf(NamedTuple):
+    """A frame of one of the captures, both counted from 0."""
+
+    capture: int
+    frame: int
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerData:
-    """A recording on its layout; noise (m) is MoSh's weight of 0.75 per cm^2 (M 6) by default.
+    """A recording on the layout of all captures; noise (m) of a marker.
 
     frames: those that are solved with the other sensors; chosen for spread poses without it.
     """
 
     recording: Recording
-    layout: MarkerLayout
-    noise: float = 0.0115
+    noise: float | None = None
     frames: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ViewData:
-    """A depth view; frame: of the capture, None: a pose of its own.
+    """A depth view; at: when it was taken, None: a pose of its own.
 
-    camera and depth are the view's: the camera's frame, or with ``frame`` the capture's world, is
-    where the body is. noise: sd of depth over its square (1 / m); None: what the view tells, else
-    1.5e-3.
+    camera and depth are the view's; the body is in the camera's frame, or with ``at`` in the
+    capture's world. noise: sd of depth over its square (1 / m).
     """
 
-    view: DepthView
-    frame: int | None = None
+    view: "DepthView"
+    at: FrameOf | None = None
     noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ScanData:
-    """A scan; frame as in `ViewData`. With it the points are metres in the capture's world, without
-    it ``unit`` and ``up`` say what they are, or "auto".
+    """A scan; at: as in `ViewData`. With it the points are metres in the capture's world.
 
-    noise (m) along the normal: 5 mm is what the last steps of a registration's model have.
+    noise (m): along the normal.
     """
 
     scan: Scan
-    frame: int | None = None
-    noise: float = 0.005
-    unit: str = "auto"
-    up: str = "auto"
+    at: FrameOf | None = None
+    noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class SensorData:
-    """All that was observed of one person."""
+    """All that was observed of one person. layout: of all captures, whose latent markers are the
+    same. unit, up: of scans with a pose of their own, or "auto".
+    """
 
-    markers: MarkerData | None = None
+    captures: tuple[MarkerData, ...] = ()
+    layout: MarkerLayout | None = None
     views: tuple[ViewData, ...] = ()
     scans: tuple[ScanData, ...] = ()
+    unit: str = "auto"
+    up: str = "auto"
 
-    @property
-    def frames(self) -> tuple[int, ...]:
-        """Frames of the capture that views and scans were taken in."""
+    def named_frames(self, capture: int) -> tuple[int, ...]:
+        """Frames of a capture in which views and scans were taken."""
         given: Sequence[ViewData | ScanData] = (*self.views, *self.scans)
-        return tuple(sorted({each.frame for each in given if each.frame is not None}))
+        return tuple(each.at.frame for each in given if each.at and each.at.capture == capture)
+
+    def check(self) -> None:
+        """Raises HabitusError where there is no sensor, and for frames that no capture has."""
+        if not (self.captures or self.views or self.scans):
+            raise HabitusError("no sensor was given; expected markers, depth views or scans")
+        named = sorted({each.at for each in (*self.views, *self.scans) if each.at is not None})
+        for capture, frame in named:
+            if not 0 <= capture < len(self.captures):
+                raise HabitusError(
+                    f"frame {frame} of capture {capture} is named, and {len(self.captures)} "
+                    "captures are given; leave frames out, or give the markers too"
+                )
+        for k, each in enumerate(self.captures):
+            frames = (*self.named_frames(k), *(each.frames or ()))
+            check_frames(each.recording.name, len(each.recording.observed), frames)
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentedView:
-    """A view with the person's pixels known, and the pose (row of the state) it shows."""
-
-    data: ViewData
-    mask: Bool[np.ndarray, "H W"]
-    noise: float
-    row: int
-
-
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """Some points of a scan and their normals, and the pose (row of the state) they show."""
-
-    data: ScanData
-    points: Float[np.ndarray, "P 3"]
-    normals: Float[np.ndarray, "P 3"] | None
-    row: int
+def check_frames(capture: str, count: int, frames: Sequence[int]) -> None:
+    """Raises HabitusError for a frame that a capture of ``count`` frames does not have."""
+    for frame in frames:
+        if not 0 <= frame < count:
+            raise HabitusError(
+                f"frame {frame} is named; the capture {capture} has 0 to {count - 1}"
+            )

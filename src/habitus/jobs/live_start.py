@@ -28,7 +28,7 @@ from habitus.io.streams.wiring import Wiring, find_wiring
 from habitus.io.units import METRES
 from habitus.jobs.bodies import aged_body, of_sex, with_fingers
 from habitus.jobs.options import LiveOptions, MoshOptions
-from habitus.jobs.subjects import Person, gather
+from habitus.jobs.subjects import LayoutChoice, Person, gather
 from habitus.kernels.threads import one_blas_thread
 from habitus.types import PathLike
 
@@ -350,7 +350,7 @@ def known_subject(
     return known, _of(people[0].recordings[0], people[0], known), chosen
 
 
-def _layout_of(fit: MarkerFit, options: LiveOptions) -> PathLike:
+def _layout_of(fit: MarkerFit, options: LiveOptions) -> LayoutChoice:
     """The fit's, where it is a shipped one and no other is asked for."""
     return (
         fit.layout_name

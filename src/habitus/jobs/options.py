@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from habitus.fit.points.depth_settings import RgbdSettings
     from habitus.fit.points.settings import ScanSettings
     from habitus.io.captures.read import Capture
+    from habitus.markers.layouts import MarkerLayout
     from habitus.types import PathLike
 
     Age = float | str | None
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     KnownFit = PathLike | MarkerFit | None
     LabelledFile = PathLike | Capture | None
     Labels = Sequence[str]
+    Layout = PathLike | MarkerLayout | Sequence[MarkerLayout]
     LayoutName = int | PathLike
     Numbers = Sequence[int]
     Pool = int | str | Sequence[str]
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
     Weights = MoshWeights | None
 else:  # what a command line can say
     Age = str | None
-    Body = File = LayoutName = Pool = str
+    Body = File = Layout = LayoutName = Pool = str
     CameraFile = LabelledFile = KnownFit = Path | None
     DepthSettings = Scans = Settings = Weights = Any
     Files = tuple[Path, ...]
@@ -161,7 +163,7 @@ def read_age(age: float | str | None) -> float | None:
 class SubjectOptions:
     """Whose body is fitted to markers, and by which layout."""
 
-    layout: Annotated[File, metavar("auto|discover|NAME|FILE")] = "auto"
+    layout: Annotated[Layout, metavar("auto|discover|NAME|FILE")] = "auto"
     """Where each marker sits: "auto" picks a layout by the labels, "discover" estimates the places
     of unknown labels by fitting and writes layout.toml, else a shipped name or a file.
     """

@@ -395,11 +395,13 @@ def asks_to_discover(layout: object) -> bool:
     return isinstance(layout, str) and layout == DISCOVER
 
 
-def check_layout(layout: PathLike, hold_out: Sequence[str] = (), every: int | None = None) -> None:
+def check_layout(
+    layout: LayoutChoice, hold_out: Sequence[str] = (), every: int | None = None
+) -> None:
     """Raises HabitusError for a layout that is neither there nor to be found, and where markers are
     to be held out that would tell their own places.
     """
-    if not asks_to_discover(layout) and str(layout) != "auto":
+    if isinstance(layout, str | os.PathLike) and str(layout) not in ("auto", DISCOVER):
         load_layout(layout)
     if asks_to_discover(layout) and (hold_out or every is not None):
         raise HabitusError(

@@ -16,6 +16,10 @@ from habitus.learn.shape.shape_space import ShapeSpace
 from habitus.mesh.template import Template
 
 _OF_THE_FILE = ("license", "version", "description")  # of a body file, not of the body
+SIGNS = "joint_regressor_signs"
+"""The name, among the ``extras`` of a trained body, of what its joint regressor's weights are:
+"non-negative", as SMPL's (S 4.1), or "signed".
+"""
 _CARRIED = ("pose_prior", "part", "expressiondirs", "ages", "mesh")
 
 
@@ -51,7 +55,10 @@ def assemble(
         shape_features=rig.shape_features,
         **_pose_shapes(rig),
     )
-    return trained if body is None else replace(trained, **_carried_over(body, shape))
+    if body is not None:
+        trained = replace(trained, **_carried_over(body, shape))
+    signs = np.array("signed" if (regressor < 0.0).any() else "non-negative")
+    return replace(trained, extras=MappingProxyType({**trained.extras, SIGNS: signs}))
 
 
 def _pose_shapes(rig: Rig) -> dict[str, Any]:

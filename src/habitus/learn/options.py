@@ -13,7 +13,7 @@ CANDIDATES = 8
 """Joints that a vertex' influences are chosen from."""
 POSE_SHAPES = ("full", "sparse", "local", "low_rank", "l1", "none")
 STARTS = ("parts", "body")
-REGRESSORS = ("auto", "convex", "signed")
+REGRESSORS = ("convex", "signed", "auto")
 FIXED = ("skinning_weights", "joint_regressor", "posedirs", "shapedirs", "people", "poses")
 """What can be held fixed: of a body by the names of its arrays, "shapedirs" with the mean,
 ``v_template``; of the registrations what is known of them: rest surfaces of the "people", "poses"
@@ -97,9 +97,9 @@ class TrainOptions:
     """Held fixed: arrays of that body (skinning_weights, joint_regressor, posedirs, shapedirs), and
     of registrations that have them, people (rest surfaces) and poses.
     """
-    regressor: Literal["auto", "convex", "signed"] = "auto"
-    """Joints from vertices: convex combinations (S 4.1), signed ones, or signed where these have a
-    lower error on held-out people.
+    regressor: Literal["convex", "signed", "auto"] = "convex"
+    """Joints from vertices: convex combinations, of non-negative weights (S 4.1); weights of either
+    sign; or "auto", signed where these have a lower error on held-out people.
     """
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     """Weights of eq. 14."""

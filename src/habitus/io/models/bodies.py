@@ -53,6 +53,7 @@ _EXTRAS = (
     "license",
     "version",
     "description",
+    "joint_regressor_signs",
     "vt",
     "ft",
     "uv",

@@ -1,0 +1,103 @@
+"""Sensors of one kind are fitted by the recipe of that kind, and what cannot be fitted is refused
+in one line.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sensor_people import MOSH, QUICK, QUICK_SCANS, SHOTS, body, halves, person, scan_of
+
+import habitus as hb
+from habitus.fit.starts import in_own_frame
+from habitus.observe.depth_views import RgbdCapture
+
+
+def same(found, expected, *names):
+    for name in names:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def test_captures_alone_are_what_mosh_makes_of_them():
+    _, captures = halves(1)
+    fit = hb.Fit(body(), captures, QUICK).solve()
+    recipe = hb.Mosh(layout=captures[0].layout, settings=MOSH, soft_tissue="none")
+    expected = recipe.fit([each.read() for each in captures], body())
+    assert fit.results == fit.motions and len(fit.results) == 2
+    for found, one in zip(fit.results, expected, strict=True):
+        same(found, one, "betas", "latent_markers", "pose", "trans", "predicted_pose_stage")
+        assert (found.costs, found.status, found.verdict) == (one.costs, one.status, one.verdict)
+    np.testing.assert_array_equal(fit.pose, np.concatenate([one.pose for one in expected]))
+
+
+def test_scans_alone_are_what_register_scans_makes_of_them():
+    scan = scan_of(0, 0)
+    fit = hb.Fit(body(), scan, QUICK).solve()
+    (expected,) = hb.register_scans(scan.scan, body(), up="+y", unit="m", settings=QUICK_SCANS)
+    (found,) = fit.results
+    same(found, expected, "betas", "pose", "trans", "vertices", "weights")
+    assert (found.costs, found.status, found.verdict) == (
+        expected.costs,
+        expected.status,
+        expected.verdict,
+    )
+    same(fit, expected, "betas")
+    np.testing.assert_array_equal(fit.pose[0], expected.pose)
+
+
+def test_views_alone_are_what_fit_rgbd_makes_of_them():
+    capture = RgbdCapture("views", tuple(in_own_frame(view) for view in person(0)[2]))
+    fit = hb.Fit(body(), hb.Depth(capture), QUICK).solve()
+    expected = hb.fit_rgbd(capture, body())
+    (found,) = fit.results
+    same(found, expected, "betas", "pose", "trans", "skin")
+    assert (found.costs, found.status, found.verdict) == (
+        expected.costs,
+        expected.status,
+        expected.verdict,
+    )
+    same(fit, expected, "betas")
+    # The same surface, in the frame of the camera rather than the recipe's upright world.
+    view = found.sights[0]
+    surface = np.asarray(body()(expected.betas, expected.pose[0], expected.trans[0]).vertices)
+    np.testing.assert_allclose(fit.vertices(0) @ view.turn.T + view.shift, surface, atol=1e-9)
+
+
+CASES = {
+    "nothing": (lambda markers, views: [], "no sensor"),
+    "frames without capture": (
+        lambda markers, views: [hb.Depth(views, frames=SHOTS)],
+        "0 captures",
+    ),
+    "frame beyond": (lambda markers, views: [markers, hb.Depth(views, frames=(0, 99))], "frame 99"),
+    "frame beyond, alone": (lambda markers, views: replace(markers, frames=(99,)), "frame 99"),
+    "frames missing": (lambda markers, views: [markers, hb.Depth(views, frames=(0,))], "1 frames"),
+    "no sensor": (lambda markers, views: ["walk.c3d"], "str"),
+    "array without layout": (lambda markers, views: replace(markers, layout="auto"), "layout"),
+    "columns": (lambda markers, views: replace(markers, capture=markers.capture[:, :5]), "12"),
+    "two layouts": (
+        lambda markers, views: [markers, replace(markers, layout=hb.load_layout("cmu-41"))],
+        "different layouts",
+    ),
+    "whose frame": (
+        lambda markers, views: [markers, markers, hb.Depth(views, frames=SHOTS)],
+        "capture=0",
+    ),
+    "no such capture": (
+        lambda markers, views: [markers, hb.Depth(views, frames=SHOTS, capture=1)],
+        "capture 1",
+    ),
+    "two units": (
+        lambda markers, views: [hb.Scan(np.zeros((9, 3)), unit=unit) for unit in ("m", "mm")],
+        "unit",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_cannot_be_fitted_is_refused(case):
+    sensors, word = CASES[case]
+    _, markers, views = person(0)
+    with pytest.raises(hb.HabitusError, match=word) as refused:
+        hb.Fit(body(), sensors(markers, views), QUICK).solve()
+    assert "\n" not in str(refused.value)
