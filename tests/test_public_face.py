@@ -177,7 +177,7 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
                 print(name, error, sep=": ")
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
-    images = "Camera Depth Fit Markers Scan draw fit_rgbd read_views".split()
+    images = "Camera draw fit_rgbd read_views".split()
     images = {told.pop(name) for name in images}
     assert all(
         "needs PyTorch, which is not installed" in line and "habitus[torch]" in line
@@ -188,6 +188,11 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
         "need torch, which is not installed" in line and "habitus[train]" in line
         for line in told.values()
     )
+
+
+def test_depth_views_need_torch_when_they_are_read():
+    said = _without_torch("import habitus; habitus.Depth('views').read()").stderr.splitlines()[-1]
+    assert "HabitusError: habitus.Depth needs PyTorch" in said and "habitus[torch]" in said
 
 
 def test_a_module_that_needs_torch_says_so_for_who_asked():

@@ -22,7 +22,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior, prior_of
 from habitus.body.state import BodyState
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, TorchIsAnExtra
 from habitus.fit.body_fit import BodyFit, FitSettings
 from habitus.fit.points.scan import Scan as ReadScan
 from habitus.fit.problem import distances_to, fit_sensors, pose_name, verdicts_of
@@ -106,8 +106,9 @@ class Depth:
 
     def read(self) -> "RgbdCapture":
         """The views. Raises HabitusError."""
-        from habitus.io.rgbd.read import read_views
-        from habitus.observe.depth_views import DepthView, RgbdCapture
+        with TorchIsAnExtra("habitus.Depth"):
+            from habitus.io.rgbd.read import read_views
+            from habitus.observe.depth_views import DepthView, RgbdCapture
 
         if isinstance(self.views, RgbdCapture):
             return self.views
