@@ -75,7 +75,7 @@ def test_markers_are_fitted_beside_a_scan_and_terms_without_torch():
         from dataclasses import replace
         import numpy as np
         import habitus as hb
-        from habitus.body.shipped_prior import shipped_prior
+        from habitus.body.prior import shipped_prior
         from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
         body, layout = hb.load_body("default").with_betas(4), hb.load_layout("cmu-41")
