@@ -56,6 +56,12 @@ def test_a_fit_becomes_an_fbx(npz, tmp_path, capsys):
     assert "M03" in (tmp_path / "walk.trc").read_text()
 
 
+def test_one_mesh_is_called_one_and_a_folder_of_results_is_taken(npz, tmp_path, capsys):
+    assert run("export", npz.parent, "--out", tmp_path / "rest.obj", "--detail", "coarse") == 0
+    said = capsys.readouterr().out
+    assert "one mesh" in said and "frames" not in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -14,6 +14,8 @@ from habitus.body.joint_layouts import SMPLH
 from habitus.cli.mosh import Mosh, run
 from habitus.errors import HabitusError
 from habitus.export import write_amass
+from habitus.io.models.bodies import load_body, save_body
+from habitus.jobs.exporting import export_file
 from habitus.rotations import UP_AXES, up_rotation
 
 
@@ -125,3 +127,38 @@ def test_the_command_passes_the_style_on(tmp_path, monkeypatch):
     )
     run(options)
     assert asked[0].npz_style == "amass"
+
+
+def test_smplx_shows_the_person_where_the_shape_is_padded(tmp_path):
+    """As docs/amass.md says: unpadded, the package takes 10 of the 24 betas."""
+    smplx = pytest.importorskip("smplx")
+    torch = pytest.importorskip("torch")
+    body = load_body("default")
+    save_body(body, tmp_path / "neutral.npz")
+    with np.load(tmp_path / "neutral.npz") as file:
+        arrays = dict(file)
+    betas = np.random.default_rng(0).normal(size=(1, body.num_betas))
+    found = []
+    for count in (0, 300 - arrays["shapedirs"].shape[2]):
+        shapes = np.pad(arrays["shapedirs"], ((0, 0), (0, 0), (0, count)))
+        told = smplx.utils.Struct(**arrays | {"shapedirs": shapes})
+        person = smplx.SMPL("", data_struct=told, num_betas=body.num_betas)
+        given = torch.tensor(betas[:, : person.num_betas], dtype=torch.float32)
+        found.append(person(betas=given).vertices.detach().numpy()[0])
+    known = body(betas[0]).vertices
+    assert np.abs(found[1] - known).max() < 1e-5 < 1e-3 < np.abs(found[0] - known).max()
+
+
+def test_a_fit_of_a_file_becomes_amass_style(tmp_path):
+    fit = synthetic_fit(4, body=load_body("default"), body_name="default", soft=False)
+    fit.export(tmp_path / "body.npz")
+    export_file(tmp_path / "body.npz", tmp_path / "amass.npz", npz_style="amass")
+    write_amass(fit, tmp_path / "direct.npz")
+    with np.load(tmp_path / "amass.npz") as file, np.load(tmp_path / "direct.npz") as direct:
+        assert set(file.files) == set(direct.files) and file["poses"].shape == (4, 156)
+        for name in file.files:
+            np.testing.assert_array_equal(file[name], direct[name], err_msg=name)
+    with pytest.raises(HabitusError, match=r"\.npz"):
+        export_file(tmp_path / "body.npz", tmp_path / "a.bvh", npz_style="amass")
+    with pytest.raises(HabitusError, match="npz_style"):
+        export_file(tmp_path / "body.npz", tmp_path / "a.npz", npz_style="other")

@@ -21,10 +21,11 @@ def test_every_ending_of_a_fit_and_of_a_motion(tmp_path, ending):
     fit = synthetic_fit(8, body=tube_body(posedirs=True), rate_hz=120.0)
     for name, moving in (("a", fit), ("b", BodyMotion.of(fit))):
         told = export_motion(moving, tmp_path / f"{name}{ending}")
-        assert (told.frames, told.rate_hz) == (8, 120.0) and told.path.exists()
+        frames = 1 if ending in (".obj", ".ply") else 8
+        assert (told.frames, told.rate_hz) == (frames, 120.0) and told.path.exists()
         assert bool(told.morphs) == (ending in (".fbx", ".glb"))
     slow = export_motion(fit, tmp_path / f"c{ending}", fps=60)
-    assert (slow.frames, slow.rate_hz) == (4, 60.0)
+    assert (slow.frames, slow.rate_hz) == (min(frames, 4), 60.0)
 
 
 def test_a_fit_keeps_its_markers_and_another_rate_is_a_motion(tmp_path):

@@ -24,13 +24,13 @@ class Export:
     habitus export him.npz --out him.fbx --bake-correctives all      (him.npz: of habitus body)
 
     .fbx, .glb, .usd, .usdc, .usda, .usdz: the skinned body in motion; .bvh: its skeleton; .trc:
-    joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: AMASS's names.
+    joints and markers; .mot: OpenSim's joint angles; .obj, .ply: one mesh; .npz: the fit or motion.
     `docs/exporting.md` explains how programs import them.
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
-    """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style; for a rig at rest
-    a person's npz, or neutral, female, male.
+    """A fit's body.npz or its folder, a motion that habitus wrote, or an npz in AMASS's style; for
+    a rig at rest a person's npz, or neutral, female, male.
     """
     out: Annotated[Path, metavar("FILE")]
     """Output file; the ending selects the format."""
@@ -44,6 +44,8 @@ class Export:
     """The mesh: the body's full level, or the one that was fitted."""
     frame: Annotated[int | None, unset("K")] = None
     """Of .obj and .ply: this frame, from 0 on, instead of the person at rest."""
+    npz_style: Literal["habitus", "amass"] = "habitus"
+    """Of .npz: all results, or the columns that AMASS scripts read (docs/amass.md)."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -66,9 +68,10 @@ def run(options: Export, console: "Console | None" = None) -> None:
         correctives=options.bake_correctives,
         detail=options.detail,
         frame=options.frame,
+        npz_style=options.npz_style,
     )
     if found.morphs or found.worst:
-        worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "none"
+        worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "less than 0.01 mm"
         other = f", up to {1e3 * found.elsewhere:.2g} mm in other poses" if found.elsewhere else ""
         say(
             console,
@@ -82,7 +85,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
             "note",
         )
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
-    say(console, f"{found.frames} frames at {found.rate_hz:g} Hz{size}: {plain(found.path)}")
+    what = "one mesh" if found.frames == 1 else f"{found.frames} frames at {found.rate_hz:g} Hz"
+    say(console, f"{what}{size}: {plain(found.path)}")
 
 
 def left(options: Export) -> str:

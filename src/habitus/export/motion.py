@@ -19,7 +19,7 @@ from habitus.export.driven import write_drivers
 from habitus.export.fbx.write import write_fbx
 from habitus.export.glb import write_glb
 from habitus.export.mot import write_mot
-from habitus.export.npz import motion_arrays, write_arrays, write_npz
+from habitus.export.npz import check_npz_style, motion_arrays, write_amass, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.export.rates import at_rate
 from habitus.export.trc import write_points
@@ -31,12 +31,13 @@ from habitus.rotations import up_rotation
 @dataclass(frozen=True)
 class Wanted:
     """What a file shall show of a motion: its blend shapes, its level of detail, of a still one
-    which frame.
+    which frame, and of an npz which style.
     """
 
     correctives: str = "auto"
     detail: str = "full"
     frame: int | None = None
+    npz_style: str = "habitus"
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,9 @@ def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
 
 
 def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:
+    if wanted.npz_style == "amass":
+        write_amass(moving, path)
+        return
     write_npz(moving, path) if isinstance(moving, MarkerFit) else write_motion(
         BodyMotion.of(moving), path
     )
@@ -121,6 +125,7 @@ def export_motion(
     correctives: str = "auto",
     detail: str = "full",
     frame: int | None = None,
+    npz_style: str = "habitus",
 ) -> Exported:
     """Write a fit or a motion as one file, by its ending, and say what was written.
 
@@ -133,20 +138,32 @@ def export_motion(
     it. correctives: which blend shapes a mesh is given, "auto", "all", "none", "live:96" or
     "pca:16" (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how
     bones drive them lies beside it (`habitus.export.driven`). detail: "full", or "coarse", the mesh
-    that was fitted. Raises HabitusError for other endings and options, for a missing extra, and
-    where the file cannot be written.
+    that was fitted. npz_style: "habitus", or "amass", the columns of AMASS's scripts
+    (`habitus.export.npz.write_amass`), for .npz only. Raises HabitusError for other endings and
+    options, for a missing extra, and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
     check_correctives(correctives)
+    check_npz_style(npz_style, motion.body)
+    if npz_style != "habitus" and target.suffix.lower() != ".npz":
+        raise HabitusError(f"{target.name}: npz_style is for a name that ends in .npz")
     _check_finite(motion)
     moving = at_rate(motion, fps)
-    found = _WRITERS[target.suffix.lower()][0](moving, target, Wanted(correctives, detail, frame))
-    told = (target, len(moving.pose), float(moving.rate_hz))
+    found = _WRITERS[target.suffix.lower()][0](
+        moving, target, Wanted(correctives, detail, frame, npz_style)
+    )
+    frames = 1 if _WRITERS[target.suffix.lower()][0] is _still else len(moving.pose)
+    exported = Exported(target, frames, float(moving.rate_hz))
     if not isinstance(found, Animation):
-        return Exported(*told)
-    left_out = found.morph_worst, write_drivers(found, target), found.morph_elsewhere
-    return Exported(*told, len(found.morphs), *left_out)
+        return exported
+    return replace(
+        exported,
+        morphs=len(found.morphs),
+        worst=found.morph_worst,
+        drivers=write_drivers(found, target),
+        elsewhere=found.morph_elsewhere,
+    )
 
 
 def _check_finite(motion: Moving) -> None:

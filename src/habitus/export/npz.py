@@ -211,9 +211,9 @@ BODY_JOINTS = 22
 SMPL_VERTICES = 6890
 
 
-def write_amass(fit: "MarkerFit", path: str | os.PathLike[str]) -> None:
-    """Write a ``MarkerFit`` as .npz for AMASS scripts, atomically; docs/amass.md says what fits and
-    what does not.
+def write_amass(fit: "Moving", path: str | os.PathLike[str]) -> None:
+    """Write a fit or a motion as .npz for AMASS scripts, atomically; docs/amass.md says what fits
+    and what does not.
 
     T frames; z is up whatever the capture's axis was; metres, radians. ``poses`` (T,156): root, the
     21 joints of SMPL-H's body by their names, 30 finger joints (zero where the body has none);
@@ -247,7 +247,7 @@ def check_npz_style(style: str, body: BodyModel) -> None:
         )
 
 
-def amass_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
+def amass_arrays(fit: "Moving") -> dict[str, np.ndarray]:
     """The named arrays of ``write_amass``."""
     check_npz_style("amass", fit.body)
     frames = len(fit.pose)
@@ -277,7 +277,7 @@ def is_smplh(body: BodyModel) -> bool:
 
 
 def _upright(
-    fit: "MarkerFit", root: np.ndarray
+    fit: "Moving", root: np.ndarray
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """Pose and trans in a world whose z is up; the root turns about its own rest place."""
     turn = up_rotation("+z").T @ up_rotation(fit.up_axis)

@@ -21,6 +21,7 @@ def export_file(
     correctives: str = "auto",
     detail: str = "full",
     frame: int | None = None,
+    npz_style: str = "habitus",
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
@@ -31,7 +32,13 @@ def export_file(
     """
     check_motion_path(to)
     return export_motion(
-        read_moving(source, body), to, fps=fps, correctives=correctives, detail=detail, frame=frame
+        read_moving(source, body),
+        to,
+        fps=fps,
+        correctives=correctives,
+        detail=detail,
+        frame=frame,
+        npz_style=npz_style,
     )
 
 
