@@ -32,6 +32,8 @@ from numba.core import event
 GOALS = {"mosh": 100, "register": 70, "rgbd": 80, "forward": 8, "gradient": 15}
 """Files: those of the project's plan."""
 SOURCE = ROOT / "src" / "habitus"
+LISTENER = str(SOURCE / "kernels" / "jit.py")
+"""Hears of compilations, as the walk does."""
 SCANS = ROOT.parent / "shared" / "scans"
 
 
@@ -63,6 +65,8 @@ class Walk(event.Listener):
         """The tracer's callback at a call."""
         code = frame.f_code
         if code in self._foreign:
+            return None
+        if code.co_filename == LISTENER and code.co_name in ("on_start", "on_end"):
             return None
         if code.co_name == "<module>":
             self._paused += 1

@@ -7,9 +7,9 @@ import pytest
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus.body.gender import female_probability, said_of
+from habitus.fit.markers.result import betas_covariance
 from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.parallel import blocks
 from habitus.results.save import marker_metrics, write_json
 

@@ -31,8 +31,8 @@ from habitus.fit.markers.hold_out import HeldMarkers
 from habitus.fit.markers.recipe import Recording, fit_subject
 from habitus.fit.markers.recordings import spread_frames
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.shape import ShapeFit
 from habitus.fit.placements import Seen, learned, offsets_at_rest, seen
-from habitus.fit.subject import ShapeFit
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.layouts.files import list_layouts, placements_text, plain_layout
 from habitus.io.models.bodies import load_body

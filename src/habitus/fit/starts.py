@@ -24,12 +24,12 @@ from habitus.fit.markers.recordings import (
     of_markers,
     spread_frames,
 )
+from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.start import start_frames, trunk_weights
 from habitus.fit.markers.suspects import exchange
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.sensors import FrameOf, SensorData, ViewData
-from habitus.fit.subject import ShapeFit, Subject
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.markers import attach, default_markers
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix

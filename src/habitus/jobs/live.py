@@ -23,8 +23,8 @@ from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.shape import Subject
 from habitus.fit.markers.suspects import exchange
-from habitus.fit.subject import Subject
 from habitus.io.captures.points import RawPoints
 from habitus.io.people import read_fit
 from habitus.io.streams.open import open_source

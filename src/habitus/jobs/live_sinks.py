@@ -11,7 +11,7 @@ from habitus.export.osc import Sender
 from habitus.export.posing import OSC_PORT, UNITY_BONES, VMC_PORT, OscPoses, VmcPoses
 from habitus.fit.markers.live import Quality
 from habitus.fit.markers.recordings import Recording
-from habitus.fit.subject import Subject
+from habitus.fit.markers.shape import Subject
 from habitus.io.streams.source import host_and_port
 from habitus.jobs.live import MakeSink, Now, Sink
 from habitus.report.live import NEEDED, Board, Shown, serve

@@ -19,7 +19,7 @@ from habitus.fit.markers.recipe import warm_up
 from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.subject import Subject
+from habitus.fit.markers.shape import Subject
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.read import Capture, captures_of
 from habitus.io.layouts.files import list_layouts

@@ -30,10 +30,9 @@ from habitus.export.glb import thinning_note, write_glb
 from habitus.export.npz import check_npz_style, motion_arrays, write_amass, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.files import locked, whole_folder, write_text
-from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.result import MarkerFit, betas_covariance
 from habitus.fit.markers.solution import HeldOut
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.markers.uncertainty import betas_covariance
 from habitus.fit.points.scan_result import ScanFit
 from habitus.kernels.threads import one_blas_thread
 from habitus.parallel.blocks import blocks, columns, drop_pages, is_large

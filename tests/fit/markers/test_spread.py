@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.fit.markers.uncertainty import betas_covariance
+from habitus.fit.markers.result import betas_covariance
 
 
 def sorted_variances(covariance: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ import pytest
 from planted import person
 
 from habitus.errors import HabitusError
+from habitus.fit.markers.shape import ShapeFit
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.subject import ShapeFit
 from habitus.io.layouts.files import list_layouts, load_layout
 from habitus.jobs.archive.items import BodyChoice, KnownSubject, read_known, write_known
 from habitus.jobs.subjects import Agreed

@@ -13,8 +13,7 @@ from habitus.fit.discover.skin import OFF_SKIN, Skin
 from habitus.fit.discover.starts import Known, places_of, squared_distances
 from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import shape_stage
-from habitus.fit.subject import ShapeFit
+from habitus.fit.markers.shape import ShapeFit, shape_stage
 from habitus.observe.marker_prediction import marked_body, predict
 
 OFF_SPREAD = 0.006

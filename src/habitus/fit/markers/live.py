@@ -26,9 +26,9 @@ from habitus.fit.markers.recordings import (
 )
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
+from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.start import start_frame
 from habitus.fit.markers.suspects import exchange
-from habitus.fit.subject import ShapeFit, Subject
 from habitus.fit.verdict import (
     DOUBTFUL,
     FAILED,

@@ -39,7 +39,7 @@ from habitus.fit.markers.recordings import (
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequence_settings
-from habitus.fit.markers.shape import shape_stage
+from habitus.fit.markers.shape import Subject, shape_stage
 from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
 from habitus.fit.markers.suspects import (
     crossed_placements,
@@ -51,7 +51,6 @@ from habitus.fit.markers.suspects import (
     suspects,
     undo_swaps,
 )
-from habitus.fit.subject import Subject
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers

@@ -1,13 +1,169 @@
-"""The result of a marker fit: its solution with the verdict and the uncertainty of each segment."""
+"""The result of a marker fit: its solution with the verdict and the uncertainty of each segment.
+
+How well a fit is determined is told by the covariance of its betas, and by how certain the position
+of each joint's segment is where few markers are seen and the pose prior decides.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
 
-from habitus.body.prior import prior_of
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from habitus.body.jacobians import surface_jacobian
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior, prior_of
 from habitus.fit.markers.judge import judge
 from habitus.fit.markers.solution import Guessed, MarkerSolution
-from habitus.fit.markers.uncertainty import guess
 from habitus.fit.verdict import Verdict
+from habitus.mesh.proximity import farthest_points
+from habitus.observe.marker_prediction import BodyMarkers
+from habitus.observe.markers import marker_jacobian
+
+SPANS = 24
+"""Spans of time that a capture is looked at in."""
+_FREE = 10.0  # radians and metres: how far the whole body may be turned and moved
+_PROBES = 3  # points of the skin that stand for a joint's segment
+_MOST = 0.4  # of the skin's weight: vertices that a joint carries
+_BATCH = 8
+TRUSTED = 0.5  # of a marker's full weight
+
+
+def guess(fit: MarkerSolution, prior: PosePrior) -> Guessed:
+    """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the
+    body's.
+    """
+    if not fit.labels:
+        return Guessed(np.zeros(1, np.int64), np.full((1, fit.body.num_joints), np.inf))
+    frames = len(fit.pose)
+    edges = np.unique(np.linspace(0, frames, min(frames, SPANS), endpoint=False).astype(np.int64))
+    return Guessed(edges, segment_spread(fit, prior, edges))
+
+
+def segment_spread(
+    fit: MarkerSolution, prior: PosePrior, edges: Int[np.ndarray, " F"]
+) -> Float[np.ndarray, "F J"]:
+    """How well the skin of each joint's segment is known (m), in the spans of frames that begin at
+    ``edges``.
+
+    The standard deviation of its place given the markers that are seen and trusted in some frame of
+    the span, each off by `PLACE` and its noise, and the prior over
+    poses; shape is taken as found. Spans that see the same markers share one number, from the
+    pose in the middle of the first of them.
+    """
+    told = _told(fit, edges)
+    patterns, first, which = np.unique(told, axis=0, return_index=True, return_inverse=True)
+    frames = (edges + np.diff(np.append(edges, len(fit.pose))) // 2)[first]
+    noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=PLACE)
+    rows, owners = _probes(fit.body)
+    precision = _precision(prior.for_joints(fit.body.joint_names).precision)
+    found = np.zeros((len(patterns), fit.body.num_joints))
+    for start in range(0, len(patterns), _BATCH):
+        part = slice(start, start + _BATCH)
+        markers, probes = _moved(fit, fit.pose[frames[part]], fit.trans[frames[part]], rows)
+        weight = np.repeat(patterns[part] / (PLACE**2 + noise**2), 3, axis=1)[..., None]
+        known = precision + markers.swapaxes(1, 2) @ (weight * markers)
+        left = np.linalg.solve(known, probes.swapaxes(1, 2))
+        square = np.sum(probes * left.swapaxes(1, 2), axis=2).reshape(len(known), -1, 3).sum(2)
+        for joint in np.unique(owners):
+            found[part, joint] = np.sqrt(square[:, owners == joint].mean(1))
+    return found[which.reshape(-1)]
+
+
+def _told(fit: MarkerSolution, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+    """Which markers are seen and trusted in some frame of each span."""
+    spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
+    weights = fit.marker_weights
+    observed = fit.observed_markers
+    return np.array(
+        [((weights[a:b] >= TRUSTED) & np.isfinite(observed[a:b, :, 0])).any(0) for a, b in spans],
+        bool,
+    )
+
+
+def _moved(
+    fit: MarkerSolution,
+    pose: Float[np.ndarray, "f J 3"],
+    trans: Float[np.ndarray, "f 3"],
+    rows: Int[np.ndarray, " P"],
+) -> tuple[Float[np.ndarray, "f 3M N"], Float[np.ndarray, "f 3P N"]]:
+    """How markers, and vertices, move with pose and place."""
+    markers = marker_jacobian(fit.body, fit.attachment, fit.betas, pose, trans).by_pose
+    probes = np.asarray(
+        surface_jacobian(fit.body, fit.betas, pose, trans, vertices=rows).vertices_pose
+    )
+    both = (_with_trans(points.reshape(*points.shape[:3], -1)) for points in (markers, probes))
+    first, second = (points.reshape(len(pose), -1, points.shape[-1]) for points in both)
+    return first, second
+
+
+def _precision(inner: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N N"]:
+    """The prior's, with the root's turn before and the place behind, both as good as free."""
+    size = len(inner) + 6
+    whole = np.eye(size) / _FREE**2
+    whole[3:-3, 3:-3] = inner
+    return whole
+
+
+def _with_trans(by_pose: Float[np.ndarray, "F M 3 n"]) -> Float[np.ndarray, "F M 3 N"]:
+    return np.concatenate(
+        [by_pose, np.broadcast_to(np.eye(3), (*by_pose.shape[:2], 3, 3))], axis=-1
+    )
+
+
+def _probes(body: BodyModel) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
+    """Vertices far apart on each joint's segment, and whose they are; none of a joint that carries
+    no skin.
+    """
+    rows = []
+    owners = []
+    weight = np.zeros((body.num_vertices, body.num_joints))
+    np.add.at(
+        weight, (np.arange(body.num_vertices)[:, None], body.skinning_index), body.skinning_value
+    )
+    for joint in range(body.num_joints):
+        own = np.flatnonzero((weight[:, joint] >= _MOST) & (weight.argmax(1) == joint))
+        if len(own):
+            points = np.asarray(body.v_template)[own]
+            first = int(np.linalg.norm(points - points.mean(0), axis=1).argmax())
+            rows += own[farthest_points(points, _PROBES, first)].tolist()
+            owners += [joint] * (len(rows) - len(owners))
+    return np.array(rows, np.int64), np.array(owners, np.int64)
+
+
+PLACE = 0.015
+"""Standard deviation (m) of a marker's place on a real body about its place on the fitted one:
+hands that placed it, flesh, and a shape space that knows no body exactly.
+"""
+_FREE_POSE = (
+    1.0  # radians and metres: how far pose and trans may move to make up for a change of shape
+)
+
+
+def betas_covariance(fit: MarkerSolution, place: float = PLACE) -> Float[np.ndarray, "B B"]:
+    """The betas' posterior covariance (B, B): standard normal, seen through markers in one frame of
+    free pose.
+
+    Markers are off their places by ``place`` and by their noise. Frames do not make this less, as a
+    marker is off alike in all of them; so the frame that sees most markers stands for all.
+    """
+    count = len(fit.betas)
+    frame = int(np.argmax(fit.visible.sum(axis=1)))
+    seen = fit.visible[frame] & np.isfinite(fit.marker_noise)
+    rig = BodyMarkers(fit.body, fit.betas, fit.attachment)
+    with_pose = rig.jacobian(fit.pose[[frame]], fit.trans[[frame]])
+    shape = with_pose.by_betas[0][seen].reshape(-1, count)
+    moved = np.concatenate(
+        [with_pose.by_pose[0][seen].reshape(len(shape), -1), np.tile(np.eye(3), (seen.sum(), 1))], 1
+    )
+    weight = np.repeat(1.0 / np.sqrt(place**2 + fit.marker_noise[seen] ** 2), 3)[:, None]
+    shape = weight * shape
+    moved = weight * moved
+    both = moved.T @ shape
+    left = shape.T @ shape - both.T @ np.linalg.solve(
+        moved.T @ moved + np.eye(moved.shape[1]) / _FREE_POSE**2, both
+    )
+    return np.linalg.inv(np.eye(count) + 0.5 * (left + left.T))
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
+from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.suspects import Suspect
-from habitus.fit.subject import ShapeFit, Subject
 from habitus.jobs.bodies import PersonBody
 from habitus.jobs.finding import MarkerSet
 from habitus.jobs.mosh import Mosh, recipe_of

@@ -11,7 +11,6 @@ import numpy as np
 
 from habitus.body.joint_angles import joint_angles
 from habitus.export.animation import STAGES, Animation, Track, animate
-from habitus.export.obj import fitted_vertices
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.proximity import signed_distance
@@ -203,7 +202,11 @@ def _floor(fit: "Moving") -> float:
     frames = np.unique(np.linspace(0, len(fit.pose) - 1, FLOOR_FRAMES).astype(int))
     up = up_rotation(fit.up_axis)[1]
     some = np.arange(0, fit.body.num_vertices, 3)
-    lows = [float((vertices @ up).min()) for vertices in fitted_vertices(fit, frames, some)]
+    lows = [
+        float((vertices @ up).min())
+        for surface in fit.surfaces(frames, some)
+        for vertices in surface.vertices
+    ]
     # above the quantile: jumps; below it: a bad frame or two
     usual = float(np.quantile(lows, 0.25))
     return 0.0 if abs(usual) <= FLOOR_TOLERANCE else usual
