@@ -232,7 +232,7 @@ def main() -> None:
     save_picture(colour.numpy(), options.out)
     covered = float(depth.isfinite().double().mean())
     print(
-        f"{len(seen.triangles.faces):,} triangles cover {covered:.0%} of the image; wrote "
+        f"{len(scene.triangles.faces):,} triangles cover {covered:.0%} of the image; wrote "
         f"{options.out}"
     )
 

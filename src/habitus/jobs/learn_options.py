@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from habitus.evaluate.counts import COUNTS
-from habitus.jobs.options import Flag, metavar, unset
-from habitus.learn.options import TrainOptions
+from habitus.jobs.options import Flag, PythonOnly, metavar, unset
+from habitus.learn.options import SETTINGS, TrainOptions, TrainSettings
 
 if TYPE_CHECKING:
     from habitus.body.model import BodyModel
@@ -50,6 +50,8 @@ class TrainingOptions(TrainOptions, UnitOption):
     """Also train plain LBS and plain DQBS on the same registrations."""
     every: Annotated[int, metavar("K")] = 1
     """Take one frame in K of sequences (h5)."""
+    settings: Annotated[TrainSettings, PythonOnly] = SETTINGS
+    """Tuning of the trainer's parts."""
     include_failed: Flag = False
     """Also train on registrations that `habitus register` judged failed."""
 

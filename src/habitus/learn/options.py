@@ -50,6 +50,56 @@ class EnergyWeights:
 
 
 @dataclass(frozen=True)
+class TrainSettings:
+    """Tuning of the trainer's parts, for all kinds of models alike. The values are those that the
+    planted bodies of `benchmarks/learn_planted.py` and the default body were trained with.
+    """
+
+    border_spread: float = 0.35
+    """Standard deviation by which a part's border is smeared in the initial weights, in radii of
+    the part: knees and elbows then blend over as many centimetres as with hand-made weights.
+    """
+    border_steps: int = 8
+    """Implicit steps of the heat equation that smears borders; more change nothing visible."""
+    min_initial_weight: float = 1e-3
+    """Initial weights below are dropped, so that a joint's influence ends somewhere."""
+    max_cotangent: float = 100.0
+    """Bound on half the cotangents of needle triangles; a regular triangle's is 0.29."""
+    pose_iterations: int = 1
+    """Gauss-Newton steps of a registration's pose in a round: the round is alternated anyway."""
+    skeleton_steps: int = 1
+    """Levenberg-Marquardt steps of poses, joints and rest vertices together, likewise."""
+    skeleton_damping: float = 1e-4
+    """Damping of the first of them, in units of the matrix' diagonal."""
+    relaxation_factors: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)
+    """Multiples of a round's change that are tried beyond it, as long as the energy falls."""
+    gradient_steps: int = 5
+    """Conjugate-gradient steps of pose blend shapes in a round; each lowers the energy."""
+    majorised_steps: int = 5
+    """Steps of low-rank and of l1 pose blend shapes in a round, each to the minimum of a bound."""
+    coordinate_sweeps: int = 4
+    """Sweeps over the coordinates within such a step of l1 pose blend shapes."""
+    joint_reach: int = 2
+    """Bones from a vertex' strongest joint within which joints may drive its local pose shapes."""
+    min_observed_weight: float = 1e-2
+    """Registrations' weights at a vertex, summed, below which it is held near its neighbourhood."""
+    regressor_ridges: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 3.0)
+    """Strengths, tried by cross-validation, that keep a signed regressor row near its convex
+    one."""
+    regressor_gain: float = 0.9
+    """With ``regressor`` "auto" a row is signed where that lowers the error on held-out people to
+    this share or less.
+    """
+    regressor_folds: int = 5
+    """Parts into which people are divided for that cross-validation."""
+    imputation_steps: int = 12
+    """Steps of expectation maximisation that fill holes of rest surfaces; converged by then."""
+
+
+SETTINGS = TrainSettings()
+
+
+@dataclass(frozen=True)
 class TrainOptions:
     """Kind of model and stopping criteria. Raises HabitusError for values that do not make
     sense.
@@ -103,6 +153,8 @@ class TrainOptions:
     """
     weights: EnergyWeights = field(default_factory=EnergyWeights)
     """Weights of eq. 14."""
+    settings: TrainSettings = SETTINGS
+    """Tuning of the trainer's parts."""
 
     def __post_init__(self):
         for key, allowed in (

@@ -39,7 +39,6 @@ from habitus.learn.start.first_estimate import (
 from habitus.learn.steps.alternation import STEPS, Step, over_relax
 from habitus.learn.steps.pose_shapes import let_go
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
-from habitus.learn.steps.subjects import HOLD
 from habitus.mesh.laplacian import fill_holes
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.template import Template
@@ -96,7 +95,7 @@ def train_body(
         shape = shape_space_of(body)
     elif len(shaped):
         surfaces = normalize_shapes(estimate, regressor, template, shaped, workers, callback)
-        shape = shapes_of(surfaces, shaped, options.num_betas)
+        shape = shapes_of(surfaces, shaped, options)
     else:
         surfaces = at_one_root(
             estimate.templates, regressor, (regressor @ estimate.templates.mean(0))[0]
@@ -250,6 +249,7 @@ def learn_regressor(
         candidates=near_joints(template, estimate.rig),
         mirror=template.mirror,
         joint_mirror=template.joint_mirror,
+        settings=problem.options.settings,
     )
 
 
@@ -266,7 +266,7 @@ def with_holes_filled(problem: Problem, estimate: Estimate, template: Template) 
     laplacian = edge_distance(template.faces, template.num_vertices).laplacian
     away = estimate.templates - template.vertices
     filled = [
-        fill_holes(laplacian, weights >= HOLD, values)
+        fill_holes(laplacian, weights >= problem.options.settings.min_observed_weight, values)
         for weights, values in zip(seen, away, strict=True)
     ]
     templates = template.vertices + np.stack(filled)
@@ -307,15 +307,18 @@ def normalize_shapes(
     return surfaces
 
 
-def shapes_of(surfaces: np.ndarray, registrations: Registrations, count: int) -> ShapeSpace:
+def shapes_of(
+    surfaces: np.ndarray, registrations: Registrations, options: TrainOptions
+) -> ShapeSpace:
     """The shape space of pose-normalised registrations, with or without holes."""
     if not registrations.weighted:
-        return principal_shapes(surfaces, count)
+        return principal_shapes(surfaces, options.num_betas)
     weights = (registrations.read_seen(k)[1] for k in range(len(registrations)))
     seen = np.stack(
         [np.full(surfaces.shape[1], True) if weight is None else weight > 0 for weight in weights]
     )
-    return shapes_with_holes(surfaces, seen, count)[1]
+    steps = options.settings.imputation_steps
+    return shapes_with_holes(surfaces, seen, options.num_betas, steps)[1]
 
 
 def _normalized(

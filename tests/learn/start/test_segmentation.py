@@ -9,7 +9,7 @@ from scipy.special import erf
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body
 from habitus.io.registrations.templates import body_template
-from habitus.learn.start import segmentation as initial
+from habitus.learn.options import SETTINGS
 from habitus.learn.start.segmentation import diffuse_weights, ring_regressor
 from habitus.mesh.template import Template
 
@@ -55,7 +55,7 @@ def human():
 def test_on_a_tube_heat_is_the_error_function_whatever_its_size(size):
     template = tube(length=size, radius=0.1 * size, cuts=(0.5 * size,))
     half_area = 2 * np.pi * 0.1 * 0.5 * size**2
-    sigma = initial.SPREAD * np.sqrt(half_area / (4 * np.pi))
+    sigma = SETTINGS.border_spread * np.sqrt(half_area / (4 * np.pi))
     height = template.vertices[:, 1] - 0.505 * size  # the border lies between two rings of vertices
     expected = (1 + erf(height / np.sqrt(2) / sigma)) / 2
     assert np.abs(diffuse_weights(template)[:, 1] - expected).max() < 0.03

@@ -11,7 +11,7 @@ from small_rigs import disturbed, planted, small_body
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
 from habitus.learn.energy import costs, energy_terms, measure_energy, unknowns
-from habitus.learn.options import POSE_SHAPES, EnergyWeights
+from habitus.learn.options import POSE_SHAPES, EnergyWeights, TrainSettings
 from habitus.learn.steps.alternation import (
     STEPS,
     over_relax,
@@ -103,6 +103,10 @@ def test_going_further_finds_the_minimum_along_a_line():
     assert energy.total < 1e-6
     same, kept = over_relax(problem, halfway, found, energy, ALONE)
     assert same is found and kept is energy
+    settings = TrainSettings(relaxation_factors=())
+    still = replace(problem, options=replace(problem.options, settings=settings))
+    energy = measure_energy(problem, halfway, ALONE)
+    assert over_relax(still, origin, halfway, energy, ALONE) == (halfway, energy)
 
 
 @skinnings

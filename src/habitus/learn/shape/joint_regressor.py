@@ -14,17 +14,10 @@ from scipy.optimize import nnls
 
 from habitus.errors import HabitusError
 from habitus.learn.energy import FLIP
-from habitus.learn.options import REGRESSORS
+from habitus.learn.options import REGRESSORS, SETTINGS, TrainSettings
 
 SUM_WEIGHT = 1.0
 """Metres: of the sum-to-one term. The rows are the same with any; see `fit_joint_regressor`."""
-RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0)
-"""Strengths that are tried of what keeps a signed row near its convex one."""
-SIGNED_GAIN = 0.9
-"""With signs "auto" a row is signed where that lowers the error on people left out to this share or
-less.
-"""
-FOLDS = 5
 MIN_PEOPLE = 3
 
 
@@ -37,6 +30,7 @@ def fit_joint_regressor(
     candidates: Bool[np.ndarray, "J V"] | None = None,
     mirror: Int[np.ndarray, " V"] | None = None,
     joint_mirror: Int[np.ndarray, " J"] | None = None,
+    settings: TrainSettings = SETTINGS,
 ) -> Float[np.ndarray, "J V"]:
     """The regressor J that takes the rest surfaces of S subjects to their joints (metres; S 4.1, T
     5.4.1).
@@ -53,9 +47,10 @@ def fit_joint_regressor(
     subject. Only a joint's ``candidates`` get weight (all vertices where None).
 
     With "signed" such a row is corrected by v that minimises ``sum |(w + v) (T_i - J_i)|^2 +
-    ridge^2 |v d|^2``, sum v = 0; the ridge is that of `RIDGES` with the least error on people left
-    out, a fifth of them at a time. With "auto" it is done where that helps (`SIGNED_GAIN`).
-    Corrections are not sparse. Fewer than three people give convex rows.
+    ridge^2 |v d|^2``, sum v = 0; the ridge is that of ``settings.regressor_ridges`` with the least
+    error on people left out, one fold at a time. With "auto" it is done where that helps
+    (``settings.regressor_gain``). Corrections are not sparse. Fewer than three people give convex
+    rows.
 
     Where both ``mirror`` (partners across x = 0) and ``joint_mirror`` are given, subjects count
     also mirrored, and the regressor is symmetric. A row has about as many weights as there are
@@ -84,7 +79,7 @@ def fit_joint_regressor(
             row = row + _correction(
                 offsets,
                 row,
-                _ridge(offsets, people, nearness, SIGNED_GAIN if signs == "auto" else np.inf),
+                _ridge(offsets, people, nearness, settings, signs == "auto"),
             )
         regressor[k, chosen] = row
         if mirror is not None:
@@ -109,23 +104,31 @@ def _row(offsets: Float[np.ndarray, "S C 3"], nearness: float) -> Float[np.ndarr
     return row / row.sum()
 
 
-def _ridge(offsets: Float[np.ndarray, "S C 3"], people: int, nearness: float, gain: float) -> float:
-    """The ridge of least error on people left out; infinite where it is not ``gain`` times that of
-    convex rows or less.
+def _ridge(
+    offsets: Float[np.ndarray, "S C 3"],
+    people: int,
+    nearness: float,
+    settings: TrainSettings,
+    only_if_better: bool,
+) -> float:
+    """The ridge of least error on people left out; with ``only_if_better`` infinite where that
+    error is not the settings' share of that of convex rows or less.
 
     The rows of ``offsets`` are people, then perhaps the same people mirrored.
     """
     person = np.arange(len(offsets)) % people
-    fold = person % min(FOLDS, people)
-    errors = np.zeros(1 + len(RIDGES))
+    fold = person % min(settings.regressor_folds, people)
+    ridges = settings.regressor_ridges
+    gain = settings.regressor_gain if only_if_better else np.inf
+    errors = np.zeros(1 + len(ridges))
     for k in range(fold.max() + 1):
         kept = offsets[fold != k]
         left_out = offsets[fold == k]
         row = _row(kept, nearness)
-        rows = [row, *(row + values for values in _corrections(kept, row, RIDGES))]
+        rows = [row, *(row + values for values in _corrections(kept, row, ridges))]
         errors += [(np.tensordot(values, left_out, (0, 1)) ** 2).sum() for values in rows]
     best = int(errors[1:].argmin())
-    return RIDGES[best] if errors[1 + best] <= gain**2 * errors[0] else np.inf
+    return ridges[best] if errors[1 + best] <= gain**2 * errors[0] else np.inf
 
 
 def _correction(

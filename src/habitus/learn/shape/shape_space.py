@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.learn.estimate import Estimate
+from habitus.learn.options import SETTINGS
 from habitus.mesh.registrations import Vertices
 
 _BLOCK = 2**24  # numbers in a block of surfaces (128 MB); two are held at once
@@ -170,11 +171,11 @@ def _signs(
     return np.sign(np.where(clear, growth, largest))
 
 
-EM_STEPS = 12
-
-
 def shapes_with_holes(
-    surfaces: Vertices, seen: Bool[np.ndarray, "S V"], count: int, steps: int = EM_STEPS
+    surfaces: Vertices,
+    seen: Bool[np.ndarray, "S V"],
+    count: int,
+    steps: int = SETTINGS.imputation_steps,
 ) -> tuple[Float[np.ndarray, "S V 3"], ShapeSpace]:
     """Surfaces (m) whose unseen vertices are replaced, and their shape space: `principal_shapes`,
     in turns with the most likely rest of each surface (expectation maximisation; Roweis, "EM

@@ -38,7 +38,7 @@ def state_problem(
     if options.start == "body":
         weights, regressor = _of_body(body, template, options)
     else:
-        initial = diffuse_weights(template)
+        initial = diffuse_weights(template, options.settings)
         index, value = influences(initial, options.influences)
         weights = np.zeros_like(initial)
         np.put_along_axis(weights, index, value, 1)

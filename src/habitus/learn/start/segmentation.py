@@ -10,17 +10,16 @@ from jaxtyping import Float, Int
 from scipy.sparse.linalg import splu
 
 from habitus.errors import HabitusError
+from habitus.learn.options import SETTINGS, TrainSettings
 from habitus.mesh.template import Template
 
-MOST = 4  # joints a vertex
-FAINT = 1e-3  # smaller weights are dropped, so that a joint's weights end somewhere
-SPREAD = 0.35  # of a part's radius: how far its border is smeared (one standard deviation)
-STEPS = 8
-_STEEPEST = 100.0  # half cotangents of needles; a regular triangle's is 0.29
+MAX_JOINTS = 4  # joints a vertex
 _SIDES = np.array([[1, 2], [2, 0], [0, 1]])  # opposite to each corner
 
 
-def diffuse_weights(template: Template) -> Float[np.ndarray, "V J"]:
+def diffuse_weights(
+    template: Template, settings: TrainSettings = SETTINGS
+) -> Float[np.ndarray, "V J"]:
     """Initial skinning weights W_I: the segmentation, diffused over the surface (S 4.1, Fig. 6b).
 
     Each part's indicator is heat that spreads over the mesh, faster on large parts: a border is
@@ -31,10 +30,10 @@ def diffuse_weights(template: Template) -> Float[np.ndarray, "V J"]:
     lies in one part and touches nothing else keeps a weight of 1.
     """
     heat = np.eye(template.num_joints)[template.part]
-    solve, mass = _heat_step(template)
-    for _ in range(STEPS):
+    solve, mass = _heat_step(template, settings)
+    for _ in range(settings.border_steps):
         heat = solve(mass * heat)
-    return _strongest(_symmetric(heat, template))
+    return _strongest(_symmetric(heat, template), settings.min_initial_weight)
 
 
 def ring_regressor(template: Template) -> Float[np.ndarray, "J V"]:
@@ -74,7 +73,7 @@ def _no_ring(template: Template, joint: int) -> HabitusError:
 
 
 def _heat_step(
-    template: Template,
+    template: Template, settings: TrainSettings
 ) -> tuple[Callable[[np.ndarray], np.ndarray], Float[np.ndarray, "V 1"]]:
     """A backward Euler step of the heat equation, as a function of the vertices' heat content; and
     their masses (V, 1).
@@ -90,14 +89,15 @@ def _heat_step(
     mass = np.bincount(faces.ravel(), np.repeat(twice_area / 6, 3), len(vertices))
     mass = np.maximum(mass, 1e-9 * mass.max())  # vertices without area
     area = np.bincount(template.part, mass, template.num_joints)
-    speed = SPREAD * np.sqrt(area[template.part] / (8 * np.pi))
-    cotangents = np.nan_to_num(cotangents).clip(-_STEEPEST, _STEEPEST)
+    speed = settings.border_spread * np.sqrt(area[template.part] / (8 * np.pi))
+    cotangents = np.nan_to_num(cotangents).clip(-settings.max_cotangent, settings.max_cotangent)
     ends = faces[:, _SIDES[:, 0]].ravel(), faces[:, _SIDES[:, 1]].ravel()
     flow = (cotangents * speed[faces].mean(1, keepdims=True)).ravel()
     flow = sparse.coo_array((flow, ends), (len(vertices), len(vertices))).tocsr()
     flow = (flow + flow.T).maximum(0.0)
     mass = mass / speed
-    system = sparse.diags_array(mass + flow.sum(1) / STEPS) - flow / STEPS
+    steps = settings.border_steps
+    system = sparse.diags_array(mass + flow.sum(1) / steps) - flow / steps
     return splu(system.tocsc()).solve, mass[:, None]
 
 
@@ -121,12 +121,12 @@ def _symmetric(weights: Float[np.ndarray, "V J"], template: Template) -> Float[n
     return (weights + weights[template.mirror][:, template.joint_mirror]) / 2
 
 
-def _strongest(weights: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
+def _strongest(weights: Float[np.ndarray, "V J"], least: float) -> Float[np.ndarray, "V J"]:
     """At most four joints a vertex; of joints that tie for the last place, none, which keeps
     mirrors alike.
     """
-    if weights.shape[1] > MOST:
-        fifth = np.partition(weights, -MOST - 1, axis=1)[:, -MOST - 1, None]
+    if weights.shape[1] > MAX_JOINTS:
+        fifth = np.partition(weights, -MAX_JOINTS - 1, axis=1)[:, -MAX_JOINTS - 1, None]
         weights = np.where((weights > fifth) | (weights == 1), weights, 0.0)
-    weights = np.where(weights >= FAINT, weights, 0.0)
+    weights = np.where(weights >= least, weights, 0.0)
     return weights / weights.sum(1, keepdims=True)

@@ -63,8 +63,6 @@ class Step:
 
 
 _BLOCK = 32
-_POSE_ITERATIONS = 1
-_SKELETON_STEPS = 1
 
 
 def pose_step(problem: Problem, estimate: Estimate, workers: Workers) -> Estimate:
@@ -156,7 +154,7 @@ def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
             target.vertices,
             target.pose,
             distance=VertexDistance(target.weight),
-            max_iterations=_POSE_ITERATIONS,
+            max_iterations=problem.options.settings.pose_iterations,
         )
         for person, target in posed_targets(problem, estimate, rows)
     ]
@@ -186,7 +184,12 @@ def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Fo
         terms = posed, problem.anatomy, problem.options.weights
         held = "joint_regressor" in problem.options.fixed
         rest = solve_subject(
-            estimate.rig, person.descriptor, *terms, held=held, around=person.template
+            estimate.rig,
+            person.descriptor,
+            *terms,
+            held=held,
+            around=person.template,
+            hold_below=problem.options.settings.min_observed_weight,
         )
         person_energy = subject_energy(estimate.rig, RestPerson(*rest, person.descriptor), *terms)
         poses.append((person_energy, (*rest, pose, trans)))
@@ -205,9 +208,7 @@ def _refined(
     problem, estimate, sample, few = shared
     ring = problem.anatomy.regressor @ person.template
     few_rest = RestPerson(person.template[sample.vertices], person.joints, person.descriptor)
-    better = refine(
-        problem, few, sample, SampledSubject(few_rest, *given), targets, ring, _SKELETON_STEPS
-    )
+    better = refine(problem, few, sample, SampledSubject(few_rest, *given), targets, ring)
     return remove_mean_rotation(estimate.rig.parents, given[0], better.pose), better.trans
 
 
@@ -223,7 +224,6 @@ def _vertex_energies(shared: tuple[Problem, Estimate, list], rows: range) -> np.
     return vertex_costs(rigs, posed_targets(problem, estimate, rows))
 
 
-_FACTORS = (0.5, 1.0, 2.0, 4.0, 8.0)  # times the change
 _BOUND_IN_RANK = (
     "low_rank",
 )  # pose blend shapes that would leave what they are bound to along a line
@@ -236,7 +236,7 @@ def over_relax(
     its energy.
     """
     best = after
-    for factor in _FACTORS:
+    for factor in problem.options.settings.relaxation_factors:
         trial = _beyond(problem, before, after, factor)
         trial_energy = measure_energy(problem, trial, workers)
         if trial_energy.total >= energy.total:

@@ -112,7 +112,6 @@ _CHUNK = 1024
 """Vertices of a chunk: every registration is posed once for each."""
 _FEW = 64
 """Vertices whose normal equations are formed at once."""
-_REACH = 2  # bones from a vertex' strongest joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,13 +188,15 @@ def neighbourhoods(
     moving: Bool[np.ndarray, " D"],
     columns: Int[np.ndarray, "D k"],
 ) -> Bool[np.ndarray, "V D"]:
-    """The joints (all but the root) that may drive each vertex: within two bones of its strongest
+    """The joints (all but the root) that may drive each vertex: within some bones of its strongest
     one, or next to one that moves it, as far as they move in the data; and those that drive it
     already.
     """
     far = kinship(estimate.rig.parents)
     weights = problem.initial_weights
-    near = (far[weights.argmax(1)] <= _REACH) | ((weights > 0).astype(float) @ (far <= 1) > 0)
+    near = (far[weights.argmax(1)] <= problem.options.settings.joint_reach) | (
+        (weights > 0).astype(float) @ (far <= 1) > 0
+    )
     assert estimate.rig.posedirs is not None
     driving = np.any(estimate.rig.posedirs, 1)[:, columns].any(2)
     return (near[:, 1:] & moving) | driving

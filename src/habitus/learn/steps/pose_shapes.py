@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from habitus.learn.energy import pose_shape_term
 from habitus.learn.estimate import Estimate, Problem, posed_targets, weighted
+from habitus.learn.options import SETTINGS
 from habitus.learn.posing.surface import pose_feature, posed, surface
 from habitus.learn.steps.local_pose_shapes import solve_local
 from habitus.mesh.registrations import Registrations
@@ -27,10 +28,6 @@ from habitus.solve.terms import Term
 
 Table = Float[np.ndarray, "U F"]
 Linear = Callable[[np.ndarray], np.ndarray]
-
-_GRADIENT_STEPS = 5
-_MAJORISED_STEPS = 5
-_SWEEPS = 4
 
 
 class Penalty(Protocol):
@@ -57,6 +54,7 @@ class Full:
     """lambda_P |P|^2 (E_P)."""
 
     weight: float
+    steps: int = SETTINGS.gradient_steps
 
     @property
     def term(self) -> Term:
@@ -69,7 +67,12 @@ class Full:
         """Conjugate gradients, preconditioned by the Gram matrix."""
         factor = cho_factor(_bound(gram, self.weight))
         return _conjugate_gradients(
-            start, self.weight, descent, curvature, lambda r: cho_solve(factor, r.T).T
+            start,
+            self.weight,
+            descent,
+            curvature,
+            lambda r: cho_solve(factor, r.T).T,
+            self.steps,
         )
 
 
@@ -81,6 +84,7 @@ class Sparse:
 
     weight: float
     driven: Bool[np.ndarray, "V F"]
+    steps: int = SETTINGS.gradient_steps
 
     @property
     def term(self) -> Term:
@@ -111,6 +115,7 @@ class Sparse:
             lambda table: descent(table) * open_,
             lambda along: curvature(along) * open_,
             precondition,
+            self.steps,
         )
 
 
@@ -122,6 +127,7 @@ class LowRank:
 
     weight: float
     rank: int
+    steps: int = SETTINGS.majorised_steps
 
     @property
     def term(self) -> Term:
@@ -138,7 +144,7 @@ class LowRank:
         factor = cho_factor(matrix)
         root = np.linalg.cholesky(matrix)
         table = start
-        for _ in range(_MAJORISED_STEPS):
+        for _ in range(self.steps):
             goal = table + cho_solve(factor, (descent(table) - self.weight * table).T).T
             stretched = goal @ root
             _, turn = np.linalg.eigh(stretched.T @ stretched)
@@ -154,6 +160,8 @@ class SparseL1:
     """
 
     weight: float
+    steps: int = SETTINGS.majorised_steps
+    sweeps: int = SETTINGS.coordinate_sweeps
 
     @property
     def term(self) -> Term:
@@ -165,11 +173,11 @@ class SparseL1:
     ) -> Table:
         """Steps that lower the bound by sweeps over its coordinates."""
         table = start.copy()
-        for _ in range(_MAJORISED_STEPS):
+        for _ in range(self.steps):
             slope = descent(table)
             moved = table.copy()
             change = np.zeros_like(table)
-            for _ in range(_SWEEPS):
+            for _ in range(self.sweeps):
                 for f in range(len(gram)):
                     if gram[f, f] > 0:
                         pull = slope[:, f] - change @ gram[:, f] + gram[f, f] * moved[:, f]
@@ -193,7 +201,12 @@ def _bound(gram: Float[np.ndarray, "F F"], weight: float) -> Float[np.ndarray, "
 
 
 def _conjugate_gradients(
-    start: Table, weight: float, descent: Linear, curvature: Linear, precondition: Linear
+    start: Table,
+    weight: float,
+    descent: Linear,
+    curvature: Linear,
+    precondition: Linear,
+    steps: int,
 ) -> Table:
     """Minimise |y - A P|^2 + weight |P|^2 by a few preconditioned steps; every step lowers it."""
     table = start
@@ -201,13 +214,13 @@ def _conjugate_gradients(
     ready = precondition(residual)
     along = ready
     size = float((residual * ready).sum())
-    for step in range(_GRADIENT_STEPS):
+    for step in range(steps):
         if size <= 0.0:
             break
         product = curvature(along) + weight * along
         length = size / float((along * product).sum())
         table = table + length * along
-        if step + 1 == _GRADIENT_STEPS:
+        if step + 1 == steps:
             break
         residual = residual - length * product
         ready = precondition(residual)
@@ -262,13 +275,14 @@ def extended_features(problem: Problem, estimate: Estimate) -> Float[np.ndarray,
 def penalty(problem: Problem, features: int) -> Penalty:
     """The penalty that the options name, for so many features."""
     options = problem.options
+    settings = options.settings
     weight = options.weights.pose_shapes
     if options.pose_shapes == "sparse":
-        return Sparse(weight, _driven(problem, features))
+        return Sparse(weight, _driven(problem, features), settings.gradient_steps)
     return {
-        "full": Full(weight),
-        "low_rank": LowRank(weight, options.rank),
-        "l1": SparseL1(options.l1),
+        "full": Full(weight, settings.gradient_steps),
+        "low_rank": LowRank(weight, options.rank, settings.majorised_steps),
+        "l1": SparseL1(options.l1, settings.majorised_steps, settings.coordinate_sweeps),
     }[options.pose_shapes]
 
 

@@ -25,7 +25,6 @@ from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 from habitus.solve.terms import Term
 
 _A_PART = 8
-_FIRST_DAMPING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +100,7 @@ def refine(
     subject: SampledSubject,
     targets: Sequence[SampledTarget],
     ring: Float[np.ndarray, "J 3"],
-    steps: int,
+    steps: int | None = None,
 ) -> SampledSubject:
     """Better poses, joints and rest vertices together: Levenberg-Marquardt steps; ``rig`` is the
     sample's.
@@ -110,9 +109,10 @@ def refine(
     """
     held = "joint_regressor" in problem.options.fixed
     system = _System(rig, sample, sample_terms(problem, sample, ring), targets, held)
-    damping = _FIRST_DAMPING
+    settings = problem.options.settings
+    damping = settings.skeleton_damping
     energy = _energy(system, subject)
-    for _ in range(steps):
+    for _ in range(settings.skeleton_steps if steps is None else steps):
         trial = _moved(subject, *_step(system, subject, damping))
         new = _energy(system, trial)
         if new < energy:

@@ -14,14 +14,10 @@ from jaxtyping import Float, Int
 
 from habitus.learn.energy import FLIP, asymmetry, costs, data_residual, subject_terms
 from habitus.learn.estimate import Anatomy, PosedTarget, weighted
-from habitus.learn.options import EnergyWeights
+from habitus.learn.options import SETTINGS, EnergyWeights
 from habitus.learn.posing.rig import RestPerson, Rig
 from habitus.learn.posing.surface import pose_feature, posed
 
-HOLD = 1e-2
-"""Weight up to which vertices that no registration shows are held where they were; a registration's
-is 1.
-"""
 TERMS = ("data", "symmetry", "joints")
 """Of eq. 14: what `solve_subject` minimises in closed form over one subject's rest surface and
 joints.
@@ -37,13 +33,15 @@ def solve_subject(
     *,
     held: bool = False,
     around: Float[np.ndarray, "V 3"] | None = None,
+    hold_below: float = SETTINGS.min_observed_weight,
 ) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
     """The rest surface (m) and the rest joints (m) that minimise E_D + E_Y + E_J for a subject's
     registrations.
 
     ``held``: joints are exactly what the anatomy's regressor makes of the surface. Vertices that no
     registration shows stay near those of the surface ``around``, which is needed where there are
-    such.
+    such; so do those whose registrations weigh less than ``hold_below`` together (a registration
+    weighs 1).
     """
     vertices = rig.num_vertices
     columns = 3 * rig.num_joints
@@ -71,7 +69,7 @@ def solve_subject(
         right_joints += heavy.T @ left.ravel()
         seen += 1.0 if target.weight is None else target.weight
     if around is not None:
-        hold = np.maximum(HOLD - seen, 0.0)
+        hold = np.maximum(hold_below - seen, 0.0)
         blocks += hold[:, None, None] * np.eye(3)
         right += hold[:, None] * around
     if anatomy.joint_mirror is not None:
