@@ -4,6 +4,7 @@ python examples/export.py [FILE.fbx|.glb|.usdz|.bvh …]
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +21,8 @@ pose[:, body.joint_names.index("left_elbow"), 2] = 1.0 + 0.5 * np.sin(2 * np.pi 
 trans = np.zeros((len(seconds), 3)) - body(betas=[1.0]).vertices.min(axis=0) * [0, 1, 0]
 betas = np.pad([1.0], (0, body.num_betas - 1))
 motion = BodyMotion(body, betas, pose, trans, rate, up_axis="+y", capture_name="wave")
-for path in sys.argv[1:] or ["wave.fbx", "wave.glb", "wave.bvh"]:
+folder = Path("demo_out")
+for path in sys.argv[1:] or [folder / f"wave.{ending}" for ending in ("fbx", "glb", "bvh")]:
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     hb.export_file(motion, path)
     print(f"wrote {path}")

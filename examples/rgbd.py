@@ -14,7 +14,7 @@ from habitus.io.rgbd.write import write_views
 from habitus_lab.population.rgbd_people import planted_rest, rgbd_scene
 
 
-def main(folder: str = "rgbd-example", scale: float = 0.5) -> None:
+def main(folder: str = "demo_out/rgbd", scale: float = 0.5) -> None:
     """Two views, 45 degrees apart, under the noise of a Kinect, in images `scale` times as
     large.
     """

@@ -94,6 +94,15 @@ def test_a_motion_made_in_python_is_written(tmp_path, monkeypatch):
     assert abs(seen.vertices(0)[:, 1].min()) < 0.02  # it stands on the ground
 
 
+def test_examples_write_into_a_folder_that_git_ignores(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["export.py"])
+    runpy.run_path(str(EXAMPLES / "export.py"))
+    assert [path.name for path in tmp_path.iterdir()] == ["demo_out"]
+    assert "/demo_out/" in (EXAMPLES.parent / ".gitignore").read_text().splitlines()
+    assert 'folder: str = "demo_out/rgbd"' in (EXAMPLES / "rgbd.py").read_text()
+
+
 def test_a_scan_is_registered(run, monkeypatch):
     few = replace(SCANS, search=replace(SCANS.search, kept=4, refined=1))
     monkeypatch.setattr("habitus.jobs.register.SCANS", few)  # an A-pose needs no more

@@ -83,7 +83,8 @@ def virtual_markers(
         labels = marker_layout.labels
     markers = recorded(carried_markers(moving, attachment), faults, rng)
     note = (
-        f"virtual marker, {name}, on {moving.body_name or moving.body.name}: {moving.capture_name}"
+        f"virtual marker ({name}) of the body {moving.body_name or moving.body.name} in the "
+        f"motion {moving.capture_name}"
     )
     capture = Capture(
         moving.capture_name,

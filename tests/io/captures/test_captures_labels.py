@@ -265,3 +265,12 @@ def test_a_file_of_computed_points_only_says_so(tmp_path: Path) -> None:
     labels = tuple(f"{bone}{letter}" for bone in ("HED", "PEL", "LFE", "RTO") for letter in "OALP")
     with pytest.raises(HabitusError, match="computed"):
         _read(tmp_path, labels, world_points()[:, :16])
+
+
+def test_a_capture_prints_as_one_line():
+    labels = tuple(f"M{k}" for k in range(41))
+    markers = np.zeros((4499, 41, 3))
+    said = repr(Capture("85_12", labels, markers, 120.0, "+y", "B\x1bob", ("odd",)))
+    assert len(said) < 120 and said.isprintable()
+    for word in ("85_12", "4499", "41", "120", "+y", "1 warning"):
+        assert word in said

@@ -63,6 +63,16 @@ class Capture:
     def __post_init__(self) -> None:
         self.markers.setflags(write=False)
 
+    def __repr__(self) -> str:
+        """One line: what it is, not its numbers."""
+        who = "" if self.subject is None else f" of {shown(self.subject)}"
+        count = len(self.warnings)
+        said = f", {count} warning{'s' * (count > 1)}" if count else ""
+        return (
+            f"<Capture {shown(self.name)}{who}: {len(self)} frames of {len(self.labels)} markers "
+            f"at {self.rate_hz:g} Hz, {self.up_axis} up{said}>"
+        )
+
     def __len__(self) -> int:
         """T."""
         return len(self.markers)
