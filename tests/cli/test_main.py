@@ -165,7 +165,7 @@ def test_a_fit_that_failed_counts_where_it_is_to(quick, walk, run, tmp_path, str
 def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, monkeypatch):
     from habitus.fit.markers import recipe as mosh
 
-    whole = mosh._fit_recording
+    whole = mosh.fit_recording
     calls = []
 
     def stopped_in_the_second(*arguments):
@@ -174,7 +174,7 @@ def test_ctrl_c_leaves_finished_captures_whole(quick, capture, run, tmp_path, mo
             raise KeyboardInterrupt
         return whole(*arguments)
 
-    monkeypatch.setattr(mosh, "_fit_recording", stopped_in_the_second)
+    monkeypatch.setattr(mosh, "fit_recording", stopped_in_the_second)
     first, second = (
         written(capture.markers[:20], capture.labels, tmp_path, name)
         for name in ("first", "second")

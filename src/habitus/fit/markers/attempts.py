@@ -4,23 +4,44 @@ labels left out.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.evidence import HALF
 from habitus.fit.markers.hold_out import held_out_errors
 from habitus.fit.markers.judge import may_improve
-from habitus.fit.markers.recipe import fit_markers, iterate_fits
-from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
+from habitus.fit.markers.recipe import fit_recording, iterate_fits, known_subject
+from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording, few_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.shape import Subject
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.verdict import FAILED, LEVELS
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.blocks import distances, mapped
 from habitus.types import Progress
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """A fit of a capture's middle, the subject that its shape stage found, and what makes a fit of
+    the whole of it.
+    """
+
+    words: str
+    fit: MarkerFit
+    subject: Subject
+    recording: Recording
+    settings: MoshSettings
+
+    def whole(self) -> MarkerFit:
+        """The fit of all frames, with all stages."""
+        fit = fit_recording(self.recording, self.subject, self.settings)
+        return replace(fit, left_out=self.fit.left_out)
 
 
 @dataclass(frozen=True)
@@ -33,30 +54,49 @@ class _Case:
     recording: Recording
     settings: MoshSettings
 
-    def fit(self, **changes: object) -> MarkerFit:
+    def attempt(self, words: str, **changes: object) -> _Attempt:
         settings = replace(self.settings, **changes)
-        return fit_markers(self.body, self.prior, self.layout, [self.recording], settings)[0]
+        with threadpool_limits(1, user_api="blas"):
+            (recording,), subject = known_subject(
+                self.body,
+                self.prior.for_joints(self.body.joint_names),
+                self.layout,
+                [self.recording],
+                settings,
+            )
+            count = len(recording.observed)
+            first = max(0, (count - settings.retry.frames) // 2)
+            middle = recording.observed[first : first + settings.retry.frames]
+            if few_markers(middle).all():
+                middle = recording.observed
+            judged = replace(recording, observed=np.ascontiguousarray(middle))
+            fit = fit_recording(judged, subject, replace(settings, soft_tissue=False))
+        return _Attempt(words, fit, subject, recording, settings)
 
-    def leaving_out(self, labels: Sequence[str]) -> MarkerFit:
+    def leaving_out(self, labels: Sequence[str]) -> _Attempt:
         rest = self._only([label for label in self.layout.labels if label not in labels])
-        fit = rest.fit()
+        found = rest.attempt(f"{len(labels)} labels left out")
+        return replace(found, fit=replace(found.fit, left_out=tuple(labels)))
+
+    def with_suspects(self, fit: MarkerFit) -> MarkerFit:
+        """The fit that names the labels that were left out for it as suspects, with a warning."""
+        if not fit.left_out:
+            return fit
         frames = np.isfinite(self.recording.observed[..., 0]).sum(axis=0).tolist()
         seen = dict(zip(self.layout.labels, frames, strict=True))
-        found = (Suspect(label, "left out: nothing fits it", seen[label]) for label in labels)
-        warning = f"left out because nothing fits them: {', '.join(labels)}"
-        return replace(
-            fit,
-            left_out=tuple(labels),
-            suspects=(*(s for s in fit.suspects if s.label not in labels), *found),
-            warnings=(*fit.warnings, warning),
-        )
+        found = (Suspect(label, "left out: nothing fits it", seen[label]) for label in fit.left_out)
+        others = (s for s in fit.suspects if s.label not in fit.left_out)
+        warning = f"left out because nothing fits them: {', '.join(fit.left_out)}"
+        return replace(fit, suspects=(*others, *found), warnings=(*fit.warnings, warning))
 
-    def fitting(self, fit: MarkerFit, labels: Sequence[str]) -> tuple[str, ...]:
+    def fitting(self, attempt: _Attempt, labels: Sequence[str]) -> tuple[str, ...]:
         """Which of the labels that were left out lie where the layout puts them on the body found
         without them.
         """
         held = self._only(labels)
-        errors = held_out_errors(fit, held.layout, held.recording.observed).pose
+        first = max(0, (len(held.recording.observed) - len(attempt.fit.pose)) // 2)
+        observed = held.recording.observed[first : first + len(attempt.fit.pose)]
+        errors = held_out_errors(attempt.fit, held.layout, observed).pose
         middle = [
             np.median(each[np.isfinite(each)]) if np.isfinite(each).any() else np.inf
             for each in errors.T
@@ -117,38 +157,42 @@ def attempted(
 
 
 def _try_again(fit: MarkerFit, case: _Case, several: bool) -> MarkerFit:
-    attempts = [("", fit)]
-    for words, found in _attempts(case, attempts):
-        attempts.append((words, found))
-        if found.verdict.level != FAILED:
+    attempts = []
+    for attempt in islice(_attempts(case, fit), case.settings.retry.shape_stages):
+        attempts.append(attempt)
+        if attempt.fit.verdict.level != FAILED:
             break
-    best = min(range(len(attempts)), key=lambda k: _rank(attempts[k][1]))
-    said = ", ".join(f"{words} ({_mean_mm(found):.0f} mm)" for words, found in attempts[1:])
-    kept = "the first is kept" if best == 0 else f"that with {attempts[best][0]} is kept"
-    alone = ", fitted apart from the other captures" if several and best else ""
+    if not attempts:
+        return fit
+    best = min(attempts, key=lambda attempt: _rank(attempt.fit))
+    better = _rank(best.fit) < _rank(fit)
+    said = ", ".join(f"{each.words} ({_mean_mm(each.fit):.0f} mm)" for each in attempts)
+    kept = f"that with {best.words} is kept" if better else "the first is kept"
+    alone = ", fitted apart from the other captures" if several and better else ""
     text = (
         f"A first attempt failed ({_mean_mm(fit):.0f} mm); it was tried again with {said}: "
         f"{kept}{alone}."
     )
-    return replace(attempts[best][1], tried=(text,))
+    return replace(case.with_suspects(best.whole() if better else fit), tried=(text,))
 
 
-def _attempts(case: _Case, before: list[tuple[str, MarkerFit]]) -> Iterator[tuple[str, MarkerFit]]:
-    """What is done and what came of it, one after another; ``before`` grows as it goes."""
-    yield "other frames", case.fit(frame_choice="random", seed=case.settings.seed + 1)
-    yield "other starts", case.fit(start_markers="all")
-    for _ in range(2):
-        best = min((fit for _, fit in before), key=_rank)
-        gone = (*best.left_out, *worst_labels(best))
-        if not worst_labels(best) or len(gone) > case.settings.retry.max_left_out * len(
-            case.layout
-        ):
-            return
+def _attempts(case: _Case, fit: MarkerFit) -> Iterator[_Attempt]:
+    """Without the labels that the fit distrusts, some of which may return; from other frames and
+    starts where there are none, or too many.
+    """
+    retry = case.settings.retry
+    gone = worst_labels(fit)
+    if 0 < len(gone) <= retry.max_left_out * len(case.layout):
         found = case.leaving_out(gone)
-        gone = tuple(label for label in gone if label not in case.fitting(found, gone))
-        if gone != found.left_out:
-            found = case.leaving_out(gone)
-        yield f"{len(gone)} labels left out", found
+        yield found
+        rest = tuple(label for label in gone if label not in case.fitting(found, gone))
+        more = tuple(label for label in worst_labels(found.fit) if label not in rest)
+        wrong = (*rest, *more)
+        if 0 < len(wrong) <= retry.max_left_out * len(case.layout) and set(wrong) != set(gone):
+            yield case.leaving_out(wrong)
+        return
+    yield case.attempt("other frames", frame_choice="random", seed=case.settings.seed + 1)
+    yield case.attempt("other starts", start_markers="all")
 
 
 def worst_labels(fit: MarkerFit) -> tuple[str, ...]:

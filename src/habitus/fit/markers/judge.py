@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from habitus.fit.markers.evidence import Evidence, evidence
+from habitus.fit.markers.shape import HOPELESS
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (
     BODY,
@@ -212,7 +213,7 @@ def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
 
 def may_improve(fit: MarkerSolution, verdict: Verdict, limits: Limits = LIMITS) -> bool:
     """Whether a fit with this verdict has failed in a way that another attempt may mend."""
-    if verdict.level != FAILED or not fit.visible.any():
+    if verdict.level != FAILED or fit.shape_status == HOPELESS or not fit.visible.any():
         return False
     found = evidence(fit)
     if any(reason.level == FAILED for reason in _size(found, limits)):

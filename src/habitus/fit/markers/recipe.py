@@ -22,7 +22,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.soft_tissue import check_space, parted
 from habitus.fit.markers.causal import CausalSolver, fit_causally
 from habitus.fit.markers.drift import Drift, find_drifts
-from habitus.fit.markers.energy import place
+from habitus.fit.markers.energy import Placement, place
 from habitus.fit.markers.gaps import MarkerTargets, bridged, fill_short_gaps, without
 from habitus.fit.markers.recordings import (
     Recording,
@@ -39,7 +39,7 @@ from habitus.fit.markers.recordings import (
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult, fit_long, fit_sequence
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequence_settings
-from habitus.fit.markers.shape import Subject, shape_stage
+from habitus.fit.markers.shape import HOPELESS, ShapeFit, Subject, shape_stage
 from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
 from habitus.fit.markers.suspects import (
     crossed_placements,
@@ -63,6 +63,7 @@ __all__ = [
     "Subject",
     "fit_known",
     "fit_markers",
+    "fit_recording",
     "fit_subject",
     "iterate_fits",
     "known_subject",
@@ -71,7 +72,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PoseStage:
-    """What the pose stage found.
+    """The result of the pose stage.
 
     observed: the markers with exchanged labels put right (T, M, 3). targets: what the result was
     fitted to. scale: of the robust loss (M,), metres. swaps: pairs put back (`find_swaps`). drifts:
@@ -120,7 +121,7 @@ def iterate_fits(
     for index, recording in enumerate(recordings):
         progress(recording.name, index / len(recordings))
         with threadpool_limits(1, user_api="blas"):
-            fit = _fit_recording(recording, subject, settings)
+            fit = fit_recording(recording, subject, settings)
         yield fit
 
 
@@ -161,7 +162,7 @@ def fit_known(recording: Recording, subject: Subject, settings: MoshSettings) ->
         [without_outliers(recording, layout.labels, settings.outliers)], layout, settings
     )
     with threadpool_limits(1, user_api="blas"):
-        return _fit_recording(recording, subject, settings)
+        return fit_recording(recording, subject, settings)
 
 
 def _cleaned(
@@ -186,42 +187,64 @@ def fit_subject(
     settings: MoshSettings,
 ) -> Subject:
     """The shape stage on a few frames of all captures; a pair of labels exchanged throughout is
-    found and put right.
+    found and put right, and markers that are not the layout's lose their weight.
     """
     began = time.perf_counter()
     prior = prior.for_joints(body.joint_names)
     placement = place(layout, body)
     observed, sources = shape_frames(recordings, settings)
-    latent = default_markers(body, np.zeros(body.num_betas), placement.vertices, placement.distance)
-    rig = marked_body(
-        body,
-        np.zeros(body.num_betas),
-        attach(latent, body.rest_vertices(np.zeros(body.num_betas)), body.faces),
-    )
-    trunk = trunk_weights(body, placement.vertices, settings.start)
-    aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
-    pose, trans = start_frames(rig, body.joint_names, aligning, observed, prior, settings.start)
+    pose, trans = _started(body, placement, observed, prior, settings)
     shape = shape_stage(body, placement, observed, prior, pose, trans, settings)
-    start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-    exchanged = crossed_placements(shape.latent_markers, start, settings.suspects)
-    if exchanged:
-        observed = exchange(observed, exchanged)
-        shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
+    exchanged: tuple[tuple[int, int], ...] = ()
+    misplaced: tuple[int, ...] = ()
+    if shape.status != HOPELESS:
         start = default_markers(body, shape.betas, placement.vertices, placement.distance)
-    rig = marked_body(body, shape.betas, shape.attachment)
-    distance = np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
-    misplaced = far_placements(
-        shape.latent_markers, start, placement.place_spread, distance, settings.suspects
-    )
-    if misplaced:
-        observed = np.where(np.isin(np.arange(len(layout)), misplaced)[:, None], np.nan, observed)
-        shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
+        exchanged = crossed_placements(shape.latent_markers, start, settings.suspects)
+        if exchanged:
+            observed = exchange(observed, exchanged)
+            shape = shape_stage(body, placement, observed, prior, shape.pose, shape.trans, settings)
+            start = default_markers(body, shape.betas, placement.vertices, placement.distance)
+        misplaced = far_placements(
+            shape.latent_markers,
+            start,
+            placement.place_spread,
+            _distances(shape, body, observed),
+            settings.suspects,
+        )
+        if misplaced:
+            others = ~np.isin(np.arange(len(layout)), misplaced)
+            kept = np.where(others[:, None], observed, np.nan)
+            shape = shape_stage(body, placement, kept, prior, shape.pose, shape.trans, settings)
     seconds = time.perf_counter() - began
     return Subject(body, prior, layout, shape, exchanged, misplaced, seconds, sources)
 
 
-def _fit_recording(recording: Recording, subject: Subject, settings: MoshSettings) -> MarkerFit:
-    """Pose stage and soft-tissue stage of one capture."""
+def _started(
+    body: BodyModel,
+    placement: Placement,
+    observed: Float[np.ndarray, "F M 3"],
+    prior: PosePrior,
+    settings: MoshSettings,
+) -> tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]]:
+    """Pose and trans that the shape stage begins with, of the mean person."""
+    mean = np.zeros(body.num_betas)
+    latent = default_markers(body, mean, placement.vertices, placement.distance)
+    rig = marked_body(body, mean, attach(latent, body.rest_vertices(mean), body.faces))
+    trunk = trunk_weights(body, placement.vertices, settings.start)
+    aligning = trunk if settings.start_markers == "trunk" else np.ones_like(trunk)
+    return start_frames(rig, body.joint_names, aligning, observed, prior, settings.start)
+
+
+def _distances(
+    shape: ShapeFit, body: BodyModel, observed: Float[np.ndarray, "F M 3"]
+) -> Float[np.ndarray, "F M"]:
+    """Of the shape stage's markers from the observed ones (m), NaN where unseen."""
+    rig = marked_body(body, shape.betas, shape.attachment)
+    return np.linalg.norm(observed - predict(rig, shape.pose, shape.trans), axis=2)
+
+
+def fit_recording(recording: Recording, subject: Subject, settings: MoshSettings) -> MarkerFit:
+    """Pose stage and soft-tissue stage of one capture, as `known_subject` returned it."""
     observed = exchange(recording.observed, subject.exchanged)
     began = time.perf_counter()
     found = _pose_stage(subject, observed, recording.rate_hz, settings)
@@ -239,39 +262,10 @@ def _pose_stage(
     """All frames at once; then each marker's noise is known, exchanged pairs are put right, sliding
     markers found, gaps bridged, and it is solved again.
     """
-    body = subject.body
-    prior = subject.prior
     scale = np.full(observed.shape[1], settings.robust_scale[1])
     if settings.causal:
-        first = first_frame(observed)
-        known = (
-            subject.rig,
-            subject.shape.pose,
-            ("root", *prior.joint_names),
-            observed[first : first + 1],
-        )
-        start = start_sequence(*known, settings.start)
-        result = fit_causally(
-            subject.rig, observed, prior, start, scale, sequence_settings(settings), settings.live
-        )
-        return PoseStage(result, observed, MarkerTargets(observed, None), scale)
-    longest = settings.longest
-    lam = sequence_settings(settings)
-    first = without(
-        MarkerTargets(fill_short_gaps(observed, rate_hz, settings.gaps), None), subject.misplaced
-    )
-    pose, trans = start_long(
-        subject.rig,
-        subject.shape.pose,
-        ("root", *prior.joint_names),
-        first.markers,
-        longest,
-        settings.start,
-        settings.windows,
-    )
-    result = fit_long(
-        subject.rig, *first, scale, prior, pose, trans, lam, longest=longest, cut=settings.windows
-    )
+        return _causal_pose_stage(subject, observed, scale, settings)
+    result = _first_poses(subject, observed, rate_hz, scale, settings)
     predicted = predict(subject.rig, result.pose, result.trans)
     swaps = find_swaps(observed, predicted, settings.suspects)
     observed = undo_swaps(observed, swaps)
@@ -279,13 +273,13 @@ def _pose_stage(
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
     lam = sequence_settings(settings, warm=True)
     drifts = find_drifts(
-        body,
+        subject.body,
         subject.shape.attachment,
         subject.rig,
         observed,
         scale,
         rate_hz,
-        prior,
+        subject.prior,
         result,
         lam,
         settings.drift,
@@ -302,9 +296,66 @@ def _pose_stage(
     )
     targets = without(targets, subject.misplaced)
     result = fit_long(
-        subject.rig, *targets, scale, prior, pose, trans, lam, longest=longest, cut=settings.windows
+        subject.rig,
+        *targets,
+        scale,
+        subject.prior,
+        pose,
+        trans,
+        lam,
+        longest=settings.longest,
+        cut=settings.windows,
     )
     return PoseStage(result, observed, targets, scale, swaps, drifts)
+
+
+def _causal_pose_stage(
+    subject: Subject, observed: np.ndarray, scale: np.ndarray, settings: MoshSettings
+) -> PoseStage:
+    """Frame after frame, from the first with enough markers."""
+    first = first_frame(observed)
+    start = start_sequence(
+        subject.rig,
+        subject.shape.pose,
+        ("root", *subject.prior.joint_names),
+        observed[first : first + 1],
+        settings.start,
+    )
+    lam = sequence_settings(settings)
+    result = fit_causally(subject.rig, observed, subject.prior, start, scale, lam, settings.live)
+    return PoseStage(result, observed, MarkerTargets(observed, None), scale)
+
+
+def _first_poses(
+    subject: Subject,
+    observed: np.ndarray,
+    rate_hz: float,
+    scale: np.ndarray,
+    settings: MoshSettings,
+) -> SequenceResult:
+    """The poses of all frames from known and plain ones, each marker's noise unknown."""
+    filled = MarkerTargets(fill_short_gaps(observed, rate_hz, settings.gaps), None)
+    targets = without(filled, subject.misplaced)
+    pose, trans = start_long(
+        subject.rig,
+        subject.shape.pose,
+        ("root", *subject.prior.joint_names),
+        targets.markers,
+        settings.longest,
+        settings.start,
+        settings.windows,
+    )
+    return fit_long(
+        subject.rig,
+        *targets,
+        scale,
+        subject.prior,
+        pose,
+        trans,
+        sequence_settings(settings),
+        longest=settings.longest,
+        cut=settings.windows,
+    )
 
 
 def _soft_tissue_stage(
@@ -397,6 +448,7 @@ def assemble(
         warnings=(*recording.warnings, *flag_warning(few)),
         settings=asdict(settings),
         status=final.status,
+        shape_status=subject.shape.status,
         seed=settings.seed,
         recorded=recording.recorded,
         layout_confidence=recording.layout_confidence,

@@ -261,6 +261,12 @@ class RetrySettings:
 
     max_left_out: float = 0.4
     """Of the labels: where more are wrong the rest cannot be trusted either."""
+    shape_stages: int = 2
+    """Further shape stages, at most: each costs up to three times that of a sound capture, since
+    none of its steps converges early."""
+    frames: int = 600
+    """Frames from the capture's middle that an attempt is judged by; the best one is then solved
+    for the whole capture."""
     return_distance: float = 0.06
     """Metres from the layout's place: a label left out comes back if its marker is closer."""
 
@@ -288,6 +294,10 @@ class MoshSettings:
     shape_scale: float = 0.3
     """Metres: Geman-McClure scale of the shape stage at step 1; at step k it is shape_scale / k, at
     least ``robust_scale[1]``. Not from the paper: poses are still rough in the first steps."""
+    hopeless: float = 0.10
+    """Metres: the shape stage ends early where half of the markers are further from the body after
+    two steps of the annealing, and nothing more is tried. Sound captures have 0.011 there at most,
+    those with a third of the labels wrong 0.07, and with all of them wrong 0.24."""
     frames: int = 12
     """How many frames the shape stage uses."""
     frame_choice: str = "spread"

@@ -3,7 +3,7 @@ and Latent Markers"); and its result, a subject: a person whose shape and marker
 known, so that motion can be fitted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -68,6 +68,9 @@ class Subject:
 
 
 LAST_STEP_REPEATS = 3
+HOPELESS_STEP = 2
+HOPELESS = "hopeless"
+"""Status of a shape stage that ended early: the markers are no person's, by these labels."""
 
 
 def shape_stage(
@@ -95,7 +98,11 @@ def shape_stage(
     # Triangles and robust weights are held within a step; repeating the last lets them settle.
     for step in [*range(last), *([last] * LAST_STEP_REPEATS)]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
-        weights = visible * _robust_weights(markers(**unknowns) - filled, step, settings)
+        residual = markers(**unknowns) - filled
+        if step == HOPELESS_STEP and _hopeless(residual, visible, settings):
+            result = replace(result, status=HOPELESS)
+            break
+        weights = visible * _robust_weights(residual, step, settings)
         terms = shape_terms(
             body, markers, placement, filled, weights, prior, settings, settings.annealing[step]
         )
@@ -121,6 +128,11 @@ def shape_stage(
 
 def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachment:
     return attach(unknowns["latent_markers"], body.rest_vertices(unknowns["betas"]), body.faces)
+
+
+def _hopeless(residual: np.ndarray, visible: np.ndarray, settings: MoshSettings) -> bool:
+    """Whether half of the markers are nowhere near the body."""
+    return bool(np.median(np.linalg.norm(residual, axis=2)[visible > 0]) > settings.hopeless)
 
 
 def _robust_weights(residual: np.ndarray, step: int, settings: MoshSettings) -> np.ndarray:

@@ -66,7 +66,8 @@ class MarkerSolution(Moving):
     ``tried`` says in sentences what was done when a first attempt failed, ``left_out`` which labels
     were left out for it, ``doubts`` what was not decided where markers' places were found by
     fitting; ``found_layout`` is the layout so found, as a TOML file's text. ``held_out_told``:
-    errors of held-out markers at places that other captures told. ``gender`` is the body's model;
+    errors of held-out markers at places that other captures told. ``status`` and ``shape_status``
+    say how the last stage and the shape stage ended. ``gender`` is the body's model;
     where it was chosen by itself, ``female_probability`` is what a neutral fit said.
     """
 
@@ -98,6 +99,7 @@ class MarkerSolution(Moving):
     warnings: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     status: str = ""
+    shape_status: str = ""
     seed: int = 0
     gender: str = "neutral"
     female_probability: float | None = None
