@@ -15,7 +15,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,7 @@ from habitus.io.layouts.files import load_layout
 from habitus.observe.simulated_markers import Faults, simulate_capture, smooth_motion
 
 ROOT = Path(__file__).resolve().parents[1]
+ENDINGS = (".c3d", ".trc", ".csv", ".tsv", ".npz")
 CAPTURES = ROOT.parent / "shared" / "mocap"
 """Real captures that lie beside a checkout and are never part of it."""
 
@@ -47,6 +48,39 @@ def parser(doc: str | None, out: bool = False) -> argparse.ArgumentParser:
         name = Path(sys.argv[0]).with_suffix(".json").name
         arguments.add_argument("--out", type=Path, default=Path(name), help="JSON of the numbers")
     return arguments
+
+
+def capture_parser(doc: str | None) -> argparse.ArgumentParser:
+    """A parser with the arguments of benchmarks on real captures: files and folders, names, --out."""
+    arguments = parser(doc, out=True)
+    arguments.add_argument(
+        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
+    )
+    arguments.add_argument(
+        "--captures",
+        nargs="+",
+        default=(),
+        metavar="NAME",
+        help="only these, by name without ending",
+    )
+    return arguments
+
+
+def capture_files(places: Iterable[Path], names: Sequence[str] = ()) -> list[Path]:
+    """Capture files among some files and folders, only those with these names where there are
+    names.
+    """
+    files: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            files += sorted(path for path in place.iterdir() if path.suffix.lower() in ENDINGS)
+        elif place.is_file():
+            files.append(place)
+        else:
+            print(f"{place}: not there; left out")
+    for name in set(names) - {path.stem for path in files}:
+        print(f"{name}: not there; left out")
+    return [path for path in files if not names or path.stem in names]
 
 
 def run(

@@ -17,11 +17,16 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import math
-from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json
+from common import (
+    capture_files,
+    capture_parser,
+    compile_kernels,
+    in_words,
+    machine,
+    write_json,
+)
 from rich.console import Console
 from rich.table import Table
 
@@ -51,24 +56,6 @@ HELD_OUT_GOAL = 30.0
 HELD_OUT_RISE = 0.5
 APART_GOAL = 6.0
 HEIGHT_GOAL = 0.03
-ENDINGS = (".c3d", ".trc", ".csv", ".tsv", ".npz")
-
-
-def found(places: Iterable[Path], names: tuple[str, ...]) -> list[Path]:
-    """Capture files among some files and folders, only those with these names where there are
-    names.
-    """
-    files: list[Path] = []
-    for place in places:
-        if place.is_dir():
-            files += sorted(path for path in place.iterdir() if path.suffix.lower() in ENDINGS)
-        elif place.is_file():
-            files.append(place)
-        else:
-            print(f"{place}: not there; left out")
-    for name in set(names) - {path.stem for path in files}:
-        print(f"{name}: not there; left out")
-    return [path for path in files if not names or path.stem in names]
 
 
 def row(fit: MarkerFit) -> dict:
@@ -161,23 +148,13 @@ def errors_table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    arguments = parser(__doc__, out=True)
-    arguments.add_argument(
-        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
-    )
-    arguments.add_argument(
-        "--captures",
-        nargs="+",
-        default=(),
-        metavar="NAME",
-        help="only these, by name without ending",
-    )
+    arguments = capture_parser(__doc__)
     arguments.add_argument("--hold-out-every", type=int, default=5, metavar="K")
     arguments.add_argument("--no-hold-out", action="store_true")
     arguments.add_argument("--body", default="default")
     arguments.add_argument("--soft-tissue", choices=("shape", "dynamics", "both"), default="shape")
     options = arguments.parse_args()
-    files = found(options.places, tuple(options.captures))
+    files = capture_files(options.places, options.captures)
     if not files:
         print("no captures; give files or folders")
         return

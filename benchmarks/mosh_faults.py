@@ -23,8 +23,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json, written_rows
-from mosh_accuracy import found
+from common import (
+    capture_files,
+    capture_parser,
+    compile_kernels,
+    in_words,
+    machine,
+    write_json,
+    written_rows,
+)
 from mosh_fault_kinds import KINDS, Scene
 from rich.console import Console
 from rich.table import Table
@@ -227,17 +234,7 @@ def shown(table: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit all, print tables, write JSON."""
-    arguments = parser(__doc__, out=True)
-    arguments.add_argument(
-        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
-    )
-    arguments.add_argument(
-        "--captures",
-        nargs="+",
-        default=(),
-        metavar="NAME",
-        help="only these, by name without ending",
-    )
+    arguments = capture_parser(__doc__)
     arguments.add_argument(
         "--kinds", nargs="+", default=list(KINDS), choices=list(KINDS), metavar="KIND"
     )
@@ -256,7 +253,7 @@ def main() -> None:
         written_rows(options.out, key, **asked) if options.resume else []
         for key in ("rows", "clean")
     )
-    for path in found(options.places, tuple(options.captures)):
+    for path in capture_files(options.places, options.captures):
         capture = crop(path, options.frames)
         if capture.name in {reference["capture"] for reference in references}:
             continue

@@ -19,11 +19,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from common import CAPTURES, compile_kernels, in_words, machine, parser, write_json, written_rows
-from mosh_accuracy import found
+from common import (
+    capture_files,
+    capture_parser,
+    compile_kernels,
+    in_words,
+    machine,
+    write_json,
+    written_rows,
+)
 from rich.console import Console
 from rich.table import Table
 
@@ -131,17 +137,7 @@ def table(rows: list[dict], title: str) -> Table:
 
 def main() -> None:
     """Fit and judge all, print the table, write JSON."""
-    arguments = parser(__doc__, out=True)
-    arguments.add_argument(
-        "places", nargs="*", type=Path, metavar="CAPTURE_OR_FOLDER", default=[CAPTURES]
-    )
-    arguments.add_argument(
-        "--captures",
-        nargs="+",
-        default=(),
-        metavar="NAME",
-        help="only these, by name without ending",
-    )
+    arguments = capture_parser(__doc__)
     arguments.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS, metavar="KIND")
     arguments.add_argument("--frames", type=int, default=150)
     arguments.add_argument("--resume", action="store_true", help="keep the rows that --out holds")
@@ -150,7 +146,7 @@ def main() -> None:
     body = habitus.load_body("default")
     rows = written_rows(options.out, "rows", frames=options.frames) if options.resume else []
     compile_kernels(body)
-    for path in found(options.places, tuple(options.captures)):
+    for path in capture_files(options.places, options.captures):
         for capture in read_captures(path):
             done = {row["kind"] for row in rows if row["capture"] == capture.name}
             left = [kind for kind in options.kinds if kind not in done]
