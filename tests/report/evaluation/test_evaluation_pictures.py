@@ -8,8 +8,8 @@ import numpy as np
 
 from habitus.evaluate.neck_twist import neck_vertices, turned_head, twist_axis
 from habitus.io.models.bodies import load_body
-from habitus.jobs.evaluation_files import head_view
 from habitus.report import drawing
+from habitus.report.evaluation.pictures import head_view
 from habitus_lab.population.coarse_bodies import coarse_body
 
 
