@@ -5,7 +5,7 @@ PIP := $(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --
 USE := $(VENV)/.installed-to-use
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test types fuzz docs without-torch clean
+.PHONY: demo test types fuzz fuzz-minute docs without-torch clean
 
 $(USE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -28,6 +28,9 @@ types: $(STAMP)
 
 fuzz: $(STAMP)
 	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000
+
+fuzz-minute: $(STAMP)
+	$(VENV)/bin/python tests/fuzz/hunt.py --mutants 100000 --seconds 60
 
 docs: $(STAMP)
 	$(VENV)/bin/python tools/build_site.py build/site

@@ -11,7 +11,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from mutators import mutate
-from targets import Target, Tree
+from target import Target, Tree
 
 from habitus.errors import HabitusError
 

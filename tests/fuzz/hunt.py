@@ -2,6 +2,7 @@
 little time.
 
     python tests/fuzz/hunt.py --mutants 100000 --workers 2
+    python tests/fuzz/hunt.py --seconds 60
 
 Each mutant has 10 seconds and its file's own size and 1 GB of memory. What fails lies in the folder
 of findings, a folder a mutant, beside findings.json; a mutant is made again by its number.
@@ -31,6 +32,7 @@ def main() -> None:
     told.add_argument("--mutants", type=int, default=20_000)
     told.add_argument("--first", type=int, default=0, help="number of the first mutant")
     told.add_argument("--workers", type=int, default=2)
+    told.add_argument("--seconds", type=float, default=float("inf"), help="stop after these")
     told.add_argument("--only", default="", help="part of a target's name")
     told.add_argument("--findings", type=Path, default=Path(tempfile.gettempdir()) / "habitus-fuzz")
     told.add_argument("--work", nargs=2, type=int, help=argparse.SUPPRESS)
@@ -127,6 +129,12 @@ class _Worker:
         """Whether all of its mutants are tried."""
         return self.process is None and self.next >= self.options.first + self.options.mutants
 
+    def stop(self) -> None:
+        """End it, whatever it is at."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+
     def _start(self) -> None:
         command = [sys.executable, __file__, "--work", str(self.next), str(self.step)]
         for key in ("mutants", "first", "only"):
@@ -173,7 +181,12 @@ def _hunt(options: argparse.Namespace) -> int:
     workers = [_Worker(options.first + k, options.workers, options) for k in range(options.workers)]
     found: list[tuple[int, str, str]] = []
     started = shown = time.monotonic()
+    print(f"mutants from number {options.first} on, the same ones each time", flush=True)
     while not all(worker.finished for worker in workers):
+        if time.monotonic() - started > options.seconds:
+            for worker in workers:
+                worker.stop()
+            break
         for worker in workers:
             for one in worker.poll():
                 found.append(one)

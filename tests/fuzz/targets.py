@@ -1,8 +1,5 @@
 """Every reader of the project with small sound files for it: what the fuzz tests spoil, and how
 they read it.
-
-A seed is a small tree of files (relative path -> bytes); the reader is given one of them. `read`
-gives nothing back: it passes where the reader gave sane values, and lets everything else out.
 """
 
 import json
@@ -13,30 +10,26 @@ import types
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-
-Tree = Mapping[str, bytes]
-
-
-@dataclass(frozen=True)
-class Target:
-    """A reader: its sound trees, the file or folder that is read, and its share of the mutants
-    (slow ones get less).
-    """
-
-    name: str
-    trees: tuple[Tree, ...]
-    entry: str
-    read: Callable[[Path], None]
-    share: int = 4
+from result_targets import result_makers
+from sensor_targets import sensor_makers
+from target import Target, Tree, alone, tree_of
 
 
 def all_targets() -> tuple[Target, ...]:
     """The targets; made anew, in a few seconds, the same ones each time."""
-    makers = (_captures, _layouts, _models, _templates, _registrations, _checkpoints, _fits)
+    makers = (
+        _captures,
+        _layouts,
+        _models,
+        _templates,
+        _registrations,
+        _checkpoints,
+        *sensor_makers(),
+        *result_makers(),
+    )
     with tempfile.TemporaryDirectory() as folder:
         found = []
         for maker in makers:
@@ -44,18 +37,6 @@ def all_targets() -> tuple[Target, ...]:
             place.mkdir()
             found += maker(place)
         return tuple(found)
-
-
-def _tree(folder: Path) -> Tree:
-    return {
-        str(file.relative_to(folder)): file.read_bytes()
-        for file in sorted(folder.rglob("*"))
-        if file.is_file()
-    }
-
-
-def _alone(name: str, read: Callable[[Path], None], *contents: bytes) -> Target:
-    return Target(name, tuple({name: content} for content in contents), name, read)
 
 
 # -- captures --------------------------------------------------------------------------------------
@@ -118,16 +99,16 @@ def _captures(folder: Path) -> list[Target]:
     trc = trc_text(labels, whole * 1e3)
     tsv = [qtm_text(labels, points * 1e3), qtm_text(labels, points * 1e3, times=True, more=True)]
     return [
-        _alone("capture.c3d", _read_capture, *c3d),
-        _alone("capture.npz", _read_capture, *npz),
-        _alone(
+        alone("capture.c3d", _read_capture, *c3d),
+        alone("capture.npz", _read_capture, *npz),
+        alone(
             "capture.trc",
             _read_capture,
             trc_text(labels, points * 1e3).encode(),
             trc.replace("\t", " ").encode(),
         ),
-        _alone("capture.csv", _read_capture, motive_text(labels, points).encode()),
-        _alone("capture.tsv", _read_capture, *(text.encode() for text in tsv)),
+        alone("capture.csv", _read_capture, motive_text(labels, points).encode()),
+        alone("capture.tsv", _read_capture, *(text.encode() for text in tsv)),
     ]
 
 
@@ -174,8 +155,8 @@ def _layouts(folder: Path) -> list[Target]:
         'without = ["C7"]\n', "num_vertices = 6890\n"
     )
     return [
-        _alone("layout.toml", _read_layout, _LAYOUT.encode(), plain.encode()),
-        _alone("layout.json", _read_layout, moshpp.encode()),
+        alone("layout.toml", _read_layout, _LAYOUT.encode(), plain.encode()),
+        alone("layout.json", _read_layout, moshpp.encode()),
     ]
 
 
@@ -222,9 +203,9 @@ def _models(folder: Path) -> list[Target]:
     }
     plain = [pickle.dumps(OrderedDict(sparse), protocol) for protocol in (0, 2, 4, 5)]
     return [
-        _alone("body.npz", _read_body, *npz),
-        _alone("body.pkl", _read_body, *plain, _chumpy_pickle(arrays)),
-        _alone("worm.npz", _read_blendscape, worm),
+        alone("body.npz", _read_body, *npz),
+        alone("body.pkl", _read_body, *plain, _chumpy_pickle(arrays)),
+        alone("worm.npz", _read_blendscape, worm),
     ]
 
 
@@ -308,8 +289,8 @@ def _templates(folder: Path) -> list[Target]:
     )
     (folder / "tree" / "ball.toml").write_text(f'mesh = "ball.ply"\nunit = "mm"\n\n{text}')
     return [
-        _alone("template.npz", _read_template, (folder / "template.npz").read_bytes()),
-        Target("template.toml", (_tree(folder / "tree"),), "ball.toml", _read_template),
+        alone("template.npz", _read_template, (folder / "template.npz").read_bytes()),
+        Target("template.toml", (tree_of(folder / "tree"),), "ball.toml", _read_template),
     ]
 
 
@@ -336,7 +317,7 @@ def _registrations(folder: Path) -> list[Target]:
     ]
     npz = [(folder / f"{name}.npz").read_bytes() for name in ("stored", "packed")]
     stores = [
-        _alone("registrations.npz", _read_registrations, *npz),
+        alone("registrations.npz", _read_registrations, *npz),
         *_meshes(folder, vertices, faces),
     ]
     return [*stores, *found, _h5(folder, many, faces), _zarr(folder, arrays)]
@@ -346,7 +327,7 @@ def _made(folder: Path, make: Callable[..., None], many: np.ndarray, faces: np.n
     place = folder / make.__name__
     (place / "set").mkdir(parents=True)
     make(place / "set", many, faces)
-    return _tree(place)
+    return tree_of(place)
 
 
 def _npy_folder(folder: Path, many: np.ndarray, faces: np.ndarray) -> None:
@@ -382,7 +363,7 @@ def _meshes(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> list[Targe
         b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3 4/1\nf "
         b"1/1 2/2 3/3\nf -1 -2 -3\n"
     )
-    return [_alone("mesh.ply", _read_mesh, *ply), _alone("mesh.obj", _read_mesh, obj, quads)]
+    return [alone("mesh.ply", _read_mesh, *ply), alone("mesh.obj", _read_mesh, obj, quads)]
 
 
 def _h5(folder: Path, many: np.ndarray, faces: np.ndarray) -> Target:
@@ -394,7 +375,7 @@ def _h5(folder: Path, many: np.ndarray, faces: np.ndarray) -> Target:
             file["faces"] = faces
             file.create_dataset("50002_jump", data=many.transpose(1, 2, 0), **options)
         contents.append((folder / "dyna.h5").read_bytes())
-    return _alone("registrations.h5", _read_registrations, *contents)
+    return alone("registrations.h5", _read_registrations, *contents)
 
 
 def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
@@ -409,11 +390,11 @@ def _zarr(folder: Path, arrays: Mapping[str, np.ndarray]) -> Target:
             group.create_array(
                 name, data=np.atleast_1d(array), chunks=(2, *np.atleast_1d(array).shape[1:])
             )
-        trees.append(_tree(place))
+        trees.append(tree_of(place))
     return Target("registrations.zarr", tuple(trees), "set.zarr", _read_registrations, 1)
 
 
-# -- checkpoints and fits --------------------------------------------------------------------------
+# -- checkpoints -----------------------------------------------------------------------------------
 
 
 def _read_checkpoint(path: Path) -> None:
@@ -459,20 +440,4 @@ def _checkpoints(folder: Path) -> list[Target]:
     checkpoint.save(TrainingState(estimate, history, False), [1.5])
     checkpoint.surface_store((3, 12, 3))
     checkpoint.on_surfaces_stored(2, 1.0)
-    return [Target("checkpoint", (_tree(folder / "tree"),), "checkpoint", _read_checkpoint, 2)]
-
-
-def _fits(folder: Path) -> list[Target]:
-    from synthetic_fit import synthetic_fit, tube_body
-
-    from habitus.export import write_npz
-    from habitus.io.people import read_fit
-
-    body = tube_body()
-
-    def read(path: Path) -> None:
-        fit = read_fit(path, body)
-        assert len(fit.labels) == fit.observed_markers.shape[1]
-
-    write_npz(synthetic_fit(frames=6), folder / "fit.npz")
-    return [_alone("fit.npz", read, (folder / "fit.npz").read_bytes())]
+    return [Target("checkpoint", (tree_of(folder / "tree"),), "checkpoint", _read_checkpoint, 2)]

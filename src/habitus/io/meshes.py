@@ -1,9 +1,10 @@
 """Reads meshes: PLY and OBJ, vertices and triangles in the file's own order."""
 
 import io
+import logging
 import re
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -15,6 +16,16 @@ from habitus.io.limits import check_present
 ENDINGS = (".ply", ".obj")
 _MAX_HEADER = 1 << 16
 _MAX_LINES = 300
+
+
+def load_trimesh() -> Any:
+    """trimesh, whose notes on damaged files are not shown: a logger without a handler prints."""
+    import trimesh
+
+    logger = logging.getLogger("trimesh")
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())
+    return trimesh
 
 
 def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
@@ -29,8 +40,7 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
         raise HabitusError(
             f"{source}: ending {source.suffix!r}; expected a mesh ({' or '.join(ENDINGS)})"
         )
-    import trimesh
-
+    trimesh = load_trimesh()
     try:
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":

@@ -17,7 +17,7 @@ from habitus.fit.points.scan import Scan
 from habitus.io.archives import reason
 from habitus.io.gltf_claims import check_gltf
 from habitus.io.limits import MAX_IMAGE_BYTES, Allowance
-from habitus.io.meshes import check_obj, check_ply
+from habitus.io.meshes import check_obj, check_ply, load_trimesh
 from habitus.io.names import numeric_order
 from habitus.observe.srgb import linear_from_srgb
 
@@ -126,8 +126,7 @@ def read_scan(path: str | os.PathLike[str]) -> Scan:
 
 def _loaded(source: Path, ending: str) -> Any:
     """What trimesh reads, after what the file claims has been held against its size."""
-    import trimesh
-
+    trimesh = load_trimesh()
     if ending in (".glb", ".gltf"):
         check_gltf(source)
     if ending == ".gltf":  # it names other files

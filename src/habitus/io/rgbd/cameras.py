@@ -239,6 +239,11 @@ def _check_camera(camera: Camera | None, where: str) -> None:
         return
     focal = camera.focal_length.tolist()
     size = (camera.width, camera.height)
+    if not np.linalg.norm(camera.translation.numpy()) <= FARTHEST_APART:
+        raise HabitusError(
+            f"{where}: the cameras are {np.linalg.norm(camera.translation.numpy()):.3g} m apart; "
+            f"expected at most {FARTHEST_APART:g} m"
+        )
     principal = camera.principal_point.tolist()
     lens = [] if camera.distortion is None else camera.distortion.tolist()
     if not (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
 from habitus.io.names import plain_name
 from habitus.io.rgbd.cameras import COLOUR, DEPTH, Rig, placed, read_rig, resized, scale_of
 from habitus.io.rgbd.descriptions import read_description
@@ -49,6 +49,21 @@ def read_views(
     HabitusError with the file named.
     """
     source = Path(folder)
+    try:
+        return _read_views(source, views, depth_unit, cameras)
+    except OSError as error:
+        raise HabitusError(
+            f"{source}: {shown(error.strerror or error)}; expected images of 16-bit depth and "
+            "the cameras' intrinsics"
+        ) from error
+
+
+def _read_views(
+    source: Path,
+    views: Sequence[int] | None,
+    depth_unit: float | None,
+    cameras: PathLike | None,
+) -> RgbdCapture:
     files = find_files(source)
     chosen = _chosen(files.views, views, source)
     notes = list(files.notes)

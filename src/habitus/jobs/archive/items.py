@@ -16,6 +16,8 @@ from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.suspects import Suspect
+from habitus.io.archives import open_archive, reason
+from habitus.io.structured_text import read_json
 from habitus.jobs.bodies import PersonBody
 from habitus.jobs.finding import MarkerSet
 from habitus.jobs.mosh import Mosh, recipe_of
@@ -104,10 +106,11 @@ def write_known(known: KnownSubject, path: Path) -> str:
 def read_known(path: Path) -> KnownSubject:
     """What `write_known` wrote. Raises HabitusError for any other file."""
     try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in (*_ARRAYS, "triangles", "coefficients")}
-            record = json.loads(str(file["record"]))
-            seconds = float(file["seconds"])
+        with open_archive(path) as file:
+            arrays = {name: file.read(name) for name in (*_ARRAYS, "triangles", "coefficients")}
+            record = read_json(str(file.read("record")))
+            seconds = float(file.read("seconds"))
+        _check_arrays(arrays | {"seconds": np.array(seconds)})
         attachment = MarkerAttachment(arrays.pop("triangles"), arrays.pop("coefficients"))
         shape = ShapeFit(**arrays, attachment=attachment, **record["shape"])
         return KnownSubject(
@@ -119,10 +122,34 @@ def read_known(path: Path) -> KnownSubject:
             seconds,
             record["found_layout"],
         )
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except Exception as error:  # a damaged record may hold anything
         raise HabitusError(
-            f"{path}: is no subject that habitus archive wrote ({error}); remove it and go on"
+            f"{path}: is no subject that habitus archive wrote ({reason(error)}); remove it and go "
+            "on"
         ) from error
+
+
+def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
+    """Raise ValueError where arrays are not a subject's: finite numbers, as many rows as markers or
+    frames.
+    """
+    markers = len(arrays["latent_markers"])
+    shapes = {
+        "latent_markers": (markers, 3),
+        "triangles": (markers, 3),
+        "coefficients": (markers, 3),
+        "trans": (len(arrays["pose"]), 3),
+    }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} of shape {arrays[name].shape}; expected {shape}")
+    if arrays["betas"].ndim != 1 or arrays["pose"].ndim != 3 or arrays["pose"].shape[2] != 3:
+        raise ValueError("betas or pose of another shape")
+    if arrays["triangles"].dtype.kind not in "iu" or (arrays["triangles"] < 0).any():
+        raise ValueError("triangles are no indices")
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} are not finite")
 
 
 def _layout(record: Mapping[str, Any]) -> MarkerLayout:

@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, shown
+from habitus.io.limits import Allowance, check_inflated
+from habitus.io.names import file_name, inside
+from habitus.io.structured_text import read_json
 from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped
 from habitus.jobs.finding import Found, MarkerSet
 
@@ -108,7 +111,9 @@ class Manifest:
             "SELECT path, person, said, worn FROM captures ORDER BY path, person"
         )
         for path, person, said, packed in rows:
-            yield path, person, _unpacked(said, packed)
+            with _readable():
+                found = str(path), str(person), _unpacked(said, packed)
+            yield found
 
     def group(self, groups: Mapping[tuple[str, str], str]) -> None:
         """Whose each capture (path, person) is."""
@@ -129,7 +134,8 @@ class Manifest:
             f"FROM captures JOIN files USING (path) {wanted} ORDER BY path, person",
             given,
         )
-        return [Row(*row) for row in rows]
+        with _readable():
+            return [_row(*row) for row in rows]
 
     def fitted(self, row: Row, key: str, result: Fitted) -> None:
         """What came of a capture; ``key`` stands for all that it depends on."""
@@ -159,7 +165,8 @@ class Manifest:
         row = self._db.execute(
             "SELECT file, recipe, sources, digest FROM subjects WHERE name = ?", (name,)
         ).fetchone()
-        return row and (row[0], row[1], json.loads(row[2]), row[3])
+        with _readable():
+            return row and (str(row[0]), str(row[1]), _table(row[2]), str(row[3]))
 
     def shaped(
         self, name: str, file: str, recipe: str, sources: Mapping[str, str], shape: Shaped
@@ -194,7 +201,9 @@ class Manifest:
                 f"FROM files WHERE state = '{FAILED}' ORDER BY path, person"
             )
             for row in rows:
-                yield dict(row) | {"numbers": json.loads(row["numbers"] or "{}")}
+                with _readable():
+                    found = dict(row) | {"numbers": _table(row["numbers"] or "{}")}
+                yield found
         finally:
             self._db.row_factory = before
 
@@ -205,10 +214,11 @@ class Manifest:
         )
         keys = ("name", "reason", "measured", "betas", "picture", "seconds")
         people = [dict(zip(keys, row, strict=True)) for row in rows]
-        return [
-            person | {name: json.loads(person[name]) for name in ("measured", "betas")}
-            for person in people
-        ]
+        with _readable():
+            return [
+                person | {"measured": _table(person["measured"]), "betas": _list(person["betas"])}
+                for person in people
+            ]
 
     def count(self) -> int:
         """How many rows `results` has."""
@@ -253,10 +263,39 @@ def open_manifest(folder: Path) -> Iterator[Manifest]:
             connection.close()
 
 
+@contextmanager
+def _readable() -> Iterator[None]:
+    """Around what rows of a damaged manifest may raise: its columns can hold values of any type."""
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, IndexError, zlib.error, RecursionError) as error:
+        raise HabitusError(
+            f"{FILE}: its rows cannot be read ({shown(error, 80)}); remove the file to begin anew"
+        ) from error
+
+
+def _row(path: Any, person: Any, folder: Any, frames: Any, *words: Any) -> Row:
+    if not all(isinstance(word, str) for word in (path, person, folder, *words)):
+        raise TypeError("a column of another type")
+    return Row(path, person, inside(folder).as_posix(), int(frames), *words)
+
+
+def _table(text: str) -> dict[str, Any]:
+    found = read_json(text)
+    if not isinstance(found, dict):
+        raise TypeError("a column that is no table")
+    return found
+
+
+def _list(text: str) -> list[Any]:
+    found = read_json(text)
+    if not isinstance(found, list):
+        raise TypeError("a column that is no list")
+    return found
+
+
 def folder_names(file: Found, people: Sequence[Seen]) -> list[str]:
     """The folders of the results of everybody in a file, below the folder for all."""
-    from habitus.io.names import file_name
-
     name = file_name(file.name)
     names = (
         [name]
@@ -277,8 +316,11 @@ def _packed(worn: MarkerSet) -> bytes:
 
 
 def _unpacked(subject: str | None, packed: bytes) -> MarkerSet:
+    check_inflated(packed, Allowance(len(packed)).limit, "the markers of a capture")
     head, _, tail = zlib.decompress(packed).partition(b"\0")
-    labels = tuple(json.loads(head))
+    labels = tuple(str(label) for label in read_json(head.decode()))
+    if len(tail) != 4 * (len(labels) * (len(labels) - 1) // 2):
+        raise ValueError("distances of another number of markers")
     rigid = np.full((len(labels), len(labels)), np.nan)
     rigid[np.triu_indices(len(labels), 1)] = np.frombuffer(tail, np.float32)
     return MarkerSet(subject, labels, rigid)
