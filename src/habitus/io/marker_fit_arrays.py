@@ -13,6 +13,8 @@ from habitus.fit.markers.suspects import Suspect
 from habitus.observe.markers import MarkerAttachment, predict_markers
 
 _MAX_RATE = 1e6  # Hz
+MAX_NUMBER = 1e6
+"""Of radians, metres and coefficients: beyond it surfaces overflow or lose their millimetres."""
 _WITH_GAPS = ("markers_obs", "markers_sim", "markers_sim_pose_stage", "marker_weights")
 
 
@@ -128,6 +130,8 @@ def check_finite(name: str, array: np.ndarray) -> None:
     if at is not None:
         row = {"betas": "value", "markers_latent": "marker", "marker_noise": "marker"}
         raise ValueError(f"{name} are not finite at {row.get(name, 'frame')} {at}, counted from 0")
+    if array.size and not max(array.max(), -array.min()) <= MAX_NUMBER:
+        raise ValueError(f"{name} reach {max(array.max(), -array.min()):.3g}; expected a person's")
 
 
 def _number(value: np.ndarray | None) -> float | None:

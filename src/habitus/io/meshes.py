@@ -45,7 +45,7 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
         with source.open("rb") as file:
             if source.suffix.lower() == ".ply":
                 check_ply(file, source.stat().st_size)
-                content = file
+                content = io.BytesIO(file.read())
             else:
                 check_obj(file, source.stat().st_size)
                 content = io.StringIO(_geometry(file.read().decode("utf-8-sig", "replace")))

@@ -135,7 +135,8 @@ def _loaded(source: Path, ending: str) -> Any:
         if ending == ".ply":
             check_ply(file, source.stat().st_size)
         if ending != ".obj":
-            return trimesh.load(file, file_type=ending[1:], process=False)
+            # from memory: trimesh asks for as many bytes as a chunk's header claims
+            return trimesh.load(io.BytesIO(file.read()), file_type=ending[1:], process=False)
         check_obj(file, source.stat().st_size)
         text = io.StringIO(file.read().decode("utf-8-sig", "replace"))
     resolver = trimesh.resolvers.FilePathResolver(str(source))
