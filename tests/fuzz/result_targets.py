@@ -137,8 +137,8 @@ def _archives(folder: Path) -> list[Target]:
 
 
 def _subject(folder: Path, read: Callable[[Path], None]) -> Target:
-    from habitus.fit.markers.suspects import Suspect
     from habitus.fit.markers.shape import ShapeFit
+    from habitus.fit.markers.suspects import Suspect
     from habitus.jobs.archive.items import BodyChoice, KnownSubject, write_known
     from habitus.jobs.subjects import Agreed
     from habitus.markers.layouts import Marker, MarkerLayout
