@@ -5,7 +5,7 @@ import torch
 
 from habitus.errors import HabitusError
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.harmonics import harmonics, harmonics_slope
+from habitus.observe.light import harmonics, harmonics_slope
 from habitus.observe.lighting import ambient, point_light, spherical_harmonics
 from habitus.rotations import matrix_from_rotvec
 

@@ -6,10 +6,9 @@ from scenes import SCENES, scene
 
 from habitus.render import operators
 from habitus.render.clipping import clip_near
-from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.rasterize import list_all_faces, rasterize, rasterize_reference
 from habitus.render.reference import images as reference
-from habitus.render.visibility import list_pixels_reference
+from habitus.render.visibility import EdgeFragments, list_pixels_reference
 
 SIZE = 48, 36
 

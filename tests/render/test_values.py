@@ -13,7 +13,7 @@ from habitus.render.draw import draw
 from habitus.render.kernels import samples, surfaces, surfaces_vjp
 from habitus.render.kernels import textures as texture_kernels
 from habitus.render.textures import Texture
-from habitus.render.values import of_one_type
+from habitus.render.transforms import of_one_type
 
 VIEW = Camera.of(16, 12, translation=[0.0, 0.0, 3.0])
 BALL = icosphere(1)

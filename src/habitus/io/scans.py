@@ -19,7 +19,7 @@ from habitus.io.gltf_claims import check_gltf
 from habitus.io.limits import MAX_IMAGE_BYTES, Allowance
 from habitus.io.meshes import check_obj, check_ply, load_trimesh
 from habitus.io.names import numeric_order
-from habitus.observe.srgb import linear_from_srgb
+from habitus.observe.light import linear_from_srgb
 
 SAMPLED = 400_000
 """Places on a scan at which its pictures are looked up: pictures show more than vertices do."""

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from habitus.arrays import broadcast_shapes
 from habitus.errors import HabitusError
-from habitus.observe.harmonics import harmonics
+from habitus.observe.light import harmonics
 
 
 def spherical_harmonics(

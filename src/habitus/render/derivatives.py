@@ -12,12 +12,11 @@ import torch
 from torch import Tensor
 
 from habitus.kernels.threads import count_chunks, run_chunks
-from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import images as image_kernels
 from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces_vjp as vjp_kernels
 from habitus.render.reference import images as reference
-from habitus.render.visibility import Visibility
+from habitus.render.visibility import EdgeFragments, Visibility
 
 
 def interpolate_jvp(

@@ -18,8 +18,8 @@ from habitus.errors import HabitusError
 from habitus.observe.camera import Camera, Numbers
 from habitus.render.frame import BOUNDARIES, Frame, draw_one
 from habitus.render.textures import Texture
+from habitus.render.transforms import KERNEL_TYPES, real_numbers
 from habitus.render.triangles import Array, Triangles
-from habitus.render.values import KERNEL_TYPES, real_numbers
 
 
 def draw(

@@ -20,29 +20,80 @@ counts is a choice:
 
 `render/README.md` has the formula of a pixel and its derivatives, and which file computes which
 part.
+
+`fragment_weights` is how much of their pixels edge fragments cut off, as a torch function of the
+screen: what makes moving edges count.
 """
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera, Numbers
 from habitus.render import operators
 from habitus.render.clipping import Clipped
+from habitus.render.derivatives import fragment_weights_vjp
 from habitus.render.filters import filter_derivative, surface_motion
-from habitus.render.fragment_weights import fragment_weights
 from habitus.render.projection import on_screen
 from habitus.render.rasterize import intersections
+from habitus.render.reference import images as reference
 from habitus.render.textures import Texture, footprint
-from habitus.render.transforms import outside
+from habitus.render.transforms import (
+    KERNEL_TYPES,
+    Operator,
+    no_vmap,
+    of_one_type,
+    outside,
+    real_numbers,
+)
 from habitus.render.triangles import Triangles
-from habitus.render.values import KERNEL_TYPES, of_one_type, real_numbers
-from habitus.render.visibility import Visibility
+from habitus.render.visibility import EdgeFragments, Visibility
+
+
+def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:
+    """The fragments' weights, with the derivative of the area that moving edges sweep: -(normal
+    velocity) integrated.
+
+    It is the derivative of the pixel's exact coverage (Reynolds' transport theorem).
+    """
+    if screen.device.type != "cpu":
+        return reference.fragment_weights(screen, fragments)
+    return _FragmentWeights.apply(screen, fragments)
+
+
+class _FragmentWeights(Operator):
+    @staticmethod
+    def forward(screen: Tensor, fragments: EdgeFragments) -> Tensor:
+        return fragments.weight.to(screen.dtype, copy=True)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        ctx.save_for_backward(inputs[0])
+        ctx.save_for_forward(inputs[0])
+        ctx.fragments = inputs[1]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> Any:
+        return outside(
+            partial(fragment_weights_vjp, fragments=ctx.fragments), *ctx.saved_tensors, cotangent
+        ), None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, _: Any) -> Tensor:
+        return reference.swept(ctx.saved_tensors[0], tangent, ctx.fragments)
+
+    @staticmethod
+    def vmap(*_: Any) -> Any:
+        raise no_vmap()
+
 
 BOUNDARIES = ("antialias", "exact", "filter", "none")
 AVERAGED = ("antialias", "exact")

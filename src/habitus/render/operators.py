@@ -33,9 +33,8 @@ from habitus.render.kernels import samples as sample_kernels
 from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
-from habitus.render.transforms import Operator, outside
+from habitus.render.transforms import Operator, no_vmap, of_one_type, outside
 from habitus.render.triangles import Triangles
-from habitus.render.values import no_vmap, of_one_type
 from habitus.render.visibility import Visibility
 
 

@@ -17,9 +17,8 @@ from habitus.observe.lens import distorted
 from habitus.render.clipping import Clipped, clip_near
 from habitus.render.derivatives import as_array
 from habitus.render.kernels import projection as kernels
-from habitus.render.transforms import Operator, outside
+from habitus.render.transforms import Operator, no_vmap, outside
 from habitus.render.triangles import Triangles
-from habitus.render.values import no_vmap
 from habitus.rotations import left_jacobian, matrix_from_rotvec
 
 SIZES = (2, 2, 9, 3, 8)

@@ -1,8 +1,12 @@
 """Rasterise triangles on a screen by compiled kernels: the face at each pixel, and the edges at
 which images jump.
+
+Memory for images is kept between calls instead of given back to the system and faulted in again
+page by page.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -11,7 +15,6 @@ from torch import Tensor
 
 from habitus.kernels.threads import run_chunks
 from habitus.render.areas import find_areas, parted, with_areas
-from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels import areas as area_kernels
 from habitus.render.kernels import edges as edge_kernels
 from habitus.render.kernels import raster as raster_kernels
@@ -27,10 +30,25 @@ from habitus.render.kernels.structs import (
     Tiles,
 )
 from habitus.render.kernels.vectors import PIXELS
-from habitus.render.memory import keep_memory
 from habitus.render.reference import images as reference
 from habitus.render.triangles import Triangles
-from habitus.render.visibility import Visibility
+from habitus.render.visibility import EdgeFragments, Visibility
+
+LARGEST = 31 << 20
+"""Bytes: a little under the 32 MB above which glibc gives every block back."""
+
+
+@lru_cache(maxsize=1)
+def keep_memory() -> None:
+    """Let glibc keep freed blocks up to `LARGEST`, and twice that in all, for the rest of the
+    process.
+
+    It keeps blocks no larger than the largest that was freed before (`man mallopt`,
+    M_MMAP_THRESHOLD), so one is freed; it is never touched and takes no memory. Other libraries of
+    C are not changed.
+    """
+    torch.empty(LARGEST, dtype=torch.uint8)
+
 
 LEAST_TILE = 2
 """Pixels along the side of the smallest tiles whose faces are listed."""

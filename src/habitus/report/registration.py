@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from habitus.errors import shown
-from habitus.observe.srgb import srgb_bytes
+from habitus.observe.light import srgb_bytes
 from habitus.report.drawing import ERROR_RAMP, ramp_colours
 from habitus.report.shell import (
     MAX_NAME,

@@ -19,8 +19,7 @@ from habitus.fit.points.appearance import Appearance, moved, to_linear
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
-from habitus.observe.harmonics import harmonics
-from habitus.observe.srgb import srgb_bytes
+from habitus.observe.light import harmonics, srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.report.drawing import ramp_colours

@@ -16,7 +16,7 @@ from habitus.files import whole_folder, write_text
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.depth_result import RgbdFit, ViewEvidence
 from habitus.fit.points.texture import Skin, bake, spread
-from habitus.observe.srgb import srgb_bytes
+from habitus.observe.light import srgb_bytes
 from habitus.results.save import METRICS, REPORT, gender_entry, measurements_csv, write_json
 from habitus.types import PathLike
 

@@ -23,8 +23,7 @@ from habitus.fit.points.depth_settings import APPEARANCE
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.shapes import sphere
-from habitus.observe.harmonics import harmonics
-from habitus.observe.srgb import srgb_bytes
+from habitus.observe.light import harmonics, srgb_bytes
 from habitus.render.triangles import Triangles
 
 

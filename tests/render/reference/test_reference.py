@@ -9,7 +9,7 @@ import torch
 from torch.func import jacfwd
 
 from habitus.mesh.shapes import cube, icosphere, torus
-from habitus.render.fragment_weights import fragment_weights
+from habitus.render.frame import fragment_weights
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.faces import drawn_faces
 from habitus.render.reference.images import (

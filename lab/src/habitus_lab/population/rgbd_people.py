@@ -17,8 +17,7 @@ from habitus.fit.selection.held_out import smooth_field
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
 from habitus.observe.depth_views import DepthView, RgbdCapture
-from habitus.observe.harmonics import harmonics
-from habitus.observe.srgb import srgb_bytes
+from habitus.observe.light import harmonics, srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix

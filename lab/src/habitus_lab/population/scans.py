@@ -13,8 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.fit.points.scan import Scan
 from habitus.fit.selection.held_out import FLESH, smooth_field
 from habitus.mesh.normals import face_normals, vertex_normals
-from habitus.observe.harmonics import harmonic_terms
-from habitus.observe.srgb import linear_from_srgb, srgb_bytes
+from habitus.observe.light import harmonic_terms, linear_from_srgb, srgb_bytes
 from habitus_lab.population.painted_skin import PaintedSkin, soft_light
 
 PATCH = 0.05

@@ -24,8 +24,7 @@ from habitus.fit.points.depth_settings import APPEARANCE, AppearanceSettings
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.camera import Camera
-from habitus.observe.harmonics import harmonics
-from habitus.observe.srgb import linear_from_srgb
+from habitus.observe.light import harmonics, linear_from_srgb
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import silhouette_jacobian

@@ -30,7 +30,7 @@ from habitus.fit.points.prepared_views import PreparedView
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.normals import normal_jacobian, vertex_normals
 from habitus.observe.camera import Camera
-from habitus.observe.harmonics import harmonics, harmonics_slope
+from habitus.observe.light import harmonics, harmonics_slope
 from habitus.render.draw import draw
 from habitus.render.frame import Frame
 from habitus.render.jacobians.images import image_jacobian

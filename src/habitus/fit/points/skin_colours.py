@@ -21,7 +21,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
 from habitus.fit.points.settings import SCANS, ScanColourSettings
 from habitus.mesh.normals import face_normals
-from habitus.observe.harmonics import harmonic_terms
+from habitus.observe.light import harmonic_terms
 from habitus.residuals.points import PointObservations
 from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg

@@ -18,7 +18,7 @@ from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance, depth_of, look_up, moved
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.harmonics import harmonics
+from habitus.observe.light import harmonics
 from habitus.render import operators
 from habitus.render.rasterize import rasterize
 from habitus.render.triangles import Triangles

@@ -10,12 +10,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.render.edge_fragments import EdgeFragments
 from habitus.render.kernels.samples import LONG
 from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
 from habitus.render.reference.segments import edge_fragments
 from habitus.render.triangles import Triangles
-from habitus.render.visibility import Visibility, pixel_centres
+from habitus.render.visibility import EdgeFragments, Visibility, pixel_centres
 
 __all__ = [
     "barycentrics",

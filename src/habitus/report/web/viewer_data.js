@@ -1,4 +1,4 @@
-// The arrays that Python packed (report/blob.py), and the motion they hold.
+// The arrays that Python packed (report/shell.py), and the motion they hold.
 const TYPES = { u1: Uint8Array, i1: Int8Array, u2: Uint16Array, i2: Int16Array, u4: Uint32Array, f4: Float32Array };
 const MISSING = 65535;
 

@@ -1,12 +1,14 @@
-"""Real spherical harmonics of orders 0, 1 and 2 of unit normals, in NumPy or torch.
+"""Light on a surface, in NumPy or torch: real spherical harmonics of orders 0, 1 and 2 of unit
+normals; sRGB, which is what files hold, and linear light, which adds up (IEC 61966-2-1).
 
-In the order (l, m) = (0, 0), (1, -1), (1, 0), (1, 1), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2) they
-vary over directions as 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2.
+In the order (l, m) = (0, 0), (1, -1), (1, 0), (1, 1), (2, -2), (2, -1), (2, 0), (2, 1), (2, 2) the
+harmonics vary over directions as 1, y, z, x, xy, yz, 3 z^2 - 1, xz, x^2 - y^2.
 """
 
 import math
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Float, UInt8
 
 from habitus.arrays import constant, namespace, unbind
 from habitus.errors import HabitusError
@@ -65,3 +67,17 @@ def harmonics_slope(normals: Float[Array, "*batch V 3"]) -> Float[Array, "*batch
 def _check(normals: Array) -> None:
     if normals.ndim < 2 or normals.shape[-1] != 3:
         raise HabitusError(f"normals are {tuple(normals.shape)}; expected (*batch, V, 3)")
+
+
+def linear_from_srgb(value: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
+    """Linear light, 0 to 1, of values of sRGB, 0 to 1."""
+    return np.where(
+        value <= 0.04045, value / 12.92, ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4
+    )
+
+
+def srgb_bytes(linear: Float[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+    """Bytes of sRGB of linear light; what is darker than 0 or brighter than 1 is cut off."""
+    value = np.clip(linear, 0.0, 1.0)
+    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.round(255 * curve).astype(np.uint8)
