@@ -167,12 +167,14 @@ def test_the_verdict_follows_the_numbers():
         "person": True,
         "lost_part": "body",
         "cuts": {"body": 3, "head": 20},
+        "islands": 0.02,
+        "head_seen": 0.9,
     }
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 60}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
-        ({"rival": 1.01}, "doubtful"),
+        ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"), ({"head_seen": 0.1}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
     ):  # fmt: skip
@@ -185,6 +187,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
+    good |= {"islands": 0.0, "head_seen": 1.0}
     return SimpleNamespace(**(good | changes))
 
 

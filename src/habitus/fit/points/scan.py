@@ -64,7 +64,8 @@ class Cleaned:
     """A scan prepared for fits: in its own axes, the cloud of its points in metres, the factor from
     its unit to metres, and the direction of the floor's normal, if there is a floor.
 
-    ``kept`` are the rows of ``scan.points`` that are of the person.
+    ``kept`` are the rows of ``scan.points`` that are of the person; ``islands`` is the share of the
+    points without the floor that lie in pieces apart from the person and were left out.
     """
 
     scan: Scan
@@ -73,6 +74,7 @@ class Cleaned:
     scale: float
     floor_up: Float[np.ndarray, " 3"] | None
     notes: tuple[str, ...]
+    islands: float = 0.0
 
 
 def cleaned(
@@ -108,10 +110,9 @@ def cleaned(
             f"a floor with {(finite & ~kept).sum() / finite.sum():.0%} of the points was left out"
         )
     islands = _islands(scan.points, kept, rng, settings)
+    island_share = float(islands.sum() / max(kept.sum(), 1))
     if islands.any():
-        notes.append(
-            f"islands with {islands.sum() / max(kept.sum(), 1):.1%} of the points were left out"
-        )
+        notes.append(f"islands with {island_share:.1%} of the points were left out")
         kept &= ~islands
     scale, unit_notes = _scale(scan, kept, unit, settings)
     cloud = _cloud(scan, kept, scale, rng, settings.max_points)
@@ -122,6 +123,7 @@ def cleaned(
         scale,
         None if floor is None else floor[0],
         (*scan.notes, *unit_notes, *notes),
+        island_share,
     )
 
 

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from habitus.body.jacobians import posed_skeleton
 from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
+from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.skin_colours import SkinGrid
 from habitus.fit.verdict import (
@@ -66,6 +67,11 @@ class ScanLimits:
     """The same of hands and feet, where a fist closes on itself; chosen by hand."""
     cuts_head: Bound = Bound(40, np.inf)
     """The same of the head: ears and hair cut themselves in surfaces that are right within 1 mm."""
+    head_seen: Bound = Bound(0.3, 0.0)
+    """Share of the head that the scan shows: the height rests on it."""
+    islands: Bound = Bound(0.1, np.inf)
+    """Share of the scan that was left out as it lies apart from the person: more than dust and
+    stands may be somebody else."""
     rival: Bound = Bound(1.05, 0.0)
     """Misfit of the best other pose relative to the best."""
 
@@ -85,6 +91,10 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "mean (RMS).",
         "pose": "The pose is rare: {ratio:.1f} standard deviations from the mean (RMS).",
         "seen": "The scan shows {percent:.0f} % of the body; the rest continues the model.",
+        "head": "The scan shows {percent:.0f} % of the head; it continues the model, as does the "
+        "height.",
+        "islands": "{percent:.0f} % of the scan lies apart and was left out; it may be another "
+        "person or a part of this one.",
         "rival": "Another pose fits nearly as well.",
     }
 )
@@ -112,6 +122,8 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         Reason(above(betas, limits.betas), "shape", {"ratio": betas}),
         Reason(above(fit.pose_distance, limits.pose), "pose", {"ratio": fit.pose_distance}),
         Reason(below(fit.seen, limits.seen), "seen", {"percent": 100.0 * fit.seen}),
+        Reason(below(fit.head_seen, limits.head_seen), "head", {"percent": 100.0 * fit.head_seen}),
+        Reason(above(fit.islands, limits.islands), "islands", {"percent": 100.0 * fit.islands}),
     ]
     if fit.rival is not None:
         found.append(Reason(below(fit.rival, limits.rival), "rival"))
@@ -177,7 +189,8 @@ class ScanFit:
     standard deviations. ``cuts``: pairs of triangles that
     cut each other in the surface beyond those of the model, by part of the body
     (`habitus.fit.verdict.PARTS`). ``person``: False where the start was
-    so far from the scan that the rest was not tried; the surface is then the model's. ``up_axis``
+    so far from the scan that the rest was not tried; the surface is then the model's. ``islands``:
+    share of the scan that was left out as it lies apart. ``up_axis``
     is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
     ``costs``: its cost by term.
@@ -204,6 +217,7 @@ class ScanFit:
     to_body: Float[np.ndarray, "4 4"]
     up_axis: str
     person: bool = True
+    islands: float = 0.0
     notes: tuple[str, ...] = ()
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -222,6 +236,14 @@ class ScanFit:
     def seen(self) -> float:
         """The share of vertices of which the scan tells."""
         return float(self.weights.mean())
+
+    @cached_property
+    def head_seen(self) -> float:
+        """The same of the head, without pockets that nobody sees; 1 for a body without a head."""
+        hidden = hidden_vertices(self.body)
+        rows = vertex_parts(self.body) == PARTS.index(HEAD)
+        rows = rows if hidden is None else rows & ~hidden
+        return float(self.weights[rows].mean()) if rows.any() else 1.0
 
     @cached_property
     def measurements(self) -> Mapping[str, float]:

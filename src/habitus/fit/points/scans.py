@@ -71,7 +71,7 @@ class Start:
 @dataclass(frozen=True, eq=False)
 class Registered:
     """What is known of one scan: the scan upright and in metres, its oriented cloud, its start, and
-    where the fit is: state, surface (m), status and costs.
+    where the fit is: state, surface (m), status and costs; ``islands``: as `Cleaned` has them.
     """
 
     scan: Scan
@@ -80,6 +80,7 @@ class Registered:
     state: BodyState
     surface: Float[np.ndarray, "V 3"]
     person: bool
+    islands: float = 0.0
     status: str = "no person"
     costs: dict[str, float] = field(default_factory=dict)
 
@@ -184,7 +185,8 @@ class Registrar:
         state = start.best.state
         cloud = self.fitter.oriented(state, cloud)
         person = self._is_person(state, cloud)
-        return Registered(whole, cloud, start, state, self.fitter.vertices(state), person)
+        surface = self.fitter.vertices(state)
+        return Registered(whole, cloud, start, state, surface, person, scan.islands)
 
     def _is_person(self, state: BodyState, cloud: Cloud) -> bool:
         """Whether a start is worth a fit: what is no person leaves it far off and the body out of
@@ -348,6 +350,7 @@ class Registrar:
             to_body=scan.scan.to_body,
             up_axis=scan.start.up,
             person=scan.person,
+            islands=scan.islands,
             cuts=new_cuts(self.fitter.topology, model, scan.surface, vertex_parts(self.body)),
             status=scan.status,
             costs=scan.costs,
