@@ -7,11 +7,8 @@ from html import unescape
 import numpy as np
 import pytest
 from browser import visit
+from page_samples import registered
 
-from habitus.fit.points.scan import Cloud
-from habitus.fit.points.scan_result import ScanFit
-from habitus.io.models.bodies import load_body
-from habitus.mesh.normals import vertex_normals
 from habitus.report.registration import scan_page
 from habitus.results.save import scan_metrics
 
@@ -42,36 +39,7 @@ document.body.insertAdjacentHTML('beforeend', `<pre id="told">${JSON.stringify(t
 
 @pytest.fixture(scope="module")
 def fit():
-    """A body that lies 4 mm outside its model, and its own vertices as a scan of it."""
-    body = load_body("default")
-    pose = np.zeros((body.num_joints, 3))
-    model = np.asarray(body(np.zeros(body.num_betas), pose).vertices)
-    normals = vertex_normals(model, body.faces)
-    surface = model + 0.004 * normals
-    away = np.linspace(0.0, 0.004, len(surface))
-    return ScanFit(
-        scan_name=NASTY,
-        body_name="default",
-        body=body,
-        betas=np.zeros(body.num_betas),
-        pose=pose,
-        trans=np.zeros(3),
-        vertices=surface,
-        model_vertices=model,
-        rest_vertices=surface,
-        weights=np.linspace(0.0, 1.0, len(surface)),
-        cloud=Cloud(surface, normals),
-        to_surface=away,
-        to_model=away,
-        far_from_surface=away,
-        matched=1.0,
-        lost=0.0,
-        rival=None,
-        pose_distance=0.5,
-        to_body=np.eye(4),
-        up_axis="+y",
-        notes=(NASTY,),
-    )
+    return registered(NASTY)
 
 
 def test_it_is_one_whole_file_and_strings_stay_strings(fit):

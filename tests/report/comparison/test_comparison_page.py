@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from html import unescape
+from urllib.parse import unquote
 
 import numpy as np
 from browser import chromium, visit
@@ -32,6 +33,15 @@ def test_strings_from_outside_stay_strings():
     assert (
         NASTY in unescape(page) and "href='../a/report.html'" in page and "Report of B" not in page
     )
+
+
+def test_links_lead_to_folders_of_any_name():
+    fit = synthetic_fit(frames=8)
+    found = differences(fit, fit)
+    names, link = ("a", "b"), "javascript:1 #?/report.html"
+    page = comparison_page(found, numbers(found, names), names, (link, None))
+    (written,) = re.findall(r"<a href='([^']*)'>Report of A", page)
+    assert unquote(unescape(written)) == link and not set(":#?") & set(written)
 
 
 PROBE = """

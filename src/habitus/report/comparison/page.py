@@ -2,10 +2,12 @@
 between them, and tables.
 """
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from string import Template
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from jaxtyping import Float
@@ -405,7 +407,7 @@ def _markers(result: Differences, numbers: Mapping[str, Any]) -> str:
 def _links(links: Sequence[str | None]) -> str:
     """Links to the pages of the two results, and to the numbers."""
     items = [
-        f"<li><a href='{escape(link)}'>Report of {letter}</a></li>"
+        f"<li><a href='{escape(quote(os.fsencode(link)))}'>Report of {letter}</a></li>"
         for letter, link in zip("AB", links, strict=True)
         if link
     ]
