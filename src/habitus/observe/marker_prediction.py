@@ -6,7 +6,9 @@ SMPL's pose blend shapes; `BodyMarkers` takes dual quaternions and other pose fe
 `habitus.observe.markers` states the marker function itself, for NumPy and torch.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -31,6 +33,8 @@ from habitus.observe.markers import (
     rest_joints,
 )
 from habitus.parallel.blocks import mapped
+
+Part = TypeVar("Part")
 
 BATCH = 16
 """Frames evaluated together."""
@@ -76,19 +80,8 @@ class BodyMarkers:
         soft_tissue: Float[np.ndarray, "T S"] | None = None,
     ) -> Float[np.ndarray, "T M 3"]:
         """Markers of T frames; `soft_tissue` adds to the betas, or is of another `space`."""
-        shapes, moving = self._shapes(len(pose), soft_tissue)
-        found = [
-            predict_on_body(
-                self.body,
-                self.attachment,
-                shapes[part],
-                pose[part],
-                trans[part],
-                _part(moving, part),
-            )
-            for part in _batches(len(pose))
-        ]
-        return np.concatenate(found) if found else np.zeros((0, self.num_markers, 3))
+        parts = self._in_batches(predict_on_body, pose, trans, soft_tissue)
+        return np.concatenate(parts) if parts else np.zeros((0, self.num_markers, 3))
 
     def jacobian(
         self,
@@ -99,36 +92,34 @@ class BodyMarkers:
         """The same with derivatives, by betas those of soft tissue, coefficients held; memory: 3 T
         M (3 J + S).
         """
-        shapes, moving = self._shapes(len(pose), soft_tissue)
-        found = [
-            marker_jacobian(
+        parts = self._in_batches(marker_jacobian, pose, trans, soft_tissue)
+        joined = MarkerJacobian(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        unused = 0 if "shape" in SPACES[self.space] else len(self.betas)
+        return joined._replace(by_betas=joined.by_betas[..., unused:])
+
+    def _in_batches(
+        self,
+        function: Callable[..., Part],
+        pose: np.ndarray,
+        trans: np.ndarray,
+        soft_tissue: np.ndarray | None,
+    ) -> list[Part]:
+        """``function`` of the body, the attachment and the states of `BATCH` frames at a time."""
+        soft = np.zeros((len(pose), self.num_betas)) if soft_tissue is None else soft_tissue
+        change, moving = parted(self.body, self.space, soft)
+        shapes = np.broadcast_to(self.betas, (len(pose), len(self.betas))) + change
+        rows = [slice(first, first + BATCH) for first in range(0, len(pose), BATCH)]
+        return [
+            function(
                 self.body,
                 self.attachment,
                 shapes[part],
                 pose[part],
                 trans[part],
-                _part(moving, part),
+                None if moving is None else moving[part],
             )
-            for part in _batches(len(pose))
+            for part in rows
         ]
-        joined = MarkerJacobian(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-        unused = 0 if "shape" in SPACES[self.space] else len(self.betas)
-        return joined._replace(by_betas=joined.by_betas[..., unused:])
-
-    def _shapes(
-        self, frames: int, soft_tissue: np.ndarray | None
-    ) -> tuple[Float[np.ndarray, "T B"], Float[np.ndarray, "T D"] | None]:
-        soft = np.zeros((frames, self.num_betas)) if soft_tissue is None else soft_tissue
-        change, moving = parted(self.body, self.space, soft)
-        return np.broadcast_to(self.betas, (frames, len(self.betas))) + change, moving
-
-
-def _part(array: np.ndarray | None, part: slice) -> np.ndarray | None:
-    return None if array is None else array[part]
-
-
-def _batches(frames: int) -> list[slice]:
-    return [slice(first, first + BATCH) for first in range(0, frames, BATCH)]
 
 
 MarkedBody = MarkerRig | BodyMarkers
