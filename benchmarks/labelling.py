@@ -29,6 +29,7 @@ from common import machine, parser, write_json
 from habitus.body.prior import prior_of
 from habitus.fit.labels.clouds import Clouds
 from habitus.fit.labels.recipe import label_points
+from habitus.fit.labels.settings import LABELS
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout
 from habitus.io.models.bodies import load_body
@@ -125,7 +126,7 @@ def measure(
     else:
         cut = len(whole) if name in LIKE else int(0.6 * len(whole))
         other = read(LIKE[name], relabelled) if name in LIKE else whole[cut:]
-        layout, known, names = known_person(body, person_of([other], "auto"))
+        layout, known, names = known_person(body, person_of([other], "auto"), LABELS.fit)
         truth = corrected(whole)
     columns = [truth[0].index(each) if each in truth[0] else None for each in names]
     markers = truth[1][: min(most, cut)]

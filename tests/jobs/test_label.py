@@ -11,6 +11,7 @@ import pytest
 
 from habitus.cli.main import main
 from habitus.errors import HabitusError
+from habitus.fit.labels.settings import LabelSettings
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import read_capture
 from habitus.jobs.label import label
@@ -42,6 +43,9 @@ def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_pa
     assert again.rate_hz == named.rate_hz and report["like"] == "testsample"
     assert found.summary == report["summary"] and "labelled" in found.summary
     assert report["points"] == sum(piece["points"] for piece in report["tracklets"])
+    solved = report["convergence"]
+    assert solved["status"] in ("converged", "iterations") and solved["iterations"] > 0
+    assert 0 < solved["converged_frames"] <= solved["registered_frames"]
     assert found.capture().labels == again.labels
 
 
@@ -51,6 +55,7 @@ def test_a_real_capture_gets_its_labels_back_by_another_one(shared: Path, tmp_pa
         ({"min_confidence": 2.0}, "expected a confidence of 0 to 1"),
         ({"layout": "no-such"}, "no layout 'no-such'"),
         ({"out": "out.txt"}, "ends in .c3d or .trc"),
+        ({"settings": LabelSettings(min_points=50)}, "expected at least 50"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path: Path, options: dict, words: str) -> None:

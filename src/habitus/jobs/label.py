@@ -18,8 +18,9 @@ from habitus.errors import HabitusError, listed
 from habitus.export.trc import write_trc
 from habitus.files import write_text
 from habitus.fit.labels.clouds import Clouds, packed, telling_frames, tracklets
-from habitus.fit.labels.people import heaps, only
+from habitus.fit.labels.people import only, people_on_ground
 from habitus.fit.labels.recipe import Known, Named, label_people, label_points, misfit
+from habitus.fit.labels.settings import LABELS, LabelSettings
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.settings import MoshSettings
 from habitus.io.captures.c3d_relabel import write_relabelled
@@ -119,12 +120,16 @@ def label(
     )
     model = loaded(options.body)
     clouds = Clouds.of(source.points, source.rate_hz, source.up_axis)
-    one = clouds if people == 1 else only(clouds, heaps(clouds, tracklets(clouds), people) == 0)
-    chosen, known, names, how = _reference(model, one, options.layout, options.like)
+    settings = options.settings or LABELS
+    first = clouds
+    if people > 1:
+        pieces = tracklets(clouds, settings.tracklets)
+        first = only(clouds, people_on_ground(clouds, pieces, people, settings.people) == 0)
+    chosen, known, names, how = _reference(model, first, options.layout, options.like, settings)
     if people == 1:
-        found: Named = label_points(model, prior_of(model), chosen, clouds, known)
+        found: Named = label_points(model, prior_of(model), chosen, clouds, known, settings)
     else:
-        found = label_people(model, prior_of(model), chosen, clouds, people)
+        found = label_people(model, prior_of(model), chosen, clouds, people, settings)
         names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
     notes = _alike(chosen) if options.like is None else ()
     source = replace(source, warnings=(*source.warnings, *notes))
@@ -162,14 +167,18 @@ def _anonymous(capture: Capture) -> UnlabelledCapture:
 
 
 def _reference(
-    body: BodyModel, clouds: Clouds, layout: PathLike, like: PathLike | Capture | None
+    body: BodyModel,
+    clouds: Clouds,
+    layout: PathLike,
+    like: PathLike | Capture | None,
+    settings: LabelSettings,
 ) -> tuple[MarkerLayout, Known | None, tuple[str, ...], dict[str, Any]]:
     """The layout, the person where one is known, the labels in the layout's order, and where all
     that comes from.
     """
     if like is None:
         if os.fspath(layout) == "auto":
-            chosen, confidence = choose_layout(body, clouds)
+            chosen, confidence = choose_layout(body, clouds, settings)
             return (
                 chosen,
                 None,
@@ -180,12 +189,17 @@ def _reference(
         return chosen, None, chosen.labels, {"layout": chosen.name}
     capture = like if isinstance(like, Capture) else read_captures(like)[0]
     whole = person_of([capture], layout)
-    return *known_person(body, whole), {"layout": whole.layout.name, "like": capture.name}
+    return *known_person(body, whole, settings.fit), {
+        "layout": whole.layout.name,
+        "like": capture.name,
+    }
 
 
-def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, tuple[str, ...]]:
-    """A person whose labelled captures tell shape and marker places, and what the markers are
-    called there.
+def known_person(
+    body: BodyModel, whole: Person, settings: MoshSettings
+) -> tuple[MarkerLayout, Known, tuple[str, ...]]:
+    """A person whose shape and marker placements come from labelled captures, and what the markers
+    are called there.
     """
     prior = prior_of(body).for_joints(body.joint_names)
     recording = whole.recordings[0]
@@ -193,7 +207,7 @@ def known_person(body: BodyModel, whole: Person) -> tuple[MarkerLayout, Known, t
     markers = whole.layout.markers
     layout = replace(whole.layout, markers=tuple(markers[k] for k in np.flatnonzero(seen)))
     recording = replace(recording, observed=np.ascontiguousarray(recording.observed[:, seen]))
-    subject = fit_subject(body, prior, layout, [recording], MoshSettings())
+    subject = fit_subject(body, prior, layout, [recording], settings)
     names = list(layout.labels)
     for i, j in subject.exchanged:
         names[i], names[j] = names[j], names[i]
@@ -262,6 +276,7 @@ def _report(
         "points": len(named),
         "summary": said,
         "warnings": list(source.warnings),
+        "convergence": found.convergence._asdict(),
         "labels": {
             name: {
                 "frames": int(frames[i]),
@@ -300,22 +315,21 @@ def _pieces(
     ]
 
 
-FRAMES = 4
-UNLIKE = (0.6, 1.5)
-CLEAR = 0.10
-
-
-def choose_layout(body: BodyModel, clouds: Clouds) -> tuple[MarkerLayout, float]:
+def choose_layout(
+    body: BodyModel, clouds: Clouds, settings: LabelSettings = LABELS
+) -> tuple[MarkerLayout, float]:
     """The shipped layout, with or without its extras, that a few frames fit best; and how sure that
     is, 0..1.
 
     Raises HabitusError where none has nearly as many markers as there are points.
     """
-    frames = telling_frames(clouds, FRAMES)
+    frames = telling_frames(clouds, settings.layout_frames)
     count = float(np.median(np.diff(clouds.start)[frames])) if len(frames) else 0.0
     candidates = [each for layout in shipped_layouts() for each in forms(layout)]
     candidates = [
-        each for each in candidates if UNLIKE[0] < len(each) / max(count, 1.0) < UNLIKE[1]
+        each
+        for each in candidates
+        if settings.layout_size[0] < len(each) / max(count, 1.0) < settings.layout_size[1]
     ]
     if not candidates:
         raise HabitusError(
@@ -323,14 +337,18 @@ def choose_layout(body: BodyModel, clouds: Clouds) -> tuple[MarkerLayout, float]
             "or a labelled capture "
             "of the same person (--like)"
         )
-    costs = np.array([misfit(body, prior_of(body), each, clouds, frames) for each in candidates])
+    costs = np.array(
+        [misfit(body, prior_of(body), each, clouds, frames, settings) for each in candidates]
+    )
     best = int(np.argmin(costs))
     rivals = [
         cost
         for cost, each in zip(costs, candidates, strict=True)
         if each.name != candidates[best].name
     ]
-    clear = 1.0 if not rivals else min(1.0, (min(rivals) / costs[best] - 1.0) / CLEAR)
+    clear = (
+        1.0 if not rivals else min(1.0, (min(rivals) / costs[best] - 1.0) / settings.layout_margin)
+    )
     return candidates[best], round(float(clear), 3)
 
 

@@ -20,6 +20,7 @@ from habitus.errors import HabitusError
 
 if TYPE_CHECKING:
     from habitus.body.model import BodyModel
+    from habitus.fit.labels.settings import LabelSettings
     from habitus.fit.markers.result import MarkerFit
     from habitus.fit.markers.settings import MoshSettings, MoshWeights
     from habitus.fit.points.depth_settings import RgbdSettings
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     LayoutName = int | PathLike
     Numbers = Sequence[int]
     Pool = int | str | Sequence[str]
+    LabelSet = LabelSettings | None
     Scans = ScanSettings | None
     Settings = MoshSettings | None
     SoftTissue = bool | str
@@ -50,7 +52,7 @@ else:  # what a command line can say
     Age = str | None
     Body = File = Layout = LayoutName = Pool = str
     CameraFile = LabelledFile = KnownFit = Path | None
-    DepthSettings = Scans = Settings = Weights = Any
+    DepthSettings = LabelSet = Scans = Settings = Weights = Any
     Files = tuple[Path, ...]
     Labels = tuple[str, ...]
     Numbers = tuple[int, ...]
@@ -283,6 +285,8 @@ class LabelOptions(BodyOption):
     """
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the file gives none or a wrong one."""
+    settings: Annotated[LabelSet, PythonOnly] = None
+    """Settings of the recipe: tracklets, registration, votes, gates."""
 
 
 @dataclass(frozen=True, kw_only=True)

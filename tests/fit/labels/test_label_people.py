@@ -8,7 +8,7 @@ import pytest
 
 from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, tracklets
-from habitus.fit.labels.people import heaps, nearest_bodies, only
+from habitus.fit.labels.people import nearest_bodies, only, people_on_ground
 from habitus.fit.labels.recipe import label_people
 from habitus.fit.labels.settings import LabelSettings
 from habitus.jobs.label import label
@@ -41,7 +41,7 @@ def test_people_are_parted_by_where_they_stand_and_by_their_bodies():
     truth, clouds, true = two()
     pieces = tracklets(clouds)
     count = len(truth.layout)
-    who = heaps(clouds, pieces, 2)
+    who = people_on_ground(clouds, pieces, 2)
     same = who == true // count
     assert np.all(same) or not np.any(same)
     exact = [

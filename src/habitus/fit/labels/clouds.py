@@ -56,7 +56,7 @@ def tracklets(clouds: Clouds, settings: TrackletSettings = TRACKLETS) -> Int[np.
     beyond doubt.
     """
     gate = max(settings.gate, 1.5 / clouds.rate_hz)
-    found = link(
+    linked = link(
         clouds.points,
         clouds.start,
         gate,
@@ -64,7 +64,7 @@ def tracklets(clouds: Clouds, settings: TrackletSettings = TRACKLETS) -> Int[np.
         settings.max_gap,
         settings.ratio,
     )
-    return np.unique(found, return_inverse=True)[1]
+    return np.unique(linked, return_inverse=True)[1]
 
 
 def telling_frames(clouds: Clouds, count: int) -> Int[np.ndarray, " F"]:

@@ -13,13 +13,10 @@ from scipy.optimize import linear_sum_assignment
 
 from habitus.body.model import BodyModel
 from habitus.fit.labels.clouds import Clouds
+from habitus.fit.labels.settings import CLUSTERS, ClusterSettings
 from habitus.fit.markers.energy import Placement
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment
-
-STARTS = 5  # frames whose points are tried as the places to begin with
-ROUNDS = 10
-REACH = 0.2  # metres from a cluster's place: nameless points there are its own
 
 
 def clusters(placement: Placement) -> list[Int[np.ndarray, " k"]]:
@@ -38,6 +35,7 @@ def separated(
     label: Int[np.ndarray, " P"],
     frames: Int[np.ndarray, " F"],
     state: tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]],
+    settings: ClusterSettings = CLUSTERS,
 ) -> MarkerAttachment:
     """The attachment with the markers of each cluster where their points sit; others stay as they
     are.
@@ -50,15 +48,14 @@ def separated(
     triangles = attachment.triangles.copy()
     coefficients = attachment.coefficients.copy()
     nearest = _nearest_group(
-        groups, marked_body(body, betas, attachment), clouds, label, frames, state
+        groups, marked_body(body, betas, attachment), clouds, label, frames, state, settings.reach
     )
     for g, members in enumerate(groups):
         carrier = triangles[members[0]]
-        found = _places(
-            _points(body, betas, carrier, clouds, nearest == g, frames, state), len(members)
-        )
-        if found is not None:
-            triangles[members], coefficients[members] = carrier, found
+        points = _points(body, betas, carrier, clouds, nearest == g, frames, state)
+        places = _places(points, len(members), settings)
+        if places is not None:
+            triangles[members], coefficients[members] = carrier, places
     return MarkerAttachment(triangles, coefficients)
 
 
@@ -69,18 +66,22 @@ def _nearest_group(
     label: np.ndarray,
     frames: np.ndarray,
     state: tuple[np.ndarray, np.ndarray],
+    reach: float,
 ) -> Int[np.ndarray, " P"]:
-    """The cluster that each point without another name is nearest to, within reach; -1 for none."""
-    found = np.full(len(label), -1)
+    """The cluster that each point without another name is nearest to, within ``reach`` (m); -1 for
+    none.
+    """
+    nearest = np.full(len(label), -1)
     free = np.isin(label, np.append(np.concatenate(groups), -1))
     predicted = predict(rig, *state)
     middles = np.stack([predicted[:, members].mean(axis=1) for members in groups], axis=1)
     for middle, t in zip(middles, frames, strict=True):
         rows = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
         rows = rows[free[rows]]
-        apart = np.linalg.norm(clouds.points[rows][:, None] - middle, axis=2)
-        found[rows] = np.where(apart.min(axis=1, initial=np.inf) < REACH, apart.argmin(axis=1), -1)
-    return found
+        distance = np.linalg.norm(clouds.points[rows][:, None] - middle, axis=2)
+        near = distance.min(axis=1, initial=np.inf) < reach
+        nearest[rows] = np.where(near, distance.argmin(axis=1), -1)
+    return nearest
 
 
 def _points(
@@ -97,37 +98,40 @@ def _points(
         np.tile(carrier, (4, 1)), np.concatenate([np.zeros((1, 3)), np.eye(3)])
     )
     corners = predict(marked_body(body, betas, tripod), *state)
-    found = []
+    local = []
     for (origin, *ends), t in zip(corners, frames, strict=True):
         rows = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
-        found.append((clouds.points[rows[chosen[rows]]] - origin) @ (np.array(ends) - origin).T)
-    return found
+        local.append((clouds.points[rows[chosen[rows]]] - origin) @ (np.array(ends) - origin).T)
+    return local
 
 
-def _places(points: list[Float[np.ndarray, "n 3"]], count: int) -> Float[np.ndarray, "k 3"] | None:
+def _places(
+    points: list[Float[np.ndarray, "n 3"]], count: int, settings: ClusterSettings
+) -> Float[np.ndarray, "k 3"] | None:
     """Where ``count`` markers sit that gave these points, frame by frame; None where no frame shows
     them all.
     """
     full = [each for each in points if len(each) == count]
     if not full:
         return None
-    tries = [_settled(start, points) for start in full[:: max(1, len(full) // STARTS)][:STARTS]]
+    starts = full[:: max(1, len(full) // settings.starts)][: settings.starts]
+    tries = [_converged(start, points, settings.rounds) for start in starts]
     return min(tries, key=lambda each: each[0])[1]
 
 
-def _settled(
-    places: np.ndarray, points: list[np.ndarray]
+def _converged(
+    places: np.ndarray, points: list[np.ndarray], rounds: int
 ) -> tuple[float, Float[np.ndarray, "k 3"]]:
     """Cost and places: in turns points to markers, one to one in each frame, and places to medians
     of their points.
     """
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         shared: list[list[np.ndarray]] = [[] for _ in places]
         cost = 0.0
         for each in points:
-            apart = np.linalg.norm(places[:, None] - each[None], axis=2)
-            rows, columns = linear_sum_assignment(apart)
-            cost += float(apart[rows, columns].sum())
+            distance = np.linalg.norm(places[:, None] - each[None], axis=2)
+            rows, columns = linear_sum_assignment(distance)
+            cost += float(distance[rows, columns].sum())
             for k, n in zip(rows.tolist(), columns.tolist(), strict=True):
                 shared[k].append(each[n])
         before = places

@@ -59,8 +59,8 @@ def near_pairs(
     predicted: Float[np.ndarray, "F M 3"], distance: float = EXCHANGES.distance
 ) -> Int[np.ndarray, "K 2"]:
     """Pairs of markers that are near each other."""
-    apart = np.linalg.norm(predicted[:, :, None] - predicted[:, None], axis=3)
-    first, second = np.nonzero(np.triu(np.median(apart, axis=0) < distance, 1))
+    between = np.linalg.norm(predicted[:, :, None] - predicted[:, None], axis=3)
+    first, second = np.nonzero(np.triu(np.median(between, axis=0) < distance, 1))
     return np.stack([first, second], axis=1)
 
 

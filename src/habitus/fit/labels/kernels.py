@@ -27,70 +27,84 @@ def link(points, start, gate, first_gate, longest_gap, clearly):
     count = 0
     number = 0
     for t in range(len(start) - 1):
-        kept = 0
-        for a in range(count):
-            if last[active[a]] >= 0 and t - last[active[a]] <= longest_gap + 1:
-                active[kept] = active[a]
-                kept += 1
-        count = kept
-        first = start[t]
-        size = start[t + 1] - start[t]
-        distance = np.empty((count, size))
+        count = _still_active(active, count, last, t - longest_gap - 1)
+        frame = points[start[t] : start[t + 1]]
+        taken = tracklet[start[t] : start[t + 1]]
+        reach = np.empty(count)
         for a in range(count):
             k = active[a]
-            ahead = t - last[k]
-            reach = gate * ahead if length[k] > 1 else first_gate * ahead
-            for j in range(size):
-                off = _apart(place[k], speed[k], ahead, points[first + j])
-                distance[a, j] = off if off < 2.0 * reach else np.inf
-        for j in range(size):
+            reach[a] = (gate if length[k] > 1 else first_gate) * (t - last[k])
+        distance = _from_predictions(place, speed, last, active[:count], t, frame, 2.0 * reach)
+        for j in range(len(frame)):
             a = _clear_choice(distance, j, clearly)
-            if a >= 0:
-                k = active[a]
-                ahead = t - last[k]
-                if distance[a, j] > (gate * ahead if length[k] > 1 else first_gate * ahead):
-                    a = -1
-            if a >= 0:
-                tracklet[first + j] = active[a]
-        for j in range(size):
-            if tracklet[first + j] < 0:
+            if a >= 0 and distance[a, j] <= reach[a]:
+                taken[j] = active[a]
+        for j in range(len(frame)):
+            if taken[j] < 0:
                 near = distance[:, j].min() if count else np.inf
                 for a in range(count):
                     if distance[a, j] < clearly * near:
-                        _end(tracklet[first : first + size], active[a], last)
-        for j in range(size):
-            k = tracklet[first + j]
-            p = points[first + j]
+                        _end(taken, active[a], last)
+        for j in range(len(frame)):
+            k = taken[j]
             if k >= 0:
-                speed[k] = (p - place[k]) / (t - last[k])
-                place[k], last[k] = p, t
+                speed[k] = (frame[j] - place[k]) / (t - last[k])
+                place[k], last[k] = frame[j], t
                 length[k] += 1
-        for j in range(size):
-            if tracklet[first + j] < 0:
-                k = number
-                p = points[first + j]
-                number += 1
-                tracklet[first + j], place[k], last[k], length[k] = k, p, t, 1
-                near = 0.4
-                for a in range(count):
-                    other = active[a]
-                    if last[other] == t and length[other] > 2:
-                        off = np.sqrt(np.sum((place[other] - p) ** 2))
-                        if off < near:
-                            near = off
-                            speed[k] = speed[other]
-                active[count] = k
+        for j in range(len(frame)):
+            if taken[j] < 0:
+                taken[j], place[number], last[number], length[number] = number, frame[j], t, 1
+                _neighbour_speed(place, speed, last, length, active[:count], number, t)
+                active[count] = number
                 count += 1
+                number += 1
     return tracklet
 
 
 @jit
-def _apart(place, speed, ahead, point):
-    total = 0.0
-    for c in range(3):
-        off = place[c] + ahead * speed[c] - point[c]
-        total += off * off
-    return np.sqrt(total)
+def _still_active(active, count, last, earliest):
+    """How many of the first ``count`` tracklets were seen at ``earliest`` or later; these move to
+    the front.
+    """
+    kept = 0
+    for a in range(count):
+        if last[active[a]] >= 0 and last[active[a]] >= earliest:
+            active[kept] = active[a]
+            kept += 1
+    return kept
+
+
+@jit
+def _from_predictions(place, speed, last, active, t, points, limit):
+    """(A, N) distances of a frame's points from where tracklets are expected in it; infinite beyond
+    each one's limit.
+    """
+    distance = np.empty((len(active), len(points)))
+    for a in range(len(active)):
+        k = active[a]
+        ahead = t - last[k]
+        for j in range(len(points)):
+            total = 0.0
+            for c in range(3):
+                off = place[k, c] + ahead * speed[k, c] - points[j, c]
+                total += off * off
+            length = np.sqrt(total)
+            distance[a, j] = length if length < limit[a] else np.inf
+    return distance
+
+
+@jit
+def _neighbour_speed(place, speed, last, length, active, number, t):
+    """Give a tracklet that begins in frame t the speed of the nearest one within 40 cm that was
+    seen in it and moves by a speed of its own.
+    """
+    near = 0.4
+    for other in active:
+        if last[other] == t and length[other] > 2:
+            off = np.sqrt(np.sum((place[other] - place[number]) ** 2))
+            if off < near:
+                near = off
+                speed[number] = speed[other]
 
 
 @jit

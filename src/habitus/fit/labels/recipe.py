@@ -2,7 +2,9 @@
 over time. All constants are in `LabelSettings`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,8 +16,14 @@ from habitus.errors import HabitusError
 from habitus.fit.labels.clouds import Clouds, telling_frames, tracklets
 from habitus.fit.labels.clusters import separated
 from habitus.fit.labels.exchanges import resolve_exchanges
-from habitus.fit.labels.people import heaps, nearest_bodies, only
-from habitus.fit.labels.registration import APART, at_height, plain_poses, register
+from habitus.fit.labels.people import nearest_bodies, only, people_on_ground
+from habitus.fit.labels.registration import (
+    SINGLE_FRAMES,
+    Registered,
+    at_height,
+    plain_poses,
+    register,
+)
 from habitus.fit.labels.settings import LABELS, LabelSettings
 from habitus.fit.labels.votes import (
     assign,
@@ -27,7 +35,7 @@ from habitus.fit.labels.votes import (
     without_duplicates,
 )
 from habitus.fit.markers.energy import Placement, place
-from habitus.fit.markers.sequence import SequenceResult, fit_long
+from habitus.fit.markers.sequence import WORST_FIRST, SequenceResult, fit_long
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_long
@@ -39,8 +47,8 @@ from habitus.observe.markers import MarkerAttachment, attach, default_markers
 @dataclass(frozen=True)
 class Known:
     """A person whose shape and marker places are known: betas (B,), the attachment of the layout's
-    markers, and poses (N, J, 3) that they have been seen in; sure (M,): how well the places tell
-    each marker from its nearest rival.
+    markers, and poses (N, J, 3) that they have been seen in; sure (M,): how well the places
+    separate each marker from its nearest rival.
     """
 
     betas: Float[np.ndarray, " B"]
@@ -49,24 +57,49 @@ class Known:
     sure: Float[np.ndarray, " M"] | None = None
 
 
+class Convergence(NamedTuple):
+    """How the solves of labelling ended: status and iterations of the last fit of all frames, as of
+    a marker fit's pose stage; how many frames were registered by themselves, and how many of these
+    ended with a step below `RegistrationSettings.tolerance`.
+    """
+
+    status: str
+    iterations: int
+    registered_frames: int
+    converged_frames: int
+
+    @staticmethod
+    def of(result: SequenceResult, seeds: Registered, tolerance: float) -> "Convergence":
+        """Of one person."""
+        converged = int((seeds.last_step <= tolerance).sum())
+        return Convergence(result.status, result.iterations, len(seeds.frames), converged)
+
+    @staticmethod
+    def of_all(each: Sequence["Convergence"]) -> "Convergence":
+        """Of several people: the worst status, and sums."""
+        status = min((one.status for one in each), key=WORST_FIRST.index)
+        return Convergence(status, *(sum(column) for column in list(zip(*each, strict=True))[1:]))
+
+
 @dataclass(frozen=True)
 class Named:
     """Names of points: label (P,) of each, an index into the layout's markers, -1 for none.
 
     confidence (P,), 0..1, of that label, and for points without one, of the best that was refused;
-    tracklet (P,); sure (M,): how well each label is told from its nearest rival. Of several people,
-    the labels of one follow another's.
+    tracklet (P,); sure (M,): how well each label is separated from its nearest rival; convergence:
+    how the solves ended. Of several people, the labels of one follow another's.
     """
 
     label: Int[np.ndarray, " P"]
     confidence: Float[np.ndarray, " P"]
     tracklet: Int[np.ndarray, " P"]
     sure: Float[np.ndarray, " M"]
+    convergence: Convergence
 
 
 @dataclass(frozen=True)
 class Labels(Named):
-    """What `label_points` found; known: the person; result: the poses that the labels were judged
+    """Result of `label_points`; known: the person; result: the poses that the labels were judged
     by.
     """
 
@@ -89,7 +122,7 @@ def label_points(
 ) -> Labels:
     """Which of the layout's markers each point is.
 
-    known: the person, where another capture told; else shape and places are found here. Raises
+    known: the person, where another capture gave it; else shape and places are found here. Raises
     HabitusError where no frame holds enough points.
     """
     prior = prior.for_joints(body.joint_names)
@@ -123,24 +156,26 @@ def label_people(
     """
     pieces = tracklets(clouds, settings.tracklets)
     known = [None] * people
-    who = heaps(clouds, pieces, people)
+    who = people_on_ground(clouds, pieces, people, settings.people)
     for _ in range(settings.people_rounds):
         parts = [only(clouds, who == k) for k in range(people)]
-        found = [
+        labels = [
             label_points(body, prior, layout, p, k, settings)
             for p, k in zip(parts, known, strict=True)
         ]
         before = who
-        who = nearest_bodies(clouds, pieces, [each.predicted(body) for each in found])
+        who = nearest_bodies(clouds, pieces, [each.predicted(body) for each in labels])
         if (who == before).all():
             break
-        known = [each.known for each in found]
+        known = [each.known for each in labels]
     label = np.full(len(who), -1)
     confidence = np.zeros(len(who))
-    for k, each in enumerate(found):
+    for k, each in enumerate(labels):
         label[before == k] = np.where(each.label >= 0, each.label + k * len(layout), -1)
         confidence[before == k] = each.confidence
-    return Named(label, confidence, pieces, np.concatenate([each.sure for each in found]))
+    sure = np.concatenate([each.sure for each in labels])
+    solved = Convergence.of_all([each.convergence for each in labels])
+    return Named(label, confidence, pieces, sure, solved)
 
 
 def misfit(
@@ -160,7 +195,7 @@ def misfit(
     search = settings.registration
     lone = (
         0.5
-        * APART.data
+        * SINGLE_FRAMES.data
         * settings.registration.firm[-1] ** 2
         * np.abs(np.diff(clouds.start)[frames] - len(layout))
     )
@@ -168,7 +203,7 @@ def misfit(
         register(_default(body, placement, at_height(body, h)), prior, clouds, frames, bank, search)
         for h in settings.heights[1:]
     ]
-    return float(min(np.median(found.cost + lone) for found in tries))
+    return float(min(np.median(each.cost + lone) for each in tries))
 
 
 def _person(
@@ -188,7 +223,7 @@ def _person(
         register(_default(body, placement, at_height(body, h)), prior, clouds, few, bank, search)
         for h in settings.heights
     ]
-    typical = [np.sort(found.cost)[: max(1, len(few) // 2)].mean() for found in tries]
+    typical = [np.sort(each.cost)[: max(1, len(few) // 2)].mean() for each in tries]
     betas = at_height(body, settings.heights[int(np.argmin(typical))])
     rig = _default(body, placement, betas)
     seeds = register(rig, prior, clouds, frames, bank, settings.registration)
@@ -211,7 +246,15 @@ def _person(
         if (label == before).all():
             break
     attachment = separated(
-        body, shape.betas, shape.attachment, placement, clouds, label, best.frames, state
+        body,
+        shape.betas,
+        shape.attachment,
+        placement,
+        clouds,
+        label,
+        best.frames,
+        state,
+        settings.clusters,
     )
     return Known(shape.betas, attachment, shape.pose, sure)
 
@@ -238,7 +281,7 @@ def _voted(
     looked = telling_frames(clouds, settings.exchange_frames)
     for gate in settings.gates:
         result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings.fit)
-        squared = distances(clouds, predict(rig, result.pose, result.trans))
+        squared = distances(clouds, predict(rig, result.pose, result.trans), settings.votes)
         label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
         state = result.pose[looked], result.trans[looked]
         weights = np.full(count, settings.own_weight)
@@ -247,10 +290,11 @@ def _voted(
         )
         label = without_duplicates(label, -np.min(squared, axis=1), clouds)
     result = _fitted(rig, prior, clouds.labelled(label, count), known, result, settings.fit)
-    squared = distances(clouds, predict(rig, result.pose, result.trans))
+    squared = distances(clouds, predict(rig, result.pose, result.trans), settings.votes)
     sure = sure if known.sure is None else np.minimum(sure, known.sure)
     label, confidence = judged(squared, label, pieces, clouds, sure, settings.votes)
-    return Labels(label, confidence, pieces, sure, known, result)
+    solved = Convergence.of(result, seeds, settings.registration.tolerance)
+    return Labels(label, confidence, pieces, sure, solved, known, result)
 
 
 def _fitted(

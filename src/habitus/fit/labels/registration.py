@@ -5,7 +5,7 @@ moves to what its markers got, and the reach of the sharing shrinks; in the end 
 are matched one to one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -23,7 +23,7 @@ from habitus.fit.search import Round, best_rows, multi_start
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-APART = SequenceSettings(acceleration=0.0)
+SINGLE_FRAMES = SequenceSettings(acceleration=0.0)
 """Weights of single frames."""
 
 
@@ -31,7 +31,8 @@ APART = SequenceSettings(acceleration=0.0)
 class Registered:
     """A body in F frames: frames (F,), pose (F, J, 3), trans (F, 3), the point of each marker (F,
     M), -1 for none, and what it costs (F,): squared distances cut at the last gate and the pose
-    prior, as in `habitus.fit.markers.sequence`.
+    prior, as in `habitus.fit.markers.sequence`; last_step (F,): of its last Gauss-Newton step, rad
+    (RMS).
     """
 
     frames: Int[np.ndarray, " F"]
@@ -39,12 +40,11 @@ class Registered:
     trans: Float[np.ndarray, "F 3"]
     match: Int[np.ndarray, "F M"]
     cost: Float[np.ndarray, " F"]
+    last_step: Float[np.ndarray, " F"]
 
     def of(self, chosen: np.ndarray) -> "Registered":
         """Some of the frames."""
-        return Registered(
-            *(getattr(self, name)[chosen] for name in ("frames", "pose", "trans", "match", "cost"))
-        )
+        return Registered(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def observed(self, clouds: Clouds) -> Float[np.ndarray, "F M 3"]:
         """The markers' points, NaN where there is none."""
@@ -125,7 +125,7 @@ class _Batch:
         self.settings = settings
         self.frames = np.ascontiguousarray(frames)
         nothing = np.full((len(frames), rig.num_markers, 3), np.nan)
-        self.problem = marker_sequence(rig, nothing, None, None, prior, APART, 0)
+        self.problem = marker_sequence(rig, nothing, None, None, prior, SINGLE_FRAMES, 0)
         self._precision = self.problem.data.precision.copy()
         states = self.problem.pack(pose, trans, None)
         self.level = side_by_side(states, self.problem.pose_end, 100.0)
@@ -163,17 +163,24 @@ class _Batch:
         """One point a marker, ever nearer; the cheapest hypothesis of each frame."""
         for gate in gates:
             match, _ = self._matched(gate)
-            found = match >= 0
-            self.problem.data.weights[:] = found
+            seen = match >= 0
+            self.problem.data.weights[:] = seen
             self.problem.data.observed[:] = np.where(
-                found[..., None], self.clouds.points[match], 0.0
+                seen[..., None], self.clouds.points[match], 0.0
             )
             self._solve(1.0)
         match, cost = self._matched(gates[-1])
         total = cost + self._prior_cost()
         order = best_rows(total, 1, self.frames)
         pose, trans = self._state
-        return Registered(self.frames[order], pose[order], trans[order], match[order], total[order])
+        return Registered(
+            self.frames[order],
+            pose[order],
+            trans[order],
+            match[order],
+            total[order],
+            self.level.moved[order],
+        )
 
     def ranking(self) -> Float[np.ndarray, " H"]:
         """The cost that hypotheses are ranked by."""
@@ -191,7 +198,7 @@ class _Batch:
         firm_matches(
             self.predicted(), self.clouds.points, self.clouds.start, self.frames, gate, match, cost
         )
-        return match, 0.5 * APART.data * cost
+        return match, 0.5 * SINGLE_FRAMES.data * cost
 
     def _prior_cost(self) -> Float[np.ndarray, " H"]:
         off = self.level.states - self.problem.data.mean

@@ -45,6 +45,10 @@ class RegistrationSettings:
     """Gates of the one-to-one matches that follow."""
     sweeps: int = 3
     """Damped Gauss-Newton steps a round."""
+    tolerance: float = 1e-2
+    """Last step (rad, RMS) below which a frame has converged: that of the marker fit's starts."""
+    tolerance: float = 1e-2
+    """Last step (rad, metres; RMS) below which a frame has converged."""
     outlier: float = 0.011
     """exp(-d^2 / 2 spread^2) of a point that belongs to no marker: 3 spreads."""
     ranking_gate: float = 0.25
@@ -58,7 +62,9 @@ class ExchangeSettings:
     distance: float = 0.16
     """Between markers that may be confused, at the median of the frames."""
     sweeps: int = 6
+    """Damped Gauss-Newton steps from the poses without the exchange."""
     rounds: int = 4
+    """Of exchanges, at most; each may make others worth while."""
     certainty: float = 2.0
     """Per unit of a frame's mean cost that an exchange adds: the logit of the label."""
 
@@ -68,6 +74,7 @@ class VoteSettings:
     """Votes of registered frames on the label of each tracklet, and confidences."""
 
     rounds: int = 4
+    """Of votes and trust in the seeds that agree with them."""
     clear: float = 0.6
     """Share of a tracklet's votes that its label must have."""
     shape_seeds: int = 10
@@ -80,6 +87,31 @@ class VoteSettings:
     """Confidence below which a label is refused."""
     farthest: float = 12.0
     """Half the squared distance in spreads above which a single point's label is refused."""
+    max_distance: float = 0.30
+    """At which distances from markers are cut: larger than any gate."""
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """Markers that a layout has at one place, told from each other by where they sit."""
+
+    starts: int = 5
+    """Frames whose points are tried as the places to begin with."""
+    rounds: int = 10
+    """Of points to markers and places to medians, at most; it ends where these stay."""
+    reach: float = 0.2
+    """From a cluster's place: points without a label there are its own. Chosen by hand: about twice
+    the width of a plate."""
+
+
+@dataclass(frozen=True)
+class PeopleSettings:
+    """Points of several people, clustered by where these stand on the ground."""
+
+    start_frames: int = 24
+    """Frames of which tracking begins at the one with the best separated clusters."""
+    rounds: int = 8
+    """Of k-medians a frame, at most; it ends where the centres stay."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +132,24 @@ class LabelSettings:
     """Of shape and exchanges, at most."""
     gates: tuple[float, ...] = (0.20, 0.15)
     """A tracklet further from every marker has no label, round by round."""
+    layout_frames: int = 4
+    """Frames that each shipped layout is tried on, where none is given."""
+    layout_size: tuple[float, float] = (0.6, 1.5)
+    """Markers of a layout over points of a frame, within which it is tried."""
+    layout_margin: float = 0.10
+    """Share by which the next layout must cost more for a choice that is certain."""
     min_points: int = 6
     """In the fullest frame."""
     place_weight: float = 800.0
+    """Per m^2, of markers at the layout's places, whose spread is 2 cm and more."""
     own_weight: float = 2500.0
-    """Per m^2, of markers at the layout's places and where they were found."""
+    """Per m^2, of markers at places that were estimated: 1/(2 cm)^2."""
     tracklets: TrackletSettings = field(default_factory=TrackletSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     exchanges: ExchangeSettings = field(default_factory=ExchangeSettings)
     votes: VoteSettings = field(default_factory=VoteSettings)
+    clusters: ClusterSettings = field(default_factory=ClusterSettings)
+    people: PeopleSettings = field(default_factory=PeopleSettings)
     fit: MoshSettings = field(default_factory=MoshSettings)
 
 
@@ -116,4 +157,6 @@ TRACKLETS = TrackletSettings()
 REGISTRATION = RegistrationSettings()
 EXCHANGES = ExchangeSettings()
 VOTES = VoteSettings()
+CLUSTERS = ClusterSettings()
+PEOPLE = PeopleSettings()
 LABELS = LabelSettings()

@@ -10,13 +10,15 @@ from habitus.fit.labels.kernels import assign_frames, squared_distances
 from habitus.fit.labels.registration import Registered
 from habitus.fit.labels.settings import VOTES, VoteSettings
 
-_FAR = 0.30  # metres: distances are cut there; larger than any gate
 
-
-def distances(clouds: Clouds, predicted: Float[np.ndarray, "T M 3"]) -> Float[np.ndarray, "P M"]:
-    """Squared distance of each point from each predicted marker of its frame, cut at 30 cm."""
+def distances(
+    clouds: Clouds, predicted: Float[np.ndarray, "T M 3"], settings: VoteSettings = VOTES
+) -> Float[np.ndarray, "P M"]:
+    """Squared distance (m^2) of each point from each predicted marker of its frame, cut at
+    ``max_distance``.
+    """
     out = np.empty((len(clouds.points), predicted.shape[1]))
-    squared_distances(clouds.points, clouds.start, predicted, _FAR**2, out)
+    squared_distances(clouds.points, clouds.start, predicted, settings.max_distance**2, out)
     return out
 
 
