@@ -17,7 +17,10 @@ from jaxtyping import config, install_import_hook
 from shape_checks import checked_modules
 
 # Shapes in signatures are checked while tests run, in every module without compiled kernels.
-ROOMS = ("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel")
+ROOMS = (
+    *("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel"),
+    *("residuals", "solve"),
+)
 LAB_ROOMS = ("population", "baselines")
 for package in (
     *(f"habitus.{room}" for room in ROOMS),

@@ -2,6 +2,8 @@
 markers at rest.
 """
 
+from inspect import signature
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -57,9 +59,7 @@ PAIRS = [
 def test_jacobians_are_the_derivatives_of_the_residuals(stage, name, unknown):
     terms, values, _ = stage
     function = terms[name].residual
-    taken = {
-        key: values[key] for key in function.__code__.co_varnames[: function.__code__.co_argcount]
-    }
+    taken = {key: values[key] for key in signature(function).parameters}
     residual, jacobians = function(**taken)
     jacobian = (jacobians() if callable(jacobians) else jacobians)[unknown]
     direction = np.random.default_rng(1).normal(size=values[unknown].shape)

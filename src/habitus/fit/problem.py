@@ -369,7 +369,7 @@ def _view_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
             model_sd=settings.depth.model_sd,
             reach=stage.reach,
             slide=settings.depth.slide,
-            share=settings.depth.depth,
+            share=settings.depth.skin_depth,  # of the recipe's last steps
             stride=stage.stride,
         )
         silhouette = Silhouette(

@@ -22,6 +22,8 @@ from habitus.observe.markers import MarkerAttachment
 from habitus.types import Array
 
 
+# Beside `BodyModel`, as numba takes tuples of arrays and not classes, and as a fit reads the 200
+# corners under its markers thousands of times: in arrays of their own they stay in the cache.
 class MarkerRig(NamedTuple):
     """Arrays of a body of fixed shape for the U corners under M markers (metres; all float64 and
     int64, C order).
@@ -150,6 +152,8 @@ def _trim(influences: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.n
     return np.ascontiguousarray(influences[:, :used]), np.ascontiguousarray(weights[:, :used])
 
 
+# Beside `MarkerRig`, as kernels of many frames at once run the same instructions for all lanes:
+# they walk lists without zeros, where the kernels of single frames index by joint.
 class SimdRig(NamedTuple):
     """A `MarkerRig` whose lists of influences and pose blend shapes hold what is not zero; Z = 3
     ceil(B / 3) betas.

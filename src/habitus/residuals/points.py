@@ -156,7 +156,7 @@ class PointSolver:
     body: BodyModel
     rig: SurfaceRig | None
     part: Int[np.ndarray, " F"]
-    part_joints: tuple[Int[np.ndarray, " j"], ...]
+    part_joints: tuple[Int[np.ndarray, " _"], ...]
     _recent: list[tuple[bytes, _State]] = field(default_factory=list, repr=False)
 
     @staticmethod

@@ -10,6 +10,7 @@ from habitus.body.model import BodyModel
 from habitus.body.skinning import descends
 
 
+# Beside `BodyModel`, as numba takes tuples of arrays and not classes.
 class SurfaceRig(NamedTuple):
     """A body (LBS, pose blend shapes linear in R - I) laid out for these kernels.
 

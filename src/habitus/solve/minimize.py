@@ -112,36 +112,63 @@ def minimize(
         )
     unknowns = Unknowns.of(free, fixed)
     problem = Objective.of(objective, weights, unknowns)
-    steps = None if isinstance(method, str | None) else method
-    method = _chosen(_name(method), problem)
-    settings: dict[str, Any] = {
+    name = _chosen(_name(method), problem)
+    held = unknowns.held(masks or {})
+    limits: dict[str, Any] = {
         "max_iterations": max_iterations,
         "tolerances": tolerances,
         "callback": callback and (lambda k, x, cost: callback(k, unknowns.like_start(x), cost)),
     }
-    held = unknowns.held(masks or {})
-    if method == "lbfgs":
-        result = lbfgs(_gradient_problem(problem, held), unknowns.vector, **settings)
+    if name == "lbfgs":
+        result = lbfgs(_gradient_problem(problem, held), unknowns.vector, **limits)
     else:
-        how = Differentiation(mode, chunk_size)
-        function = (
-            arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
-        )
         result = descend(
-            function if held is None else restricted(function, held),
+            _normal_equations(problem, Differentiation(mode, chunk_size), blocks, held),
             unknowns.vector,
-            steps or (Dogleg() if method == "dogleg" else Levenberg()),
+            _steps(method, name),
             stretch=stretch,
             limit=(lambda step: unknowns.limited(step, max_step)) if max_step else None,
             max_accepted=max_accepted,
-            **settings,
+            **limits,
         )
+    return _minimized(result, free, problem, unknowns, name, began)
+
+
+def _normal_equations(
+    problem: Objective,
+    how: Differentiation,
+    blocks: Collection[str],
+    held: Bool[np.ndarray, " N"] | None,
+) -> Callable[[np.ndarray], Any]:
+    """The Gauss-Newton problem that `descend` takes, of an arrow matrix where there are blocks,
+    over what is not held.
+    """
+    function = (
+        arrow_problem(problem, how, blocks) if blocks else least_squares_problem(problem, how)
+    )
+    return function if held is None else restricted(function, held)
+
+
+def _steps(method: str | Steps | None, name: str) -> Steps:
+    """The step object that was given, or a new one of the method of this name."""
+    if not isinstance(method, str | None):
+        return method
+    return Dogleg() if name == "dogleg" else Levenberg()
+
+
+def _minimized(
+    result: SolveResult, free: Any, problem: Objective, unknowns: Unknowns, name: str, began: float
+) -> Minimized:
+    """The result with values by name, in the start's form, and the cost of each term."""
     values = unknowns.like_start(result.x)
-    costs = problem.costs(result.x)
-    state = replace(free, **values) if is_dataclass(free) and not isinstance(free, type) else values
-    seconds = time.perf_counter() - began
+    whole = is_dataclass(free) and not isinstance(free, type)
     return Minimized(
-        **vars(result), values=values, state=state, costs=costs, method=method, seconds=seconds
+        **vars(result),
+        values=values,
+        state=replace(free, **values) if whole else values,
+        costs=problem.costs(result.x),
+        method=name,
+        seconds=time.perf_counter() - began,
     )
 
 

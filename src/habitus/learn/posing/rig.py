@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 from habitus.body.skinning import ancestors
 
 
+# Beside `BodyModel`, as training poses people by their own rest surfaces and joints, before there
+# is a shape space or a joint regressor, without which there is no body.
 @dataclass(frozen=True, eq=False)
 class Rig:
     """Skinning weights W and pose blend shapes P, and the tree, skinning and pose features that
