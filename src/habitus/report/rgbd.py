@@ -161,7 +161,7 @@ def _views(fit: "RgbdFit") -> list[str]:
             floor="feet on the detected floor" if view.on_floor else "no floor detected",
         )
         inside = f"<div class='shots'>{figures}</div><p class='quiet small'>{note}</p>"
-        sections.append(card(shown(view.name, MAX_NAME), inside, facts))
+        sections.append(card(f"View {shown(view.name, MAX_NAME)}", inside, facts))
     return sections
 
 

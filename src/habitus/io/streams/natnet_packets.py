@@ -245,7 +245,8 @@ def _plate(reader: _Reader, version: tuple[int, int]) -> None:
 
 def _device(reader: _Reader, version: tuple[int, int]) -> None:
     reader.skip(4)
-    reader.text(), reader.text()
+    reader.text()
+    reader.text()
     reader.skip(8)
     for _ in range(reader.count()):
         reader.text()

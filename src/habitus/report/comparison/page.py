@@ -213,7 +213,7 @@ def _head(result: Differences, numbers: Mapping[str, Any], names: tuple[str, str
     """Title, what is compared, the result in a sentence, tiles, and notes."""
     compared = numbers["compared"]
     facts = (
-        f"{compared['moments']:,} moments · {compared['rate_hz']:g} Hz · "
+        f"{compared['moments']:,} frames compared · {compared['rate_hz']:g} Hz · "
         f"{compared['seconds']:,.1f} s"
     )
     listed = numbers["notes"] if result.same_moments else numbers["notes"][1:]
