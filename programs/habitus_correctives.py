@@ -22,7 +22,16 @@ class Correctives:
     """
 
     def __init__(self, text):
-        told = json.loads(text)
+        try:
+            self._read(json.loads(text))
+        except ValueError:
+            raise
+        except Exception as error:
+            raise ValueError(
+                f"is damaged ({type(error).__name__}: {error}); export it again"
+            ) from error
+
+    def _read(self, told):
         if not isinstance(told, dict) or told.get("format") != FORMAT:
             raise ValueError("is no .correctives.json of habitus export")
         if told["version"] != EDITION:
@@ -34,6 +43,14 @@ class Correctives:
         self._driven = {}
         for place, channel in enumerate(told["channels"]):
             self._driven.setdefault(channel["joint"], []).append((place, channel["row"]))
+        for channels in self._driven.values():
+            if not all(len(row) == 9 and _finite(row) for _, row in channels):
+                raise ValueError("has channels without nine numbers")
+        known = set(self.joints)
+        if not all(len(rest) == 3 and _finite(rest) for rest in self.rests.values()):
+            raise ValueError("has joints without three numbers")
+        if not all(name in known and self._parents[name] in known for name in self._driven):
+            raise ValueError("has channels of joints that it does not name")
         self.needed = [
             name
             for name in self.joints
@@ -111,6 +128,10 @@ def from_quaternions(rest, now):
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+
+
+def _finite(numbers):
+    return all(type(x) in (int, float) and abs(x) < 1e6 for x in numbers)
 
 
 def _less_mean(points):

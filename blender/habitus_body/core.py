@@ -3,6 +3,8 @@
 it.
 """
 
+import math
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,14 @@ class Motion:
     """
 
     def __init__(self, path: str, arrays: dict, body: Body):
+        try:
+            self._read(path, arrays, body)
+        except ValueError:
+            raise
+        except Exception as error:  # arrays of any kind and shape
+            raise ValueError(f"its arrays do not fit together ({type(error).__name__})") from error
+
+    def _read(self, path: str, arrays: dict, body: Body) -> None:
         missing = [name for name in ("poses", "trans") if name not in arrays]
         if missing:
             raise ValueError(
@@ -101,7 +111,7 @@ class Motion:
                 "them"
             )
         rates = [float(arrays[name]) for name in RATES if name in arrays]
-        if not rates or not rates[0] > 0:
+        if not rates or not 0 < rates[0] < 1e6:
             raise ValueError("does not say its frames a second, mocap_framerate")
         names = [str(name) for name in arrays["joint_names"]] if "joint_names" in arrays else None
         pose = np.asarray(arrays["poses"], np.float64).reshape(len(arrays["poses"]), -1, 3)
@@ -128,15 +138,55 @@ class Motion:
         self.dynamics = (
             np.asarray(arrays["soft_tissue_dynamics"]) if "soft_tissue_dynamics" in arrays else None
         )
+        numbers = {
+            "poses": self.pose,
+            "trans": self.trans,
+            "betas": self.betas,
+            "age_years": self.age,
+        }
+        numbers |= {} if self.dynamics is None else {"soft_tissue_dynamics": self.dynamics}
+        for name, array in numbers.items():
+            if not (np.abs(array) <= 1e6).all():
+                raise ValueError(f"{name} are not all finite numbers")
+        if self.trans.shape != (len(self.pose), 3) or self.betas.ndim != 1 or not len(self.pose):
+            raise ValueError("poses, trans and betas of shapes that do not fit together")
         self.left_out = bool(
             np.any(arrays.get("soft_tissue_betas", 0)) or np.any(arrays.get("dmpls", 0))
         )
 
 
 def read_arrays(path: str) -> dict:
-    """All arrays of an npz, none of them pickled."""
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    """All arrays of an npz, none of them pickled. Raises OSError or ValueError for other files, and
+    for those whose arrays would fill more than 128 MB and ten times the file.
+    """
+    try:
+        limit = 10 * Path(path).stat().st_size + (1 << 27)
+        with zipfile.ZipFile(path) as members:
+            if sum(member.file_size for member in members.infolist()) > limit:
+                raise ValueError("claims more than a file of its size holds; it is damaged")
+            for member in members.namelist():
+                with members.open(member) as stream:
+                    shape, _, dtype = _header(stream)
+                    if math.prod(max(1, n) for n in shape) * max(1, dtype.itemsize) > limit:
+                        raise ValueError("claims more than a file of its size holds; it is damaged")
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError):
+        raise
+    except Exception as error:  # a damaged file may raise anything
+        raise ValueError(f"is no npz of arrays ({type(error).__name__})") from error
+
+
+def _header(stream: object) -> tuple:
+    """Shape, order and type in the header of an array."""
+    version = np.lib.format.read_magic(stream)
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    if version not in read:
+        raise ValueError("holds an array of an unknown version")
+    return read[version](stream)
 
 
 def whose(arrays: dict) -> str:

@@ -19,6 +19,15 @@ def read_body(path: str) -> Body:
     blend skinning.
     """
     held = read_arrays(path)
+    try:
+        return _body(path, held)
+    except (ValueError, KeyError):
+        raise
+    except Exception as error:  # arrays of any kind and shape
+        raise ValueError(f"its arrays do not fit together ({type(error).__name__})") from error
+
+
+def _body(path: str, held: dict) -> Body:
     missing = [name for name in WANTED if name not in held]
     if missing:
         raise ValueError(

@@ -4,15 +4,19 @@ archives, folders of results.
 
 import json
 from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from target import Target, alone
 
+from habitus.errors import HabitusError
+
 
 def result_makers() -> tuple[Callable[[Path], list[Target]], ...]:
     """What makes the targets, each in a folder of its own."""
-    return _fits, _motions, _persons, _archives, _pages
+    return _fits, _motions, _persons, _archives, _pages, _other_programs
 
 
 def _check_moving(moving) -> None:
@@ -185,3 +189,69 @@ def _pages(folder: Path) -> list[Target]:
         "set/walk/report.html": b"<html></html>",
     }
     return [Target("results", (tree,), "set", read)]
+
+
+# -- what other programs read ----------------------------------------------------------------------
+
+
+def _module(path: str) -> ModuleType:
+    """A file of the add-on or of a program, which are no packages of habitus."""
+    file = Path(__file__).resolve().parents[2] / path
+    spec = spec_from_file_location(f"fuzzed_{file.stem}", file)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _other_programs(folder: Path) -> list[Target]:
+    """The Blender add-on's import and the reader that Maya and Unreal share: ValueError, KeyError
+    and OSError are what they show in one line.
+    """
+    core = _module("blender/habitus_body/core.py")
+    correctives = _module("programs/habitus_correctives.py")
+    names = [f"joint{k}" for k in range(5)]
+    body = core.Body(
+        {"joint_names": np.array(names), "parents": np.arange(5) - 1, "drivers": np.zeros(0, int)}
+        | {"shapedirs": np.zeros((4, 3, 2))},
+        "body",
+    )
+
+    def motion(path: Path) -> None:
+        try:
+            found = core.Motion(str(path), core.read_arrays(str(path)), body)
+        except (OSError, ValueError, KeyError) as error:
+            raise HabitusError(error) from error
+        assert np.isfinite(found.pose).all() and np.isfinite(found.trans).all()
+        assert found.pose.shape == (len(found.trans), 5, 3) and 0 < found.rate < 1e6
+
+    def drivers(path: Path) -> None:
+        try:
+            found = correctives.Correctives(path.read_text("utf-8"))
+            turns = {name: [[1, 0, 0], [0, 1, 0], [0, 0, 1]] for name in found.joints}
+            weights = found.weights(turns, ((0, 1.0), (1, 1.0), (2, 1.0)))
+        except (OSError, ValueError) as error:
+            raise HabitusError(error) from error
+        assert all(0.0 <= weight <= 1.0 for weight in weights)
+
+    np.savez(
+        folder / "motion.npz",
+        poses=np.ones((3, 15)),
+        trans=np.zeros((3, 3)),
+        betas=np.zeros(2),
+        mocap_framerate=100.0,
+        joint_names=np.array(names),
+        up_axis="+z",
+    )
+    record = {
+        "format": "habitus-correctives",
+        "version": 1,
+        "joints": [
+            {"name": name, "rest": [0.0, 0.1 * k, 0.0], "parent": names[max(0, k - 1)]}
+            for k, name in enumerate(names)
+        ],
+        "channels": [{"name": "a", "joint": "joint2", "row": [0.1] * 9}],
+    }
+    return [
+        alone("addon.npz", motion, (folder / "motion.npz").read_bytes()),
+        alone("correctives.json", drivers, json.dumps(record, indent=1).encode()),
+    ]

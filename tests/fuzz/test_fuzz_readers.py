@@ -42,6 +42,8 @@ NAMES = (
     "archive.sqlite",
     "subject.npz",
     "results",
+    "addon.npz",
+    "correctives.json",
     "scan.ply",
     "scan.obj",
     "scan.glb",

@@ -8,9 +8,11 @@ import numpy as np
 
 from habitus.arrays import first_not_finite
 from habitus.body.model import BodyModel
+from habitus.errors import shown
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.markers import MarkerAttachment, predict_markers
+from habitus.rotations import UP_AXES
 
 _MAX_RATE = 1e6  # Hz
 MAX_NUMBER = 1e6
@@ -119,6 +121,14 @@ def checked_fit(fit: MarkerFit) -> MarkerFit:
         if array is not None and name not in _WITH_GAPS:
             check_finite(name, array)
     check_rate(fit.rate_hz)
+    if fit.up_axis not in UP_AXES:
+        raise ValueError(f"up_axis is {shown(fit.up_axis)}")
+    corners = fit.attachment.triangles
+    if (
+        corners.shape != (markers, 3)
+        or not np.isin(corners, np.arange(fit.body.num_vertices)).all()
+    ):
+        raise ValueError("marker_triangles name vertices that the body has not")
     return fit
 
 

@@ -319,6 +319,8 @@ def _betas(file: _PersonFile, body: BodyModel) -> Float[np.ndarray, " B"]:
             "person"
         )
     betas = betas.ravel()
+    with _guarded(file):
+        check_finite("betas", betas)
     if betas[body.num_betas :].any():
         raise HabitusError(
             f"{file.source}: {len(betas)} betas; {body.name} has {body.num_betas}; give the body "
@@ -340,6 +342,8 @@ def _shape_data(file: _PersonFile, model: BodyModel) -> BodyShape:
             f"{file.source.name}: skin_offset is {skin.shape}; expected ({model.num_vertices},), "
             f"one per vertex of {model.name}; give the body that was fitted (--body FILE, or body=)"
         )
+    if skin is not None:
+        check_finite("skin_offset", skin)
     return BodyShape(
         name=model.name if "character_vertices" in arrays else file.name,
         body=model,
