@@ -270,7 +270,8 @@ def _solved(
     settings: AppearanceSettings,
 ) -> Minimized:
     """Log albedo (V,) and light (9,) of one channel, from the usual light."""
-    albedo = _lit(samples, colour, usual, edges.shape[1])
+    count = edges.shape[1]  # pyright: ignore[reportOptionalSubscript]  (SciPy has no annotations)
+    albedo = _lit(samples, colour, usual, count)
     return minimize(
         channel_terms(samples, colour, usual, spread, edges, settings),
         {"log_albedo": np.log(albedo), "light": usual},
