@@ -169,12 +169,15 @@ def test_the_verdict_follows_the_numbers():
         "cuts": {"body": 3, "head": 20},
         "islands": 0.02,
         "head_seen": 0.9,
+        "measurements": {"height_m": 1.75},
+        "body": SimpleNamespace(age=None, v_template=np.zeros((2, 3))),
     }
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
         ({"matched": 0.5}, "failed"), ({"cuts": {"body": 60}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"), ({"head_seen": 0.1}, "doubtful"),
+        ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
         ({"to_surface": np.full(100, np.nan)}, "failed"), ({"person": False}, "failed"),
     ):  # fmt: skip
@@ -187,7 +190,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
-    good |= {"islands": 0.0, "head_seen": 1.0}
+    good |= {"islands": 0.0, "head_seen": 1.0, "measurements": {}}
     return SimpleNamespace(**(good | changes))
 
 
@@ -200,9 +203,14 @@ def test_one_wrong_hand_fails_the_hands_and_not_the_person():
 
 
 def test_a_rare_shape_is_a_doubt_by_degree_and_no_failure():
-    betas = [np.array([5.0, -3.0, 3.5, *np.zeros(13)]), np.full(4, 2.6), np.full(4, 9.0)]
+    betas = [
+        np.array([5.0, -3.0, 3.5, *np.zeros(13)]),
+        np.full(4, 2.6),
+        np.full(4, 9.0),
+        np.array([5.7, *np.zeros(23)]),
+    ]
     levels = [judge_scan(scan_evidence(betas=each)).level for each in betas]
-    assert levels == ["good", "doubtful", "doubtful"]
+    assert levels == ["good", "doubtful", "doubtful", "doubtful"]
 
 
 def test_self_intersections_are_reported_where_they_are():

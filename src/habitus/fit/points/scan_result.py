@@ -24,14 +24,21 @@ from habitus.fit.verdict import (
     GOOD,
     HEAD,
     PARTS,
+    PEOPLE_SENTENCES,
     Bound,
+    PeopleLimits,
     Reason,
     Verdict,
     above,
     below,
+    measurement_reasons,
     vertex_parts,
     weigh,
+    worst,
 )
+
+SCANNED_PEOPLE = PeopleLimits(above=Bound(0.05, np.inf), below=Bound(0.05, np.inf))
+"""Measurements outside those of people are a doubt: clothes and hair are measured, too."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +60,8 @@ class ScanLimits:
     people scanned and registered rightly, single betas lie at 3 to 5. A rare shape is a doubt and
     never a failure: what nobody can be, the misfit shows.
     """
+    largest_beta: Bound = Bound(5.2, np.inf)
+    """Largest of the betas: a person stretched by 1.3 across has one of 5.7."""
     pose: Bound = Bound(2.2, 3.5)
     """Root mean square of the pose in the prior's standard deviations."""
     seen: Bound = Bound(0.6, 0.15)
@@ -72,6 +81,7 @@ class ScanLimits:
     islands: Bound = Bound(0.1, np.inf)
     """Share of the scan that was left out as it lies apart from the person: more than dust and
     stands may be somebody else."""
+    people: PeopleLimits = SCANNED_PEOPLE
     rival: Bound = Bound(1.05, 0.0)
     """Misfit of the best other pose relative to the best."""
 
@@ -80,6 +90,7 @@ LIMITS = ScanLimits()
 
 SENTENCES: Mapping[str, str] = MappingProxyType(
     {
+        **PEOPLE_SENTENCES,
         "person": "Nothing in the scan has the form of a person; only a rough start was fitted.",
         "model": "The model is {mm:.1f} mm from the scan (median).",
         "matched": "Only {percent:.0f} % of the scan is a surface of the body.",
@@ -87,8 +98,6 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "p95": "5 % of the scan is {mm:.0f} mm or more from the surface.",
         "lost": "A piece with {percent:.1f} % of the scan is off the surface: {place}.",
         "cuts": "The surface intersects itself in {count:.0f} pairs of triangles: {place}.",
-        "shape": "The shape is rare: its coefficients are {ratio:.1f} standard deviations from the "
-        "mean (RMS).",
         "pose": "The pose is rare: {ratio:.1f} standard deviations from the mean (RMS).",
         "seen": "The scan shows {percent:.0f} % of the body; the rest continues the model.",
         "head": "The scan shows {percent:.0f} % of the head; it continues the model, as does the "
@@ -110,6 +119,8 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         yield Reason(FAILED, "person")
         return
     betas = float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0
+    largest = float(np.abs(fit.betas).max(initial=0.0))
+    rare = worst([above(betas, limits.betas), above(largest, limits.largest_beta)])
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     model = float(np.median(fit.to_model))
     found = [
@@ -119,7 +130,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         Reason(above(p95, limits.p95), "p95", {"mm": 1e3 * p95}),
         _lost(fit, limits),
         *_cuts(fit, limits),
-        Reason(above(betas, limits.betas), "shape", {"ratio": betas}),
+        Reason(rare, "shape", {"rms": betas, "largest": largest}),
         Reason(above(fit.pose_distance, limits.pose), "pose", {"ratio": fit.pose_distance}),
         Reason(below(fit.seen, limits.seen), "seen", {"percent": 100.0 * fit.seen}),
         Reason(below(fit.head_seen, limits.head_seen), "head", {"percent": 100.0 * fit.head_seen}),
@@ -128,6 +139,9 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     if fit.rival is not None:
         found.append(Reason(below(fit.rival, limits.rival), "rival"))
     yield from (reason for reason in found if reason.level != GOOD)
+    if fit.measurements:
+        stature = float(np.ptp(fit.body.v_template[:, 1]))
+        yield from measurement_reasons(fit.measurements, fit.body.age, stature, limits.people)
 
 
 def _lost(fit: "ScanFit", limits: ScanLimits) -> Reason:
