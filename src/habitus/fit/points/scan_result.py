@@ -60,8 +60,9 @@ class ScanLimits:
     people scanned and registered rightly, single betas lie at 3 to 5. A rare shape is a doubt and
     never a failure: what nobody can be, the misfit shows.
     """
-    largest_beta: Bound = Bound(5.2, np.inf)
-    """Largest of the betas: a person stretched by 1.3 across has one of 5.7."""
+    largest_beta: Bound = Bound(5.0, np.inf)
+    """Largest of the betas: a person stretched by 1.3 across has one of 5.7, one squeezed by 0.7 in
+    depth one of 5.1."""
     pose: Bound = Bound(2.2, 3.5)
     """Root mean square of the pose in the prior's standard deviations."""
     seen: Bound = Bound(0.6, 0.15)
