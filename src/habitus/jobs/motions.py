@@ -16,7 +16,7 @@ from habitus.body.recentred import FROM, is_of, recentred
 from habitus.body.soft_tissue import exaggerated
 from habitus.errors import HabitusError, shown
 from habitus.export.motion import check_motion_path, export_motion
-from habitus.fit.retarget.recipe import Retargeting, retargeted
+from habitus.fit.retarget.recipe import RETARGET, Retargeting, RetargetSettings, retargeted
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED
@@ -132,6 +132,7 @@ def retarget(
     *,
     body: BodyModel | PathLike | None = None,
     out: PathLike | None = None,
+    settings: RetargetSettings | None = None,
 ) -> Retargeting:
     """The motion on another body (M 9.2): soft tissue carried over, feet where they stood, no
     deeper in the ground.
@@ -139,13 +140,14 @@ def retarget(
     source: a fit, a motion, or the npz of one. to: betas of another shape of its body; a person's
     npz (a fit's body.npz, what ``habitus body`` wrote); a body model, by name or file, for its mean
     person; or a character's mesh at rest (obj, ply; metres, y up, T-pose) with the body's vertices
-    and faces, of either level of detail. body: as for `exaggerate`. out: as there. Raises
+    and faces, of either level of detail. body: as for `exaggerate`. out: as there.
+    settings: of the recipe, contacts included. Raises
     HabitusError for a mesh of another topology, a character that is not at rest, and other endings.
     """
     _check(out)
     motion = motion_of(source, body)
     target, betas, name = find_target(motion, to)
-    result = retargeted(motion, target, betas, name)
+    result = retargeted(motion, target, betas, name, settings or RETARGET)
     _written(result.motion, out)
     return replace(result, motion=Motion.of(result.motion))
 

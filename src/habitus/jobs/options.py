@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from habitus.fit.markers.settings import MoshSettings, MoshWeights
     from habitus.fit.points.depth_settings import RgbdSettings
     from habitus.fit.points.settings import ScanSettings
+    from habitus.fit.selection.problem import SelectionSettings
     from habitus.io.captures.read import Capture
     from habitus.markers.layouts import MarkerLayout
     from habitus.types import PathLike
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     Pool = int | str | Sequence[str]
     LabelSet = LabelSettings | None
     Scans = ScanSettings | None
+    Selecting = SelectionSettings | None
     Settings = MoshSettings | None
     SoftTissue = bool | str
     Turns = Sequence[float | None]
@@ -52,7 +54,7 @@ else:  # what a command line can say
     Age = str | None
     Body = File = Layout = LayoutName = Pool = str
     CameraFile = LabelledFile = KnownFit = Path | None
-    DepthSettings = LabelSet = Scans = Settings = Weights = Any
+    DepthSettings = LabelSet = Scans = Selecting = Settings = Weights = Any
     Files = tuple[Path, ...]
     Labels = tuple[str, ...]
     Numbers = tuple[int, ...]
@@ -311,6 +313,8 @@ class MarkerSelectionOptions(BodyOption):
     """Number of posed people on whom sets are evaluated."""
     seed: Annotated[int, metavar("N")] = 0
     """Seed of the random people."""
+    settings: Annotated[Selecting, PythonOnly] = None
+    """Settings of the recipe: noise of markers, freedom of the root."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,6 +329,8 @@ class PoseSelectionOptions(BodyOption):
     """Poses to choose from: plain ones, and others drawn from the pose prior."""
     seed: Annotated[int, metavar("N")] = 0
     """Seed of the random candidates."""
+    settings: Annotated[Selecting, PythonOnly] = None
+    """Settings of the recipe: how far skin slips, freedom of the root."""
 
 
 @dataclass(frozen=True, kw_only=True)

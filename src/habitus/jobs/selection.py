@@ -20,7 +20,7 @@ from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
 from habitus.fit.selection.held_out import held_out_people
 from habitus.fit.selection.poses import PoseChoice, choose_poses
-from habitus.fit.selection.problem import NOISE, Candidates, linearised
+from habitus.fit.selection.problem import NOISE, SELECTION, Candidates, linearised
 from habitus.io.layouts.files import load_layout, save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.bodies import loaded
@@ -185,7 +185,7 @@ class Selection:
     there was.
 
     ``removed`` goes down from the start, ``added`` up; each `Step` holds its groups and error (m,
-    root mean square).
+    root mean square). ``noise``: of a marker, as it was taken to be (m).
     """
 
     body: BodyModel
@@ -194,6 +194,7 @@ class Selection:
     region: str
     removed: tuple[Step, ...]
     added: tuple[Step, ...]
+    noise: float = NOISE
 
     @property
     def errors(self) -> Mapping[int, float]:
@@ -262,8 +263,11 @@ def select_markers(
     others = [load_body(name) for name in ("female", "male")] if _shares_mesh(model) else [model]
     drawn = held_out_people(others, prior, options.people, options.seed)
     vertices = np.unique(np.linspace(0, model.num_vertices - 1, SAMPLE).astype(int))
-    known = best_states(model, prior, drawn, vertices)
-    problem = linearised(model, prior, known, found.candidates, goal, region)
+    settings = options.settings or SELECTION
+    known = best_states(model, prior, drawn, vertices, settings.noise)
+    problem = linearised(
+        model, prior, known, found.candidates, goal, region, settings.noise, settings.free
+    )
     with open_workers(workers) as shared:
         least = min(len(found.start), max(1, -(-options.min_markers // (2 if pairs else 1))))
         removed = _reported(
@@ -273,7 +277,7 @@ def select_markers(
         added = _reported(
             additions(problem, found.start, most, shared), "add", most - len(found.start), tell
         )
-    selection = Selection(model, found, goal, region, removed, added)
+    selection = Selection(model, found, goal, region, removed, added, settings.noise)
     if out is not None:
         _write(selection, Path(out), options.keep)
     return selection
@@ -343,7 +347,7 @@ def _numbers(found: Selection) -> dict[str, object]:
         "region": found.region,
         "candidates": list(labels),
         "start": [labels[k] for group in found.added[0].groups for k in groups[group]],
-        "marker_noise_mm": round(1e3 * NOISE, 2),
+        "marker_noise_mm": round(1e3 * found.noise, 2),
         "removed": told(found.removed),
         "added": told(found.added),
     }
@@ -376,7 +380,14 @@ def select_poses(
     poses = _candidate_poses(model, prior, candidates, seed)
     with open_workers(workers) as shared:
         choice = choose_poses(
-            model, prior, place(found, model), poses, count, seed=seed, workers=shared
+            model,
+            prior,
+            place(found, model),
+            poses,
+            count,
+            settings=options.settings or SELECTION,
+            seed=seed,
+            workers=shared,
         )
     chosen = poses[list(choice.poses)]
     if out is not None:

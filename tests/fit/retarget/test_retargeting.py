@@ -12,7 +12,13 @@ from habitus.body.motion import BodyMotion
 from habitus.body.recentred import recentred
 from habitus.errors import HabitusError
 from habitus.fit.retarget import recipe
-from habitus.fit.retarget.contacts import corrections, find_soles, ground_height, standing
+from habitus.fit.retarget.contacts import (
+    ContactSettings,
+    corrections,
+    find_soles,
+    ground_height,
+    standing,
+)
 from habitus.fit.retarget.legs import legs_of, reach, skeleton_of
 from habitus.fit.retarget.recipe import retargeted
 from habitus.rotations import matrix_from_rotvec, up_rotation
@@ -166,3 +172,15 @@ def test_soles_are_low_and_heel_to_toe(walk):
         find_soles(headless)
     with pytest.raises(HabitusError, match="no joint left_hip"):
         retargeted(replace(walk, body=headless), headless, walk.betas, "x")
+
+
+def test_settings_reach_the_soles_and_the_ground(walk):
+    """A sole that reaches higher has more points; a floor without tolerance is the lowest stand."""
+    thin, thick = (
+        find_soles(walk.body, ContactSettings(sole_height=height)).used for height in (0.01, 0.05)
+    )
+    assert len(thick) > len(thin)
+    heights = np.array([[0.0], [0.03], [0.03], [0.03]])
+    still = np.ones_like(heights, bool)
+    assert ground_height(heights, still) == pytest.approx(0.03)
+    assert ground_height(heights, still, ContactSettings(floor_tolerance=0.0)) < 0.03

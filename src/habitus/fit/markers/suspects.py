@@ -281,7 +281,10 @@ def find_flips(
     observed (T, M, 3), metres, NaN where missing.
     """
     turns: dict[tuple[int, int], list[int]] = {}
-    for first, second in _crossings(_jumps(observed, settings), settings):
+    jumps = _jumps(observed, settings)
+    if len(jumps) > settings.max_share * observed.shape[0] * observed.shape[1]:
+        return []
+    for first, second in _crossings(jumps, settings):
         pair = (min(first.marker, second.marker), max(first.marker, second.marker))
         turns.setdefault(pair, []).append(max(first.frame, second.frame))
     parts = (

@@ -14,14 +14,11 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 
 SIDES = ("left", "right")
-_DEEP = 0.015  # metres from a foot's lowest vertex up to which the sole reaches
-_ALONG = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))  # heel, ball and toes: shares of the foot's length
-_LEVEL = 0.04  # metres by which heights of one floor differ
 
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When a point of a sole stands: slow for long enough."""
+    """Where the soles are, and when a point of one stands: slow for long enough."""
 
     speed: float = 0.2
     """Metres a second; feet of walking people move at 1 to 5 in the swing."""
@@ -29,6 +26,12 @@ class ContactSettings:
     """Seconds of a stand, at least."""
     hole: float = 0.04
     """Seconds of more speed that do not interrupt a stand."""
+    sole_height: float = 0.015
+    """Metres from a foot's lowest vertex up to which the sole reaches."""
+    sole_parts: tuple[tuple[float, float], ...] = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))
+    """Heel, ball and toes, in shares of the sole's length from the heel."""
+    floor_tolerance: float = 0.04
+    """Metres by which heights of one floor differ."""
 
 
 CONTACTS = ContactSettings()
@@ -61,15 +64,17 @@ class Soles:
         return tuple(vertices[:, rows, 1].min(axis=1) for rows in sides)
 
 
-def find_soles(body: BodyModel) -> Soles:
+def find_soles(body: BodyModel, settings: ContactSettings = CONTACTS) -> Soles:
     """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError
     without feet.
     """
     strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
-    return Soles(tuple(_sole(body, strongest, side) for side in SIDES))
+    return Soles(tuple(_sole(body, strongest, side, settings) for side in SIDES))
 
 
-def _sole(body: BodyModel, strongest: np.ndarray, side: str) -> tuple[np.ndarray, ...]:
+def _sole(
+    body: BodyModel, strongest: np.ndarray, side: str, settings: ContactSettings
+) -> tuple[np.ndarray, ...]:
     wanted = [
         k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")
     ]
@@ -79,10 +84,10 @@ def _sole(body: BodyModel, strongest: np.ndarray, side: str) -> tuple[np.ndarray
             f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)"
         )
     points = body.v_template[ids]
-    low = points[:, 1] < points[:, 1].min() + _DEEP
+    low = points[:, 1] < points[:, 1].min() + settings.sole_height
     along = (points[:, 2] - points[low, 2].min()) / max(float(np.ptp(points[low, 2])), 1e-9)
-    found = tuple(ids[low & (along >= first) & (along <= last)] for first, last in _ALONG)
-    return tuple(some if len(some) else ids[low] for some in found)
+    parts = (ids[low & (along >= a) & (along <= b)] for a, b in settings.sole_parts)
+    return tuple(part if len(part) else ids[low] for part in parts)
 
 
 def standing(
@@ -104,7 +109,11 @@ def standing(
     return binary_opening(still | binary_closing(still, line), run)
 
 
-def ground_height(heights: Float[np.ndarray, "T ..."], still: Bool[np.ndarray, "T ..."]) -> float:
+def ground_height(
+    heights: Float[np.ndarray, "T ..."],
+    still: Bool[np.ndarray, "T ..."],
+    settings: ContactSettings = CONTACTS,
+) -> float:
     """The height of the floor that is stood on most, among the lowest; without any standing the
     lowest height.
     """
@@ -112,7 +121,7 @@ def ground_height(heights: Float[np.ndarray, "T ..."], still: Bool[np.ndarray, "
         return float(np.percentile(heights, 1))
     low = np.where(still, heights, np.inf).reshape(len(heights), -1).min(axis=1)
     low = low[np.isfinite(low)]
-    return float(np.median(low[low <= np.percentile(low, 10) + _LEVEL]))
+    return float(np.median(low[low <= np.percentile(low, 10) + settings.floor_tolerance]))
 
 
 class Stand(NamedTuple):

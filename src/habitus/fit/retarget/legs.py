@@ -13,8 +13,8 @@ from habitus.body.motion import BodyMotion
 from habitus.body.skinning import world_motions
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-SOFT = np.deg2rad(8.0)
-"""Bend of a knee (rad) up to which it gives way to smoothness."""
+SOFT_KNEE = float(np.deg2rad(8.0))
+"""Default bend of a knee (rad) up to which it gives way to smoothness."""
 
 
 class Skeleton(NamedTuple):
@@ -69,7 +69,11 @@ def bones(
 
 
 def reach(
-    pose: Float[np.ndarray, "T J 3"], skeleton: Skeleton, leg: Leg, goal: Float[np.ndarray, "T 3"]
+    pose: Float[np.ndarray, "T J 3"],
+    skeleton: Skeleton,
+    leg: Leg,
+    goal: Float[np.ndarray, "T 3"],
+    soft: float = SOFT_KNEE,
 ) -> Float[np.ndarray, "T J 3"]:
     """The pose with a leg whose ankle is at ``goal`` (m, world), as near as the leg is long, the
     foot turned as before.
@@ -81,7 +85,7 @@ def reach(
     thigh = thigh_shank[0]
     knee = skeleton.rotations[:, leg.knee]
     way = goal - world[:, leg.hip, :, 3]
-    knee = _bent(thigh, knee, thigh_shank[1], np.linalg.norm(way, axis=1)) @ knee
+    knee = _bent(thigh, knee, thigh_shank[1], np.linalg.norm(way, axis=1), soft) @ knee
     hip = world[:, leg.hip, :, :3]
     now = (hip @ (thigh[..., None] + knee @ thigh_shank[1][..., None]))[..., 0]
     hip = _onto(now, way) @ hip
@@ -98,7 +102,7 @@ def reach(
 
 
 def _bent(
-    thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.ndarray
+    thigh: np.ndarray, knee: np.ndarray, shank: np.ndarray, distance: np.ndarray, soft: float
 ) -> Float[np.ndarray, "T 3 3"]:
     """Rotation about x that brings hip and ankle to nearly ``distance``: |a + R u|² = d², with u
     the bent shank.
@@ -114,17 +118,17 @@ def _bent(
     size = np.maximum(np.hypot(sine, cosine), 1e-12)
     square = np.arccos(np.clip(wanted / size, -1.0, 1.0)) ** 2
     now = -straight * np.abs(straight)
-    angle = _root(now + square - straight**2) - _root(now)
+    angle = _root(now + square - straight**2, soft) - _root(now, soft)
     return matrix_from_rotvec(np.column_stack([angle, np.zeros((len(angle), 2))]))
 
 
-def _root(square: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """The bend (rad) by its signed square, to `SOFT` from 0 less steep than a root.
+def _root(square: Float[np.ndarray, " T"], soft: float) -> Float[np.ndarray, " T"]:
+    """The bend (rad) by its signed square, from 0 to ``soft`` less steep than a root.
 
     A leg that is nearly straight gets shorter by next to nothing however it bends: a millimetre
     asks for 5 degrees. It is not worth a knee that jumps.
     """
-    return square / np.sqrt(np.abs(square) + SOFT**2)
+    return square / np.sqrt(np.abs(square) + soft**2)
 
 
 def _onto(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "T 3 3"]:

@@ -24,7 +24,7 @@ from habitus.fit.retarget.contacts import (
     ground_height,
     standing,
 )
-from habitus.fit.retarget.legs import Leg, Skeleton, bones, legs_of, reach, skeleton_of
+from habitus.fit.retarget.legs import SOFT_KNEE, Leg, Skeleton, bones, legs_of, reach, skeleton_of
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix, up_rotation
 
 
@@ -37,6 +37,9 @@ class RetargetSettings:
     knee pops."""
     smooth: float = 0.25
     """Seconds over which the root gives way to what legs and ground ask."""
+    soft_knee: float = SOFT_KNEE
+    """Radians: bend of a knee up to which it gives way to smoothness (`habitus.fit.retarget.legs`).
+    """
     rounds: int = 2
     """Corrections of the feet: skin follows joints nearly, not exactly."""
     contacts: ContactSettings = field(default_factory=ContactSettings)
@@ -77,12 +80,12 @@ def retargeted(
     """
     _check(source.body, body)
     turn = up_rotation(source.up_axis)
-    soles = find_soles(body)
+    soles = find_soles(body, settings.contacts)
     before = _turned(source, turn)
     there = before.points(soles.used)
     points = soles.means(there)
     still = standing(points, source.rate_hz, settings.contacts)
-    ground = ground_height(points[..., 1], still)
+    ground = ground_height(points[..., 1], still, settings.contacts)
     plain, scale = _plain(before, body, betas, ground)
     lowest = _lowest(before)
     plain_lowest = _lowest(plain)
@@ -235,7 +238,7 @@ def _with_feet(
     lowered = replace(plain, trans=trans)
     skeleton = skeleton_of(lowered)
     for leg, goal in zip(legs, goals, strict=True):
-        pose = reach(pose, skeleton, leg, goal)
+        pose = reach(pose, skeleton, leg, goal, settings.soft_knee)
     return replace(lowered, pose=pose)
 
 

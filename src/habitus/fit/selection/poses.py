@@ -16,15 +16,10 @@ from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.energy import Placement
 from habitus.fit.markers.settings import MoshWeights
-from habitus.fit.selection.problem import FREE
+from habitus.fit.selection.problem import SELECTION, SelectionSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import LatentMarkers, attach, default_markers
 from habitus.parallel.workers import Threads, Workers
-
-SLIP = 0.005
-"""Metres, standard deviation: how far skin carries a marker from where it sits, otherwise in every
-frame.
-"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,7 @@ def choose_poses(
     poses: Float[np.ndarray, "N J 3"],
     count: int,
     *,
-    slip: float = SLIP,
+    settings: SelectionSettings = SELECTION,
     seed: int = 0,
     workers: Workers | None = None,
 ) -> PoseChoice:
@@ -58,7 +53,7 @@ def choose_poses(
     """
     known = _known(body, placement)
     before = _mean_square(body)
-    shared = body, prior, placement, slip
+    shared = body, prior, placement, settings
     told = np.stack(list((workers or Threads(1)).map(_information, shared, list(poses))))
     rng = np.random.default_rng(seed)
     drawn = [rng.permutation(len(poses))[:count] for _ in range(20)]
@@ -100,10 +95,10 @@ def _known(body: BodyModel, placement: Placement) -> Float[np.ndarray, "K K"]:
 
 
 def _information(
-    shared: tuple[BodyModel, PosePrior, Placement, float], pose: np.ndarray
+    shared: tuple[BodyModel, PosePrior, Placement, SelectionSettings], pose: np.ndarray
 ) -> Float[np.ndarray, "K K"]:
     """What one frame in a pose tells of betas and latent markers."""
-    body, prior, placement, slip = shared
+    body, prior, placement, settings = shared
     betas = np.zeros(body.num_betas)
     latent = default_markers(body, betas, placement.vertices, placement.distance)
     markers = LatentMarkers(body, attach(latent, body.rest_vertices(betas), body.faces).triangles)
@@ -116,10 +111,10 @@ def _information(
     )
     by_pose = found.by_pose[0].reshape(3 * count, -1)
     let_go = np.concatenate([by_pose, np.tile(np.eye(3), (count, 1))], axis=1)
-    trust = np.eye(let_go.shape[1]) / FREE**2
+    trust = np.eye(let_go.shape[1]) / settings.free**2
     trust[3:-3, 3:-3] = MoshWeights().shape_pose * prior.for_joints(body.joint_names).precision
-    wanted = wanted / slip
-    let_go = let_go / slip
+    wanted = wanted / settings.slip
+    let_go = let_go / settings.slip
     across = let_go.T @ wanted
     return wanted.T @ wanted - across.T @ np.linalg.solve(let_go.T @ let_go + trust, across)
 

@@ -2,14 +2,15 @@
 order (M 7).
 
 M evaluates a set of markers by fits to it (eq. 12), some million of them. At the state that fits a
-whole surface best,
-a fit to a few markers is a linear problem: with J the derivatives of markers by the N numbers of
-the state, e what the
-body cannot explain of them, w their weight and L the priors' precision, it is off by  d = G sum w Jᵀ e,  where
-G = (sum w JᵀJ + L)⁻¹, give or take what noise of variance 1/w and people drawn from the prior do to
-it, whose
-covariance is G. `habitus.fit.selection.full` makes the fits themselves, to hold this against them.
-"""  # noqa: E501
+whole surface best, a fit to a few markers is a linear problem: with J the derivatives of markers by
+the N numbers of the state, e what the body cannot explain of them, w their weight and L the priors'
+precision, it is off by
+
+    d = G sum w J^T e,        G = (sum w J^T J + L)^-1,
+
+give or take what noise of variance 1/w and people drawn from the prior do to it, whose covariance
+is G. `habitus.fit.selection.full` makes the fits themselves, to hold this against them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -36,10 +37,25 @@ REGIONS: Mapping[str, tuple[str, ...]] = {
     "head": ("neck", "head"),
 }
 """Parts of the body, by the names of joints without sides."""
-FREE = 1.0
-"""Radians and metres, standard deviation: how freely the root turns and stands."""
-NOISE = 1.0 / np.sqrt(per_m2(MoshWeights().data))
+NOISE = float(1.0 / np.sqrt(per_m2(MoshWeights().data)))
 """Metres, standard deviation of a marker: what MoSh's weight of the data says."""
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Settings of the choice of markers and of poses."""
+
+    noise: float = NOISE
+    """Metres, standard deviation of a marker in a fit to a set of markers."""
+    slip: float = 0.005
+    """Metres, standard deviation: how far skin carries a marker from where it sits, otherwise in
+    every frame. Chosen by hand."""
+    free: float = 1.0
+    """Radians and metres, standard deviation: how freely the root turns and stands; large beside
+    both."""
+
+
+SELECTION = SelectionSettings()
 
 
 @dataclass(frozen=True)
@@ -86,14 +102,16 @@ class Posed:
     surface: Float[np.ndarray, "V 3"]
 
 
-def precision(body: BodyModel, prior: PosePrior) -> Float[np.ndarray, "N N"]:
+def precision(
+    body: BodyModel, prior: PosePrior, free: float = SELECTION.free
+) -> Float[np.ndarray, "N N"]:
     """The priors' precision of betas, pose (root first) and trans: of unit betas, and of the pose
     prior as it is.
     """
     weights = MoshWeights()
     count = body.num_betas
     size = count + 3 * body.num_joints + 3
-    out = np.eye(size) / FREE**2
+    out = np.eye(size) / free**2
     out[:count, :count] = weights.betas * np.eye(count)
     joints = slice(count + 3, size - 3)
     out[joints, joints] = weights.pose * prior.for_joints(body.joint_names).precision
@@ -122,8 +140,10 @@ def linearised(
     goal: str = "surface",
     region: str = "all",
     noise: float = NOISE,
+    free: float = SELECTION.free,
 ) -> Linearised:
-    """The problem of choosing among ``candidates``, for posed people. noise: a marker's, m, sd.
+    """The problem of choosing among ``candidates``, for posed people. noise, free: as in
+    `SelectionSettings`.
 
     Raises HabitusError for a goal or a region that there is not.
     """
@@ -135,7 +155,9 @@ def linearised(
     markers, unexplained, constant, linear, quadratic = (
         np.stack(each) for each in zip(*parts, strict=True)
     )
-    return Linearised(markers, unexplained, precision(body, prior), constant, linear, quadratic)
+    return Linearised(
+        markers, unexplained, precision(body, prior, free), constant, linear, quadratic
+    )
 
 
 def _of_person(
