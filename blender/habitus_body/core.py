@@ -173,8 +173,8 @@ def read_arrays(path: str) -> dict:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError):
         raise
-    except Exception as error:  # a damaged file may raise anything
-        raise ValueError(f"is no npz of arrays ({type(error).__name__})") from error
+    except Exception as error:  # a damaged file may raise anything; deep brackets a MemoryError
+        raise ValueError(f"is no npz of arrays ({type(error).__name__})") from None
 
 
 def _header(stream: object) -> tuple:
