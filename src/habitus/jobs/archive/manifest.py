@@ -254,9 +254,9 @@ def open_manifest(folder: Path) -> Iterator[Manifest]:
                 f"{path}: is of another version of habitus; choose another folder with --out"
             )
         yield Manifest(connection)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # damaged pages, damaged texts in them
         raise HabitusError(
-            f"{path}: {error}; free some room, or remove the file to begin anew"
+            f"{path}: {shown(error, 160)}; free some room, or remove the file to begin anew"
         ) from error
     finally:
         if connection is not None:
