@@ -5,9 +5,11 @@ fitted and judged.
     people" clean]
 
 Every capture is cut to some frames in its middle and fitted as it is, and again after each way of
-spoiling it (`habitus_lab.population.spoilt`, and another layout than its own). Goals: no spoilt copy is
-called good, no clean capture failed. A spoilt copy that is refused with an error counts as not
-called good. JSON holds verdicts, reasons and the numbers they stand on; `--resume` goes on with
+spoiling it (`habitus_lab.population.spoilt`, a wrong rate, exchanged sides, labels of another set,
+and another layout than its own). Goals: no spoilt copy is called good, no clean capture failed. A
+spoilt copy that is refused with an error counts as not called good. What no data can tell is marked
+as undecidable and counted by itself: one frame over and over, a mirrored space with exchanged
+labels, and of people who stand still the order and the rate of frames. JSON holds verdicts, reasons and the numbers they stand on; `--resume` goes on with
 what it holds already.
 """
 
@@ -39,11 +41,23 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.evidence import Evidence, evidence
 from habitus.io.captures.read import Capture, read_captures
 from habitus.io.layouts.files import match_layout, shipped_layouts
+from habitus.markers.checks import other_side
+from habitus.markers.matching import LayoutMatch
 from habitus_lab.population.spoilt import SPOILINGS
 
 CLEAN = "clean"
 WRONG_LAYOUT = "wrong layout"
-KINDS = (CLEAN, *SPOILINGS, WRONG_LAYOUT)
+OTHER_SET = "labels of another set"
+RATE = "rate times 4"
+SIDES = "sides exchanged"
+MIRRORED_SIDES = "mirrored and sides exchanged"
+KINDS = (CLEAN, *SPOILINGS, RATE, SIDES, MIRRORED_SIDES, OTHER_SET, WRONG_LAYOUT)
+UNDECIDABLE = ("frozen", MIRRORED_SIDES)
+"""Kinds that leave a sound capture of something else."""
+UNDECIDABLE_AT_REST = ("frames shuffled", RATE, "half of the markers constant")
+"""Kinds that change next to nothing where nobody moves."""
+REST = 0.05
+"""m/s: markers of a clean capture that are slower, at the 95th percentile, are at rest."""
 LEVELS = ("good", "doubtful", "failed", "refused")
 Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 OTHER_PLACE = 0.05
@@ -68,12 +82,46 @@ def spoilt(capture: Capture, kind: str, body: BodyModel) -> tuple[Capture, str] 
             capture, dict(zip(match.layout.labels, match.layout.vertices(body), strict=True)), body
         )
         return None if name is None else (capture, name)
+    if kind == RATE:
+        return replace(capture, rate_hz=4.0 * capture.rate_hz), "auto"
+    if kind in (SIDES, MIRRORED_SIDES):
+        sign = np.array([-1.0, 1.0, 1.0]) if kind == MIRRORED_SIDES else 1.0
+        return sides_exchanged(replace(capture, markers=sign * capture.markers), match), "auto"
+    if kind == OTHER_SET:
+        others = [x for layout in shipped_layouts() for x in layout.labels]
+        labels = [x for x in dict.fromkeys(others) if x not in capture.labels]
+        count = len(capture.labels)
+        return replace(capture, labels=(*labels, *capture.labels)[:count]), "auto"
     order = Z_UP[capture.up_axis[-1]]
     markers = np.empty((len(capture), len(match.columns), 3))
     markers[..., order] = SPOILINGS[kind](
         capture.markers[:, match.columns][..., order], np.random.default_rng(0)
     )
     return replace(capture, labels=match.matched, markers=markers), "auto"
+
+
+def sides_exchanged(capture: Capture, match: LayoutMatch) -> Capture:
+    """With the labels of left and right markers exchanged."""
+    places = {m.place: name for m, name in zip(match.layout.markers, match.matched, strict=True)}
+    other = {
+        name: places.get(other_side(m).place, name)
+        for m, name in zip(match.layout.markers, match.matched, strict=True)
+    }
+    labels = tuple(other.get(x, x) for x in capture.labels)
+    return replace(capture, labels=labels if len(set(labels)) == len(labels) else capture.labels)
+
+
+def undecidable(kind: str, speed: float) -> bool:
+    """Whether no data can tell a spoilt copy from a sound capture; speed: of the clean capture's
+    markers (m/s).
+    """
+    return kind in UNDECIDABLE or (kind in UNDECIDABLE_AT_REST and speed < REST)
+
+
+def marker_speed(capture: Capture) -> float:
+    """95th percentile (m/s)."""
+    moved = np.linalg.norm(np.diff(capture.markers, axis=0), axis=2) * capture.rate_hz
+    return float(np.nanpercentile(moved, 95))
 
 
 def most_wrong_layout(capture: Capture, places: dict[str, int], body: BodyModel) -> str | None:
@@ -104,6 +152,7 @@ def judged(capture: Capture, kinds: Sequence[str], body: BodyModel) -> Iterator[
             continue
         began = time.perf_counter()
         row = {"capture": capture.name, "kind": kind, "layout": case[1]}
+        row["undecidable"] = undecidable(kind, marker_speed(capture))
         try:
             fit = habitus.Mosh(layout=case[1]).fit(case[0], body)
             row |= {
@@ -125,13 +174,17 @@ def numbers(found: Evidence) -> dict:
 def table(rows: list[dict], title: str) -> Table:
     """How many of each kind got which level."""
     shown = Table(title=title)
-    for head in ("kind", *LEVELS, "wrong"):
+    for head in ("kind", *LEVELS, "wrong", "undecidable"):
         shown.add_column(head, justify="left" if head == "kind" else "right")
     for kind in KINDS:
-        levels = Counter(row["level"] for row in rows if row["kind"] == kind)
+        some = [row for row in rows if row["kind"] == kind]
+        levels = Counter(row["level"] for row in some)
+        undecided = [row for row in some if row["undecidable"]]
         if levels:
             wrong = levels["failed"] + levels["refused"] if kind == CLEAN else levels["good"]
-            shown.add_row(kind, *(str(levels[level]) for level in LEVELS), str(wrong))
+            wrong -= sum(row["level"] == "good" for row in undecided)
+            counts = (*(levels[level] for level in LEVELS), wrong, len(undecided))
+            shown.add_row(kind, *map(str, counts))
     return shown
 
 
