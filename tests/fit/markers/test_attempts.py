@@ -16,9 +16,9 @@ def clean():
     return p.plant(frames=16)
 
 
-def attempted(planted, observed):
+def attempted(planted, observed, which=HASTY):
     recordings = [Recording("planted", np.array(observed), p.RATE_HZ, "+y")]
-    return list(iterate_attempts(planted.body, planted.prior, planted.layout, recordings, HASTY))
+    return list(iterate_attempts(planted.body, planted.prior, planted.layout, recordings, which))
 
 
 def shuffled(planted, *labels):
@@ -42,3 +42,13 @@ def test_labels_that_nothing_fits_are_left_out_and_the_rest_is_right(clean):
     suspects = {s.label: s.frames for s in fit.suspects}
     assert all(suspects[label] == len(clean.observed) for label in fit.left_out)
     assert all(any(label in text for text in fit.warnings) for label in fit.left_out)
+
+
+def test_a_hopeless_capture_ends_early_and_is_not_tried_again(clean):
+    """All labels on other markers: half of them are far from any body after two steps."""
+    which = p.settings(frames=2, soft_tissue=False)
+    order = np.random.default_rng(0).permutation(len(clean.layout))
+    (fit,) = attempted(clean, clean.observed[:, order], which)
+    assert fit.shape_status == "hopeless" and fit.tried == () and fit.verdict.level == "failed"
+    (sound,) = attempted(clean, clean.observed, which)
+    assert sound.shape_status in ("converged", "iterations")
