@@ -200,9 +200,9 @@ def _scan(source: Path, loaded: Any) -> Scan:
     triangles = np.concatenate(faces)
     own_normals = None if any(one is None for one in normals) else np.concatenate(normals)  # pyright: ignore
     points = np.concatenate(points)
-    known = (np.abs(points) <= MAX_COORDINATE).all(axis=1)
+    known = np.all(np.abs(points) <= MAX_COORDINATE, axis=1)
     if own_normals is not None:
-        known &= np.isfinite(own_normals).all(axis=1)
+        known &= np.all(np.isfinite(own_normals), axis=1)
     if not known.any() or not known[triangles].all():
         raise HabitusError("vertices that are no numbers, or huge ones; export it again")
     if not known.all():  # depth cameras' programs write NaN for pixels without depth

@@ -161,11 +161,12 @@ def _minimized(
 ) -> Minimized:
     """The result with values by name, in the start's form, and the cost of each term."""
     values = unknowns.like_start(result.x)
-    whole = is_dataclass(free) and not isinstance(free, type)
     return Minimized(
         **vars(result),
         values=values,
-        state=replace(free, **values) if whole else values,
+        state=replace(free, **values)
+        if is_dataclass(free) and not isinstance(free, type)
+        else values,
         costs=problem.costs(result.x),
         method=name,
         seconds=time.perf_counter() - began,

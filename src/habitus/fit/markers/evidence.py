@@ -203,11 +203,14 @@ def motion_extremes(fit: MarkerSolution) -> Motion | None:
     rate = fit.rate_hz / step
     frames, where = np.unique(rows, return_inverse=True)
     joints = np.asarray(fit.joints(frames.tolist()))
-    centre = sum(
-        mass * ((1.0 - at) * joints[:, names[first]] + at * joints[:, names[second]])
-        for first, second, mass, at in MASS_SEGMENTS
-    ) / sum(mass for *_, mass, _ in MASS_SEGMENTS)
-    centre = centre[where.reshape(rows.shape)]
+    masses = np.array([mass for *_, mass, _ in MASS_SEGMENTS])
+    middles = np.array(
+        [
+            (1.0 - at) * joints[:, names[first]] + at * joints[:, names[second]]
+            for first, second, _, at in MASS_SEGMENTS
+        ]
+    )
+    centre = np.average(middles, axis=0, weights=masses)[where.reshape(rows.shape)]
     pull = rate**2 / GRAVITY * (centre[:, 2] - 2 * centre[:, 1] + centre[:, 0])
     down = 1.0 if fit.up_axis.startswith("-") else -1.0
     markers = [np.asarray(fit.predicted_pose_stage[rows[:, k]]) for k in range(3)]
