@@ -148,7 +148,7 @@ LEARNED = {
     "tails": [{"p95_mm": mm} for mm in (34.9, 35.1, 80.1)],
     "usual at rest": [{"mean_mm": mm, "motion": 0.0} for mm in (9.9, 10.1, 20.1)],
     "usual in motion": [{"mean_mm": mm, "motion": 0.1} for mm in (10.7, 10.8, 21.6)],
-    "displaced": [{"displaced": spreads} for spreads in (1.9, 2.1, 4.1)],
+    "displaced": [{"displaced": spreads} for spreads in (1.3, 1.5, 4.1)],
     "distrusted": [{"distrusted": share} for share in (0.049, 0.051, 0.201)],
     "one coefficient": [{"beta_sd": sd} for sd in (3.4, 3.6)],
     "all coefficients": [{"betas_rms": sd} for sd in (1.5, 1.7)],
