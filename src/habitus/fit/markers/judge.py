@@ -58,8 +58,8 @@ class Limits:
     usual_moving_mm: float = 3.0
     """How much more of it (mm) for each m/s of motion."""
     displaced: Bound = Bound(1.4, 4.0)
-    """Distance of markers from the layout's places, in the layout's spreads, at the median. 19 sound
-    captures have 0.5 to 1.13; with each marker 40 mm off its place they have 1.44 and more."""
+    """Distance of markers from the layout's places, in the layout's spreads, at the median: 0.5 to
+    1.13 in 19 sound captures, 1.44 and more with each marker 40 mm off its place."""
     distrusted: Bound = Bound(0.05, 0.20)
     """Share of samples that the robust loss gives less than half of their weight."""
     beta_sd: Bound = Bound(3.5, INFINITY)
