@@ -11,7 +11,7 @@ import pytest
 import habitus
 from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_result import ScanColours, ScanFit
-from habitus.fit.points.skin_colours import SkinGrid
+from habitus.fit.points.skin_grid import SkinGrid
 from habitus.io.scans import read_scan
 from habitus.jobs.results import ScanResult
 from habitus.mesh.normals import vertex_normals

@@ -10,7 +10,8 @@ from habitus.errors import HabitusError
 from habitus.fit.points.correspondences import Topology
 from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_colours import check_colours, colour_difference, shared_skin, slid
-from habitus.fit.points.skin_colours import ColourCloud, Places, SkinGrid, colour_matches
+from habitus.fit.points.skin_colours import ColourCloud, Places, colour_matches
+from habitus.fit.points.skin_grid import SkinGrid
 from habitus.mesh.normals import face_normals
 from habitus.rotations import matrix_from_rotvec
 

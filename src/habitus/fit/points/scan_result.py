@@ -17,7 +17,7 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.scan import Cloud
-from habitus.fit.points.skin_colours import SkinGrid
+from habitus.fit.points.skin_grid import SkinGrid
 from habitus.fit.verdict import (
     BODY,
     FAILED,
