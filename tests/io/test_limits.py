@@ -186,6 +186,18 @@ def test_a_piece_of_hdf5_that_inflates_without_end_is_refused(tmp_path):
     assert "packed piece" in refused(open_registrations, path)
 
 
+def test_a_piece_of_hdf5_beyond_the_end_of_its_file_is_refused(tmp_path):
+    path = h5(tmp_path / "a.h5", shape=(4, 3, 1), dtype="f8", chunks=(4, 3, 1), compression="gzip")
+    with h5py.File(path, "r+") as file:
+        file["a_b"][:] = np.random.default_rng(0).normal(size=(4, 3, 1))
+        size = file["a_b"].id.get_chunk_info(0).size
+    key = struct.pack("<II", size, 0)  # of the tree of pieces: its size and the mask of its filters
+    raw = path.read_bytes()
+    assert raw.count(key) == 1
+    path.write_bytes(raw.replace(key, struct.pack("<II", 0x7FFFFFF0, 0)))
+    assert "beyond the file's end" in refused(open_registrations, path)
+
+
 def group(folder: Path, **changed) -> Path:
     made = zarr.open_group(str(folder), mode="w", zarr_format=2)
     for name, array in {

@@ -81,12 +81,17 @@ def _check_total(claimed: int, stored: int, what: str) -> None:
 
 def _check_h5_pieces(data: Any, steps: list[int], most: int, what: str) -> None:
     """Pieces that are small enough cannot inflate far; the others are inflated once, on
-    probation.
+    probation, if the file holds them.
     """
     if 1 not in steps:
         return
+    present = data.file.id.get_filesize()
     for k in range(data.id.get_num_chunks()):
         piece = data.id.get_chunk_info(k)
+        if piece.byte_offset + piece.size > present:
+            raise HabitusError(
+                f"{what} claims a piece beyond the file's end; expected a whole HDF5 file"
+            )
         if piece.size * _STEEPEST > most:
             check_inflated(data.id.read_direct_chunk(piece.chunk_offset)[1], most, what)
 
