@@ -3,20 +3,24 @@ much memory.
 """
 
 import base64
+import contextlib
 import json
 import struct
 import time
+import tracemalloc
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from habitus.errors import HabitusError
 from habitus.io.layouts.files import load_layout
 from habitus.io.meshes import read_mesh
 from habitus.io.registrations.templates import load_template
 from habitus.io.rgbd.descriptions import read_description
+from habitus.io.rgbd.images import read_image
 from habitus.io.rgbd.keypoints import read_keypoints
 from habitus.io.rgbd.read import read_views
 from habitus.io.scans import read_scan
@@ -330,3 +334,20 @@ def test_images_of_a_depth_folder_are_bounded_in_all(tmp_path):
 def test_keypoints_in_a_long_file_are_refused(tmp_path):
     (tmp_path / "a.json").write_text('{"people": [' + "{}," * 2_000_000 + "{}]}")
     refused(read_keypoints, tmp_path / "a.json")
+
+
+def test_a_png_chunk_that_is_longer_than_its_file_takes_no_memory(tmp_path):
+    """PIL asks for as many bytes as the chunk claims."""
+    path = tmp_path / "depth.png"
+    Image.fromarray(np.ones((18, 24), np.uint16)).save(path)
+    raw = path.read_bytes()
+    at = raw.index(b"IDAT") - 4
+    path.write_bytes(raw[:at] + struct.pack(">I", 0x7FFFFFF0) + raw[at + 4 :])
+    tracemalloc.start()
+    try:
+        with contextlib.suppress(HabitusError):
+            read_image(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 10 << 20

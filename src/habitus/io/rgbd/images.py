@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,8 @@ def _opened(path: Path) -> Iterator[Any]:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        # From memory, since a read of a damaged chunk's length then ends where the file does.
+        with Image.open(BytesIO(path.read_bytes())) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise HabitusError(
                     f"{image.width} x {image.height} pixels; expected a camera's image"
