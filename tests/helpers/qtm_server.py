@@ -100,3 +100,13 @@ class QtmServer:
 
     def __exit__(self, *_):
         self.close()
+
+
+def take(source, count):
+    """The frames of a source, once there are so many."""
+    frames = []
+    for _ in range(100):
+        frames += source.poll(0.1)
+        if len(frames) >= count:
+            break
+    return frames

@@ -68,7 +68,7 @@ def test_what_the_other_lacks_has_no_number_and_is_said(planted, told):
         np.isnan(fit.held_out_told.pose[:, 0]).all()
         and np.isfinite(fit.held_out_told.pose[:, 1:]).all()
     )
-    assert any(f"not told there: {held[0]}" in warning for warning in fit.warnings)
+    assert any(f"no placement there for {held[0]}" in warning for warning in fit.warnings)
 
 
 def test_places_that_cannot_be_told_are_refused(planted):

@@ -1,5 +1,5 @@
-"""Many captures in one run: each fails by itself, the others are fitted; what became of each is
-told.
+"""Many captures in one run: a failed capture does not stop the others; each has an
+outcome.
 """
 
 import json
@@ -132,14 +132,14 @@ class _Batch:
         given = [file for file in files if file.given]
         if given:
             yield from self._group(given)
-        worn: list[tuple[Found, MarkerSet | None]] = []
+        marker_sets: list[tuple[Found, MarkerSet | None]] = []
         for file in files:
             if file.exported:
                 yield Outcome(file.path, file.name, error=HabitusError(EXPORTED), left_out=True)
             elif not file.given:
                 self.progress("read", 0.0)
                 try:
-                    worn.append((file, self._worn(file)))
+                    marker_sets.append((file, self._marker_set(file)))
                 except Exception as error:
                     yield Outcome(
                         file.path,
@@ -147,10 +147,10 @@ class _Batch:
                         error=error,
                         left_out=file.path.suffix.lower() not in SURE,
                     )
-        for group in grouped(worn):
+        for group in grouped(marker_sets):
             yield from self._group(group)
 
-    def _worn(self, file: Found) -> MarkerSet | None:
+    def _marker_set(self, file: Found) -> MarkerSet | None:
         """None for a file of several people, which is fitted by itself."""
         captures = self.recipe.read(file.path)
         return MarkerSet.of(captures[0]) if len(captures) == 1 else None

@@ -63,7 +63,7 @@ class Now(NamedTuple):
 
 
 class Sink(Protocol):
-    """Whoever is told of every frame: a viewer, other programs."""
+    """A receiver of every frame: a viewer, other programs."""
 
     def show(self, now: Now, quality: Quality) -> None:
         """Tell of a frame, quickly."""
@@ -75,7 +75,7 @@ class Sink(Protocol):
 
 
 class Follower:
-    """Takes the frames after those that told the shape. For one stream and one thread.
+    """Takes the frames after those of the shape stage. For one stream and one thread.
 
     notes: what happened, a sentence each. latencies: seconds from a frame's arrival to its pose, of
     the last minute or so, those left out that waited until the shape was found.
@@ -153,7 +153,7 @@ class Follower:
         return min(missing, most)
 
     def _report_state(self, live: LiveFrame) -> None:
-        """Says when somebody leaves, returns or is begun anew."""
+        """Notes when the person leaves, returns, or is initialised again."""
         before = self._state
         self._state = live.state
         if live.state == "nobody" and before != "nobody":
@@ -162,7 +162,7 @@ class Follower:
             what = (
                 "the subject is seen again"
                 if before == "nobody"
-                else "the body was astray and is begun anew"
+                else "tracking was lost; the body is initialised again"
             )
             self._note(f"{what} at {self.seconds:.1f} s", "")
 
@@ -224,7 +224,7 @@ class Record:
         return len(self._poses)
 
     def add(self, frame: LiveFrame, observed: np.ndarray) -> None:
-        """The next frame, with the markers (N, 3) that it was told; nobody's markers are not
+        """The next frame, with its markers (N, 3); markers of nobody are not
         kept.
         """
         self._poses.append(frame.pose)

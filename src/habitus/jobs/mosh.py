@@ -338,8 +338,8 @@ def rotate_hold_out(
             folds.append(fold)
             progress(f"hold out {min(len(folds) + 1, every)} of {every}", len(folds) / every)
     count = range(len(person.captures))
-    told = [merged([fold[1][r] for fold in folds]) if others else None for r in count]
-    return [merged([fold[0][r] for fold in folds]) for r in count], told
+    known = [merged([fold[1][r] for fold in folds]) if others else None for r in count]
+    return [merged([fold[0][r] for fold in folds]) for r in count], known
 
 
 def errors_of(
@@ -373,8 +373,8 @@ def known_placement_errors(
     others: Sequence[Capture],
     settings: MoshSettings,
 ) -> list[HeldOut]:
-    """Errors of the held-out markers in each capture of a person, their places told by ``others``
-    alone.
+    """Errors of the held-out markers in each capture of a person, their placements taken from
+    ``others`` alone.
 
     All captures are fitted as one subject, the held-out markers hidden in the person's own. Labels
     that files exchange are put right first, judged by all captures: an identity is no place. NaN
@@ -404,7 +404,7 @@ def check_placements(
         return ()
     if not labels and every is None:
         raise HabitusError(
-            "placements-from tells where held-out markers sit, but none is held out: add "
+            "placements-from gives placements of held-out markers, but none is held out: add "
             "hold-out-every K"
         )
     have = {normalised(label) for capture in others for label in capture.labels}
@@ -416,10 +416,10 @@ def check_placements(
             f"placements-from: {names} has none of the held-out labels {listed(wanted)}; "
             "expected the same"
         )
-    notes = [f"placements-from: not told there: {listed(lacking)}"] if lacking else []
+    notes = [f"placements-from: no placement there for {listed(lacking)}"] if lacking else []
     own = [MarkerSet.of(replace(capture, subject=None)) for capture in whole.captures]
     for other in others:
-        if not any(MarkerSet.of(replace(other, subject=None)).matches(worn) for worn in own):
+        if not any(MarkerSet.of(replace(other, subject=None)).matches(markers) for markers in own):
             notes.append(
                 f"placements-from: markers of {other.name} are not as far apart as here; is it the "
                 "same person, and were "
@@ -445,7 +445,7 @@ def _seen(capture: Capture, labels: Sequence[str]) -> np.ndarray:
 
 
 def _errors(fit: MarkerFit, labels: tuple[str, ...], observed: np.ndarray) -> HeldOut:
-    """Distances of observed (T, H, 3) from predicted markers; the fit was told where they sit by
+    """Distances of observed (T, H, 3) from predicted markers; their placements come from
     other captures.
     """
     names = {normalised(label): column for column, label in enumerate(fit.labels)}

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from natnet_server import FRAME, MODEL, NatNetServer, frame, model, packet, server_info
-from qtm_server import DATA, EVENT, QtmServer
+from qtm_server import DATA, EVENT, QtmServer, take
 from qtm_server import frame as qtm_frame
 
 from habitus.io.streams import natnet_packets as natnet
@@ -86,15 +86,6 @@ def stranger() -> socket.socket:
         udp.close()
         pytest.skip("this machine's loopback network has one address only")
     return udp
-
-
-def take(source, count):
-    frames = []
-    for _ in range(100):
-        frames += source.poll(0.1)
-        if len(frames) >= count:
-            break
-    return frames
 
 
 def test_packets_of_others_are_counted_named_and_skipped():

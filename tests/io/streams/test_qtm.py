@@ -5,22 +5,13 @@ import threading
 
 import numpy as np
 import pytest
-from qtm_server import SETTINGS_CHANGED, SHUTTING_DOWN, QtmServer, frame
+from qtm_server import SETTINGS_CHANGED, SHUTTING_DOWN, QtmServer, frame, take
 
 from habitus.errors import HabitusError
 from habitus.io.streams import qtm
 from habitus.io.streams.qtm import Qtm
 
 LABELS = ("LFHD", "RFHD", "C7", "T10")
-
-
-def take(source, count):
-    frames = []
-    for _ in range(100):
-        frames += source.poll(0.1)
-        if len(frames) >= count:
-            break
-    return frames
 
 
 def start(server):

@@ -71,10 +71,11 @@ class Evidence:
     the median. unseen: joint -> share of frames in which no marker sits on it or on what hangs from
     it; parents: joint -> the joint that it hangs from. tilt_deg: of the body against up, at the
     median; standing: only over frames of a straight body. size: of the observed markers as a
-    multiple of the body's. torn: share of the pairs close together on the body that are seen far
-    apart; torn_level: how many of these at one height. extremes: how fast the fit moves, None of
-    fewer than three frames or a body without a person's joints. age, stature: the body's age, if it
-    was brought to one (years), and how tall its mean person is (m). tried: what was done before.
+    multiple of the body's. torn: share of the pairs close together on the body that are observed
+    far from each other; torn_level: number of these at one height. extremes: speeds and
+    accelerations of the fit, None for fewer than three frames or a body without a person's joints.
+    age, stature: the body's age, if it was brought to one (years), and how tall its mean person is
+    (m). tried: what was done before.
     doubts: what was not decided of the markers' places.
     """
 

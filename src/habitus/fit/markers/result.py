@@ -1,7 +1,7 @@
 """The result of a marker fit: its solution with the verdict and the uncertainty of each segment.
 
-How well a fit is determined is told by the covariance of its betas, and by how certain the position
-of each joint's segment is where few markers are seen and the pose prior decides.
+Two measures of how well a fit is determined: the covariance of its betas, and the standard
+deviation of each joint segment's position where few markers are seen and the pose prior decides.
 """
 
 from dataclasses import dataclass
@@ -51,8 +51,8 @@ def segment_spread(
     poses; shape is taken as found. Spans that see the same markers share one number, from the
     pose in the middle of the first of them.
     """
-    told = _told(fit, edges)
-    patterns, first, which = np.unique(told, axis=0, return_index=True, return_inverse=True)
+    trusted = _trusted(fit, edges)
+    patterns, first, which = np.unique(trusted, axis=0, return_index=True, return_inverse=True)
     frames = (edges + np.diff(np.append(edges, len(fit.pose))) // 2)[first]
     noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=PLACE)
     rows, owners = _probes(fit.body)
@@ -70,7 +70,7 @@ def segment_spread(
     return found[which.reshape(-1)]
 
 
-def _told(fit: MarkerSolution, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+def _trusted(fit: MarkerSolution, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
     """Which markers are seen and trusted in some frame of each span."""
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights

@@ -13,7 +13,7 @@
                (`colour_terms`)
 
 The weights are in the table of `habitus.fit.points`: fields of `depth_settings.RgbdSettings`,
-those of light, albedo and camera shift of `AppearanceSettings`. Correspondences are found anew
+those of light, albedo and camera shift of `AppearanceSettings`. Correspondences are renewed
 before each step (`habitus.solve.alternate`); a step that raises the cost at its correspondences is
 refused.
 """

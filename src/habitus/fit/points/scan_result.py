@@ -80,8 +80,8 @@ class ScanLimits:
     head_seen: Bound = Bound(0.3, 0.0)
     """Share of the head that the scan shows: the height rests on it."""
     islands: Bound = Bound(0.1, np.inf)
-    """Share of the scan that was left out as it lies apart from the person: more than dust and
-    stands may be somebody else."""
+    """Share of the scan in components separate from the person, which are left out: more than dust
+    and stands may be another person."""
     people: PeopleLimits = SCANNED_PEOPLE
     rival: Bound = Bound(1.05, 0.0)
     """Misfit of the best other pose relative to the best."""
@@ -205,7 +205,7 @@ class ScanFit:
     cut each other in the surface beyond those of the model, by part of the body
     (`habitus.fit.verdict.PARTS`). ``person``: False where the start was
     so far from the scan that the rest was not tried; the surface is then the model's. ``islands``:
-    share of the scan that was left out as it lies apart. ``up_axis``
+    share of the scan that was left out as separate components. ``up_axis``
     is the scan's own axis that points up. ``status``: how the last solve of pose and shape ended
     (`habitus.minimize`: "converged", "iterations", "stalled", …; "no person" where none was tried);
     ``costs``: its cost by term.

@@ -38,10 +38,9 @@ def write_c3d(capture: Capture, path: str | os.PathLike[str], *, note: str = "")
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, markers, frames), bool)
     _add_parameters(file, capture)
     if note:
-        told = [shown(note, _MAX_LENGTH).encode()[:_MAX_LENGTH].decode(errors="ignore")] * min(
-            markers, _MAX_LABELS
-        )
-        file["parameters"]["POINT"]["DESCRIPTIONS"]["value"] = told
+        text = shown(note, _MAX_LENGTH).encode()[:_MAX_LENGTH].decode(errors="ignore")
+        descriptions = [text] * min(markers, _MAX_LABELS)
+        file["parameters"]["POINT"]["DESCRIPTIONS"]["value"] = descriptions
     with atomic_write(path) as temporary:
         written = temporary.with_name(f"{temporary.stem}.c3d")  # ezc3d writes to no other ending
         file.write(str(written))

@@ -33,13 +33,14 @@ def open_registrations(
     (N,), ``weights`` of vertices, 0 to 1, (V,) or (N, V), and what is known of registrations that
     were made (`habitus.mesh.known.Known`): ``pose`` (N, J, 3), ``trans`` (N, 3), ``betas`` (N, B),
     ``rest`` (S, V, 3) of the subjects as they appear; a folder with ``registrations.csv`` (columns
-    subject and, if told, sex, set, name, unit, frame) that names PLY or OBJ files in its column
-    file, or lies beside ``vertices.npy``, ``faces.npy`` and, if told, ``weights.npy``, ``pose.npy``
-    and so on; a folder of numbered meshes, ten a subject (FAUST); a folder of such ``.npz``, one a
-    person, say; an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of shape (V, 3, T)
-    (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...) is that of the
-    numbers where the data do not tell it. Where no set is told, a registration is of the set "pose"
-    if its subject has several, else "shape". Raises HabitusError, naming the file, for all else.
+    subject and, if known, sex, set, name, unit, frame) that names PLY or OBJ files in its column
+    file, or lies beside ``vertices.npy``, ``faces.npy`` and, if known, ``weights.npy``,
+    ``pose.npy`` and so on; a folder of numbered meshes, ten a subject (FAUST); a folder of such
+    ``.npz``, one a person, say; an ``.h5`` of ``faces`` and sequences ``<subject>_<sequence>`` of
+    shape (V, 3, T) (Dyna), of which ``every`` so many frames are taken. ``unit`` (m, cm, mm, ...)
+    is that of the numbers where the data do not state it. Without a set, a registration is of the
+    set "pose" if its subject has several, else "shape". Raises HabitusError, naming the file, for
+    all else.
     """
     if unit_of(unit) is None:
         raise HabitusError(f"unit is {unit!r}; expected one of {', '.join(METRES)}")
@@ -97,17 +98,17 @@ def _weights(sources: Sequence[Source]) -> Float[np.ndarray, "..."] | None:
     if len(sources) == 1:
         return sources[0].weights
     shapes = [tuple(source.vertices.shape[:2]) for source in sources]
-    told = [1.0 if source.weights is None else source.weights for source in sources]
+    weights = [1.0 if source.weights is None else source.weights for source in sources]
     return np.concatenate(
-        [np.broadcast_to(weights, shape) for weights, shape in zip(told, shapes, strict=True)]
+        [np.broadcast_to(weight, shape) for weight, shape in zip(weights, shapes, strict=True)]
     )
 
 
-def _sets(subject: Sequence[str], told: Sequence[str]) -> tuple[str, ...]:
+def _sets(subject: Sequence[str], given: Sequence[str]) -> tuple[str, ...]:
     count = Counter(subject)
     return tuple(
-        word or ("pose" if count[one] > 1 else "shape")
-        for one, word in zip(subject, told, strict=True)
+        word or ("pose" if count[name] > 1 else "shape")
+        for name, word in zip(subject, given, strict=True)
     )
 
 

@@ -5,7 +5,7 @@ import queue
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -174,6 +174,24 @@ class Qtm:
         self.ended = True
 
 
+def _is_frame(payload: bytes, components: Collection[int]) -> bool:
+    """Whether a frame holds the number of components that it claims, of these types, one after
+    another.
+    """
+    if len(payload) < _FRAME_BYTES:
+        return False
+    _, _, count = struct.unpack_from("<qII", payload)
+    at = _FRAME_BYTES
+    for _ in range(count):
+        if at + _COMPONENT_BYTES > len(payload):
+            return False
+        size, kind = _HEADER.unpack_from(payload, at)
+        if kind not in components or size < _COMPONENT_BYTES or at + size > len(payload):
+            return False
+        at += size
+    return True
+
+
 def _checked_protocol(skip: Callable[[str], None]) -> Any:
     """qtm-rt's protocol, given sound packets only; others are handed to ``skip``, with a reason.
 
@@ -192,28 +210,13 @@ def _checked_protocol(skip: Callable[[str], None]) -> Any:
     events = {event.value for event in QRTEvent}
     components = {kind.value for kind in QRTComponentType}
 
-    def is_frame(payload: bytes) -> bool:
-        """Whether components of known types fill a frame without overlap."""
-        if len(payload) < _FRAME_BYTES:
-            return False
-        _, _, count = struct.unpack_from("<qII", payload)
-        at = _FRAME_BYTES
-        for _ in range(count):
-            if at + _COMPONENT_BYTES > len(payload):
-                return False
-            size, kind = _HEADER.unpack_from(payload, at)
-            if kind not in components or size < _COMPONENT_BYTES or at + size > len(payload):
-                return False
-            at += size
-        return True
-
     def fault(kind: int, payload: bytes) -> str | None:
         if kind not in handled:
             return "packets of an unknown type"
         if kind == QRTPacketType.PacketEvent.value:
             known = len(payload) == 1 and payload[0] in events
             return None if known else "unknown events"
-        if kind == QRTPacketType.PacketData.value and not is_frame(payload):
+        if kind == QRTPacketType.PacketData.value and not _is_frame(payload, components):
             return "truncated packets"
         return None
 
