@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.fit.markers.solution import GUESSED
+from habitus.fit.markers.evidence_settings import UNCERTAINTY
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_a_limb_without_markers_is_guessed(fit, side):
 def test_for_as_long_as_nobody_sees_it(fit):
     edges, spread = without(fit, "left_shoulder", slice(16, 32)).guessed
     hidden = (edges >= 16) & (edges < 32)
-    elbow = spread[:, fit.body.joint_names.index("left_elbow")] > GUESSED
+    elbow = spread[:, fit.body.joint_names.index("left_elbow")] > UNCERTAINTY.guessed
     np.testing.assert_array_equal(elbow, hidden)
 
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus.fit.markers.evidence_settings import UncertaintySettings
 from habitus.fit.markers.result import betas_covariance
 
 
@@ -21,11 +22,17 @@ def test_markers_make_the_shape_surer_and_never_less_sure():
 
 def test_the_further_markers_may_be_off_the_less_is_known():
     fit = synthetic_fit(4)
-    known = [sorted_variances(betas_covariance(fit, place)) for place in (0.002, 0.01, 0.05, 10.0)]
+    known = [
+        sorted_variances(betas_covariance(fit, UncertaintySettings(place=place)))
+        for place in (0.002, 0.01, 0.05, 10.0)
+    ]
     assert all((a <= b + 1e-9).all() for a, b in pairwise(known))
     np.testing.assert_allclose(known[-1], 1, atol=1e-3)
     noisy = replace(fit, marker_noise=fit.marker_noise + 0.03)
-    assert (sorted_variances(betas_covariance(noisy, 0.002)) >= known[0] - 1e-9).all()
+    assert (
+        sorted_variances(betas_covariance(noisy, UncertaintySettings(place=0.002)))
+        >= known[0] - 1e-9
+    ).all()
 
 
 def test_what_no_marker_sees_stays_open():
@@ -39,5 +46,5 @@ def test_what_no_marker_sees_stays_open():
 def test_more_frames_of_the_same_markers_tell_no_more():
     few = synthetic_fit(4)
     many = synthetic_fit(40)
-    a, b = (np.trace(betas_covariance(fit, 0.02)) for fit in (few, many))
+    a, b = (np.trace(betas_covariance(fit, UncertaintySettings(place=0.02))) for fit in (few, many))
     assert abs(a - b) < 0.3

@@ -11,13 +11,12 @@ from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.markers.evidence import HALF
 from habitus.fit.markers.hold_out import held_out_errors
 from habitus.fit.markers.judge import may_improve
 from habitus.fit.markers.recipe import fit_recording, iterate_fits, known_subject
 from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording, few_markers
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings, RetrySettings
 from habitus.fit.markers.shape import Subject
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.verdict import FAILED, LEVELS
@@ -181,12 +180,12 @@ def _attempts(case: _Case, fit: MarkerFit) -> Iterator[_Attempt]:
     starts where there are none, or too many.
     """
     retry = case.settings.retry
-    gone = worst_labels(fit)
+    gone = worst_labels(fit, retry)
     if 0 < len(gone) <= retry.max_left_out * len(case.layout):
         found = case.leaving_out(gone)
         yield found
         rest = tuple(label for label in gone if label not in case.fitting(found, gone))
-        more = tuple(label for label in worst_labels(found.fit) if label not in rest)
+        more = tuple(label for label in worst_labels(found.fit, retry) if label not in rest)
         wrong = (*rest, *more)
         if 0 < len(wrong) <= retry.max_left_out * len(case.layout) and set(wrong) != set(gone):
             yield case.leaving_out(wrong)
@@ -195,14 +194,15 @@ def _attempts(case: _Case, fit: MarkerFit) -> Iterator[_Attempt]:
     yield case.attempt("other starts", start_markers="all")
 
 
-def worst_labels(fit: MarkerFit) -> tuple[str, ...]:
+def worst_labels(fit: MarkerFit, settings: RetrySettings) -> tuple[str, ...]:
     """Labels whose markers the fit distrusts in most frames in which it sees them, the worst
     first.
     """
     count = np.maximum(fit.visible.sum(axis=0), 1)
-    share = (fit.visible & mapped(lambda part: part < HALF, fit.marker_weights)).sum(axis=0) / count
+    low = mapped(lambda part: part < settings.min_weight, fit.marker_weights)
+    share = (fit.visible & low).sum(axis=0) / count
     order = np.argsort(-share, kind="stable")[: max(0, len(fit.labels) - FEWEST_MARKERS)]
-    return tuple(fit.labels[k] for k in order if share[k] > HALF)
+    return tuple(fit.labels[k] for k in order if share[k] > settings.distrusted)
 
 
 def _rank(fit: MarkerFit) -> tuple[int, float]:

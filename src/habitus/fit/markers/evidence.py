@@ -11,24 +11,13 @@ from jaxtyping import Bool, Float
 
 from habitus.arrays import runs
 from habitus.body.skinning import descends
+from habitus.fit.markers.evidence_settings import EVIDENCE, EvidenceSettings
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.parallel.blocks import mapped
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
-MOST_FRAMES = 4000
-FEW_FRAMES = 200  # enough to judge by; more cost memory and say no more
-HALF = 0.5
-STRAIGHT = 0.97  # of the way from ankle over knee, hip and spine to the neck: who stands
-CLOSE = 0.15
-TORN = 0.4
-LEVEL = 0.3  # metres: markers this close at rest, this much further apart, and this level
 SIDES = ("left", "right")
-MOTION_STEP = 0.02
-"""Seconds of the differences that speeds and accelerations are taken from: noise of 1 mm leaves an
-acceleration of 6 m/s^2, and steps of a sprint last 0.1 s."""
-MOTION_SAMPLES = 400
-MOTION_QUANTILE = 95
-GRAVITY = 9.81
+GRAVITY = 9.81  # m/s^2
 _PAIRED_SEGMENTS = (
     ("shoulder", "elbow", 0.0271, 0.577),
     ("elbow", "wrist", 0.0162, 0.457),
@@ -47,7 +36,8 @@ mass is: de Leva 1996, Journal of Biomechanics 29(9), table 4, men."""
 
 
 class Motion(NamedTuple):
-    """How fast a fit moves: 95th percentiles, over `MOTION_STEP`.
+    """How fast a fit moves: `EvidenceSettings.motion_percentile` over steps of
+    ``motion_step``.
 
     fall and force: of the centre of mass' acceleration downwards and in any direction, in g.
     Markers in m/s and m/s^2, joints against their parents in rad/s and rad/s^2, over all of them.
@@ -111,9 +101,9 @@ class Evidence:
     extremes: Motion | None = None
 
 
-def evidence(fit: MarkerSolution) -> Evidence:
+def evidence(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Evidence:
     """The evidence on a fit; of a long capture some frames speak for all."""
-    rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // MOST_FRAMES))
+    rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // settings.frames))
     observed = np.asarray(fit.observed_markers[rows])
     distance = 1e3 * np.linalg.norm(observed - fit.predicted_pose_stage[rows], axis=2)
     seen = np.isfinite(distance)
@@ -121,14 +111,15 @@ def evidence(fit: MarkerSolution) -> Evidence:
     empty = mapped(
         lambda part: np.isnan(part[..., 0]).all(axis=1), np.asarray(fit.observed_markers)
     )
-    tilt, standing = _tilt(fit)
-    torn, level = _torn(fit, observed)
+    predicted = np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)
+    tilt, standing = _tilt(fit, settings)
+    torn, level = _torn(fit, observed, settings)
     names = fit.body.joint_names
     return Evidence(
         mean_mm=float(distance[seen].mean()) if seen.any() else None,
         p95_mm=float(np.percentile(distance[seen], 95)) if seen.any() else None,
-        motion=_motion(fit),
-        distrusted=float((weights[seen] < HALF).mean()) if seen.any() else 0.0,
+        motion=_motion(fit, settings),
+        distrusted=float((weights[seen] < settings.min_weight).mean()) if seen.any() else 0.0,
         beta_sd=float(np.abs(fit.betas).max(initial=0.0)),
         betas_rms=float(np.sqrt(np.mean(np.square(fit.betas)))) if len(fit.betas) else 0.0,
         displaced=None if fit.displaced is None else float(np.median(fit.displaced)),
@@ -136,15 +127,14 @@ def evidence(fit: MarkerSolution) -> Evidence:
         age=fit.body.age,
         stature=float(np.ptp(fit.body.v_template[:, 1])),
         recorded=fit.recorded,
-        unseen=_unseen(fit, seen & (weights > 0.1)),
+        unseen=_unseen(fit, seen & (weights > settings.seen_weight), settings),
         parents={names[k]: names[p] for k, p in enumerate(fit.body.parents) if p >= 0},
         no_data=float(np.mean(fit.flagged_frames)),
         gap_s=_longest(empty) / fit.rate_hz,
         confidence=fit.layout_confidence,
         tilt_deg=tilt,
         standing=standing,
-        size=_extent(observed)
-        / max(_extent(np.where(seen[..., None], fit.predicted_pose_stage[rows], np.nan)), 1e-9),
+        size=_extent(observed, settings) / max(_extent(predicted, settings), 1e-9),
         torn=torn,
         torn_level=level,
         rate_hz=fit.rate_hz,
@@ -155,27 +145,29 @@ def evidence(fit: MarkerSolution) -> Evidence:
         up_axis=fit.up_axis,
         tried=fit.tried,
         doubts=fit.doubts,
-        extremes=motion_extremes(fit),
+        extremes=motion_extremes(fit, settings),
     )
 
 
-def limbs_of(fit: MarkerSolution) -> Bool[np.ndarray, "M J"]:
+def limbs_of(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Bool[np.ndarray, "M J"]:
     """Whether a marker sits on a joint's part of the body or on what hangs from it."""
     corners = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1)
-    return corners @ descends(fit.body.parents).T > HALF
+    return corners @ descends(fit.body.parents).T > settings.carried
 
 
-def _unseen(fit: MarkerSolution, trusted: Bool[np.ndarray, "T M"]) -> dict[str, float]:
-    determined = trusted.astype(np.float32) @ limbs_of(fit).astype(np.float32) > 0
+def _unseen(
+    fit: MarkerSolution, trusted: Bool[np.ndarray, "T M"], settings: EvidenceSettings
+) -> dict[str, float]:
+    determined = trusted.astype(np.float32) @ limbs_of(fit, settings).astype(np.float32) > 0
     return {
         name: float(1.0 - share)
         for name, share in zip(fit.body.joint_names, determined.mean(axis=0), strict=True)
     }
 
 
-def _motion(fit: MarkerSolution) -> float:
+def _motion(fit: MarkerSolution, settings: EvidenceSettings) -> float:
     """At the median (m/s), how fast predicted markers move against their middle."""
-    first = np.arange(0, max(1, fit.num_frames - 1), max(1, fit.num_frames // FEW_FRAMES))
+    first = np.arange(0, max(1, fit.num_frames - 1), max(1, fit.num_frames // settings.few_frames))
     if fit.num_frames < 2:
         return 0.0
     step = fit.predicted_pose_stage[first + 1] - fit.predicted_pose_stage[first]
@@ -191,15 +183,17 @@ def _speed(fit: MarkerSolution) -> float:
     return float(np.median(np.linalg.norm(np.diff(fit.trans, axis=0), axis=1))) * fit.rate_hz
 
 
-def motion_extremes(fit: MarkerSolution) -> Motion | None:
+def motion_extremes(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Motion | None:
     """How fast a fit moves, from triples of frames spread over it."""
-    step = max(1, round(MOTION_STEP * fit.rate_hz))
+    step = max(1, round(settings.motion_step * fit.rate_hz))
     names = {name: k for k, name in enumerate(fit.body.joint_names)}
     known = all(name in names for first, second, *_ in MASS_SEGMENTS for name in (first, second))
     last = fit.num_frames - 2 * step
     if last < 1 or not known:
         return None
-    starts = np.unique(np.linspace(0, last - 1, min(last, MOTION_SAMPLES)).astype(np.int64))
+    starts = np.unique(
+        np.linspace(0, last - 1, min(last, settings.motion_samples)).astype(np.int64)
+    )
     rows = starts[:, None] + step * np.arange(3)
     rate = fit.rate_hz / step
     frames, where = np.unique(rows, return_inverse=True)
@@ -225,15 +219,19 @@ def motion_extremes(fit: MarkerSolution) -> Motion | None:
         np.linalg.norm(each, axis=-1)
         for each in (pull, moved[0], rate * (moved[1] - moved[0]), turned[0])
     )
-    force, speed, acceleration, turning = (np.percentile(x, MOTION_QUANTILE) for x in lengths)
+    force, speed, acceleration, turning = (
+        np.percentile(x, settings.motion_percentile) for x in lengths
+    )
     spin = np.linalg.norm(rate * (turned[1] - turned[0]), axis=-1)
     return Motion(
-        float(np.percentile(down * pull[:, "xyz".index(fit.up_axis[-1])], MOTION_QUANTILE)),
+        float(
+            np.percentile(down * pull[:, "xyz".index(fit.up_axis[-1])], settings.motion_percentile)
+        ),
         float(force),
         float(speed),
         float(acceleration),
         float(turning),
-        float(np.percentile(spin, MOTION_QUANTILE)),
+        float(np.percentile(spin, settings.motion_percentile)),
     )
 
 
@@ -242,7 +240,7 @@ def _longest(flags: Bool[np.ndarray, " T"]) -> int:
     return max((last - first for first, last in runs(flags)), default=0)
 
 
-def _tilt(fit: MarkerSolution) -> tuple[float | None, bool]:
+def _tilt(fit: MarkerSolution, settings: EvidenceSettings) -> tuple[float | None, bool]:
     """Degrees between the capture's up and the way from the ankles to the neck; over straight
     bodies where there are.
 
@@ -255,7 +253,7 @@ def _tilt(fit: MarkerSolution) -> tuple[float | None, bool]:
     ]
     if not all(name in names for part in chain for name in part):
         return None, False
-    rows = np.arange(0, fit.num_frames, max(1, fit.num_frames // FEW_FRAMES))
+    rows = settings.rows(fit.num_frames)
     joints = np.asarray(fit.joints(rows.tolist()))
     points = np.stack(
         [joints[:, [names[name] for name in part]].mean(axis=1) for part in chain], axis=1
@@ -266,12 +264,14 @@ def _tilt(fit: MarkerSolution) -> tuple[float | None, bool]:
     sign = -1.0 if fit.up_axis.startswith("-") else 1.0
     axis = "xyz".index(fit.up_axis[-1])
     angle = np.degrees(np.arccos(np.clip(sign * way[:, axis] / length, -1, 1)))
-    straight = length > STRAIGHT * legs
-    standing = bool(straight.mean() > 0.1)
+    straight = length > settings.straight * legs
+    standing = bool(straight.mean() > settings.standing)
     return float(np.median(angle[straight] if standing else angle)), standing
 
 
-def _torn(fit: MarkerSolution, observed: Float[np.ndarray, "T M 3"]) -> tuple[float, float]:
+def _torn(
+    fit: MarkerSolution, observed: Float[np.ndarray, "T M 3"], settings: EvidenceSettings
+) -> tuple[float, float]:
     """Share of the pairs close together on one part of the body that are seen far apart; how many
     of these level.
 
@@ -281,25 +281,26 @@ def _torn(fit: MarkerSolution, observed: Float[np.ndarray, "T M 3"]) -> tuple[fl
     part = fit.body.skinning_weights[fit.attachment.triangles].mean(axis=1).argmax(axis=1)
     first, second = np.triu_indices(len(part), 1)
     rest = np.linalg.norm(fit.latent_markers[first] - fit.latent_markers[second], axis=1)
-    near = (part[first] == part[second]) | (rest < CLOSE)
-    way = observed[:: max(1, len(observed) // 20)]
+    near = (part[first] == part[second]) | (rest < settings.close)
+    way = observed[:: max(1, len(observed) // settings.pair_frames)]
     way = way[:, first[near]] - way[:, second[near]]
     seen = np.isfinite(way[..., 0]).any(axis=0)
     if not seen.any():
         return 0.0, 0.0
     middle = np.nanmedian(np.abs(way[:, seen]), axis=0)
-    torn = np.nanmedian(np.linalg.norm(way[:, seen], axis=2), axis=0) > rest[near][seen] + TORN
-    level = middle[torn, "xyz".index(fit.up_axis[-1])] < LEVEL
+    apart = np.nanmedian(np.linalg.norm(way[:, seen], axis=2), axis=0)
+    torn = apart > rest[near][seen] + settings.torn
+    level = middle[torn, "xyz".index(fit.up_axis[-1])] < settings.level
     return float(torn.mean()), float(level.mean()) if torn.any() else 0.0
 
 
-def _extent(points: Float[np.ndarray, "T M 3"]) -> float:
-    """Twice the distance (m) from the middle that holds nine in ten of a frame's markers, at the
+def _extent(points: Float[np.ndarray, "T M 3"], settings: EvidenceSettings) -> float:
+    """Twice the distance (m) from the middle that holds most of a frame's markers, at the
     median over frames.
     """
-    some = points[:: max(1, len(points) // FEW_FRAMES)]
+    some = points[settings.rows(len(points))]
     some = some[np.isfinite(some[..., 0]).any(axis=1)]
     if not len(some):
         return 0.0
     distance = np.linalg.norm(some - np.nanmedian(some, axis=1, keepdims=True), axis=2)
-    return 2.0 * float(np.median(np.nanpercentile(distance, 90, axis=1)))
+    return 2.0 * float(np.median(np.nanpercentile(distance, settings.extent_percentile, axis=1)))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from habitus.fit.markers.evidence import Evidence, evidence
+from habitus.fit.markers.evidence_settings import EVIDENCE, EvidenceSettings
 from habitus.fit.markers.shape import HOPELESS
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (
@@ -123,6 +124,8 @@ class Limits:
     left_out: Bound = Bound(0.0, 0.34)
     """Share of the labels that had to be left out."""
     people: PeopleLimits = PEOPLE
+    evidence: EvidenceSettings = EVIDENCE
+    """How the evidence is measured."""
 
 
 LIMITS = Limits()
@@ -199,7 +202,7 @@ TIPS = ("foot", "hand", "thumb", "index", "middle", "ring", "pinky", "jaw", "eye
 
 def judge(fit: MarkerSolution, limits: Limits = LIMITS) -> Verdict:
     """The verdict on a fit."""
-    return weigh(evidence(fit), limits)
+    return weigh(evidence(fit, limits.evidence), limits)
 
 
 def weigh(found: Evidence, limits: Limits = LIMITS) -> Verdict:
@@ -217,7 +220,7 @@ def may_improve(fit: MarkerSolution, verdict: Verdict, limits: Limits = LIMITS) 
     """Whether a fit with this verdict has failed in a way that another attempt may mend."""
     if verdict.level != FAILED or fit.shape_status == HOPELESS or not fit.visible.any():
         return False
-    found = evidence(fit)
+    found = evidence(fit, limits.evidence)
     if any(reason.level == FAILED for reason in _size(found, limits)):
         return False
     return worst([reason.level for check in MENDABLE for reason in check(found, limits)]) == FAILED

@@ -158,7 +158,9 @@ class Tracker:
         of them.
         """
         self._waited = self._waited + 1 if seen >= FEWEST_MARKERS else 0
-        if not self._waited or (seen < len(observed) / 2 and self._waited < self._wait):
+        if not self._waited or (
+            seen < self._settings.live.complete * len(observed) and self._waited < self._wait
+        ):
             return _nobody(self._subject, len(observed))
         self._waited = self._astray = 0
         self._solver = self._started(observed)
@@ -197,8 +199,6 @@ def _nobody(subject: Subject, markers: int) -> LiveFrame:
     )
 
 
-FEW = 0.5
-"""Share of the markers below which what is seen is too little to be sure of a body."""
 _NAMED = 3
 
 
@@ -210,6 +210,7 @@ class Quality:
     def __init__(self, labels: tuple[str, ...], rate_hz: float, settings: MoshSettings):
         self.labels = labels
         self._large_residual = settings.suspects.large_residual
+        self._complete = settings.live.complete
         self._last: deque[LiveFrame] = deque(maxlen=max(1, round(rate_hz)))
 
     def add(self, frame: LiveFrame) -> None:
@@ -265,7 +266,8 @@ class Quality:
 
     def _missing(self, distances: np.ndarray) -> Reason:
         share = float(np.isfinite(distances).mean()) if distances.size else 0.0
-        return Reason(DOUBTFUL if share < FEW else GOOD, "live missing", {"share": share})
+        level = DOUBTFUL if share < self._complete else GOOD
+        return Reason(level, "live missing", {"share": share})
 
 
 def _medians(found: np.ndarray) -> np.ndarray:

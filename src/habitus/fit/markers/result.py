@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior, prior_of
+from habitus.fit.markers.evidence_settings import UNCERTAINTY, UncertaintySettings
 from habitus.fit.markers.judge import judge
 from habitus.fit.markers.solution import Guessed, MarkerSolution
 from habitus.fit.verdict import Verdict
@@ -20,48 +21,48 @@ from habitus.mesh.proximity import farthest_points
 from habitus.observe.marker_prediction import BodyMarkers
 from habitus.observe.markers import marker_jacobian
 
-SPANS = 24
-"""Spans of time that a capture is looked at in."""
-_FREE = 10.0  # radians and metres: how far the whole body may be turned and moved
-_PROBES = 3  # points of the skin that stand for a joint's segment
-_MOST = 0.4  # of the skin's weight: vertices that a joint carries
-_BATCH = 8
-TRUSTED = 0.5  # of a marker's full weight
+_BATCH = 8  # patterns of markers at once: bounds memory, changes no result
 
 
-def guess(fit: MarkerSolution, prior: PosePrior) -> Guessed:
-    """What markers tell of each segment, over at most SPANS spans of time; ``prior`` is the
-    body's.
+def guess(
+    fit: MarkerSolution, prior: PosePrior, settings: UncertaintySettings = UNCERTAINTY
+) -> Guessed:
+    """What markers tell of each segment, over at most ``spans`` spans of time; ``prior``
+    is the body's.
     """
     if not fit.labels:
         return Guessed(np.zeros(1, np.int64), np.full((1, fit.body.num_joints), np.inf))
     frames = len(fit.pose)
-    edges = np.unique(np.linspace(0, frames, min(frames, SPANS), endpoint=False).astype(np.int64))
-    return Guessed(edges, segment_spread(fit, prior, edges))
+    spans = min(frames, settings.spans)
+    edges = np.unique(np.linspace(0, frames, spans, endpoint=False).astype(np.int64))
+    return Guessed(edges, segment_spread(fit, prior, edges, settings))
 
 
 def segment_spread(
-    fit: MarkerSolution, prior: PosePrior, edges: Int[np.ndarray, " F"]
+    fit: MarkerSolution,
+    prior: PosePrior,
+    edges: Int[np.ndarray, " F"],
+    settings: UncertaintySettings = UNCERTAINTY,
 ) -> Float[np.ndarray, "F J"]:
     """How well the skin of each joint's segment is known (m), in the spans of frames that begin at
     ``edges``.
 
     The standard deviation of its place given the markers that are seen and trusted in some frame of
-    the span, each off by `PLACE` and its noise, and the prior over
-    poses; shape is taken as found. Spans that see the same markers share one number, from the
+    the span, each off by ``place`` and its noise, and the prior over poses; shape is taken as it
+    is. Spans that see the same markers share one number, from the
     pose in the middle of the first of them.
     """
-    trusted = _trusted(fit, edges)
+    trusted = _trusted(fit, edges, settings.trusted)
     patterns, first, which = np.unique(trusted, axis=0, return_index=True, return_inverse=True)
     frames = (edges + np.diff(np.append(edges, len(fit.pose))) // 2)[first]
-    noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=PLACE)
-    rows, owners = _probes(fit.body)
-    precision = _precision(prior.for_joints(fit.body.joint_names).precision)
+    noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=settings.place)
+    rows, owners = _probes(fit.body, settings)
+    precision = _precision(prior.for_joints(fit.body.joint_names).precision, settings.root_sd)
     found = np.zeros((len(patterns), fit.body.num_joints))
     for start in range(0, len(patterns), _BATCH):
         part = slice(start, start + _BATCH)
         markers, probes = _moved(fit, fit.pose[frames[part]], fit.trans[frames[part]], rows)
-        weight = np.repeat(patterns[part] / (PLACE**2 + noise**2), 3, axis=1)[..., None]
+        weight = np.repeat(patterns[part] / (settings.place**2 + noise**2), 3, axis=1)[..., None]
         known = precision + markers.swapaxes(1, 2) @ (weight * markers)
         left = np.linalg.solve(known, probes.swapaxes(1, 2))
         square = np.sum(probes * left.swapaxes(1, 2), axis=2).reshape(len(known), -1, 3).sum(2)
@@ -70,13 +71,16 @@ def segment_spread(
     return found[which.reshape(-1)]
 
 
-def _trusted(fit: MarkerSolution, edges: np.ndarray) -> Bool[np.ndarray, "F M"]:
+def _trusted(fit: MarkerSolution, edges: np.ndarray, min_weight: float) -> Bool[np.ndarray, "F M"]:
     """Which markers are seen and trusted in some frame of each span."""
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights
     observed = fit.observed_markers
     return np.array(
-        [((weights[a:b] >= TRUSTED) & np.isfinite(observed[a:b, :, 0])).any(0) for a, b in spans],
+        [
+            ((weights[a:b] >= min_weight) & np.isfinite(observed[a:b, :, 0])).any(0)
+            for a, b in spans
+        ],
         bool,
     )
 
@@ -97,10 +101,10 @@ def _moved(
     return first, second
 
 
-def _precision(inner: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N N"]:
+def _precision(inner: Float[np.ndarray, "n n"], root_sd: float) -> Float[np.ndarray, "N N"]:
     """The prior's, with the root's turn before and the place behind, both as good as free."""
     size = len(inner) + 6
-    whole = np.eye(size) / _FREE**2
+    whole = np.eye(size) / root_sd**2
     whole[3:-3, 3:-3] = inner
     return whole
 
@@ -111,7 +115,9 @@ def _with_trans(by_pose: Float[np.ndarray, "F M 3 n"]) -> Float[np.ndarray, "F M
     )
 
 
-def _probes(body: BodyModel) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
+def _probes(
+    body: BodyModel, settings: UncertaintySettings
+) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P"]]:
     """Vertices far apart on each joint's segment, and whose they are; none of a joint that carries
     no skin.
     """
@@ -122,25 +128,20 @@ def _probes(body: BodyModel) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " P
         weight, (np.arange(body.num_vertices)[:, None], body.skinning_index), body.skinning_value
     )
     for joint in range(body.num_joints):
-        own = np.flatnonzero((weight[:, joint] >= _MOST) & (weight.argmax(1) == joint))
+        own = np.flatnonzero(
+            (weight[:, joint] >= settings.min_weight) & (weight.argmax(1) == joint)
+        )
         if len(own):
             points = np.asarray(body.v_template)[own]
             first = int(np.linalg.norm(points - points.mean(0), axis=1).argmax())
-            rows += own[farthest_points(points, _PROBES, first)].tolist()
+            rows += own[farthest_points(points, settings.probes, first)].tolist()
             owners += [joint] * (len(rows) - len(owners))
     return np.array(rows, np.int64), np.array(owners, np.int64)
 
 
-PLACE = 0.015
-"""Standard deviation (m) of a marker's place on a real body about its place on the fitted one:
-hands that placed it, flesh, and a shape space that knows no body exactly.
-"""
-_FREE_POSE = (
-    1.0  # radians and metres: how far pose and trans may move to make up for a change of shape
-)
-
-
-def betas_covariance(fit: MarkerSolution, place: float = PLACE) -> Float[np.ndarray, "B B"]:
+def betas_covariance(
+    fit: MarkerSolution, settings: UncertaintySettings = UNCERTAINTY
+) -> Float[np.ndarray, "B B"]:
     """The betas' posterior covariance (B, B): standard normal, seen through markers in one frame of
     free pose.
 
@@ -156,12 +157,12 @@ def betas_covariance(fit: MarkerSolution, place: float = PLACE) -> Float[np.ndar
     moved = np.concatenate(
         [with_pose.by_pose[0][seen].reshape(len(shape), -1), np.tile(np.eye(3), (seen.sum(), 1))], 1
     )
-    weight = np.repeat(1.0 / np.sqrt(place**2 + fit.marker_noise[seen] ** 2), 3)[:, None]
+    weight = np.repeat(1.0 / np.sqrt(settings.place**2 + fit.marker_noise[seen] ** 2), 3)[:, None]
     shape = weight * shape
     moved = weight * moved
     both = moved.T @ shape
     left = shape.T @ shape - both.T @ np.linalg.solve(
-        moved.T @ moved + np.eye(moved.shape[1]) / _FREE_POSE**2, both
+        moved.T @ moved + np.eye(moved.shape[1]) / settings.pose_sd**2, both
     )
     return np.linalg.inv(np.eye(count) + 0.5 * (left + left.T))
 

@@ -141,6 +141,10 @@ class FlipSettings:
     on long captures."""
     tolerance: float = 5e-3
     """Metres by which distances between markers vary in any case (skin, noise)."""
+    rigid_share: float = 1 / 6
+    """Share of the other markers, those that keep their distance best, that confirm an exchange."""
+    crossed_share: float = 0.5
+    """Squared deviations of these distances when exchanged over those as labelled, at most."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,18 @@ class SuspectSettings:
     """Frames: a marker that is wrong in fewer is no suspect."""
     min_share: float = 0.01
     """Share of its frames: a marker that is wrong in fewer is no suspect."""
+    crossed_share: float = 0.5
+    """Summed residuals of an exchanged pair, or distances to the layout's places, over those as
+    labelled, at most."""
+    rejected_weight: float = 0.25
+    """Robust weight below which a sample is wrong: at 0.25 its residual is its scale."""
+    constant_share: float = 0.8
+    """Share of its frames (or of those after the first wrong one) from which on a marker is wrong
+    always (or from then on)."""
+    moved_share: float = 0.05
+    """Share of its frames in which a marker that moved or fell is wrong, at least."""
+    growth: float = 2.0
+    """Residuals of a drift at the capture's end over those of its first wrong samples, at least."""
     swap_distance: float = 0.5
     """Metres: only pairs closer than this are tried as exchanged."""
     crossed_shift: float = 0.04
@@ -166,7 +182,9 @@ class SuspectSettings:
     """Of the layout's spread: a latent marker further from its place is another marker."""
     rough_ratio: float = 4.0
     """Mean residual of a marker over the median of all markers' means. Above it, and above
-    `rough_mean`, half of `min_displacement` and `placement_spreads` makes a marker misplaced."""
+    `rough_mean`, ``rough_limit`` of `min_displacement` and `placement_spreads` makes a marker
+    misplaced."""
+    rough_limit: float = 0.5
 
     @property
     def rough_mean(self) -> float:
@@ -256,6 +274,9 @@ class LiveSettings:
     """Metres: a fit is bad where half of the markers are further from the body."""
     better: float = 0.7
     """Of the cost: a restart is taken below this share of the current one."""
+    complete: float = 0.5
+    """Share of the markers from which on a person begins at once; below it the verdict on the last
+    second is doubtful."""
 
 
 @dataclass(frozen=True)
@@ -264,6 +285,10 @@ class RetrySettings:
 
     max_left_out: float = 0.4
     """Of the labels: where more are wrong the rest cannot be trusted either."""
+    min_weight: float = 0.5
+    """Robust weight, of 1, below which a sample is distrusted."""
+    distrusted: float = 0.5
+    """Share of its samples above which a distrusted label is left out."""
     shape_stages: int = 2
     """Further shape stages, at most: each costs up to three times that of a sound capture, since
     none of its steps converges early."""
@@ -301,6 +326,17 @@ class MoshSettings:
     """Metres: the shape stage ends early where half of the markers are further from the body after
     two steps of the annealing, and nothing more is tried. Sound captures have 0.011 there at most,
     those with a third of the labels wrong 0.07, and with all of them wrong 0.24."""
+    hopeless_step: int = 2
+    """Steps of the annealing after which ``hopeless`` is checked: the first still leaves poses
+    rough."""
+    last_repeats: int = 3
+    """Times that the last step is solved: triangles and robust weights are held within a step, and
+    settle in these."""
+    shape_iterations: int = 20
+    """Dogleg iterations of a step, at most."""
+    shape_tolerances: tuple[float, float] = (1e-3, 3e-5)
+    """Relative decrease of the cost at which steps, and the last step, end: only the last one's
+    result stays."""
     frames: int = 12
     """How many frames the shape stage uses."""
     frame_choice: str = "spread"

@@ -67,8 +67,6 @@ class Subject:
         return marked_body(self.body, self.shape.betas, self.shape.attachment)
 
 
-LAST_STEP_REPEATS = 3
-HOPELESS_STEP = 2
 HOPELESS = "hopeless"
 """Status of a shape stage that ended early: the markers are no person's, by these labels."""
 
@@ -95,11 +93,10 @@ def shape_stage(
     filled = np.nan_to_num(observed)
     iterations = 0
     last = len(settings.annealing) - 1
-    # Triangles and robust weights are held within a step; repeating the last lets them settle.
-    for step in [*range(last), *([last] * LAST_STEP_REPEATS)]:
+    for step in [*range(last), *([last] * settings.last_repeats)]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         residual = markers(**unknowns) - filled
-        if step == HOPELESS_STEP and _hopeless(residual, visible, settings):
+        if step == settings.hopeless_step and _hopeless(residual, visible, settings):
             result = replace(result, status=HOPELESS)
             break
         weights = visible * _robust_weights(residual, step, settings)
@@ -111,8 +108,8 @@ def shape_stage(
             unknowns,
             "dogleg",
             blocks=("trans", "pose"),
-            max_iterations=20,
-            tolerances=Tolerances(cost=3e-5 if step == last else 1e-3),
+            max_iterations=settings.shape_iterations,
+            tolerances=Tolerances(cost=settings.shape_tolerances[step == last]),
             stretch=False,
         )
         unknowns = result.values

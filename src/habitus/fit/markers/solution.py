@@ -13,6 +13,7 @@ from habitus.body.prior import prior_of
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
 from habitus.fit.markers.energy import sequence_terms
+from habitus.fit.markers.evidence_settings import UNCERTAINTY
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.marker_prediction import BodyMarkers, marked_body, predict
@@ -21,9 +22,6 @@ from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
 ALL = slice(None)
-
-GUESSED = 0.06
-"""Metres: a part whose skin is known no better (standard deviation) is guessed."""
 
 
 class Guessed(NamedTuple):
@@ -36,9 +34,11 @@ class Guessed(NamedTuple):
     edges: Int[np.ndarray, " F"]
     spread: Float[np.ndarray, "F J"]
 
-    def joints(self) -> Bool[np.ndarray, " J"]:
-        """Which joints' segments are guessed (GUESSED) in half of the spans, or more."""
-        return np.median(self.spread, axis=0) > GUESSED
+    def joints(self, limit: float = UNCERTAINTY.guessed) -> Bool[np.ndarray, " J"]:
+        """Which joints' segments are guessed (spread beyond ``limit``, m) in half of the spans, or
+        more.
+        """
+        return np.median(self.spread, axis=0) > limit
 
 
 @dataclass(frozen=True)

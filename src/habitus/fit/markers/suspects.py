@@ -67,8 +67,8 @@ def find_swaps(
     worst first.
 
     observed and predicted (T, M, 3), metres. A pair counts in a frame when exchanging it lowers the
-    summed distance by more than ``swap_gain`` and to less than half. Pairs further apart than
-    ``swap_distance`` are not examined.
+    summed distance by more than ``swap_gain`` and to less than ``crossed_share``. Pairs further
+    apart than ``swap_distance`` are not examined.
     """
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
     apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
@@ -104,7 +104,9 @@ def _crossed(
     crossed = np.linalg.norm(observed[frames, i] - predicted[frames, j], axis=1)
     crossed += np.linalg.norm(observed[frames, j] - predicted[frames, i], axis=1)
     straight = own[frames, i] + own[frames, j]
-    better[frames, pairs] = (crossed < 0.5 * straight) & (straight - crossed > settings.swap_gain)
+    better[frames, pairs] = (crossed < settings.crossed_share * straight) & (
+        straight - crossed > settings.swap_gain
+    )
     return better
 
 
@@ -158,7 +160,7 @@ def suspects(
         zip(labels, columns(off), columns(distance), strict=True)
     ):
         seen = np.isfinite(size)
-        rejected = geman_mcclure_weight(size, scale[k]) < 0.25
+        rejected = geman_mcclure_weight(size, scale[k]) < settings.rejected_weight
         bad = _beyond_doubt(away, size, rejected & seen, settings)
         if k in sliding or bad.sum() < max(settings.min_frames, settings.min_share * seen.sum()):
             continue
@@ -193,17 +195,16 @@ def _reason(
 ) -> str:
     share = bad.sum() / seen.sum()
     size = f"{1e3 * np.median(distance[bad]):.0f} mm off in {share:.0%} of its frames"
-    if share > 0.8:
+    if share > settings.constant_share:
         return f"wrong label or far from the layout's place: {size}"
     first = np.flatnonzero(bad)[0]
     after = seen.copy()
     after[:first] = False
-    if bad[after].mean() > 0.8 and share > 0.05:
+    if bad[after].mean() > settings.constant_share and share > settings.moved_share:
         last = distance[seen][-max(3, seen.sum() // 10) :]
         early = distance[bad][: max(3, bad.sum() // 10)]
-        growing = np.median(distance[bad]) < settings.max_drift and np.nanmedian(
-            last
-        ) > 2 * np.nanmedian(early)
+        growing = np.median(distance[bad]) < settings.max_drift
+        growing &= np.nanmedian(last) > settings.growth * np.nanmedian(early)
         return f"{'drifted' if growing else 'moved or fell'} from frame {first} on: {size}"
     return f"ghost or mislabelled for a time: {size}"
 
@@ -225,7 +226,7 @@ def far_placements(
     seen = np.isfinite(distance)
     mean = np.where(seen, distance, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
     rough = (mean > settings.rough_mean) & (mean > settings.rough_ratio * np.median(mean))
-    limit = np.where(rough, 0.5, 1.0)
+    limit = np.where(rough, settings.rough_limit, 1.0)
     return tuple(
         np.flatnonzero(
             (away > limit * settings.min_displacement)
@@ -241,13 +242,17 @@ def crossed_placements(
     ``start`` (M, 3).
 
     A pair counts when exchanging it shortens the summed way from the layout's places by more than
-    ``crossed_shift`` and to less than half.
+    ``crossed_shift`` and to less than ``crossed_share``.
     """
     own = np.linalg.norm(latent - start, axis=1)
     way = np.linalg.norm(latent[:, None] - start[None], axis=2)
     straight = own[:, None] + own[None]
     crossed = way + way.T
-    better = np.triu((crossed < 0.5 * straight) & (straight - crossed > settings.crossed_shift), 1)
+    better = np.triu(
+        (crossed < settings.crossed_share * straight)
+        & (straight - crossed > settings.crossed_shift),
+        1,
+    )
     pairs = sorted(zip(*np.nonzero(better), strict=True), key=lambda p: crossed[p] - straight[p])
     chosen: list[tuple[int, int]] = []
     for i, j in pairs:
@@ -370,10 +375,10 @@ def _confirmed(
         )  # a marker that is never seen beside the pair
         usual = np.nanmedian(way[~frames], axis=0)
         spread = np.nanmedian(np.abs(way[~frames] - usual), axis=0) + settings.tolerance
-        rigid = np.argsort(spread.sum(axis=0))[: max(4, len(others) // 6)]
+        rigid = np.argsort(spread.sum(axis=0))[: max(4, int(len(others) * settings.rigid_share))]
         off = [((way[frames][:, order] - usual) / spread)[..., rigid] for order in ([0, 1], [1, 0])]
         own, crossed = (np.nanmedian(each**2) for each in off)
-    return bool(crossed < 0.5 * own)
+    return bool(crossed < settings.crossed_share * own)
 
 
 def _smaller_part(frames: int, turns: list[int], min_frames: int) -> np.ndarray:

@@ -11,8 +11,8 @@ import numpy as np
 
 from habitus.body.joint_angles import joint_angles
 from habitus.export.animation import STAGES, Animation, Track, animate
+from habitus.fit.markers.evidence_settings import UNCERTAINTY
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.solution import GUESSED
 from habitus.mesh.proximity import signed_distance
 from habitus.parallel.blocks import every_nth_frame, mapped
 from habitus.report.shell import Blob
@@ -49,7 +49,8 @@ TRUSTED_WEIGHT = 0.5
 MAP_STEP_MM = 0.4
 """One step of the 8-bit map: 254 steps reach 101.6 mm."""
 GUESSED_RANGE = (0.75, 1.5)
-"""In units of GUESSED: the spread at which the stripes begin to show, and are full."""
+"""The spread at which the stripes begin to show, and are full; in units of
+`UncertaintySettings.guessed`."""
 
 
 @dataclass(frozen=True)
@@ -214,13 +215,13 @@ def _floor(fit: "Moving") -> float:
 
 def add_guessed(fit: MarkerFit, blob: Blob) -> bool:
     """Pack how uncertain each joint's segment is over time, 0 to 255; True where any segment is
-    ever unobserved (its spread exceeds GUESSED).
+    ever unobserved (`UncertaintySettings.guessed`).
     """
     edges, spread = fit.guessed
-    low, high = (share * GUESSED for share in GUESSED_RANGE)
+    low, high = (share * UNCERTAINTY.guessed for share in GUESSED_RANGE)
     blob.add("guessed", np.round(255 * np.clip((spread - low) / (high - low), 0, 1)).astype("u1"))
     blob.add("guessedFrames", edges.astype("u4"))
-    return bool((spread > GUESSED).any())
+    return bool((spread > UNCERTAINTY.guessed).any())
 
 
 def add_tapes(fit: MarkerFit, rest: np.ndarray, blob: Blob) -> list[dict[str, Any]]:
