@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planted import person
 
+from habitus.fit.discover.settings import DISCOVER
 from habitus.fit.discover.skin import betas_of_height, spread_places, wearable
 from habitus.fit.discover.starts import (
-    OUTLIER,
     Bodies,
     _directions,
     posteriors,
@@ -39,7 +39,7 @@ def test_posteriors_prefer_what_is_near_and_leave_a_share_for_nowhere(sigma, see
     posterior, energy = posteriors(squared, sigma)
     assert (posterior >= 0).all() and (posterior.sum(axis=2) <= 1 + 1e-12).all()
     np.testing.assert_array_equal(np.argmax(posterior, axis=2), np.argmin(squared, axis=2))
-    assert (energy <= (OUTLIER * sigma) ** 2 + 1e-9).all()
+    assert (energy <= (DISCOVER.outlier * sigma) ** 2 + 1e-9).all()
 
 
 def test_turned_twice_is_as_before():

@@ -10,17 +10,11 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.errors import listed
-from habitus.fit.discover.places import OFF_SPREAD, Seated, within
+from habitus.fit.discover.places import Seated, within
 from habitus.fit.discover.result import Discovery
-from habitus.fit.discover.settings import DISCOVER
-from habitus.fit.discover.skin import OFF_SKIN, Skin
+from habitus.fit.discover.settings import DISCOVER, DescriptionSettings, DiscoverSettings
+from habitus.fit.discover.skin import Skin
 from habitus.markers.layouts import Marker, MarkerLayout, place_in_words
-
-REACH = 0.05
-"""Metres: a confidence is the chance that a marker sits within this of its place."""
-PLACE_SPREAD = 0.04
-# metres of mean error in the frames looked at: right readings left 1 to 6.6 mm on real captures
-_POOR = 0.0075
 
 
 def describe(
@@ -32,20 +26,21 @@ def describe(
     margin: float | None,
     known: Mapping[str, Marker],
     left_out: Mapping[str, str],
-    decided: float = DISCOVER.decided,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Discovery:
     """Step 4: the layout in words, and what is not decided."""
     template = np.asarray(body.v_template, dtype=float)
-    sure = within(found, skin, template, REACH)
-    undecided = margin is not None and margin < decided
+    words = settings.description
+    sure = within(found, skin, template, words.reach)
+    undecided = margin is not None and margin < settings.decided
     across = template[found.vertices, 0]
     markers = tuple(
         replace(
             place_in_words(body, int(vertex)),
             label=label,
-            distance=OFF_SKIN,
-            distance_spread=OFF_SPREAD,
-            place_spread=PLACE_SPREAD,
+            distance=skin.distance,
+            distance_spread=settings.distance_spread,
+            place_spread=words.place_spread,
             confidence=round(float(confidence) * (0.5 if undecided else 1.0), 2),
         )
         for label, vertex, confidence in zip(labels, found.vertices, sure, strict=True)
@@ -53,12 +48,16 @@ def describe(
     mean = float(np.nanmean(found.errors))
     groups = {
         label: tuple(labels[k] for k in group)
-        for label, group in zip(labels, companions(frames), strict=True)
+        for label, group in zip(labels, companions(frames, words), strict=True)
         if group
     }
-    named = agreement(named_sides(labels), across)
-    doubts = (*_undecided(margin, named, decided), *_contradicted(named, undecided), *_poor(mean))
-    notes = tuple(_notes(body, labels, found, known, left_out))
+    named = agreement(named_sides(labels, words), across, words)
+    doubts = (
+        *_undecided(margin, named, settings.decided),
+        *_contradicted(named, undecided),
+        *_poor(mean, words.poor),
+    )
+    notes = tuple(_notes(body, labels, found, known, left_out, 2 * words.reach))
     layout = MarkerLayout("discovered", markers, "Found by fitting", num_vertices=len(template))
     return Discovery(layout, left_out, doubts, notes, groups, margin, 1e3 * mean)
 
@@ -87,10 +86,10 @@ def _contradicted(named: float | None, undecided: bool) -> list[str]:
     ]
 
 
-def _poor(mean: float) -> list[str]:
+def _poor(mean: float, limit: float) -> list[str]:
     return (
         []
-        if mean < _POOR
+        if mean < limit
         else [f"The places found explain the markers poorly ({1e3 * mean:.0f} mm)."]
     )
 
@@ -101,6 +100,7 @@ def _notes(
     found: Seated,
     known: Mapping[str, Marker],
     left_out: Mapping[str, str],
+    far: float,
 ) -> Iterator[str]:
     template = np.asarray(body.v_template, dtype=float)
     if left_out:
@@ -111,23 +111,16 @@ def _notes(
         if label in known:
             usual = MarkerLayout("known", (replace(known[label], label=label),)).vertices(body)[0]
             away = float(np.linalg.norm(template[usual] - template[vertex]))
-            if away > 2 * REACH:
+            if away > far:
                 yield (
                     f"{label} usually means {known[label].place}; it was found {100 * away:.0f} "
                     "cm from there"
                 )
 
 
-RIGID = 0.004
-"""Metres: the spread of a distance within one part, skin moving over bone included."""
-MOVED = 0.02
-"""Metres: a label all of whose distances spread less than this in the middle tells nothing: nobody
-moved.
-"""
-_MOST = 4
-
-
-def companions(markers: Float[np.ndarray, "F M 3"]) -> list[tuple[int, ...]]:
+def companions(
+    markers: Float[np.ndarray, "F M 3"], settings: DescriptionSettings = DISCOVER.description
+) -> list[tuple[int, ...]]:
     """For each label the columns of those that keep their distance to it, the most rigid first;
     none where most do.
     """
@@ -142,24 +135,22 @@ def companions(markers: Float[np.ndarray, "F M 3"]) -> list[tuple[int, ...]]:
     found = []
     for row in spread:
         known = row[np.isfinite(row)]
-        moved = len(known) > 0 and float(np.median(known)) > MOVED
-        order = np.argsort(row, kind="stable")[:_MOST]
-        found.append(tuple(int(k) for k in order if row[k] < RIGID) if moved else ())
+        moved = len(known) > 0 and float(np.median(known)) > settings.moved
+        order = np.argsort(row, kind="stable")[: settings.companions]
+        found.append(tuple(int(k) for k in order if row[k] < settings.rigid) if moved else ())
     return found
 
 
 _WORDS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("L", "R"), ("l", "r"))
-FEWEST = 3
-"""Pairs from which on the names of a set are believed to tell sides."""
-CLEAR = 0.03
-"""Metres from the middle of the body from which on a place is on a side."""
 
 
-def named_sides(labels: Sequence[str]) -> Float[np.ndarray, " M"]:
+def named_sides(
+    labels: Sequence[str], settings: DescriptionSettings = DISCOVER.description
+) -> Float[np.ndarray, " M"]:
     """1 for labels that say left, -1 for right, 0 for what says nothing: only one of a pair
     (``LTHI``, ``RTHI``) does.
 
-    All 0 where fewer than `FEWEST` pairs are named so.
+    All 0 where fewer than ``min_pairs`` pairs are named so.
     """
     known = set(labels)
     sides = np.zeros(len(labels))
@@ -170,17 +161,21 @@ def named_sides(labels: Sequence[str]) -> Float[np.ndarray, " M"]:
             ):
                 sides[column] = side
                 break
-    return sides if (sides != 0).sum() >= 2 * FEWEST else np.zeros(len(labels))
+    return sides if (sides != 0).sum() >= 2 * settings.min_pairs else np.zeros(len(labels))
 
 
-def agreement(sides: Float[np.ndarray, " M"], across: Float[np.ndarray, " M"]) -> float | None:
+def agreement(
+    sides: Float[np.ndarray, " M"],
+    across: Float[np.ndarray, " M"],
+    settings: DescriptionSettings = DISCOVER.description,
+) -> float | None:
     """Share of the named labels whose place (its x on the template, m) lies on the side they name;
-    None without any.
+    None where too few are named so.
     """
-    told = (sides != 0) & (np.abs(across) > CLEAR)
-    return (
-        float(np.mean(np.sign(across[told]) == sides[told])) if told.sum() >= 2 * FEWEST else None
-    )
+    clear = (sides != 0) & (np.abs(across) > settings.middle)
+    if clear.sum() < 2 * settings.min_pairs:
+        return None
+    return float(np.mean(np.sign(across[clear]) == sides[clear]))
 
 
 def _starts(label: str, part: str) -> list[int]:

@@ -8,19 +8,12 @@ from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
-from habitus.fit.discover.settings import DISCOVER
-from habitus.fit.discover.skin import OFF_SKIN, Skin
+from habitus.fit.discover.settings import DISCOVER, DiscoverSettings
+from habitus.fit.discover.skin import Skin
 from habitus.fit.discover.starts import Known, places_of, squared_distances
 from habitus.fit.markers.energy import Placement
-from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.shape import ShapeFit, shape_stage
 from habitus.observe.marker_prediction import marked_body, predict
-
-OFF_SPREAD = 0.006
-"""How unsure a marker's distance from the skin is (metres), where nothing is known of it."""
-_SIGMA = 0.02  # metres: how well a body of the right shape tells a place
-# metres: the same where confidences are stated, so that they are right as often as they say
-_CERTAINTY = 0.025
 
 
 @dataclass(frozen=True)
@@ -51,7 +44,7 @@ def seated(
     trans: Float[np.ndarray, "F 3"],
     known: Known = 0.0,
     rounds: tuple[float, ...] = DISCOVER.place_spreads,
-    settings: MoshSettings = DISCOVER.fit,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Seated:
     """Labels each at its best place, then shape, latent markers and poses, round by round; in the
     end each label is where its latent marker came to lie.
@@ -59,17 +52,17 @@ def seated(
     count = observed.shape[1]
     for spread in rounds:
         vertices = skin.vertices[
-            np.argmax(_likely(body, skin, observed, betas, pose, trans, known), axis=1)
+            np.argmax(_likely(body, skin, observed, betas, pose, trans, known, settings), axis=1)
         ]
-        lengths = (np.full(count, length) for length in (OFF_SKIN, OFF_SPREAD, spread))
-        shape = shape_stage(
-            body, Placement(vertices, *lengths), observed, prior, pose, trans, settings
-        )
+        lengths = (skin.distance, settings.distance_spread, spread)
+        placement = Placement(vertices, *(np.full(count, length) for length in lengths))
+        shape = shape_stage(body, placement, observed, prior, pose, trans, settings.fit)
         betas = shape.betas
         pose = shape.pose
         trans = shape.trans
     predicted = predict(marked_body(body, betas, shape.attachment), pose, trans)
-    exponent = _likely(body, skin, observed, betas, pose, trans, known) * (_SIGMA / _CERTAINTY) ** 2
+    likely = _likely(body, skin, observed, betas, pose, trans, known, settings)
+    exponent = likely * (settings.place_sigma / settings.certainty_sigma) ** 2
     posterior = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     errors = np.linalg.norm(predicted - observed, axis=2)
     vertices = KDTree(body.rest_vertices(betas)).query(shape.latent_markers)[1]
@@ -78,12 +71,12 @@ def seated(
     )
 
 
-def _likely(body, skin, observed, betas, pose, trans, known) -> Float[np.ndarray, "M K"]:
+def _likely(body, skin, observed, betas, pose, trans, known, settings) -> Float[np.ndarray, "M K"]:
     """Logarithms of how likely each label is at each place, but for a constant."""
     squared = squared_distances(places_of(skin.on(body, betas), pose[None], trans[None]), observed)[
         0
     ]
-    return known - squared / (2.0 * _SIGMA**2)
+    return known - squared / (2.0 * settings.place_sigma**2)
 
 
 def within(

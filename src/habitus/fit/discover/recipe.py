@@ -62,9 +62,9 @@ def discover(
     HabitusError for fewer than ``min_labels`` labels that are ever seen.
     """
     prior = prior.for_joints(body.joint_names)
-    coarse = spread_places(body, settings.coarse)
-    fine = spread_places(body, settings.fine)
-    popular = popularity(body, fine, usual)
+    coarse = spread_places(body, settings.coarse, settings.skin)
+    fine = spread_places(body, settings.fine, settings.skin)
+    popular = popularity(body, fine, usual, settings.skin)
     here = ever_seen(markers)
     if here.sum() < settings.min_labels:
         raise HabitusError(
@@ -75,10 +75,9 @@ def discover(
     unseen = {label: "never seen" for label, seen in zip(labels, here, strict=True) if not seen}
     labels = [label for label, seen in zip(labels, here, strict=True) if seen]
     frames = markers[:, here][spread_frames(markers[:, here], settings.frames, 0)]
-    readings = _readings(
-        body, prior, coarse, frames, known_places(body, coarse, labels, known), progress, settings
-    )
-    before = popular + known_places(body, fine, labels, known)
+    usually = known_places(body, coarse, labels, known, settings.skin)
+    readings = _readings(body, prior, coarse, frames, usually, progress, settings)
+    before = popular + known_places(body, fine, labels, known, settings.skin)
     found, margin = _decided(
         body, prior, labels, fine, frames, readings, before, progress, settings
     )
@@ -96,12 +95,10 @@ def discover(
             shape.betas,
             shape.pose,
             shape.trans,
-            popular + known_places(body, fine, labels, known),
+            popular + known_places(body, fine, labels, known, settings.skin),
         )
-        found = seated(body, fine, frames, prior, *start, settings.place_spreads, settings.fit)
-    return describe(
-        body, labels, frames, found, fine, margin, known or {}, unseen, settings.decided
-    )
+        found = seated(body, fine, frames, prior, *start, settings.place_spreads, settings)
+    return describe(body, labels, frames, found, fine, margin, known or {}, unseen, settings)
 
 
 def _readings(
@@ -121,8 +118,9 @@ def _readings(
         betas = betas_of_height(body, share * stature)
         rig = skin.on(body, betas)
         single = bodies_of_single_frames(body, rig, skin, frames, prior, known, settings)
-        every = in_all_frames(body, rig, frames, single, prior)
-        joint = settled(rig, frames, prior, every.pose, every.trans, settings.together, known)
+        every = in_all_frames(body, rig, frames, single, prior, settings)
+        start = (every.pose, every.trans)
+        joint = settled(rig, frames, prior, *start, settings.together, known, settings)
         places = (
             joint.posterior
             @ skin.points
@@ -164,15 +162,15 @@ def _decided(
     for index, one in enumerate((*alike, *others)):
         progress("discover: places", 0.6 + 0.3 * index / (len(alike) + len(others)))
         start = (one.betas, one.pose, one.trans, what)
-        here = seated(body, fine, frames, prior, *start, settings.place_spreads[:1], settings.fit)
+        here = seated(body, fine, frames, prior, *start, settings.place_spreads[:1], settings)
         results[index >= len(alike)].append(here)
     cheapest, rival = (min(some, key=lambda one: one.cost, default=None) for some in results)
-    first, margin = _cheaper(body, labels, cheapest, rival, settings.decided)
+    first, margin = _cheaper(body, labels, cheapest, rival, settings)
     progress("discover: places", 0.9)
     shape = first.shape
     start = (shape.betas, shape.pose, shape.trans, what)
     rounds = settings.place_spreads[1:]
-    return seated(body, fine, frames, prior, *start, rounds, settings.fit), margin
+    return seated(body, fine, frames, prior, *start, rounds, settings), margin
 
 
 def _cheaper(
@@ -180,7 +178,7 @@ def _cheaper(
     labels: Sequence[str],
     best: Seated | None,
     other: Seated | None,
-    decided: float = DISCOVER.decided,
+    settings: DiscoverSettings = DISCOVER,
 ) -> tuple[Seated, float | None]:
     """The cheaper of two readings, or the one that agrees with the labels' names where they cost
     alike; and by what share of its cost the other costs more.
@@ -190,10 +188,15 @@ def _cheaper(
         return best, None
     best, other = sorted((best, other), key=lambda one: one.cost)
     margin = other.cost / best.cost - 1.0
-    said = [
-        agreement(named_sides(labels), np.asarray(body.v_template)[one.vertices, 0])
-        for one in (best, other)
-    ]
-    if margin < decided and said[0] is not None and said[1] is not None and said[1] > said[0]:
+    words = settings.description
+    sides = named_sides(labels, words)
+    across = np.asarray(body.v_template)[:, 0]
+    said = [agreement(sides, across[one.vertices], words) for one in (best, other)]
+    if (
+        margin < settings.decided
+        and said[0] is not None
+        and said[1] is not None
+        and said[1] > said[0]
+    ):
         return other, margin
     return best, margin

@@ -7,7 +7,7 @@ m has a posterior over the K places of a skin,
     q_mk proportional to exp(known_mk - |x_m - s_k|^2 / (2 sigma^2)),
 
 the squared distances averaged over the frames, since a label sits at one place in all of them. A
-place is drawn to the mean of the labels that may sit there. A label further than `OUTLIER` sigmas
+place is drawn to the mean of the labels that may sit there. A label further than ``outlier`` sigmas
 from every place may sit nowhere. Sigma falls through a schedule, and with it the weight of the pose
 prior.
 """
@@ -30,13 +30,6 @@ from habitus.mesh.mirror import mirrored_joints
 from habitus.observe.marker_prediction import MarkedBody, predict
 from habitus.rotations import matrix_from_rotvec, procrustes, rotvec_from_matrix
 from habitus.solve.sequence import SequenceOptions
-
-DATA = SequenceSettings.data
-"""Weight of squared distances where places are known well (MoSh eq. 3), per m^2; less by how firm
-the pose prior is.
-"""
-OUTLIER = 3.5
-_LEAST = 0.02  # a place that has less of all labels than this is nobody's
 
 Known = Float[np.ndarray, "M K"] | float
 """Logarithms of what is known of labels' places before: 0 where nothing is."""
@@ -77,13 +70,16 @@ def squared_distances(
 
 
 def posteriors(
-    squared: Float[np.ndarray, "N M K"], sigma: float, known: Known = 0.0
+    squared: Float[np.ndarray, "N M K"],
+    sigma: float,
+    known: Known = 0.0,
+    outlier: float = DISCOVER.outlier,
 ) -> tuple[Float[np.ndarray, "N M K"], Float[np.ndarray, "N M"]]:
     """Posteriors over places, which sum to less than 1 for a label that may sit nowhere, and free
     energies (m^2).
     """
     likely = np.exp(known - squared / (2.0 * sigma**2))
-    total = likely.sum(axis=2, keepdims=True) + np.exp(-0.5 * OUTLIER**2)
+    total = likely.sum(axis=2, keepdims=True) + np.exp(-0.5 * outlier**2)
     return likely / total, -2.0 * sigma**2 * np.log(total[..., 0])
 
 
@@ -95,7 +91,8 @@ def posed(
     pose: Float[np.ndarray, "N F J 3"],
     trans: Float[np.ndarray, "N F 3"],
     firmness: float,
-    sweeps: int = 3,
+    sweeps: int,
+    settings: DiscoverSettings = DISCOVER,
 ) -> tuple[Float[np.ndarray, "N F J 3"], Float[np.ndarray, "N F 3"], Float[np.ndarray, "N F"]]:
     """Poses that bring places to their labels, ``firmness`` times the pose prior, and each frame's
     cost.
@@ -103,11 +100,12 @@ def posed(
     seen = np.isfinite(observed[..., 0]).astype(float)
     weight = np.einsum("fm,nmk->nfk", seen, posterior, optimize=True)
     mass = np.einsum("fmd,nmk->nfkd", np.nan_to_num(observed), posterior, optimize=True)
+    least = settings.min_weight
     target = np.where(
-        (weight < _LEAST)[..., None], np.nan, mass / np.maximum(weight, _LEAST)[..., None]
+        (weight < least)[..., None], np.nan, mass / np.maximum(weight, least)[..., None]
     )
-    options = SequenceOptions(strides=(1,), sweeps=sweeps, tolerance=1e-2)
-    settings = SequenceSettings(data=DATA / firmness, acceleration=0.0, options=options)
+    options = SequenceOptions(strides=(1,), sweeps=sweeps, tolerance=settings.tolerance)
+    lam = SequenceSettings(data=settings.data / firmness, acceleration=0.0, options=options)
     n, f, k = weight.shape
     start = (pose.reshape(n * f, -1, 3), trans.reshape(n * f, 3))
     found = fit_sequence(
@@ -117,7 +115,7 @@ def posed(
         None,
         prior,
         *start,
-        settings=settings,
+        settings=lam,
     )
     return (
         found.pose.reshape(pose.shape),
@@ -134,24 +132,22 @@ def settled(
     trans: Float[np.ndarray, "N F 3"],
     schedule: Schedule,
     known: Known = 0.0,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Bodies:
     """Posteriors and poses in turn, through a schedule."""
     for sigma, firmness in schedule:
         posterior, _ = posteriors(
-            squared_distances(places_of(rig, pose, trans), observed), sigma, known
+            squared_distances(places_of(rig, pose, trans), observed), sigma, known, settings.outlier
         )
-        pose, trans, _ = posed(rig, observed, posterior, prior, pose, trans, firmness)
+        pose, trans, _ = posed(
+            rig, observed, posterior, prior, pose, trans, firmness, settings.sweeps, settings
+        )
     squared = squared_distances(places_of(rig, pose, trans), observed)
-    posterior, energy = posteriors(squared, schedule[-1][0], known)
+    posterior, energy = posteriors(squared, schedule[-1][0], known, settings.outlier)
     away = pose[:, :, 1:].reshape(*pose.shape[:2], -1) - prior.mean
     unlikely = np.sum((away @ prior.whitening.T) ** 2, axis=2).mean(axis=1)
-    return Bodies(pose, trans, 0.5 * (DATA / UNSURE * energy.sum(axis=1) + unlikely), posterior)
-
-
-UNSURE = 10.0
-"""How much less than `DATA` squared distances weigh in the cost: a body that is not this person's
-errs in all alike.
-"""
+    data = settings.cost_share * settings.data
+    return Bodies(pose, trans, 0.5 * (data * energy.sum(axis=1) + unlikely), posterior)
 
 
 def places_of(
@@ -201,7 +197,9 @@ def bodies_of_single_frames(
         here = observed[frame : frame + 1]
         trans = np.nanmedian(here[0], axis=0) - around
         found.append(
-            settled(rig, here, prior, pose[:, None], trans[:, None], settings.single, known)
+            settled(
+                rig, here, prior, pose[:, None], trans[:, None], settings.single, known, settings
+            )
         )
     fields = (
         np.concatenate([getattr(each, name) for each in found]) for name in Bodies.__annotations__
@@ -233,6 +231,7 @@ def in_all_frames(
     observed: Float[np.ndarray, "F M 3"],
     bodies: Bodies,
     prior: PosePrior,
+    settings: DiscoverSettings = DISCOVER,
 ) -> Bodies:
     """Bodies of one frame in all frames, each by itself from every plain pose, labels where the one
     frame says.
@@ -244,9 +243,17 @@ def in_all_frames(
     tries = []
     for start in (*plain, bodies.pose[:, 0]):
         pose, trans = _aligned(rig, start, observed, bodies.posterior)
-        for firmness in (20.0, 2.0):
+        for firmness in settings.frame_prior:
             pose, trans, cost = posed(
-                rig, observed, bodies.posterior, prior, pose, trans, firmness, sweeps=6
+                rig,
+                observed,
+                bodies.posterior,
+                prior,
+                pose,
+                trans,
+                firmness,
+                settings.frame_sweeps,
+                settings,
             )
         tries.append((pose, trans, cost))
     poses, places, costs = (np.stack(each) for each in zip(*tries, strict=True))
