@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 import habitus
-from habitus.fit.from_measurements import PRECISION, estimate_body
+from habitus.fit.from_measurements import ESTIMATE, estimate_body
 
 sys.path.insert(0, str(ROOT))
 from habitus_lab.default_body.soldiers import Soldiers, measured, read_soldiers, slopes
@@ -69,7 +69,7 @@ def bodies(space: str, soldiers: Soldiers, given: tuple[str, ...]) -> tuple[np.n
     values = soldiers.values[:, [soldiers.names.index(name) for name in given]]
     slope = slopes(body, names)
     count = len(given)
-    noise = np.diag((PRECISION * values.mean(axis=0)) ** 2)
+    noise = np.diag((ESTIMATE.precision * values.mean(axis=0)) ** 2)
     gain = np.linalg.solve(slope[:count] @ slope[:count].T + noise, slope[:count])
     mean = body.people_mean if body.people_mean is not None else np.zeros(body.num_betas)
     betas = np.tile(mean, (len(values), 1))

@@ -34,7 +34,8 @@ from habitus.fit.points.scan import Cloud, Scan
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import ScanStage
-from habitus.fit.selection.held_out import FLESH, smooth_field
+from habitus.fit.selection.held_out import smooth_field
+from habitus.fit.selection.problem import SELECTION
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.registrations import Registrations
 from habitus_lab.population.scans import BONY, Scanner, scanned, stance
@@ -56,7 +57,7 @@ def people(options: argparse.Namespace) -> list[dict]:
         rng = np.random.default_rng([options.seed, k])
         betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
         off = (
-            FLESH
+            SELECTION.flesh
             * smooth_field(body.v_template, rng)[:, :1]
             * (1 - 0.75 * body.skinning_weights[:, bony].sum(1))[:, None]
         )

@@ -40,7 +40,8 @@ from habitus.fit.markers.hold_out import HeldMarkers, expected_offsets, held_out
 from habitus.fit.markers.recipe import Recording, fit_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.selection.held_out import FLESH, smooth_field
+from habitus.fit.selection.held_out import smooth_field
+from habitus.fit.selection.problem import SELECTION
 from habitus.io.captures.read import Capture
 from habitus.io.layouts.files import load_placements
 from habitus.jobs.selection import Selection, select_markers
@@ -81,7 +82,7 @@ def synthetic(
     betas = np.clip(rng.normal(size=model.num_betas), -2.5, 2.5)
     rest = model.rest_vertices(betas)
     latent = misplace(model, betas, layout.vertices(model), layout.distances(), PLACEMENT, rng)
-    flesh = FLESH * smooth_field(np.concatenate([rest, latent]), rng)
+    flesh = SELECTION.flesh * smooth_field(np.concatenate([rest, latent]), rng)
     at = attach(latent, rest, model.faces)
     coefficients = attach(
         latent + flesh[len(rest) :], rest, model.faces, triangles=at.triangles

@@ -29,7 +29,8 @@ from rich.table import Table
 from habitus.body.jacobians import posed_skeleton
 from habitus.fit.points.scan_colours import with_colours
 from habitus.fit.points.scan_result import ScanFit
-from habitus.fit.selection.held_out import FLESH, smooth_field
+from habitus.fit.selection.held_out import smooth_field
+from habitus.fit.selection.problem import SELECTION
 from habitus.mesh.normals import vertex_normals
 from habitus_lab.population.painted_skin import PaintedSkin
 from habitus_lab.population.scans import BONY, Scanner, scanned, stance
@@ -44,7 +45,7 @@ def woman(k: int, seed: int, painted: bool) -> dict:
     bony = [j for j, name in enumerate(body.joint_names) if name.rpartition("_")[2] in BONY]
     betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
     off = (
-        FLESH
+        SELECTION.flesh
         * smooth_field(body.v_template, rng)[:, :1]
         * (1 - 0.75 * body.skinning_weights[:, bony].sum(1))[:, None]
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.fit.from_measurements import MOST_SD, PRECISION, estimate_body, measurement_terms
+from habitus.fit.from_measurements import ESTIMATE, estimate_body, measurement_terms
 from habitus.io.models.bodies import load_body, save_body
 
 
@@ -63,7 +63,7 @@ def test_the_spread_is_that_of_people_who_measure_so(body):
 
 def test_what_is_told_leaves_less_open(body):
     nothing, some, more = (
-        estimate_body(body, told) for told in ({}, {"height": 1.8}, {"height": 1.8, "hip": 1.0})
+        estimate_body(body, given) for given in ({}, {"height": 1.8}, {"height": 1.8, "hip": 1.0})
     )
     assert (
         np.array_equal(nothing.betas, body.people_mean)
@@ -102,7 +102,7 @@ def test_what_cannot_be_is_told(body, told, words):
 
 def test_rare_people_are_said_to_be_rare(body):
     found = estimate_body(body, {"height": 1.55, "weight": 110.0})
-    assert 2.5 < found.sd_from_mean < MOST_SD
+    assert 2.5 < found.sd_from_mean < ESTIMATE.max_sd
     assert estimate_body(body, {"height": 1.70}).sd_from_mean < 0.3
 
 
@@ -136,7 +136,7 @@ def test_the_solve_says_how_it_ended_and_no_step_away_is_cheaper():
     names = list(found.measurements)
     rows = [names.index(name) for name in found.given]
     values = np.array([*found.given.values()])
-    terms = measurement_terms(body, rows, values, PRECISION * values)
+    terms = measurement_terms(body, rows, values, ESTIMATE.precision * values)
 
     def cost(betas):
         return sum(term({"betas": betas}).cost for term in terms.values())

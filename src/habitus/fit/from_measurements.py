@@ -25,16 +25,29 @@ from habitus.solve.minimize import minimize
 from habitus.solve.terms import Term
 
 Given = float | tuple[float, float]
-PRECISION = 0.002
-"""Standard deviation of a given measurement, as a share of it, where none is told: 3.5 mm of 1.75
-m.
-"""
-MOST_SD = 6.0
-"""Nobody is further from the mean person than this."""
-_STEPS = 60  # accepted and refused; people within 6 sd take fewer than ten
-_SMALL = 1e-5  # of the betas' length: the step after it would be its square
-_STEP = 0.05  # sd: difference quotient of the measurements by the betas
-_LONGEST = 2.0  # sd: longest step of a coefficient; measurements are linear within it
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """Settings of `estimate_body`."""
+
+    precision: float = 0.002
+    """Standard deviation of a given measurement, as a share of it, where none is given: 3.5 mm of
+    1.75 m."""
+    max_sd: float = 6.0
+    """Standard deviations from the mean person beyond which measurements are refused: nobody is
+    there."""
+    iterations: int = 60
+    """Accepted and refused, at most; people within 6 sd take fewer than ten."""
+    tolerance: float = 1e-5
+    """Last step as a share of the betas' length: the step after it would be its square."""
+    difference: float = 0.05
+    """Standard deviations of a beta: difference quotient of the measurements by the betas."""
+    max_step: float = 2.0
+    """Standard deviations: longest step of a beta; measurements are linear within it."""
+
+
+ESTIMATE = EstimateSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +79,9 @@ class BodyEstimate:
         return np.sqrt(np.diag(self.covariance))
 
 
-def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEstimate:
+def estimate_body(
+    body: BodyModel, measurements: Mapping[str, Given], settings: EstimateSettings = ESTIMATE
+) -> BodyEstimate:
     """The likeliest person of a shape space who has these measurements (m, kg; each a value, or a
     value and its sd).
 
@@ -78,17 +93,17 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
         name: float(values[0])
         for name, values in body.measure_people(np.zeros((1, body.num_betas))).items()
     }
-    wanted = _read(measurements, mean)
+    wanted = _read(measurements, mean, settings.precision)
     every = list(mean)
     names = list(wanted)
     rows = [every.index(name) for name in names]
     values, noise = np.array([*wanted.values()]).reshape(-1, 2).T
-    betas, status = _likeliest(body, rows, values, noise)
-    found, slopes = _linear(body, betas)
+    betas, status = _likeliest(body, rows, values, noise, settings)
+    found, slopes = _linear(body, betas, settings.difference)
     energy = float(
         np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2)
     )
-    if (rare := _as_sd(energy, len(names))) > MOST_SD:
+    if (rare := _as_sd(energy, len(names))) > settings.max_sd:
         said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in wanted.items())
         raise HabitusError(
             f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, "
@@ -111,7 +126,7 @@ def estimate_body(body: BodyModel, measurements: Mapping[str, Given]) -> BodyEst
 
 
 def _read(
-    measurements: Mapping[str, Given], mean: Mapping[str, float]
+    measurements: Mapping[str, Given], mean: Mapping[str, float], precision: float
 ) -> dict[str, tuple[float, float]]:
     """Each measurement's full name, value and standard deviation."""
     found: dict[str, tuple[float, float]] = {}
@@ -123,7 +138,7 @@ def _read(
             given if isinstance(given, tuple) else (given, np.nan), dtype=np.float64
         ).ravel()
         value, sd = pair if len(pair) == 2 else (np.nan, np.nan)
-        sd = PRECISION * value if np.isnan(sd) else sd
+        sd = precision * value if np.isnan(sd) else sd
         if not (np.isfinite(value) and value > 0 and sd > 0):
             raise HabitusError(
                 f"{said} is {given!r}; expected a number above 0, or such a number and its sd"
@@ -138,7 +153,11 @@ def _read(
 
 
 def _likeliest(
-    body: BodyModel, rows: list[int], values: np.ndarray, noise: np.ndarray
+    body: BodyModel,
+    rows: list[int],
+    values: np.ndarray,
+    noise: np.ndarray,
+    settings: EstimateSettings,
 ) -> tuple[Float[np.ndarray, " B"], str]:
     """Betas at the minimum of `measurement_terms`, and how the solve ended."""
     mean = _typical(body)
@@ -146,15 +165,15 @@ def _likeliest(
         return mean, "converged"
 
     def too_far(iteration: int, now: dict[str, np.ndarray], cost: float) -> bool:
-        return bool(np.linalg.norm(now["betas"]) > 3 * MOST_SD)
+        return bool(np.linalg.norm(now["betas"]) > 3 * settings.max_sd)
 
     found = minimize(
-        measurement_terms(body, rows, values, noise),
+        measurement_terms(body, rows, values, noise, settings.difference),
         {"betas": mean},
         "dogleg",
-        max_iterations=_STEPS,
-        max_step={"betas": _LONGEST},
-        tolerances=Tolerances(step=_SMALL),
+        max_iterations=settings.iterations,
+        max_step={"betas": settings.max_step},
+        tolerances=Tolerances(step=settings.tolerance),
         callback=too_far,
     )
     return found.values["betas"], found.status
@@ -165,6 +184,7 @@ def measurement_terms(
     rows: list[int],
     values: Float[np.ndarray, " K"],
     noise: Float[np.ndarray, " K"],
+    difference: float = ESTIMATE.difference,
 ) -> dict[str, Term]:
     """The energy of betas (B,): |betas - mean person|^2 and the given measurements (``rows`` of all
     that the body has) against ``values`` in units of ``noise`` (m, kg).
@@ -173,7 +193,7 @@ def measurement_terms(
 
     def given(betas):
         def jacobians():
-            return {"betas": _linear(body, betas)[1][rows] / noise[:, None]}
+            return {"betas": _linear(body, betas, difference)[1][rows] / noise[:, None]}
 
         here = np.array([each[0] for each in body.measure_people(betas[None]).values()])
         return (here[rows] - values) / noise, jacobians
@@ -187,14 +207,11 @@ def _typical(body: BodyModel) -> np.ndarray:
     return np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
 
 
-def _linear(body: BodyModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _linear(body: BodyModel, betas: np.ndarray, difference: float) -> tuple[np.ndarray, np.ndarray]:
     """All measurements (M,) at these betas, and their slopes (M, B)."""
-    table = np.array(
-        list(
-            body.measure_people(betas + np.vstack([0 * betas, _STEP * np.eye(len(betas))])).values()
-        )
-    )
-    return table[:, 0], (table[:, 1:] - table[:, :1]) / _STEP
+    changed = betas + np.vstack([0 * betas, difference * np.eye(len(betas))])
+    table = np.array(list(body.measure_people(changed).values()))
+    return table[:, 0], (table[:, 1:] - table[:, :1]) / difference
 
 
 def _gain(slopes: np.ndarray, noise: np.ndarray) -> np.ndarray:

@@ -35,14 +35,24 @@ from habitus.mesh.proximity import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers, triangle_bases
 
-FEWEST_FRAMES = 3
-"""A marker that is seen in fewer tells no place."""
-FREEDOM = 4.0
-"""Degrees of freedom of what people do by themselves."""
-SAME = 5e-4
-"""Metres: a label whose usual place is no farther from its place's mean is not told by itself."""
-LEAST_VARIANCE = 1e-4
-BOUNDS = (LEAST_VARIANCE, 10.0)
+
+@dataclass(frozen=True)
+class PlacementSettings:
+    """Settings of learned placements. Variances are squares of the layout's spreads."""
+
+    min_frames: int = 3
+    """A marker that is seen in fewer is left out: a median of two is no better than either."""
+    freedom: float = 4.0
+    """Degrees of freedom of the Student-t of what people do by themselves."""
+    rounds: int = 4
+    """Alternations of variances and trust; converged by then."""
+    same: float = 5e-4
+    """Metres: a label whose usual place differs less from its place's mean has no entry."""
+    variances: tuple[float, float] = (1e-4, 10.0)
+    """Smallest and largest variance: below and above, the likelihood is flat."""
+
+
+PLACEMENTS = PlacementSettings()
 
 
 @dataclass(frozen=True)
@@ -69,6 +79,7 @@ def offsets_at_rest(
     trans: Float[np.ndarray, "F 3"],
     layout: MarkerLayout,
     observed: Float[np.ndarray, "F H 3"],
+    settings: PlacementSettings = PLACEMENTS,
 ) -> Float[np.ndarray, "H 3"]:
     """Where markers that a fit did not see sit, from the layout's places, carried back to the body
     at rest, metres.
@@ -85,7 +96,7 @@ def offsets_at_rest(
     tripods = MarkerAttachment(np.tile(at.triangles, (4, 1)), np.concatenate(steps))
     points = predict(marked_body(body, betas, tripods), pose, trans).reshape(-1, 4, count, 3)
     left = np.einsum("fahi,fhi->fha", points[:, 1:] - points[:, :1], observed - points[:, 0])
-    few = np.isfinite(left[..., 0]).sum(axis=0) < FEWEST_FRAMES
+    few = np.isfinite(left[..., 0]).sum(axis=0) < settings.min_frames
     middle = np.array(
         [np.full(3, np.nan) if few[h] else np.nanmedian(left[:, h], axis=0) for h in range(count)]
     )
@@ -176,9 +187,11 @@ class _Group:
         return np.outer(self.scale, self.scale) * each / np.sqrt(np.outer(self.trust, self.trust))
 
 
-def learned(everything: Sequence[Seen], body: BodyModel) -> PlacementPrior:
-    """The prior that people's markers tell. body: the one that they were seen on."""
-    groups, variances = robustly(_groups(everything))
+def learned(
+    everything: Sequence[Seen], body: BodyModel, settings: PlacementSettings = PLACEMENTS
+) -> PlacementPrior:
+    """The prior of people's markers. body: the one that they were seen on."""
+    groups, variances = _robustly(_groups(everything), settings)
     means = {group.place: _mean(group, variances) for group in groups}
     places: dict[str, UsualPlace] = {}
     labels: dict[tuple[str, str], UsualPlace] = {}
@@ -186,18 +199,16 @@ def learned(everything: Sequence[Seen], body: BodyModel) -> PlacementPrior:
         places[group.place] = _usual(group, None, variances, body)
         for label in map(str, np.unique(group.labels)):
             usual = _usual(group, label, variances, body)
-            if not _same(usual, places[group.place]):
+            if _distance(usual, places[group.place]) >= settings.same:
                 labels[group.place, label] = usual
     return PlacementPrior(
         places,
         labels,
-        (_told_by_twins(everything, means, False), _told_by_twins(everything, means, True)),
+        (_twin_share(everything, means, False), _twin_share(everything, means, True)),
     )
 
 
-def _told_by_twins(
-    everything: Iterable[Seen], means: Mapping[str, np.ndarray], free: bool
-) -> float:
+def _twin_share(everything: Iterable[Seen], means: Mapping[str, np.ndarray], free: bool) -> float:
     """The share of what a fit finds its twin off (beside the mean) that a marker it did not see is
     off; robustly.
 
@@ -224,19 +235,23 @@ def _mean(group: _Group, variances: Variances) -> Float[np.ndarray, " 3"]:
     )
 
 
-def robustly(groups: Sequence[_Group], rounds: int = 4) -> tuple[list[_Group], Variances]:
+def _robustly(
+    groups: Sequence[_Group], settings: PlacementSettings
+) -> tuple[list[_Group], Variances]:
     """Variances under which what was seen is likeliest, people's own part Student-t: in turns with
     their trust.
     """
     variances = Variances()
     found = list(groups)
-    for _ in range(rounds):
-        variances = _likeliest(found, variances)
-        found = [_trusted(group, variances) for group in found]
+    for _ in range(settings.rounds):
+        variances = _likeliest(found, variances, settings)
+        found = [_trusted(group, variances, settings.freedom) for group in found]
     return found, variances
 
 
-def _likeliest(groups: Sequence[_Group], start: Variances) -> Variances:
+def _likeliest(
+    groups: Sequence[_Group], start: Variances, settings: PlacementSettings
+) -> Variances:
     def surprise(logs: np.ndarray) -> float:
         variances = Variances(*np.exp(logs))
         total = 0.0
@@ -247,13 +262,12 @@ def _likeliest(groups: Sequence[_Group], start: Variances) -> Variances:
             )
         return total
 
-    logs = np.log(np.maximum(astuple(start), LEAST_VARIANCE))
-    return Variances(
-        *np.exp(minimize(surprise, logs, method="L-BFGS-B", bounds=[np.log(BOUNDS)] * len(logs)).x)
-    )
+    logs = np.log(np.maximum(astuple(start), settings.variances[0]))
+    bounds = [np.log(settings.variances)] * len(logs)
+    return Variances(*np.exp(minimize(surprise, logs, method="L-BFGS-B", bounds=bounds).x))
 
 
-def _trusted(group: _Group, variances: Variances) -> _Group:
+def _trusted(group: _Group, variances: Variances, freedom: float) -> _Group:
     """The group with each person's trust by how far they are from what all share (expectation step
     of the t).
     """
@@ -267,7 +281,7 @@ def _trusted(group: _Group, variances: Variances) -> _Group:
         surprise = float(
             np.sum(left[mine] * np.linalg.solve(plain[np.ix_(mine, mine)], left[mine]))
         )
-        trust[mine] = (FREEDOM + 3 * mine.sum()) / (FREEDOM + surprise)
+        trust[mine] = (freedom + 3 * mine.sum()) / (freedom + surprise)
     return replace(group, trust=trust)
 
 
@@ -296,18 +310,19 @@ def _usual(group: _Group, label: str | None, variances: Variances, body: BodyMod
     with any other.
     """
     first = 0 if label is None else int(np.argmax(group.labels == label))
-    told = np.ones(len(group.people), bool) if label is None else group.labels == label
-    shares = variances.place + (0.0 if label is None else variances.label) * told
+    same = np.ones(len(group.people), bool) if label is None else group.labels == label
+    shares = variances.place + (0.0 if label is None else variances.label) * same
     towards = group.scale * group.scale[first] * shares
     gain = np.linalg.solve(group.shared(variances) + group.of_people(variances), towards)
     spread = np.sqrt(group.scale[first] ** 2 * sum(astuple(variances)) - gain @ towards)
     shift, off = _along_skin(group.markers[first], gain @ group.offsets, body)
-    return UsualPlace(shift, off, float(spread), len(np.unique(group.people[told])))
+    return UsualPlace(shift, off, float(spread), len(np.unique(group.people[same])))
 
 
-def _same(one: UsualPlace, other: UsualPlace) -> bool:
-    lengths = [np.array([*usual.shift, usual.off, usual.spread]) for usual in (one, other)]
-    return bool(np.abs(lengths[0] - lengths[1]).max() < SAME)
+def _distance(place: UsualPlace, other: UsualPlace) -> float:
+    """Between two places or their spreads, whichever is larger (m)."""
+    lengths = [np.array([*usual.shift, usual.off, usual.spread]) for usual in (place, other)]
+    return float(np.abs(lengths[0] - lengths[1]).max())
 
 
 def _along_skin(

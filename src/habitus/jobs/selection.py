@@ -20,7 +20,13 @@ from habitus.fit.selection.full import best_states
 from habitus.fit.selection.greedy import Step, additions, removals
 from habitus.fit.selection.held_out import held_out_people
 from habitus.fit.selection.poses import PoseChoice, choose_poses
-from habitus.fit.selection.problem import NOISE, SELECTION, Candidates, linearised
+from habitus.fit.selection.problem import (
+    NOISE,
+    SELECTION,
+    Candidates,
+    SelectionSettings,
+    linearised,
+)
 from habitus.io.layouts.files import load_layout, save_layout
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.bodies import loaded
@@ -30,8 +36,6 @@ from habitus.parallel.workers import WorkersLike, open_workers
 from habitus.report.diagrams import curve_picture, marker_picture
 from habitus.types import PathLike, Progress
 
-MIN_MARKER_DISTANCE = 0.015
-"""Metres below which two places are one."""
 _NOT_SKIN = (
     "thumb",
     "index",
@@ -68,7 +72,11 @@ def find_layout(start: int | PathLike) -> MarkerLayout:
 
 
 def find_pool(
-    body: BodyModel, pool: int | str | Sequence[str], start: MarkerLayout, pairs: bool
+    body: BodyModel,
+    pool: int | str | Sequence[str],
+    start: MarkerLayout,
+    pairs: bool,
+    settings: SelectionSettings = SELECTION,
 ) -> Pool:
     """The candidates that ``pool`` means (a number, or layouts), those of ``start`` first.
 
@@ -76,15 +84,17 @@ def find_pool(
     """
     text = str(pool) if isinstance(pool, int | str) else ",".join(pool)
     if text.isdigit():
-        markers = _spread(body, list(start.markers), int(text))
+        markers = _spread(body, list(start.markers), int(text), settings.min_distance)
     else:
         others = [
             marker for name in text.split(",") for marker in load_layout(name.strip()).markers
         ]
-        markers = _apart(body, [*start.markers, *others])
+        markers = _apart(body, [*start.markers, *others], settings.min_distance)
     layout = MarkerLayout("candidates", tuple(markers), num_vertices=start.num_vertices)
     vertices = layout.vertices(body)
-    groups = _mirrored(body, vertices) if pairs else [(k,) for k in range(len(vertices))]
+    groups = [(k,) for k in range(len(vertices))]
+    if pairs:
+        groups = _mirrored(body, vertices, settings.min_distance)
     first = tuple(
         k
         for k, group in enumerate(groups)
@@ -93,7 +103,9 @@ def find_pool(
     return Pool(Candidates(layout.labels, vertices, tuple(groups)), layout, first)
 
 
-def _spread(body: BodyModel, markers: list[Marker], count: int) -> list[Marker]:
+def _spread(
+    body: BodyModel, markers: list[Marker], count: int, min_distance: float
+) -> list[Marker]:
     """``count`` markers: the given ones, then landmarks, each time the one farthest from all
     others, with its twin.
     """
@@ -112,7 +124,7 @@ def _spread(body: BodyModel, markers: list[Marker], count: int) -> list[Marker]:
             for name, place in places.items()
         }
         name = max(distance, key=lambda each: distance[each], default="")
-        if not name or distance[name] < MIN_MARKER_DISTANCE:
+        if not name or distance[name] < min_distance:
             raise HabitusError(
                 f"{body.name} has landmarks for {len(markers)} candidates, {count} were asked for"
             )
@@ -123,8 +135,8 @@ def _spread(body: BodyModel, markers: list[Marker], count: int) -> list[Marker]:
     return markers
 
 
-def _apart(body: BodyModel, markers: Sequence[Marker]) -> list[Marker]:
-    """The markers at least `MIN_MARKER_DISTANCE` from all before them, relabelled."""
+def _apart(body: BodyModel, markers: Sequence[Marker], min_distance: float) -> list[Marker]:
+    """The markers at least ``min_distance`` (m) from all before them, relabelled."""
     numbered = MarkerLayout(
         "all", tuple(replace(marker, label=f"{k}") for k, marker in enumerate(markers))
     )
@@ -133,14 +145,14 @@ def _apart(body: BodyModel, markers: Sequence[Marker]) -> list[Marker]:
     for marker, point in zip(markers, body.v_template[numbered.vertices(body)], strict=True):
         if (
             marker.label not in kept
-            and np.linalg.norm(taken - point, axis=1).min(initial=np.inf) >= MIN_MARKER_DISTANCE
+            and np.linalg.norm(taken - point, axis=1).min(initial=np.inf) >= min_distance
         ):
             kept[marker.label] = marker
             taken = np.vstack([taken, point])
     return list(kept.values())
 
 
-def _mirrored(body: BodyModel, vertices: np.ndarray) -> list[tuple[int, ...]]:
+def _mirrored(body: BodyModel, vertices: np.ndarray, min_distance: float) -> list[tuple[int, ...]]:
     """Groups of a marker and its twin on the other side, where there is one."""
     places = body.v_template[vertices]
     groups = []
@@ -152,9 +164,7 @@ def _mirrored(body: BodyModel, vertices: np.ndarray) -> list[tuple[int, ...]]:
         twin = min((j for j in free if j != k), key=lambda j: away[j], default=k)
         group = (
             (k, twin)
-            if twin != k
-            and away[twin] < MIN_MARKER_DISTANCE
-            and abs(places[k, 0]) > MIN_MARKER_DISTANCE
+            if twin != k and away[twin] < min_distance and abs(places[k, 0]) > min_distance
             else (k,)
         )
         groups.append(tuple(sorted(group)))
@@ -173,8 +183,6 @@ def _label(landmark: str) -> str:
     return f"{side[0].upper()}_{rest.upper()}" if side in ("left", "right") else landmark.upper()
 
 
-SAMPLE = 500  # vertices at which the best state of a held-out surface is fitted
-MIN_ANKLE_OFFSET = 0.06  # metres from the sagittal plane, for poses that can be held
 FILES = ("selection.json", "curve.svg", "markers.svg")
 KINDS = ("of the start", "of the {count} best to add", "others that were considered")
 
@@ -258,12 +266,12 @@ def select_markers(
     tell = progress
     model = loaded(options.body)
     prior = prior_of(model)
-    found = find_pool(model, pool, find_layout(start), pairs)
+    settings = options.settings or SELECTION
+    found = find_pool(model, pool, find_layout(start), pairs, settings)
     tell("people", 0.0)
     others = [load_body(name) for name in ("female", "male")] if _shares_mesh(model) else [model]
-    drawn = held_out_people(others, prior, options.people, options.seed)
-    vertices = np.unique(np.linspace(0, model.num_vertices - 1, SAMPLE).astype(int))
-    settings = options.settings or SELECTION
+    drawn = held_out_people(others, prior, options.people, options.seed, settings)
+    vertices = np.unique(np.linspace(0, model.num_vertices - 1, settings.sample).astype(int))
     known = best_states(model, prior, drawn, vertices, settings.noise)
     problem = linearised(
         model, prior, known, found.candidates, goal, region, settings.noise, settings.free
@@ -332,7 +340,7 @@ def _numbers(found: Selection) -> dict[str, object]:
     labels = found.pool.candidates.labels
     groups = found.pool.candidates.groups
 
-    def told(steps: Sequence[Step]) -> list[dict[str, object]]:
+    def as_json(steps: Sequence[Step]) -> list[dict[str, object]]:
         return [
             {
                 "markers": found.pool.candidates.count(step.groups),
@@ -348,8 +356,8 @@ def _numbers(found: Selection) -> dict[str, object]:
         "candidates": list(labels),
         "start": [labels[k] for group in found.added[0].groups for k in groups[group]],
         "marker_noise_mm": round(1e3 * found.noise, 2),
-        "removed": told(found.removed),
-        "added": told(found.added),
+        "removed": as_json(found.removed),
+        "added": as_json(found.added),
     }
 
 
@@ -377,7 +385,8 @@ def select_poses(
     model = loaded(options.body)
     prior = prior_of(model)
     found = find_layout(layout)
-    poses = _candidate_poses(model, prior, candidates, seed)
+    settings = options.settings or SELECTION
+    poses = _candidate_poses(model, prior, candidates, seed, settings.min_ankle_offset)
     with open_workers(workers) as shared:
         choice = choose_poses(
             model,
@@ -385,7 +394,7 @@ def select_poses(
             place(found, model),
             poses,
             count,
-            settings=options.settings or SELECTION,
+            settings=settings,
             seed=seed,
             workers=shared,
         )
@@ -396,7 +405,7 @@ def select_poses(
 
 
 def _candidate_poses(
-    body: BodyModel, prior: PosePrior, count: int, seed: int
+    body: BodyModel, prior: PosePrior, count: int, seed: int, min_ankle_offset: float
 ) -> Float[np.ndarray, "N J 3"]:
     own = prior.for_joints(body.joint_names)
     rng = np.random.default_rng(seed)
@@ -408,10 +417,12 @@ def _candidate_poses(
     )
     poses = drawn.reshape(len(drawn), len(own.joint_names), 3)
     poses = np.concatenate([plain, np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)])
-    return np.stack([_stood(body, pose) for pose in poses])
+    return np.stack([_stood(body, pose, min_ankle_offset) for pose in poses])
 
 
-def _stood(body: BodyModel, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+def _stood(
+    body: BodyModel, pose: Float[np.ndarray, "J 3"], min_ankle_offset: float
+) -> Float[np.ndarray, "J 3"]:
     """A pose that can be held: legs apart, the right as the left, and the body leaning so that it
     is over its feet.
     """
@@ -422,7 +433,7 @@ def _stood(body: BodyModel, pose: Float[np.ndarray, "J 3"]) -> Float[np.ndarray,
         for part in ("hip", "knee", "ankle", "foot")
         if f"left_{part}" in names
     }
-    if body((), out, vertices=[0]).joints[left["ankle"], 0] < MIN_ANKLE_OFFSET:
+    if body((), out, vertices=[0]).joints[left["ankle"], 0] < min_ankle_offset:
         out[left["hip"]] *= [1, -1, -1]
     for part, joint in left.items():
         out[names.index(f"right_{part}")] = out[joint] * [1, -1, -1]

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
-from habitus.fit.selection.held_out import REACH, smooth_field
+from habitus.fit.selection.held_out import smooth_field
+from habitus.fit.selection.problem import SELECTION
 
 FRECKLES = 1500
 MOLES = 120
@@ -128,7 +129,7 @@ class PaintedSkin:
             points = points + shift * smooth_field(points, np.random.default_rng([self.seed, look]))
         rng = np.random.default_rng(self.seed)
         patches = PATCHES * smooth_field(points, rng)[:, :1]
-        fine = MOTTLED * smooth_field(points * (REACH / MOTTLES), rng)[:, :1]
+        fine = MOTTLED * smooth_field(points * (SELECTION.flesh_reach / MOTTLES), rng)[:, :1]
         colour = self.colours[0] * np.exp(patches + fine)
         for spots in self.on_skin:
             colour = spots.over(points, colour)

@@ -11,7 +11,8 @@ from jaxtyping import Float, Int
 
 from habitus.body.model import BodyModel
 from habitus.fit.points.scan import Scan
-from habitus.fit.selection.held_out import FLESH, smooth_field
+from habitus.fit.selection.held_out import smooth_field
+from habitus.fit.selection.problem import SELECTION
 from habitus.mesh.normals import face_normals, vertex_normals
 from habitus.observe.light import harmonic_terms, linear_from_srgb, srgb_bytes
 from habitus_lab.population.painted_skin import PaintedSkin, soft_light
@@ -118,7 +119,10 @@ def stance(
 
 
 def person(
-    body: BodyModel, pose: Float[np.ndarray, "J 3"], rng: np.random.Generator, flesh: float = FLESH
+    body: BodyModel,
+    pose: Float[np.ndarray, "J 3"],
+    rng: np.random.Generator,
+    flesh: float = SELECTION.flesh,
 ) -> Float[np.ndarray, "V 3"]:
     """The surface (m) of a random person in a pose, off what the model knows by ``flesh`` (m, sd)
     along its normals.

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from habitus.body.model import BodyModel
 from habitus.fit.points.correspondence_kernels import nearest_around
 from habitus.fit.points.scan import Cloud
+from habitus.fit.points.settings import SCANS, SurfaceSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.solve.terms import geman_mcclure_weight
 
@@ -101,14 +102,11 @@ def with_normals(points: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "
     return np.concatenate([points, NORMAL_DISTANCE * normals], -1)
 
 
-MIN_COVERING = 0.004
-"""Metres from a vertex within which there has to be a point of the scan, however dense it is."""
-COVERING_SPACINGS = 2.0
-"""The same in mean distances of the scan's points."""
-
-
 def vertex_weights(
-    topology: Topology, surface: Float[np.ndarray, "V 3"], cloud: Cloud
+    topology: Topology,
+    surface: Float[np.ndarray, "V 3"],
+    cloud: Cloud,
+    settings: SurfaceSettings = SCANS.surface,
 ) -> Float[np.ndarray, " V"]:
     """1 where points of the scan are near a vertex and look its way, 0 where there is a hole,
     straight in between.
@@ -116,7 +114,7 @@ def vertex_weights(
     pointing = vertex_normals(surface, topology.faces)
     tree = KDTree(with_normals(cloud.points, cloud.normals))
     spacing = tree.query(tree.data[: min(2000, len(cloud.points))], k=2)[0][:, 1]
-    covering = max(MIN_COVERING, COVERING_SPACINGS * float(np.median(spacing)))
+    covering = max(settings.covering, settings.covering_spacings * float(np.median(spacing)))
     distance = tree.query(with_normals(surface, pointing))[0]
     weights = np.zeros(len(surface))
     weights[topology.whole] = np.clip(2.0 - 0.5 * distance[topology.whole] / covering, 0.0, 1.0)

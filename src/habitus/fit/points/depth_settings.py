@@ -280,6 +280,12 @@ class AppearanceSettings:
     """Full-size pixels around the person that are looked at."""
     albedo_damping: float = 0.01
     """Of log albedo where it is eliminated from the whole energy: unseen vertices are singular."""
+    vertex_weight: float = 0.03
+    """Of the vertices' albedo in a texel, beside 1 of its own colour seen face on."""
+    min_texture_shade: float = 0.1
+    """Light on a texel, at least, by which its colour is divided."""
+    brightest: float = 0.92
+    """Albedo that the brightest of a texture gets, as the scale of albedo is unobservable."""
 
 
 APPEARANCE = AppearanceSettings()

@@ -111,7 +111,7 @@ def _level(
     settings: SurfaceSettings,
 ) -> csc_array:
     """The matrix that levels the offset where there is no scan."""
-    unseen = 1.0 - vertex_weights(topology, surface, cloud)[topology.faces].min(1)
+    unseen = 1.0 - vertex_weights(topology, surface, cloud, settings)[topology.faces].min(1)
     return cotangent_laplacian(vertices, topology.faces, unseen)[0] / settings.level**2
 
 

@@ -140,7 +140,7 @@ def limbs_searched_again(
     settings = guesser.fitter.settings.limbs
     few = cloud.first(settings.checked_points)
     distances = scan_distances(guesser.fitter.topology, surface, few)
-    _, place = lost_piece(few.points, distances)
+    _, place = lost_piece(few.points, distances, settings)
     tried = state
     for limb in limbs_near(guesser, surface, place):
         tried = _anew(guesser, tried, cloud, limb)
@@ -181,4 +181,5 @@ def _quickly_lost(guesser: Guesser, state: BodyState, cloud: Cloud) -> float:
     """The share of a scan that lies together off the model and a quick offset."""
     fitter = guesser.fitter
     (surface,) = fitter.fit_with_offsets(state, [cloud], fitter.settings.limbs.quick).surfaces
-    return lost_share(cloud.points, scan_distances(fitter.topology, surface, cloud))
+    distances = scan_distances(fitter.topology, surface, cloud)
+    return lost_share(cloud.points, distances, fitter.settings.limbs)

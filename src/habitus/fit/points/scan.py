@@ -115,7 +115,7 @@ def cleaned(
         notes.append(f"islands with {island_share:.1%} of the points were left out")
         kept &= ~islands
     scale, unit_notes = _scale(scan, kept, unit, settings)
-    cloud = _cloud(scan, kept, scale, rng, settings.max_points)
+    cloud = _cloud(scan, kept, scale, rng, settings)
     return Cleaned(
         scan,
         cloud,
@@ -160,23 +160,27 @@ def _scale(
 
 
 def _cloud(
-    scan: Scan, kept: np.ndarray, scale: float, rng: np.random.Generator, max_points: int
+    scan: Scan,
+    kept: np.ndarray,
+    scale: float,
+    rng: np.random.Generator,
+    settings: CleaningSettings,
 ) -> Cloud:
     rows = np.flatnonzero(kept)
-    rows = rows[rng.permutation(len(rows))[:max_points]]
+    rows = rows[rng.permutation(len(rows))[: settings.max_points]]
     points = scale * scan.points[rows]
     normals = None if scan.normals is None else scan.normals[rows]
     if normals is None and scan.faces is not None:
         normals = vertex_normals(scan.points, scan.faces)[rows]
     if normals is None or (np.linalg.norm(normals, axis=1) < 0.5).mean() > 0.02:
-        normals, near = plane_normals(points)
-        return Cloud(points, outward(points, normals, near))
+        normals, near = plane_normals(points, settings.normal_neighbours)
+        return Cloud(points, outward(points, normals, near, settings=settings))
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     good = length[:, 0] > 0.5
     points = points[good]
     normals = normals[good] / length[good]
-    near = np.asarray(KDTree(points).query(points, k=min(16, len(points)))[1])
-    return Cloud(points, outward(points, normals, near, carry=False))
+    near = neighbours_of(points, settings.normal_neighbours)
+    return Cloud(points, outward(points, normals, near, carry=False, settings=settings))
 
 
 def find_floor(
@@ -263,20 +267,20 @@ def turned(cleaned: Cleaned, turn: Float[np.ndarray, "3 3"]) -> tuple[Scan, Clou
     return whole, Cloud(cleaned.cloud.points @ turn.T, cleaned.cloud.normals @ turn.T)
 
 
-NEIGHBOURS = 16
-"""Of a point, through which its plane is fitted."""
-LINKS = 8
-"""Neighbours to which a sign may be carried."""
-CHUNK = 20_000
-COARSE_POINTS, COARSE_NEIGHBOURS = 3000, 24
-"""Points that decide which side is outside, and the neighbours each is compared with."""
+CHUNK = 20_000  # points at once: bounds memory, changes no result
+
+
+def neighbours_of(points: Float[np.ndarray, "N 3"], count: int) -> Int[np.ndarray, "N K"]:
+    """Each point's nearest ones, itself first; ``count`` of them, if there are so many."""
+    near = KDTree(points).query(points, k=min(count, len(points)))[1]
+    return np.asarray(near).reshape(len(points), -1)
 
 
 def plane_normals(
-    points: Float[np.ndarray, "N 3"], neighbours: int = NEIGHBOURS
+    points: Float[np.ndarray, "N 3"], neighbours: int = SCANS.cleaning.normal_neighbours
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "N K"]]:
     """The normal (unit, of either sign) of the plane through each point's neighbours, and these."""
-    near = KDTree(points).query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)
+    near = neighbours_of(points, neighbours)
     normals = np.empty_like(points)
     for begin in range(0, len(points), CHUNK):
         some = points[near[begin : begin + CHUNK]]
@@ -290,6 +294,7 @@ def outward(
     normals: Float[np.ndarray, "N 3"],
     near: Int[np.ndarray, "N K"],
     carry: bool = True,
+    settings: CleaningSettings = SCANS.cleaning,
 ) -> Float[np.ndarray, "N 3"]:
     """The same normals with one sign a sheet, carried from neighbour to neighbour, then outward on
     the whole.
@@ -299,9 +304,9 @@ def outward(
     trusted to agree, and only the whole is turned.
     """
     if not carry:
-        return normals * (1.0 if _roundness(points, normals) >= 0.0 else -1.0)
+        return normals * (1.0 if _roundness(points, normals, settings) >= 0.0 else -1.0)
     count = len(points)
-    others = near[:, 1 : LINKS + 1]
+    others = near[:, 1 : settings.sign_neighbours + 1]
     rows = np.repeat(np.arange(count), others.shape[1])
     bend = 1.0 - np.abs((normals[rows] * normals[others.ravel()]).sum(1)) + 1e-3
     tree = minimum_spanning_tree(
@@ -315,7 +320,7 @@ def outward(
         order, before = breadth_first_order(tree, first, directed=False)
         _carry(order, before, normals, sign)
         left[order] = False
-        if _roundness(points[order], normals[order] * sign[order, None]) < 0.0:
+        if _roundness(points[order], normals[order] * sign[order, None], settings) < 0.0:
             sign[order] *= -1.0
     return normals * sign[:, None]
 
@@ -324,23 +329,22 @@ def agreed(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     others: Float[np.ndarray, "N 3"],
+    neighbours: int = SCANS.cleaning.normal_neighbours,
 ) -> Float[np.ndarray, "N 3"]:
     """The same normals, turned over where they and their neighbours look against ``others``, zero
     where not known.
     """
-    near = KDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
+    near = neighbours_of(points, neighbours)
     along = np.einsum("nc,nkc->nk", normals, normals[near])
     votes = (np.sign(along) * (normals * others).sum(1)[near]).mean(1)
     return np.where(votes < -0.1, -1.0, 1.0)[:, None] * normals
 
 
-def _roundness(points: np.ndarray, normals: np.ndarray) -> float:
+def _roundness(points: np.ndarray, normals: np.ndarray, settings: CleaningSettings) -> float:
     """How far points stand out, along their normals, from the middles of what is around them."""
-    some = slice(None, None, max(1, len(points) // COARSE_POINTS))
+    some = slice(None, None, max(1, len(points) // settings.outside_points))
     few = points[some]
-    around = few[
-        KDTree(few).query(few, k=min(COARSE_NEIGHBOURS, len(few)))[1].reshape(len(few), -1)
-    ].mean(1)
+    around = few[neighbours_of(few, settings.outside_neighbours)].mean(1)
     return float(((few - around) * normals[some]).sum())
 
 

@@ -138,7 +138,7 @@ def _moved(
         vertices=surface,
         model_vertices=model,
         rest_vertices=at_rest(fit.body, state, surface - model),
-        weights=vertex_weights(topology, surface, cloud),
+        weights=vertex_weights(topology, surface, cloud, registrar.fitter.settings.surface),
         **compared(registrar.fitter, cloud, surface, model),
         cuts=new_cuts(topology, model, surface, vertex_parts(fit.body)),
         colours=replace(colours, slid=float(np.linalg.norm(surface - fit.vertices, axis=1).mean())),

@@ -123,7 +123,9 @@ class ScanFitter:
         pointing = np.concatenate(
             [vertex_normals(surface, self.topology.faces)[some], np.zeros((1, 3))]
         )
-        return Cloud(cloud.points, agreed(cloud.points, cloud.normals, pointing[which]))
+        neighbours = self.settings.cleaning.normal_neighbours
+        normals = agreed(cloud.points, cloud.normals, pointing[which], neighbours)
+        return Cloud(cloud.points, normals)
 
     def fit(
         self, state: BodyState, clouds: Sequence[Cloud], schedule: Sequence[ScanStage]

@@ -17,6 +17,7 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import hidden_vertices
 from habitus.fit.points.scan import Cloud
+from habitus.fit.points.settings import SCANS, LimbSettings
 from habitus.fit.points.skin_grid import SkinGrid
 from habitus.fit.verdict import (
     BODY,
@@ -163,13 +164,6 @@ def _place(part: str) -> str:
     return "on the trunk, an arm or a leg" if part == BODY else f"at the {part}"
 
 
-MAX_BALLS = 1000
-LOST_DISTANCE, LOST_RADIUS = 0.006, 0.06
-"""Metres: distance off the surface of a point of the lost piece, and radius of the ball that holds
-the piece; chosen by hand: smaller than a hand, larger than wrinkles.
-"""
-
-
 @dataclass(frozen=True, eq=False)
 class ScanColours:
     """What colours of several scans of a person came to.
@@ -275,22 +269,28 @@ class ScanFit:
         return judge_scan(self)
 
 
-def lost_share(points: Float[np.ndarray, "N 3"], distances: Float[np.ndarray, " N"]) -> float:
+def lost_share(
+    points: Float[np.ndarray, "N 3"],
+    distances: Float[np.ndarray, " N"],
+    settings: LimbSettings = SCANS.limbs,
+) -> float:
     """The share of a scan's points that lie off the surface (``distances``, m) in the place where
     most of them do.
     """
-    return lost_piece(points, distances)[0]
+    return lost_piece(points, distances, settings)[0]
 
 
 def lost_piece(
-    points: Float[np.ndarray, "N 3"], distances: Float[np.ndarray, " N"]
+    points: Float[np.ndarray, "N 3"],
+    distances: Float[np.ndarray, " N"],
+    settings: LimbSettings = SCANS.limbs,
 ) -> tuple[float, Float[np.ndarray, " 3"]]:
     """That share, and the place (m)."""
-    off = points[distances > LOST_DISTANCE]
+    off = points[distances > settings.lost_distance]
     if len(off) == 0:
         return 0.0, points.mean(0)
-    few = off[:: max(1, len(off) // MAX_BALLS)]
-    balls = KDTree(off).query_ball_point(few, LOST_RADIUS, return_length=True)
+    few = off[:: max(1, len(off) // settings.lost_balls)]
+    balls = KDTree(off).query_ball_point(few, settings.lost_radius, return_length=True)
     return float(balls.max() / len(points)), few[balls.argmax()]
 
 

@@ -324,7 +324,7 @@ class Registrar:
 
     def _lost(self, scan: Registered) -> float:
         distances = scan_distances(self.fitter.topology, scan.surface, scan.cloud)
-        return lost_share(scan.cloud.points, distances)
+        return lost_share(scan.cloud.points, distances, self.fitter.settings.limbs)
 
     def _result(self, scan: Registered) -> ScanFit:
         state = scan.state
@@ -342,7 +342,9 @@ class Registrar:
             vertices=scan.surface,
             model_vertices=model,
             rest_vertices=at_rest(self.body, state, scan.surface - model),
-            weights=vertex_weights(self.fitter.topology, scan.surface, scan.cloud),
+            weights=vertex_weights(
+                self.fitter.topology, scan.surface, scan.cloud, self.fitter.settings.surface
+            ),
             cloud=scan.cloud,
             **compared(self.fitter, scan.cloud, scan.surface, model),
             rival=scan.start.rival,
@@ -401,7 +403,7 @@ def compared(
     if matched.any():
         counted = to_surface < settings.matched_distance
         counted &= np.abs(there.cosine) > settings.matched_cosine
-    lost, place = lost_piece(cloud.points, to_surface)
+    lost, place = lost_piece(cloud.points, to_surface, settings.limbs)
     return {
         "to_surface": to_surface[counted],
         "to_model": to_model[counted],

@@ -58,6 +58,14 @@ class CleaningSettings:
     """Pieces so close to the largest are the person's, if they have `island_share` of its points.
     """
     island_share: float = 0.004
+    normal_neighbours: int = 16
+    """Of a point without a normal, through which its plane is fitted."""
+    sign_neighbours: int = 8
+    """Of a point, to which the sign of its normal may be carried."""
+    outside_points: int = 3000
+    """Points that decide which side of them all is outside,"""
+    outside_neighbours: int = 24
+    """and neighbours each of them is compared with: more than a fold, less than a limb."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +172,12 @@ class LimbSettings:
     checked_points: int = 20_000
     improvement: float = 0.7
     """Of the lost share, that may be left for a limb to count as found."""
+    lost_distance: float = 0.006
+    """From the surface, of a point of a lost piece: beyond wrinkles."""
+    lost_radius: float = 0.06
+    """Of the ball that holds a lost piece: smaller than a hand."""
+    lost_balls: int = 1000
+    """Balls that are tried, about."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +228,10 @@ class SurfaceSettings:
     """Vertices within so many edges of a cut are drawn back half as far."""
     cut_rounds: int = 20
     """Rounds, at most."""
+    covering: float = 0.004
+    """From a vertex within which a point of the scan covers it, however dense the scan is,"""
+    covering_spacings: float = 2.0
+    """and the same in median distances of the scan's points."""
 
 
 @dataclass(frozen=True)
@@ -233,6 +251,10 @@ class ScanColourSettings:
     min_cosine: float = 0.4
     smoothings: int = 3
     """Times that the texture is averaged over neighbouring nodes."""
+    noise_weight: float = 0.1
+    """Weight of a coloured point from which on it counts for the noise of tones."""
+    outlier_spreads: float = 3.0
+    """Noises of tones off the texture at which a point weighs a quarter."""
     light_rounds: int = 3
     """Alternations of light and texture."""
     light_ridge: float = 0.01

@@ -28,11 +28,6 @@ from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
-MIN_CERTAIN = 0.1
-"""Weight of a coloured point from which on it tells of the noise."""
-OUTLIER_SPREADS = 3.0
-"""Spreads of tones off the texture at which a point weighs a quarter."""
-
 
 @dataclass(frozen=True, eq=False)
 class ColourCloud:
@@ -185,7 +180,10 @@ class _Rounds:
         certain = [sight.weight for sight in sights]
         middle = np.median(
             np.concatenate(
-                [cloud.tones[w > MIN_CERTAIN] for cloud, w in zip(clouds, certain, strict=True)]
+                [
+                    cloud.tones[w > settings.noise_weight]
+                    for cloud, w in zip(clouds, certain, strict=True)
+                ]
             ),
             axis=0,
         )
@@ -242,13 +240,13 @@ class _Rounds:
             for scan in zip(self.coarse_tables, self.weights, left, strict=True)
         ]
         left = [each - gain for each, gain in zip(left, gains, strict=True)]
+        low = self.settings.noise_weight
         noise = _spread(
-            np.concatenate(
-                [each[w > MIN_CERTAIN] for each, w in zip(left, self.certain, strict=True)]
-            )
+            np.concatenate([each[w > low] for each, w in zip(left, self.certain, strict=True)])
         )
+        scale = self.settings.outlier_spreads
         weights = [
-            w * geman_mcclure_weight(np.sqrt(((each / noise) ** 2).mean(1)), OUTLIER_SPREADS)
+            w * geman_mcclure_weight(np.sqrt(((each / noise) ** 2).mean(1)), scale)
             for each, w in zip(left, self.certain, strict=True)
         ]
         return replace(self, gains=gains, noise=noise, weights=weights)

@@ -16,17 +16,13 @@ from habitus.body.model import BodyModel
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance, depth_of, look_up, moved
+from habitus.fit.points.depth_settings import APPEARANCE, AppearanceSettings
 from habitus.fit.points.prepared_views import PreparedView
 from habitus.mesh.normals import vertex_normals
 from habitus.observe.light import harmonics
 from habitus.render import operators
 from habitus.render.rasterize import rasterize
 from habitus.render.triangles import Triangles
-
-GUESS = 0.03
-"""Weight of the vertices' albedo beside a texel's own colour seen face on."""
-BRIGHTEST = 0.92
-"""Where the brightest albedo goes: its scale cannot be told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +43,7 @@ def bake(
     appearance: Appearance,
     size: int,
     offset: Float[np.ndarray, " V"] | None = None,
+    settings: AppearanceSettings = APPEARANCE,
 ) -> Skin:
     """The albedo of the body at its full level of detail. offset: of the skin from the model
     (m).
@@ -60,10 +57,10 @@ def bake(
     texture = None
     if fine.mesh is not None and uv_faces is not None:
         texture = _texture(
-            fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size
+            fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size, settings
         )
     brightest = float(np.percentile(albedo.max(1), 99.5))
-    scale = BRIGHTEST / max(brightest, 1e-3)
+    scale = settings.brightest / max(brightest, 1e-3)
     return Skin(
         fine, (albedo * scale).clip(0, 1), None if texture is None else (texture * scale).clip(0, 1)
     )
@@ -95,11 +92,12 @@ def _texture(
     albedo: Float[np.ndarray, "V 3"],
     chart: tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]],
     size: int,
+    settings: AppearanceSettings,
 ) -> Float[np.ndarray, "S S 3"]:
     pixel, face, share = _texels(*chart, size)
     corners = fine.faces[face]
-    total = GUESS * np.einsum("nk,nkc->nc", share, albedo[corners])
-    weights = np.full(len(pixel), GUESS)
+    total = settings.vertex_weight * np.einsum("nk,nkc->nc", share, albedo[corners])
+    weights = np.full(len(pixel), settings.vertex_weight)
     triangles = Triangles.of(fine.faces, num_vertices=fine.num_vertices)
     for k, sight in enumerate(sights):
         if sight.colour_camera is None:
@@ -110,9 +108,11 @@ def _texture(
         points = np.einsum("nk,nkc->nc", share, vertices[corners])
         camera = moved(sight.colour_camera, appearance.shift.shift)
         colour, weight = look_up(
-            sight, camera, points, normals, depth_of(camera, vertices, triangles)
+            sight, camera, points, normals, depth_of(camera, vertices, triangles), settings
         )
-        shade = (harmonics(torch.from_numpy(normals)).numpy() @ appearance.light).clip(0.1)
+        shade = (harmonics(torch.from_numpy(normals)).numpy() @ appearance.light).clip(
+            settings.min_texture_shade
+        )
         total += (weight**2)[:, None] * colour / shade
         weights += weight**2
     image = np.zeros((size * size, 3))

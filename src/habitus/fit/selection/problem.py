@@ -53,6 +53,18 @@ class SelectionSettings:
     free: float = 1.0
     """Radians and metres, standard deviation: how freely the root turns and stands; large beside
     both."""
+    min_distance: float = 0.015
+    """Metres below which two places of candidates are one, and a place and its mirror image twins.
+    """
+    flesh: float = 0.004
+    """Metres, standard deviation: how far the skin of held-out people is off any body model,"""
+    flesh_reach: float = 0.08
+    """and over what distance alike. Chosen by hand."""
+    sample: int = 500
+    """Vertices by which the best state of a held-out person is fitted: more change it by less than
+    ``noise``."""
+    min_ankle_offset: float = 0.06
+    """Metres of the left ankle from the sagittal plane in poses that can be held."""
 
 
 SELECTION = SelectionSettings()
