@@ -25,6 +25,7 @@ from habitus.jobs.checkpoints import Callbacks, Checkpoint, CheckpointingCallbac
 from habitus.jobs.learn_options import TrainingOptions
 from habitus.jobs.options import takes
 from habitus.learn.callback import Record
+from habitus.learn.check_settings import CheckSettings
 from habitus.learn.checks import check_registrations, refuse
 from habitus.learn.options import TrainOptions
 from habitus.learn.train import TrainedBody, train_body
@@ -166,14 +167,21 @@ def two_levels(template: PathLike | Template | BodyModel, detail: str) -> str | 
 
 
 def check_data(
-    data: Registrations, template: Template, workers: Workers, progress: Progress
+    data: Registrations,
+    template: Template,
+    workers: Workers,
+    progress: Progress,
+    settings: CheckSettings,
 ) -> list[str]:
     """The warnings about the registrations. Raises HabitusError where there are errors."""
     reporting = ReportingWorkers(
         workers, lambda done, total: progress("check registrations", done / total)
     )
     findings = check_registrations(
-        data, template, over=lambda function, rows: reporting.map(_call, function, list(rows))
+        data,
+        template,
+        over=lambda function, rows: reporting.map(_call, function, list(rows)),
+        settings=settings,
     )
     refuse(findings)
     return [str(finding) for finding in findings]
@@ -389,7 +397,7 @@ def _train(
                 "again; registrations in "
                 "a folder that all of them see are read there"
             )
-        notes += check_data(data, model, ready, callbacks.progress)
+        notes += check_data(data, model, ready, callbacks.progress, options.settings.checks)
         for note in notes:
             callbacks.on_warning(note)
         like = two_levels(options.template, options.detail)

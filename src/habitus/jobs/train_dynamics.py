@@ -25,8 +25,9 @@ from habitus.files import atomic_write, locked
 from habitus.io.models.bodies import load_whole_body, save_body, save_dynamics
 from habitus.io.registrations.motions import open_moving_surfaces
 from habitus.jobs.learn_options import UnitOption
-from habitus.jobs.options import BodyOption, silent, takes, unset
+from habitus.jobs.options import BodyOption, PythonOnly, silent, takes, unset
 from habitus.learn.dynamics.sequences import MovingSurface
+from habitus.learn.dynamics.settings import DYNAMICS, DynamicsSettings
 from habitus.learn.dynamics.train import DynamicsOptions, LearnedDynamics, learn_dynamics
 from habitus.parallel.workers import Workers, WorkersLike, open_workers
 from habitus.types import PathLike, Progress
@@ -47,6 +48,7 @@ class DynamicsTrainingOptions(DynamicsOptions, UnitOption, BodyOption):
     """Held-out sequences, on which the errors of the surface's velocity and acceleration are
     measured.
     """
+    settings: Annotated[DynamicsSettings, PythonOnly] = DYNAMICS
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the data give none or a wrong one."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
+from habitus.learn.check_settings import CHECKS, CheckSettings
 from habitus.learn.findings import (
     Finding,
     check_template,
@@ -20,8 +21,6 @@ from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template
 
-_ALIKE = 0.7
-_NEAR = np.deg2rad(20.0)
 _UNITS = {
     1000.0: "in millimetres",
     100.0: "in centimetres",
@@ -32,8 +31,7 @@ _UNITS = {
     0.01: "a hundred times too small (metres taken for centimetres)",
     0.001: "a thousand times too small (metres taken for millimetres)",
 }
-_MOST_NAMED = 5
-_STRAINED = 0.4
+_MOST_NAMED = 5  # errors in a message
 
 
 def check_registrations(
@@ -41,6 +39,7 @@ def check_registrations(
     template: Template,
     *,
     over: Callable[[Callable, Iterable], Iterable] = map,
+    settings: CheckSettings = CHECKS,
 ) -> list[Finding]:
     """All that is wrong with registrations and their template, errors first.
 
@@ -52,7 +51,7 @@ def check_registrations(
     are there twice; another axis up, or faced, than the template's; holes. One registration is in
     memory at a time; ``over`` maps a function over registrations, in order (on threads, say).
     """
-    findings = [*check_template(template), *subject_findings(registrations)]
+    findings = [*check_template(template, settings), *subject_findings(registrations)]
     other = other_topology(registrations, template)
     if other:
         return [Finding("error", "the registrations", other), *findings]
@@ -60,7 +59,7 @@ def check_registrations(
     measures = list(over(partial(_measure, ruler, registrations), range(len(registrations))))
     posed = registrations.made.tolist()
     wrong = [
-        _fault(measure, template.num_vertices, made)
+        _fault(measure, template.num_vertices, made, settings)
         for measure, made in zip(measures, posed, strict=True)
     ]
     findings += [
@@ -69,10 +68,11 @@ def check_registrations(
         if fault
     ]
     sound = np.array([not fault for fault in wrong], dtype=bool)
-    findings += mislabelled(registrations, measures, sound)
-    findings += unposed(registrations, template, ruler, measures, sound)
-    findings += duplicates(registrations, measures, sound)
-    findings += [*_frame(measures, sound), *_holes(registrations, measures, sound)]
+    findings += mislabelled(registrations, measures, sound, settings)
+    findings += unposed(registrations, template, ruler, measures, sound, settings)
+    findings += duplicates(registrations, measures, sound, settings.same)
+    findings += _frame(measures, sound, settings)
+    findings += _holes(registrations, measures, sound)
     return sorted(findings, key=lambda finding: finding.kind != "error")
 
 
@@ -130,7 +130,9 @@ def _measure(ruler: Ruler, registrations: Registrations, k: int) -> Measures | s
         return str(error)
 
 
-def _fault(measures: Measures | str, vertices: int, made: bool) -> str | None:
+def _fault(
+    measures: Measures | str, vertices: int, made: bool, settings: CheckSettings
+) -> str | None:
     """The fault of one registration by itself, or None. One that was ``made`` may be folded up as
     nobody is scanned.
     """
@@ -142,27 +144,30 @@ def _fault(measures: Measures | str, vertices: int, made: bool) -> str | None:
             f"{m.bad} {'vertex is' if m.bad == 1 else 'vertices are'} not finite; repair or leave "
             "it out"
         )
-    if 2 * m.holes > vertices:
+    if m.holes > settings.max_holes * vertices:
         return (
-            f"{m.holes} of its {vertices} vertices are holes; expected half of them or less: "
-            "leave it out"
+            f"{m.holes} of its {vertices} vertices are holes; expected "
+            f"{settings.max_holes:.0%} of them or less: leave it out"
         )
-    if m.extent < 1e-6 or m.edge < 1e-6:
+    if min(m.extent, m.edge) < settings.min_size:
         return "its vertices are collapsed to a point or a line; repair or leave it out"
-    if not 0.22 < m.edge < 2.2 and m.strain < _STRAINED:
+    least, most = settings.edge
+    if not least < m.edge < most and m.strain < settings.max_strain:
         factor = min(_UNITS, key=lambda factor: abs(np.log(m.edge / factor)))
         problems = (
             f"it seems to be {_UNITS[factor]}"
-            if abs(np.log(m.edge / factor)) < np.log(1.6)
+            if abs(np.log(m.edge / factor)) < np.log(settings.unit_ratio)
             else "no known unit"
         )
         return (
             f"its edges are {m.edge:.4g} times the template's: {problems}; expected metres: say "
             "its unit"
         )
-    if m.short > 0.05:
+    if m.short > settings.max_short:
         return f"{m.short:.0%} of its edges are collapsed to a point; repair or leave it out"
-    if m.edge > 2 * m.extent and not (made and m.strain < _STRAINED):
+    if m.edge > settings.edge_over_extent * m.extent and not (
+        made and m.strain < settings.max_strain
+    ):
         return (
             f"its edges are {m.edge:.3g} times as long as the template's, its whole "
             f"{m.extent:.3g} times as large; "
@@ -170,25 +175,27 @@ def _fault(measures: Measures | str, vertices: int, made: bool) -> str | None:
         )
     if m.flying:
         return f"{m.flying} of its edges cross the body: vertices fly off; repair or leave it out"
-    if m.long > 0.01 or m.strain > _STRAINED:
+    if m.long > settings.max_long or m.strain > settings.max_strain:
         return (
             f"its edges are {m.strain:.0%} off the template's in the mean, {m.long:.1%} over 5 "
             "times as long; "
             "repair or leave it out"
         )
-    if m.mirrored > 0.6:
+    if m.mirrored > settings.max_mirrored:
         return "it is a mirror image of the template (left for right); flip one axis"
     return None
 
 
-def _frame(measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Finding]:
+def _frame(
+    measures: Sequence[Any], sound: Bool[np.ndarray, " N"], settings: CheckSettings
+) -> list[Finding]:
     """Registrations that stand in another frame than the template's: z up, say, or all facing
     backwards.
     """
     turns = [measures[k].upright for k in np.flatnonzero(sound).tolist()]
     if not turns:
         return []
-    up, front = (_axis(np.mean(turns, axis=0)[:, column]) for column in (1, 2))
+    up, front = (_axis(np.mean(turns, axis=0)[:, column], settings) for column in (1, 2))
     if up in ("", "+y") and (up == "" or front in ("", "+z")):
         return []
     faced = f" and face {front}" if front else ""
@@ -200,11 +207,12 @@ def _frame(measures: Sequence[Any], sound: Bool[np.ndarray, " N"]) -> list[Findi
     return [Finding("warning", "the registrations", message)]
 
 
-def _axis(mean: Float[np.ndarray, " 3"]) -> str:
+def _axis(mean: Float[np.ndarray, " 3"], settings: CheckSettings) -> str:
     """The axis that a mean direction lies along; "" where directions differ, or lie along none."""
     length = float(np.linalg.norm(mean))
     k = int(np.abs(mean).argmax())
-    clear = length > _ALIKE and abs(mean[k]) > np.cos(_NEAR) * length
+    along = np.cos(np.deg2rad(settings.axis_deg)) * length
+    clear = length > settings.aligned and abs(mean[k]) > along
     return f"{'-' if mean[k] < 0 else '+'}{'xyz'[k]}" if clear else ""
 
 

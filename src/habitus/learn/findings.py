@@ -11,12 +11,13 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from habitus.learn.check_settings import CHECKS, CheckSettings
 from habitus.learn.posing.rig import kinship
 from habitus.mesh.registrations import Registrations
 from habitus.mesh.size import Measures, Ruler
 from habitus.mesh.template import Template
 
-MAX_NAMED = 3
+MAX_NAMED = 3  # names in a message
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,7 @@ def named(names: Sequence[str], limit: int = MAX_NAMED) -> str:
     return ", ".join(names[:limit]) + more
 
 
-# pieces beyond one a part, as a share of the vertices: no segmentation of a body has as many
-_SCATTERED = 0.1
-_STRAY = 3  # vertices of a part among parts far from it that are worth a note
-_KIN = 2  # bones between joints whose parts may touch
-
-
-def check_template(template: Template) -> list[Finding]:
+def check_template(template: Template, settings: CheckSettings = CHECKS) -> list[Finding]:
     """What is odd about a template. Errors: parts that are scattered over the mesh. Warnings:
     joints without vertices; pieces of parts that lie among parts far from theirs; joints called
     left on the right side.
@@ -56,19 +51,19 @@ def check_template(template: Template) -> list[Finding]:
             "no vertex belongs to this joint; expected a part of the mesh, or a tree without it"
         )
         findings.append(Finding("warning", named(template.empty_joints, 5), message))
-    return [*findings, *_scattered(template), *_sides(template)]
+    return [*findings, *_scattered(template, settings), *_sides(template)]
 
 
-def _scattered(template: Template) -> list[Finding]:
-    pieces, stray = scattered(template)
-    if pieces - len(np.unique(template.part)) > _SCATTERED * template.num_vertices:
+def _scattered(template: Template, settings: CheckSettings) -> list[Finding]:
+    pieces, stray = scattered(template, settings.kin)
+    if pieces - len(np.unique(template.part)) > settings.max_pieces * template.num_vertices:
         message = (
             f"its {template.num_joints} parts lie in {pieces} pieces; expected parts of connected "
             "vertices, one around "
             "each bone: check the order of the array 'part'"
         )
         return [Finding("error", "the template", message)]
-    lost = [k for k in range(template.num_joints) if stray[k] >= _STRAY]
+    lost = [k for k in range(template.num_joints) if stray[k] >= settings.min_stray]
     if not lost:
         return []
     message = (
@@ -81,9 +76,9 @@ def _scattered(template: Template) -> list[Finding]:
     ]
 
 
-def scattered(template: Template) -> tuple[int, Int[np.ndarray, " J"]]:
+def scattered(template: Template, kin: int = CHECKS.kin) -> tuple[int, Int[np.ndarray, " J"]]:
     """How many connected pieces all parts are of, and how many vertices of each part lie in pieces
-    that touch only parts more than two bones away.
+    that touch only parts more than ``kin`` bones away.
 
     Pieces that touch nothing do not count: eyes and teeth are pieces of the mesh of their own.
     """
@@ -97,7 +92,7 @@ def scattered(template: Template) -> tuple[int, Int[np.ndarray, " J"]]:
     count, piece = connected_components(joined, directed=False)
     across = np.concatenate([pairs[~within], pairs[~within][:, ::-1]])
     is_related = (
-        kinship(template.parents)[template.part[across[:, 0]], template.part[across[:, 1]]] <= _KIN
+        kinship(template.parents)[template.part[across[:, 0]], template.part[across[:, 1]]] <= kin
     )
     touches = np.zeros(count, bool)
     related = np.zeros(count, bool)
@@ -124,11 +119,6 @@ def _sides(template: Template) -> list[Finding]:
         "template so that it faces +z, or exchange the names"
     )
     return [Finding("warning", "the template", message)]
-
-
-LEAST_POSES = 5
-BENT = np.deg2rad(15.0)
-_SAME = 2e-5  # of edges' lengths: what copies in single precision that stand metres apart differ by
 
 
 def subject_findings(registrations: Registrations) -> list[Finding]:
@@ -159,7 +149,10 @@ def subject_findings(registrations: Registrations) -> list[Finding]:
 
 
 def mislabelled(
-    registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]
+    registrations: Registrations,
+    measures: Sequence[Any],
+    sound: Bool[np.ndarray, " N"],
+    settings: CheckSettings = CHECKS,
 ) -> list[Finding]:
     """Registrations far from their own subject's build and near another's.
 
@@ -173,20 +166,21 @@ def mislabelled(
     builds = np.stack([measures[k].build for k in rows.tolist()]).astype(np.float64)
     builds = builds[:, np.isfinite(builds).all(axis=0)]
     subject = registrations.subject_index[rows]
-    middle, of_others = _medians(builds, subject, len(registrations.subjects))
+    middle, of_others = _medians(builds, subject, len(registrations.subjects), settings.many_rows)
     several = np.flatnonzero(np.isfinite(of_others).all(axis=1))
     if not len(several) or not builds.shape[1]:
         return []
     gaps = np.abs(builds[several] - of_others[several])
-    spread = np.maximum(1.5 * np.quantile(gaps, 0.75, axis=0), 0.002)
-    mine = _distance(gaps, spread)
+    spread = settings.spread_factor * np.quantile(gaps, settings.spread_quantile, axis=0)
+    spread = np.maximum(spread, settings.min_spread)
+    mine = _distance(gaps, spread, settings.max_spreads)
     findings = []
-    for i in np.flatnonzero(mine > 1.8 * np.median(mine)).tolist():
+    for i in np.flatnonzero(mine > settings.far * np.median(mine)).tolist():
         k = int(several[i])
-        others = _distance(np.abs(middle - builds[k]), spread)
+        others = _distance(np.abs(middle - builds[k]), spread, settings.max_spreads)
         others[subject[k]] = np.inf
         nearest = int(np.nanargmin(others))
-        if others[nearest] < 0.6 * mine[i]:
+        if others[nearest] < settings.near * mine[i]:
             name = registrations.subjects[subject[k]]
             alike = registrations.subjects[nearest]
             message = (
@@ -199,24 +193,24 @@ def mislabelled(
 
 
 def _distance(
-    gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"]
+    gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"], most: float
 ) -> Float[np.ndarray, " n"]:
-    """The mean gap in spreads, none of them counting for more than ten."""
-    return np.minimum(gaps / spread, 10.0).mean(axis=1)
+    """The mean gap in spreads, none of them counting for more than ``most``."""
+    return np.minimum(gaps / spread, most).mean(axis=1)
 
 
 def _medians(
-    builds: Float[np.ndarray, "n L"], subject: Int[np.ndarray, " n"], subjects: int
+    builds: Float[np.ndarray, "n L"], subject: Int[np.ndarray, " n"], subjects: int, many: int
 ) -> tuple[Float[np.ndarray, "S L"], Float[np.ndarray, "n L"]]:
     """Each subject's median, and for each row that of its subject's other rows; NaN where there are
-    none.
+    none. Of more than ``many`` rows a single one does not change the median.
     """
     middle = np.full((subjects, builds.shape[1]), np.nan)
     of_others = np.full(builds.shape, np.nan)
     order = np.argsort(subject, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(subject[order])) + 1):
         middle[subject[rows[0]]] = np.median(builds[rows], axis=0)
-        if len(rows) > 20:
+        if len(rows) > many:
             of_others[rows] = middle[subject[rows[0]]]
         elif len(rows) > 1:
             of_others[rows] = [
@@ -242,16 +236,18 @@ def unposed(
     ruler: Ruler,
     measures: Sequence[Any],
     sound: np.ndarray,
+    settings: CheckSettings = CHECKS,
 ) -> list[Finding]:
-    """Joints that fewer than `LEAST_POSES` registrations of the pose set bend by 15 degrees from
+    """Joints that fewer than ``min_poses`` registrations of the pose set bend by ``bent_deg`` from
     their mean.
     """
+    least_poses = settings.min_poses
     posed = np.flatnonzero(
         sound & np.array([which == "pose" for which in registrations.set], dtype=bool)
     )
-    if len(posed) < LEAST_POSES:
+    if len(posed) < least_poses:
         message = (
-            f"{len(posed)} in the set 'pose'; expected {LEAST_POSES} and more, for every "
+            f"{len(posed)} in the set 'pose'; expected {least_poses} and more, for every "
             "joint to bend"
         )
         return [Finding("warning", "the registrations", message)]
@@ -259,11 +255,11 @@ def unposed(
     u, _, vt = np.linalg.svd(np.nan_to_num(np.nanmean(turns, axis=0, dtype=np.float64)))
     u[..., 2] *= np.linalg.det(u @ vt)[:, None]
     cosine = (np.einsum("njab,jab->nj", turns, u @ vt) - 1) / 2
-    bent = (cosine < np.cos(BENT)).sum(axis=0)
+    bent = (cosine < np.cos(np.deg2rad(settings.bent_deg))).sum(axis=0)
     stiff = [
         joint
         for joint in range(1, template.num_joints)
-        if ruler.rigid[joint] and bent[joint] < LEAST_POSES
+        if ruler.rigid[joint] and bent[joint] < least_poses
     ]
     stiff.sort(key=lambda joint: bent[joint])
     if not stiff:
@@ -274,8 +270,8 @@ def unposed(
         else ("each of these joints", bent[stiff].min())
     )
     message = (
-        f"fewer than {LEAST_POSES} poses bend {these} more than 15 degrees ({least} of "
-        f"{len(posed)} do"
+        f"fewer than {least_poses} poses bend {these} more than {settings.bent_deg:g} degrees "
+        f"({least} of {len(posed)} do"
         f"{' at the least' if len(stiff) > 1 else ''}); add poses that do, or expect little of "
         f"{'it' if len(stiff) == 1 else 'them'}"
     )
@@ -289,7 +285,10 @@ def unposed(
 
 
 def duplicates(
-    registrations: Registrations, measures: Sequence[Any], sound: Bool[np.ndarray, " N"]
+    registrations: Registrations,
+    measures: Sequence[Any],
+    sound: Bool[np.ndarray, " N"],
+    same_length: float = CHECKS.same,
 ) -> list[Finding]:
     """Meshes that are there twice, wherever they stand: all their parts are built and turned
     alike.
@@ -299,9 +298,9 @@ def duplicates(
     same: dict[int, int] = {}
     for place, k in enumerate(order):
         for other in order[place + 1 :]:
-            if measures[other].strain - measures[k].strain > _SAME:
+            if measures[other].strain - measures[k].strain > same_length:
                 break
-            if other not in same and _alike(measures[k], measures[other]):
+            if other not in same and _alike(measures[k], measures[other], same_length):
                 same[other] = k
     if not same:
         return []
@@ -316,10 +315,10 @@ def duplicates(
     return [Finding("warning", "the registrations", message)]
 
 
-def _alike(measures: Measures, other: Measures) -> bool:
+def _alike(measures: Measures, other: Measures, same_length: float) -> bool:
     return all(
         np.allclose(getattr(measures, key), getattr(other, key), rtol=0, atol=atol, equal_nan=True)
-        for key, atol in (("build", _SAME), ("turns", 10 * _SAME))
+        for key, atol in (("build", same_length), ("turns", 10 * same_length))
     )
 
 

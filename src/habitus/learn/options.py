@@ -8,6 +8,7 @@ from typing import Literal
 from habitus.body.pose_features import POSE_FEATURES
 from habitus.body.skinning import SKINNING
 from habitus.errors import HabitusError
+from habitus.learn.check_settings import CHECKS, CheckSettings
 
 CANDIDATES = 8
 """Joints that a vertex' influences are chosen from."""
@@ -94,6 +95,8 @@ class TrainSettings:
     """Parts into which people are divided for that cross-validation."""
     imputation_steps: int = 12
     """Steps of expectation maximisation that fill holes of rest surfaces; converged by then."""
+    checks: CheckSettings = CHECKS
+    """What counts as wrong with registrations."""
 
 
 SETTINGS = TrainSettings()

@@ -22,6 +22,7 @@ from jaxtyping import Float, Int
 
 from habitus.body.dynamics import CONTROLS, DynamicsRegressor, free_run
 from habitus.errors import HabitusError
+from habitus.learn.dynamics.settings import DYNAMICS, DynamicsSettings
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class DynamicsOptions:
     """Directions kept while surfaces are read."""
     personal: bool = True
     """Count a person's mean residual to the person's own template (S 6), not to the dynamics."""
+    settings: DynamicsSettings = DYNAMICS
+    """Tuning of the trainer's parts."""
 
     def __post_init__(self) -> None:
         if self.controls not in CONTROLS:
@@ -154,11 +157,7 @@ def principal_components(
     return Components(np.ascontiguousarray(directions), table @ axes * sign / sizes, values / total)
 
 
-_FOLDS = 4
-_ROUNDS = 2  # with instruments; more change nothing
 _TINY = 1e-10  # ridge of what is not held back, against round-off
-BEYOND = 1.5
-"""Controls up to so many times the largest that was seen are believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +207,7 @@ def learn_regressor(
     coefficient moves.
     """
     equations = _Equations.of(examples, joints, rate_hz, options)
-    folds = _folds(group)
+    folds = _folds(group, options.settings.folds)
     varied = np.ptp([example.betas for example in examples], axis=0) > 0
     known = (
         int(np.argmin(varied)) if not varied.all() else len(varied)
@@ -241,6 +240,7 @@ class _Equations:
     joints: tuple[str, ...]
     rate_hz: float
     controls: str
+    settings: DynamicsSettings
 
     @staticmethod
     def of(
@@ -256,7 +256,17 @@ class _Equations:
         products = [_products(example, example.coefficients, scale) for example in examples]
         left, right = (list(each) for each in zip(*products, strict=True))
         counts = np.array([max(len(example.coefficients) - 2, 0) for example in examples])
-        return _Equations(examples, left, right, counts, scale, joints, rate_hz, options.controls)
+        return _Equations(
+            examples,
+            left,
+            right,
+            counts,
+            scale,
+            joints,
+            rate_hz,
+            options.controls,
+            options.settings,
+        )
 
     def instrumented(self, regressor: DynamicsRegressor, used: np.ndarray) -> "_Equations":
         """The same with the histories of what this regressor predicts as instruments, of the
@@ -304,7 +314,7 @@ class _Equations:
             drive=np.ascontiguousarray(drive),
             joints=self.joints,
             rate_hz=self.rate_hz,
-            limits=BEYOND
+            limits=self.settings.control_range
             * np.max([np.abs(example.controls).max(0, initial=0.0) for example in shown], axis=0),
             reach=np.array([betas.min(0), betas.max(0)]),
             controls=self.controls,
@@ -345,10 +355,11 @@ def _judged(
     """The choice after 0, 1, ... rounds of instruments, with its error of all examples, each not
     seen before.
     """
-    wrong = np.zeros(1 + _ROUNDS)
+    count = equations.settings.instrument_rounds
+    wrong = np.zeros(1 + count)
     whole = 0.0
     for used, judged in folds:
-        rounds = _errors(equations, list(_rounds(equations, used, choice, _ROUNDS)), judged, sizes)
+        rounds = _errors(equations, list(_rounds(equations, used, choice, count)), judged, sizes)
         wrong = wrong + rounds[0]
         whole = whole + rounds[1]
     errors = (wrong / max(whole, 1e-300)).tolist()
@@ -382,12 +393,12 @@ def _errors(
     return wrong, whole
 
 
-def _folds(group: Int[np.ndarray, " N"]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Which examples are learned from and which are judged, in up to four folds; a single group is
-    judged on itself.
+def _folds(group: Int[np.ndarray, " N"], most: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Which examples are learned from and which are judged, in up to ``most`` folds; a single group
+    is judged on itself.
     """
     _, number = np.unique(group, return_inverse=True)
-    count = min(_FOLDS, int(number.max()) + 1)
+    count = min(most, int(number.max()) + 1)
     if count == 1:
         return [(np.ones(len(group), dtype=bool), np.ones(len(group), dtype=bool))]
     return [(number % count != k, number % count == k) for k in range(count)]

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
+from habitus.learn.dynamics.settings import DYNAMICS, DynamicsSettings
 from habitus.learn.posing.rig import Rig
 from habitus.learn.posing.surface import posed
 from habitus.mesh.registrations import Registrations, Vertices
@@ -123,11 +124,7 @@ def check_sequences(sequences: tuple[MovingSurface, ...]) -> float:
     return sequences[0].rate_hz
 
 
-_BLOCK = 64  # frames carried back together
-SQUEEZED = 0.5
-"""Where skinning leaves less of a volume than this share, what it did is not undone to the full."""
-DAMPING = 0.1
-"""How much of what is squeezed flat is given up (added to the squared scale)."""
+_BLOCK = 64  # frames carried back together: bounds memory, changes no result
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +132,14 @@ class _Shared:
     body: BodyModel
     rig: Rig
     sequences: Sequence[MovingSurface]
+    settings: DynamicsSettings
 
 
 def rest_residuals(
-    body: BodyModel, sequences: Sequence[MovingSurface], workers: Workers
+    body: BodyModel,
+    sequences: Sequence[MovingSurface],
+    workers: Workers,
+    settings: DynamicsSettings = DYNAMICS,
 ) -> Iterator[tuple[int, Float[np.ndarray, "n M"]]]:
     """Which sequence, and the residuals (m; M = 3 V, vertex by vertex) of its next frames: sequence
     after sequence.
@@ -150,7 +151,7 @@ def rest_residuals(
         body.parents, body.skinning, body.pose_features, body.shape_features,
         body.skinning_index, body.skinning_value, None,
     )  # fmt: skip
-    shared = _Shared(body, rig, sequences)
+    shared = _Shared(body, rig, sequences, settings)
     items = [
         (k, first)
         for k, sequence in enumerate(sequences)
@@ -187,28 +188,31 @@ def _residuals(
         offset[ids] = values - at_rest
         if weight is not None:
             offset[ids] *= weight[:, None]
-        yield unposed(posed(shared.rig, pose[frame]).turn, offset)
+        yield unposed(posed(shared.rig, pose[frame]).turn, offset, shared.settings)
 
 
 def unposed(
-    turn: Float[np.ndarray, "V 3 3"], offset: Float[np.ndarray, "V 3"]
+    turn: Float[np.ndarray, "V 3 3"],
+    offset: Float[np.ndarray, "V 3"],
+    settings: DynamicsSettings = DYNAMICS,
 ) -> Float[np.ndarray, "V 3"]:
     """Offsets d at rest with turn d = away, for the blended rotations of skinning.
 
-    Where these squeeze a volume below `SQUEEZED` of itself (deep folds, strong twists), d is the
-    minimum of
-    |turn d - away|^2 + mu |d|^2 instead; mu rises smoothly from 0 there to `DAMPING` where nothing is left.
-    """  # noqa: E501
+    Where these squeeze a volume below ``squeezed`` of itself (deep folds, strong twists), d is the
+    minimum of |turn d - away|^2 + mu |d|^2 instead; mu rises smoothly from 0 there to ``damping``
+    where nothing is left.
+    """
     a = turn[:, 0]
     b = turn[:, 1]
     c = turn[:, 2]
     across = np.cross(b, c), np.cross(c, a), np.cross(a, b)
     volume = np.einsum("vi,vi->v", a, across[0])
-    flat = volume < SQUEEZED
+    flat = volume < settings.squeezed
     total = sum(side * offset[:, k, None] for k, side in enumerate(across))
     values = total / np.where(flat, 1.0, volume)[:, None]
     if flat.any():
-        mu = DAMPING * (1.0 - np.maximum(volume[flat], 0.0) / SQUEEZED) ** 2
+        left = np.maximum(volume[flat], 0.0) / settings.squeezed
+        mu = settings.damping * (1.0 - left) ** 2
         back = turn[flat].swapaxes(-1, -2)
         matrix = back @ turn[flat] + mu[:, None, None] * np.eye(3)
         values[flat] = np.linalg.solve(matrix, back @ offset[flat][..., None])[..., 0]

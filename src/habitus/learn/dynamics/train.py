@@ -22,7 +22,6 @@ from habitus.parallel.workers import Threads, Workers
 from habitus.types import Progress
 
 _BODY_JOINTS = SMPL.joint_names[:22]  # without hands: every set of joints has them
-_PIECES = 4  # of a sequence that is alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +79,9 @@ def learn_dynamics(
         examples.append(Example(course, controls, sequence.betas))
     progress("regressor", 0.0)
     sizes = np.sqrt((components.directions**2).sum((0, 1)))
-    examples, group = _grouped(examples, [sequence.subject for sequence in sequences])
+    examples, group = _grouped(
+        examples, [sequence.subject for sequence in sequences], options.settings.pieces
+    )
     learned = learn_regressor(examples, group, sizes, names, rate, options)
     progress("regressor", 1.0)
     whole = replace(body, dynamics=Dynamics(components.directions, learned.regressor))
@@ -103,7 +104,7 @@ def _components(
 
     def blocks():
         done = 0
-        for _, rows in rest_residuals(body, sequences, workers):
+        for _, rows in rest_residuals(body, sequences, workers, options.settings):
             done += len(rows)
             progress("residuals", done / len(group))
             yield rows
@@ -111,9 +112,11 @@ def _components(
     return principal_components(blocks(), options.components, options.rank, group)
 
 
-def _grouped(examples: list[Example], subjects: list[str]) -> tuple[list[Example], np.ndarray]:
+def _grouped(
+    examples: list[Example], subjects: list[str], pieces: int
+) -> tuple[list[Example], np.ndarray]:
     """What is held out together: people, or where there are not three, sequences; of a single one
-    its pieces.
+    its ``pieces``.
     """
     people = list(dict.fromkeys(subjects))
     if len(people) >= 3:
@@ -121,7 +124,7 @@ def _grouped(examples: list[Example], subjects: list[str]) -> tuple[list[Example
     if len(examples) == 1:
         (example,) = examples
         courses, controls = (
-            np.array_split(rows, _PIECES) for rows in (example.coefficients, example.controls)
+            np.array_split(rows, pieces) for rows in (example.coefficients, example.controls)
         )
         examples = [Example(*parts, example.betas) for parts in zip(courses, controls, strict=True)]
     return examples, np.arange(len(examples))
