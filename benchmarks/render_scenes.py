@@ -94,7 +94,7 @@ class TorusScene:
         """What the camera sees."""
         return draw(self.camera, self.vertices, self.triangles, boundary, cull)
 
-    def leaves(self) -> "Scene":
+    def leaves(self) -> "TorusScene":
         """The same scene, with zero distortion if there was none, as leaves to be differentiated
         with respect to.
         """

@@ -250,7 +250,9 @@ def _turning(
     )
 
 
-def _differences(steps: Float[np.ndarray, "S *n"], rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
+def _differences(
+    steps: Float[np.ndarray, " S *n"], rate_hz: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Velocity and acceleration in T = S + 1 frames from the S steps between them; steady at both
     ends.
     """

@@ -83,7 +83,7 @@ def distinct_rows(
 
 
 def best_of_tries(
-    cost: Float[np.ndarray, "K *entries"], *tries: Float[np.ndarray, "K ..."]
+    cost: Float[np.ndarray, " K *entries"], *tries: Float[np.ndarray, "K ..."]
 ) -> tuple[np.ndarray, ...]:
     """For each entry the values of its cheapest of K tries; tries: (K, *entries, ...)."""
     best = np.argmin(cost, axis=0)

@@ -41,7 +41,7 @@ class Clipped:
     num_source_faces: int
     """How many triangles there were before."""
 
-    def extend(self, values: Float[Tensor, "V *C"]) -> Float[Tensor, "N *C"]:
+    def extend(self, values: Float[Tensor, " V *C"]) -> Float[Tensor, " N *C"]:
         """Values at vertices, with those at the new vertices behind them, linear along the cut
         edges in space.
         """

@@ -203,7 +203,7 @@ def pose_prior(prior: PosePrior, frames: int, weight: float) -> Term:
     return Term(residual, weight)
 
 
-def _second_difference(name: str, values: Float[np.ndarray, "T *n"]) -> tuple[np.ndarray, dict]:
+def _second_difference(name: str, values: Float[np.ndarray, " T *n"]) -> tuple[np.ndarray, dict]:
     """Second differences x_t - 2 x_{t-1} + x_{t-2}, and their Jacobian."""
     flat = values.reshape(len(values), -1)
     shape = (len(flat) - 2, len(flat))

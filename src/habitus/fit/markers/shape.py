@@ -3,7 +3,7 @@ and Latent Markers"); and its result, a subject: a person whose shape and marker
 known, so that motion can be fitted.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -92,12 +92,14 @@ def shape_stage(
     visible = np.isfinite(observed[..., 0]).astype(float)
     filled = np.nan_to_num(observed)
     iterations = 0
+    status = ""
+    costs: dict[str, float] = {}
     last = len(settings.annealing) - 1
     for step in [*range(last), *([last] * settings.last_repeats)]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         residual = markers(**unknowns) - filled
         if step == settings.hopeless_step and _hopeless(residual, visible, settings):
-            result = replace(result, status=HOPELESS)
+            status = HOPELESS
             break
         weights = visible * _robust_weights(residual, step, settings)
         terms = shape_terms(
@@ -113,12 +115,14 @@ def shape_stage(
             stretch=False,
         )
         unknowns = result.values
+        costs = result.costs
+        status = result.status
         iterations = iterations + result.iterations
     return ShapeFit(
         **unknowns,
         attachment=_attached(body, unknowns),
-        costs=result.costs,
-        status=result.status,
+        costs=costs,
+        status=status,
         iterations=iterations,
     )
 
