@@ -107,8 +107,8 @@ def sides_exchanged(capture: Capture, match: LayoutMatch) -> Capture:
         name: places.get(other_side(m).place, name)
         for m, name in zip(match.layout.markers, match.matched, strict=True)
     }
-    labels = tuple(other.get(x, x) for x in capture.labels)
-    return replace(capture, labels=labels if len(set(labels)) == len(labels) else capture.labels)
+    both = {name: partner for name, partner in other.items() if other.get(partner) == name}
+    return replace(capture, labels=tuple(both.get(x, x) for x in capture.labels))
 
 
 def undecidable(kind: str, speed: float) -> bool:

@@ -125,15 +125,15 @@ def test_rgbd_example_is_short_and_whole():
     assert callable(module.main)
 
 
-def test_two_sensors_together_are_better_than_markers_and_their_joints_than_views(monkeypatch):
-    """For one person; the law over several people is in tests/fit/test_problem.py. The shape of
-    views alone is that of `habitus.fit_rgbd`, whose skin offsets the joint fit does not have.
+def test_two_sensors_together_are_better_than_either(monkeypatch):
+    """For one person; the mean of three is 2.8 mm (shape) and 3.1 (joints) of 3.0 and 4.3 by views
+    alone.
     """
     monkeypatch.syspath_prepend(EXAMPLES)
     main = runpy.run_path(str(EXAMPLES / "two_sensors.py"))["main"]
     errors = main(1)
-    assert (errors["both at once"] < errors["12 markers"]).all()
-    assert errors["both at once"][1] < errors["2 depth views"][1]
+    for alone in ("12 markers", "2 depth views"):
+        assert (errors["both at once"] < errors[alone]).all()
 
 
 def test_a_scan_gives_the_shape_of_a_captures_motion(monkeypatch, tmp_path):

@@ -17,6 +17,17 @@ def by_markers(seed):
     return hb.Fit(body(), replace(markers, frames=SHOTS), QUICK).solve()
 
 
+@cache
+def by_scan(frame, lowest):
+    """Of a scan without the lower legs."""
+    return hb.Fit(body(), scan_of(0, frame, lowest=lowest), QUICK).solve()
+
+
+@cache
+def by_views():
+    return hb.Fit(body(), hb.Depth(person(0)[2]), QUICK).solve()
+
+
 def test_views_of_the_capture_better_shape_and_pose():
     """Over the mean of three people, and the shape better than views alone give it."""
     errors = []
@@ -38,7 +49,7 @@ def test_views_of_the_capture_better_shape_and_pose():
 
 def test_views_alone_are_fitted_in_their_cameras_frames():
     truth, _, views = person(0)
-    fit = hb.Fit(body(), hb.Depth(views), QUICK).solve()
+    fit = by_views()
     assert fit.poses == ("view 0", "view 1") and fit.pose.shape[0] == 2
     assert shape_error(fit, truth) < 0.02
     camera = views[0].camera
@@ -49,23 +60,21 @@ def test_views_alone_are_fitted_in_their_cameras_frames():
         assert np.linalg.norm(fit.joints(k) - seen, axis=1).mean() < 0.02
 
 
-def test_views_better_the_shape_of_a_scan_without_lower_legs():
-    """Views alone may be better still: their own recipe has skin offsets, which the joint solve
-    lacks (1.2 mm alone, 1.6 with the scan, 1.8 for the scan alone).
-    """
-    truth, _, views = person(0)
-    scan = scan_of(0, 0, lowest=-0.4)
-    scanned = hb.Fit(body(), scan, QUICK).solve()
+def test_views_and_a_scan_without_lower_legs_give_a_better_shape_than_either():
+    """1.2 mm, 2.1 by the views and 2.9 by the scan; mean of three people 1.3, 1.8 and 2.7."""
+    truth, _, views = person(1)
+    scan = scan_of(1, 0, lowest=-0.4)
+    alone = [hb.Fit(body(), each, QUICK).solve() for each in (hb.Depth(views), scan)]
     both = hb.Fit(body(), [hb.Depth(views), scan], QUICK).solve()
     assert both.poses == ("view 0", "view 1", "scan 0")
-    assert shape_error(both, truth) < shape_error(scanned, truth)
-    assert shape_error(both, truth) < 0.002
+    assert shape_error(both, truth) < min(shape_error(each, truth) for each in alone)
+    assert shape_error(both, truth) < 0.0016 and np.abs(both.skin_offset).mean() < 0.0006
 
 
 def test_two_scans_give_a_better_shape_than_either():
     truth, _, _ = person(0)
     scans = [scan_of(0, 0, lowest=-0.4), scan_of(0, 30, lowest=-0.3)]  # without the lower legs
-    alone = [hb.Fit(body(), scan, QUICK).solve() for scan in scans]
+    alone = [by_scan(0, -0.4), by_scan(30, -0.3)]
     both = hb.Fit(body(), scans, QUICK).solve()
     assert shape_error(both, truth) <= min(shape_error(fit, truth) for fit in alone)
     np.testing.assert_array_equal(*(each.betas for each in both.results))
@@ -159,4 +168,4 @@ def test_a_term_named_as_another_is_refused():
 
 def test_a_problem_cannot_be_changed():
     with pytest.raises(FrozenInstanceError):
-        Problem(body(), None, QUICK, None, (), None, (), ()).poses = ("another",)
+        Problem(body(), None, QUICK, None, (), None, (), (), None).poses = ("another",)

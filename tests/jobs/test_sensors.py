@@ -9,7 +9,6 @@ import pytest
 from sensor_people import MOSH, QUICK, QUICK_SCANS, SHOTS, body, halves, person, scan_of
 
 import habitus as hb
-from habitus.fit.starts import in_own_frame
 from habitus.observe.depth_views import RgbdCapture
 
 
@@ -46,7 +45,7 @@ def test_scans_alone_are_what_register_scans_makes_of_them():
 
 
 def test_views_alone_are_what_fit_rgbd_makes_of_them():
-    capture = RgbdCapture("views", tuple(in_own_frame(view) for view in person(0)[2]))
+    capture = RgbdCapture("views", tuple(person(0)[2]))  # calibrated: not at the origin
     fit = hb.Fit(body(), hb.Depth(capture), QUICK).solve()
     expected = hb.fit_rgbd(capture, body())
     (found,) = fit.results

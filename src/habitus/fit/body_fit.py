@@ -59,6 +59,8 @@ class FitSettings:
     enough_markers: int = 8
     """Labelled markers in a frame from which on captures give the shape of the start, rather than
     depth views: fewer leave it to the prior."""
+    skin_steps: int = 6
+    """Steps with skin offsets at the end, at most, where there are views or scans."""
     max_step: Mapping[str, float] = field(
         default_factory=lambda: {"pose": 0.4, "trans": 0.3, "betas": 1.5}
     )
@@ -85,8 +87,9 @@ class BodyFit:
     poses: what each of the F poses is of. Those of a capture's frames, and of views and scans that
     name a frame, are in the capture's world; those of a view of its own in the camera's frame;
     those of a scan of its own in metres with y up. latent_markers (M, 3): where markers sit at
-    rest. status, costs: of the last stage; costs by term sum to the energy. residuals:
-    distances (m) by sensor: of markers, of pixels from the surface, of points from the surface.
+    rest. skin_offset (V,): how far (m) the person's skin lies off the model along its normals;
+    None without views and scans. status, costs: of the last stage; costs by term sum to the energy.
+    residuals: distances (m) by sensor: of markers, of pixels and points from the skin.
     motions: the whole captures. verdicts: by sensor, where its own recipe judges it.
     """
 
@@ -99,6 +102,7 @@ class BodyFit:
     costs: Mapping[str, float]
     residuals: Mapping[str, Float[np.ndarray, " n"]]
     latent_markers: Float[np.ndarray, "M 3"] | None = None
+    skin_offset: Float[np.ndarray, " V"] | None = None
     motions: tuple[MarkerFit, ...] = ()
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -9,11 +9,14 @@
 Shape and latent markers are shared by all; a frame is one of a capture, or belongs to a view or a
 scan alone. Each sensor's own recipe gives a start (`habitus.fit.starts`): MoSh's shape stage, the
 search over stances of depth views and scans where these have poses of their own. Then all terms are
-minimised together, stage by stage, with reach and priors annealed. At the end each capture's whole
-motion is solved with the shape and the latent markers held (M 6, the pose stage).
+minimised together, stage by stage, with reach and priors annealed; the last steps have skin offsets
+(`habitus.fit.points.skin_offsets`), which explain what neighbouring pixels and points of one person
+have in common. At the end each capture's whole motion is solved with the shape and the latent
+markers held (M 6, the pose stage).
 
 Markers and priors are the terms of MoSh's shape stage (`habitus.fit.markers.energy.shape_terms`),
-views and scans the public terms `Depth`, `Silhouette` and `Points`.
+views and scans the public terms `Depth`, `Silhouette` and `Points`, or with skin offsets what
+these observe.
 """
 
 import time
@@ -31,6 +34,14 @@ from habitus.fit.body_fit import BodyFit, FitSettings, JointStage
 from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.recipe import fit_known
 from habitus.fit.markers.result import MarkerFit
+from habitus.fit.offsets import along_normals
+from habitus.fit.points.skin_offsets import (
+    SkinField,
+    SkinPlanes,
+    moved_back,
+    skin_planes_term,
+    skin_prior,
+)
 from habitus.fit.sensors import ScanData, SensorData, ViewData
 from habitus.fit.starts import (
     MarkerStart,
@@ -47,9 +58,10 @@ from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import LatentMarkers, attach
-from habitus.residuals.points import PointSolver
+from habitus.residuals.points import PointSolver, points_term
 from habitus.residuals.shape_stage import pose_prior, shape_prior
 from habitus.residuals.surface_terms import Depth, Points, Silhouette
+from habitus.solve.alternate import Stage, alternate
 from habitus.solve.minimize import Minimized, minimize
 from habitus.solve.terms import Term, geman_mcclure_weight
 from habitus.types import Progress
@@ -84,7 +96,8 @@ class ScanPoints:
 @dataclass(frozen=True, eq=False)
 class Problem:
     """One person's data, each with the pose (row of the state) it belongs to: first the frames of
-    captures, then views and scans with poses of their own. ``poses`` names them.
+    captures, then views and scans with poses of their own. ``poses`` names them. field: skin
+    offsets, which captures alone do not need.
     """
 
     body: BodyModel
@@ -95,6 +108,7 @@ class Problem:
     markers: MarkerStart | None
     views: tuple[ViewPixels, ...]
     scans: tuple[ScanPoints, ...]
+    field: SkinField | None
 
 
 def fit_sensors(
@@ -124,6 +138,7 @@ def fit_sensors(
         clock.append(time.perf_counter())
         result = _together(problem, state, terms or {}, progress)
         state = result.values
+        offset = None if problem.field is None else problem.field.offset(state["skin"])
         clock.append(time.perf_counter())
         progress("motion", 0.7)
         motions = _motions(problem, result, clock[-1] - clock[0]) if settings.motion else ()
@@ -137,7 +152,8 @@ def fit_sensors(
         poses=problem.poses,
         status=result.status,
         costs=result.costs,
-        residuals=residuals(problem, state),
+        residuals=residuals(problem, state, offset),
+        skin_offset=offset,
         latent_markers=state.get("latent_markers"),
         motions=motions,
         verdicts={**verdicts, **verdicts_of(motions)},
@@ -175,6 +191,7 @@ def start(
     state = {"betas": betas, "pose": pose, "trans": trans}
     if markers is not None:
         state["latent_markers"] = markers.subject.shape.latent_markers
+    surfaces = bool(data.views or data.scans)
     frames = 0 if markers is None else len(markers.frames)
     own = 0 if views is None else len(views.views)
     problem = Problem(
@@ -189,6 +206,7 @@ def start(
             *_own_scans(data, scans, frames + own, settings),
             *_shared_scans(data, markers, settings),
         ),
+        field=SkinField.of(body, settings.depth) if surfaces and settings.skin_steps else None,
     )
     verdicts = {} if scans is None else {each.scan_name: each.verdict for each in scans.fits}
     return problem, state, verdicts
@@ -288,7 +306,9 @@ def _row(markers: MarkerStart, data: ViewData | ScanData) -> int:
 def _together(
     problem: Problem, state: Values, terms: Mapping[str, Term], progress: Progress
 ) -> Minimized:
-    """All stages; marker attachments and robust weights are found anew in each round."""
+    """All stages; marker attachments and robust weights are renewed in each round. Skin offsets
+    come last.
+    """
     settings = problem.settings
     result = None
     for k, stage in enumerate(settings.stages):
@@ -306,7 +326,14 @@ def _together(
             )
             state = result.values
     assert result is not None
-    return result
+    if problem.field is None:
+        return result
+    return alternate(
+        lambda values, stage, step: skin_terms(problem, values, terms),
+        {**state, "skin": np.zeros(problem.field.count)},
+        [Stage(settings.skin_steps, max_step=settings.max_step, until=settings.tolerances)],
+        blocks=("trans", "pose"),
+    )
 
 
 def joint_terms(
@@ -315,12 +342,49 @@ def joint_terms(
     """The energy, with marker attachments and robust marker weights of this state."""
     terms = {
         **_markers_and_priors(problem, state, stage),
-        **_view_terms(problem, stage),
-        **_scan_terms(problem, stage),
+        **_surface_terms(problem, stage),
     }
     for name in more:
         if name in terms:
             raise HabitusError(f"your term {name!r} is named as one of the fit is; rename it")
+    return {**terms, **more}
+
+
+def skin_terms(problem: Problem, state: Values, more: Mapping[str, Term]) -> dict[str, Term]:
+    """The energy with skin offsets, all correspondences those of this state."""
+    field = problem.field
+    assert field is not None
+    settings = problem.settings
+    stage = settings.stages[-1]
+    whole = BodyState(state["betas"], state["pose"], state["trans"])
+    outer = {"view": field.offset(state["skin"]) + field.layer, "scan": field.offset(state["skin"])}
+
+    def surfaces(row: int, sensor: str) -> tuple[np.ndarray, np.ndarray]:
+        here = (whole.betas, whole.pose[row], whole.trans[row])
+        model = np.asarray(problem.body(*here).vertices)
+        return model, along_normals(model, outer[sensor], problem.body)
+
+    def planes(row: int, term: Depth | Points, sensor: str) -> Term:
+        model, seen = surfaces(row, sensor)
+        points = term.matched(seen).points
+        held = SkinPlanes.of(field, whole, row, state["skin"], points, model, seen)
+        return skin_planes_term(problem.body, [held], field.count)
+
+    terms = {**_markers_and_priors(problem, state, stage), "skin": skin_prior(field.count)}
+    for k, each in enumerate(problem.views):
+        model, seen = surfaces(each.row, "view")
+        across = replace(_depth(problem, each, stage), min_cosine=settings.depth.min_cosine)
+        outline = moved_back(
+            _silhouette(problem, each, stage).matched(seen).points, model, seen, problem.body
+        )
+        terms[f"depth {k}"] = planes(each.row, across, "view")
+        terms[f"silhouette {k}"] = points_term(
+            problem.solver, [outline if n == each.row else None for n in range(len(whole.pose))]
+        )
+    for k, scan in enumerate(problem.scans):
+        terms[f"scan {k}"] = planes(
+            scan.row, replace(_points(problem, scan, stage), slide=0.0), "scan"
+        )
     return {**terms, **more}
 
 
@@ -329,9 +393,10 @@ def _markers_and_priors(problem: Problem, state: Values, stage: JointStage) -> d
     body = problem.body
     prior = problem.prior
     settings = problem.settings
+    # The full pose prior: MoSh's shape stage takes a quarter of it, for frames of many markers.
+    weight = replace(settings.mosh.shape, pose=settings.mosh.pose.pose)
     count = len(state["pose"])
     if problem.markers is None:
-        weight = settings.mosh.shape
         return {
             "betas": shape_prior(body.num_betas, stage.prior * weight.betas),
             "pose": pose_prior(prior.mean, prior.whitening, count, stage.prior * weight.pose),
@@ -342,72 +407,81 @@ def _markers_and_priors(problem: Problem, state: Values, stage: JointStage) -> d
     rest = body.rest_vertices(state["betas"])
     latent = LatentMarkers(body, attach(state["latent_markers"], rest, body.faces).triangles)
     filled = np.nan_to_num(observed)
-    off = np.linalg.norm(latent(**state) - filled, axis=2)
+    names = ("betas", "latent_markers", "pose", "trans")
+    off = np.linalg.norm(latent(**{name: state[name] for name in names}) - filled, axis=2)
     weights = np.isfinite(observed[..., 0]) * geman_mcclure_weight(
         off, settings.marker_reach * stage.reach
     )
     weights[: len(markers.weight)] *= markers.weight[:, None]
     placement = place(markers.subject.layout, body)
-    terms = shape_terms(body, latent, placement, filled, weights, prior, settings.mosh, stage.prior)
-    names = {"data": "markers", "start": "placement"}
-    return {names.get(name, name): term for name, term in terms.items()}
+    mosh = replace(settings.mosh, shape=weight)
+    terms = shape_terms(body, latent, placement, filled, weights, prior, mosh, stage.prior)
+    renamed = {"data": "markers", "start": "placement"}
+    return {renamed.get(name, name): term for name, term in terms.items()}
 
 
-def _view_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
-    settings = problem.settings
+def _surface_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
     terms: dict[str, Term] = {}
     for k, each in enumerate(problem.views):
-        view = each.data.view
-        depth = Depth(
-            problem.solver,
-            view.camera,
-            view.depth,
-            each.mask,
-            frame=each.row,
-            matching=stage.matching,
-            noise=each.noise,
-            model_sd=settings.depth.model_sd,
-            reach=stage.reach,
-            slide=settings.depth.slide,
-            share=settings.depth.skin_depth,  # of the recipe's last steps
-            stride=stage.stride,
-        )
-        silhouette = Silhouette(
-            problem.solver,
-            view.camera,
-            each.mask,
-            each.mask | (view.depth > 0.0),
-            frame=each.row,
-            share=settings.outline_share,
-            stride=stage.stride,
-        )
-        terms |= {f"depth {k}": Term(depth), f"silhouette {k}": Term(silhouette)}
+        terms[f"depth {k}"] = Term(_depth(problem, each, stage))
+        terms[f"silhouette {k}"] = Term(_silhouette(problem, each, stage))
+    for k, scan in enumerate(problem.scans):
+        terms[f"scan {k}"] = Term(_points(problem, scan, stage))
     return terms
 
 
-def _scan_terms(problem: Problem, stage: JointStage) -> dict[str, Term]:
+def _depth(problem: Problem, each: ViewPixels, stage: JointStage) -> Depth:
+    settings = problem.settings.depth
+    return Depth(
+        problem.solver,
+        each.data.view.camera,
+        each.data.view.depth,
+        each.mask,
+        frame=each.row,
+        matching=stage.matching,
+        noise=each.noise,
+        model_sd=settings.model_sd,
+        reach=stage.reach,
+        slide=settings.slide,
+        share=settings.skin_depth,  # of the recipe's last steps
+        stride=stage.stride,
+    )
+
+
+def _silhouette(problem: Problem, each: ViewPixels, stage: JointStage) -> Silhouette:
+    view = each.data.view
+    return Silhouette(
+        problem.solver,
+        view.camera,
+        each.mask,
+        each.mask | (view.depth > 0.0),
+        frame=each.row,
+        share=problem.settings.outline_share,
+        stride=stage.stride,
+    )
+
+
+def _points(problem: Problem, each: ScanPoints, stage: JointStage) -> Points:
     settings = problem.settings.scans
-    terms: dict[str, Term] = {}
-    for k, each in enumerate(problem.scans):
-        points = Points(
-            problem.solver,
-            each.points,
-            each.normals,
-            frame=each.row,
-            noise=each.noise,
-            reach=stage.reach,
-            slide=settings.stages[-1].slide,
-            share=min(1.0, settings.effective_points / len(each.points)),
-        )
-        terms[f"scan {k}"] = Term(points)
-    return terms
+    return Points(
+        problem.solver,
+        each.points,
+        each.normals,
+        frame=each.row,
+        noise=each.noise,
+        reach=stage.reach,
+        slide=settings.stages[-1].slide,
+        share=min(1.0, settings.effective_points / len(each.points)),
+    )
 
 
 # ---- result --------------------------------------------------------------------------------------
 
 
-def residuals(problem: Problem, state: Values) -> dict[str, Float[np.ndarray, " n"]]:
-    """Distances (m) by sensor."""
+def residuals(
+    problem: Problem, state: Values, offset: Float[np.ndarray, " V"] | None
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Distances (m) by sensor; those of pixels and points from the skin with its offset."""
     body = problem.body
     found: dict[str, np.ndarray] = {}
     if problem.markers is not None:
@@ -420,17 +494,22 @@ def residuals(problem: Problem, state: Values) -> dict[str, Float[np.ndarray, " 
     whole = BodyState(state["betas"], state["pose"], state["trans"])
     for k, each in enumerate(problem.views):
         depth = Depth(problem.solver, each.data.view.camera, each.data.view.depth, each.mask)
-        found[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets)
+        found[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets, offset)
     for k, each in enumerate(problem.scans):
-        found[f"scan {k}"] = distances_to(body, whole[each.row], each.points)
+        found[f"scan {k}"] = distances_to(body, whole[each.row], each.points, offset)
     return found
 
 
 def distances_to(
-    body: BodyModel, state: BodyState, points: Float[np.ndarray, "P 3"]
+    body: BodyModel,
+    state: BodyState,
+    points: Float[np.ndarray, "P 3"],
+    offset: Float[np.ndarray, " V"] | None = None,
 ) -> Float[np.ndarray, " P"]:
-    """Distances (m) of points from the skin of one pose."""
+    """Distances (m) of points from the skin of one pose, with its offset along normals (m)."""
     surface = np.asarray(body(state.betas, state.pose, state.trans).vertices)
+    if offset is not None:
+        surface = along_normals(surface, offset, body)
     return np.abs(signed_distance(points, surface, body.faces).distance)
 
 

@@ -5,7 +5,6 @@ scans with poses of their own: the fits of `habitus.fit.points`.
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,9 +32,6 @@ from habitus.fit.sensors import FrameOf, SensorData, ViewData
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.markers import attach, default_markers
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-
-if TYPE_CHECKING:
-    from habitus.observe.depth_views import DepthView
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,14 +161,14 @@ class ViewStart:
 
 def start_views(body: BodyModel, data: SensorData, settings: FitSettings) -> ViewStart | None:
     """All views with a pose of their own, fitted together; None without such."""
-    own = [replace(each, view=in_own_frame(each.view)) for each in data.views if each.at is None]
+    own = [replace(each, view=each.view.in_own_frame()) for each in data.views if each.at is None]
     if not own:
         return None
     from habitus.fit.points.depth import fit_state  # needs PyTorch, as views do
     from habitus.observe.depth_views import RgbdCapture
 
     capture = RgbdCapture("views", tuple(each.view for each in own)).without("colour")
-    # One step with skin offsets, which the joint fit does not have, is enough for a start.
+    # One step with skin offsets is enough for a start: the joint fit has its own.
     found = fit_state(capture, body, replace(settings.depth, skin_steps=1))
     moved = [
         into_frame(body, found.state[k : k + 1], view.turn, view.shift)
@@ -182,15 +178,6 @@ def start_views(body: BodyModel, data: SensorData, settings: FitSettings) -> Vie
     masks = tuple(view.mask for view in found.sights)
     noise = tuple(view.noise for view in found.sights)
     return ViewStart(found.state.betas, pose, trans, tuple(own), masks, noise)
-
-
-def in_own_frame(view: "DepthView") -> "DepthView":
-    """A view with its camera at the origin: the camera's frame is the world of its pose."""
-    import torch
-
-    still = torch.zeros(3, dtype=torch.float64)
-    camera = view.camera.to(torch.float64).replace(rotation=still, translation=still)
-    return replace(view, camera=camera)
 
 
 def into_frame(

@@ -34,7 +34,7 @@ from habitus.fit.sensors import (
     ViewData,
     check_frames,
 )
-from habitus.fit.starts import in_own_frame, into_frame
+from habitus.fit.starts import into_frame
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.scans import read_scan
 from habitus.jobs.bodies import loaded
@@ -381,7 +381,7 @@ def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFi
     from habitus.observe.depth_views import RgbdCapture
 
     read = [each.read() for each in sensors]
-    views = tuple(in_own_frame(view) for each in read for view in each.views)
+    views = tuple(view.in_own_frame() for each in read for view in each.views)
     notes = tuple(note for each in read for note in each.notes)
     result = fit_rgbd(
         RgbdCapture(read[0].name, views, notes), fit.body, settings=fit.settings.depth

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from habitus.errors import HabitusError
 from habitus.observe.camera import Camera
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 FARTHEST = 12.0
 """Metres beyond which no depth camera for people measures."""
@@ -83,6 +84,27 @@ class DepthView:
         measured.
         """
         return np.nan_to_num(self.rays) * self.depth[..., None]
+
+    def in_own_frame(self) -> "DepthView":
+        """The same view with its depth camera at the origin: what it saw is in the sensor's frame.
+
+        A calibrated camera, with a rotation and translation from a world, takes its colour camera
+        along.
+        """
+        if not (self.camera.rotation.any() or self.camera.translation.any()):
+            return self
+        camera, colour = self.camera.to(torch.float64), self.colour_camera
+        still = torch.zeros(3, dtype=torch.float64)
+        if colour is not None:
+            colour = colour.to(torch.float64)
+            turn = matrix_from_rotvec(colour.rotation) @ matrix_from_rotvec(camera.rotation).mT
+            colour = colour.replace(
+                rotation=rotvec_from_matrix(turn),
+                translation=colour.translation - turn @ camera.translation,
+            )
+        return replace(
+            self, camera=camera.replace(rotation=still, translation=still), colour_camera=colour
+        )
 
     def without(self, *names: str) -> "DepthView":
         """The same view without what these fields hold: "background" (both), "colour", "mask",

@@ -140,7 +140,9 @@ class Depth(_OfOneFrame):
     at the same pixel, unbiased near the solution). noise: sd of depth over its square (1 / m);
     model_sd: metres that the model cannot explain. reach: metres at which a pixel counts a quarter.
     share: of each full-size pixel's certainty, as neighbouring pixels err alike. stride: every
-    which pixel in both directions.
+    which pixel in both directions. min_cosine: with it the noise is that along the surface's
+    normal, the sd times the cosine between ray and normal, at least this; the gradient takes the
+    cosine as given.
     """
 
     camera: "Camera"
@@ -154,6 +156,7 @@ class Depth(_OfOneFrame):
     slide: float = 0.1
     share: float = 0.02
     stride: int = 4
+    min_cosine: float = 1.0
 
     def __post_init__(self) -> None:
         if self.matching not in ("nearest", "pixel"):
@@ -198,7 +201,8 @@ class Depth(_OfOneFrame):
         pointing = unit_normals(vertices[faces[face]])
         if self.matching == "nearest":
             pointing = _direction(place - targets, pointing)
-        spread = np.hypot(self.noise * np.ravel(self.depth)[self._pixels] ** 2, self.model_sd)
+        noise = self.noise * np.ravel(self.depth)[self._pixels] ** 2
+        spread = np.hypot(noise * self._cosine(targets, vertices[faces[face]]), self.model_sd)
         certain = self.share * self.stride**2
         slide = self.slide if self.matching == "nearest" else 0.0
         return robust_planes(
@@ -213,6 +217,16 @@ class Depth(_OfOneFrame):
             keep,
             certain,
         )
+
+    def _cosine(
+        self, targets: Float[np.ndarray, "P 3"], corners: Float[np.ndarray, "P 3 3"]
+    ) -> Float[np.ndarray, " P"]:
+        """Between rays and normals, at least ``min_cosine``."""
+        if self.min_cosine >= 1.0:
+            return np.ones(len(targets))
+        ray = targets - to_world(self.camera, np.zeros((1, 3)))
+        along = np.abs((unit_normals(corners) * ray).sum(1)) / np.linalg.norm(ray, axis=1)
+        return np.maximum(along, self.min_cosine)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,19 +10,19 @@ from rgbd_scene_small import small_scene
 
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
+from habitus.fit.points.correspondences import Footpads
 from habitus.fit.points.depth import fit_state
-from habitus.fit.points.depth_correspondences import Footpads
 from habitus.fit.points.depth_energy import DepthEnergy
 from habitus.fit.points.depth_limbs import limbs_tried_again
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import segment
 from habitus.fit.points.skin_offsets import (
-    SkinDepth,
     SkinField,
+    SkinPlanes,
     clothing,
     moved_back,
-    skin_depth_term,
+    skin_planes_term,
 )
 from habitus.io.models.bodies import load_body
 from habitus.mesh.normals import vertex_normals
@@ -102,12 +102,12 @@ def test_an_offset_is_found_and_the_shape_stays(body, field):
 
     energy = DepthEnergy.of(body, [], SETTINGS)
     views = [
-        SkinDepth.of(field, state, k, numbers, each, model[k], model[k])
+        SkinPlanes.of(field, state, k, numbers, each, model[k], model[k])
         for k, each in enumerate(matches(model))
     ]
     count = field.count
     terms = {
-        "depth": skin_depth_term(body, views, count),
+        "depth": skin_planes_term(body, views, count),
         **energy.priors(pose),
         "skin": Term(lambda skin: (skin, {"skin": np.eye(count)})),
     }

@@ -274,3 +274,12 @@ def test_a_capture_prints_as_one_line():
     assert len(said) < 120 and said.isprintable()
     for word in ("85_12", "4499", "41", "120", "+y", "1 warning"):
         assert word in said
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_marker_without_one_coordinate_is_missing(axis):
+    markers = np.arange(18.0).reshape(2, 3, 3)
+    markers[1, 2, axis] = np.nan
+    capture = Capture("walk", ("A", "B", "C"), markers, 100.0, "+y")
+    assert np.isnan(capture.markers[1, 2]).all() and np.isfinite(capture.markers[:, :2]).all()
+    assert np.isfinite(markers[1, 2]).sum() == 2 and not capture.markers.flags.writeable

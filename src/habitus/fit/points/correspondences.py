@@ -2,7 +2,8 @@
 
     argmin over the surface  |t - q|^2 + c^2 |n_t - n_q|^2,    c = `NORMAL_DISTANCE`
 
-and how well a scan covers each vertex of a registered surface.
+how well a scan covers each vertex of a registered surface, and the soles on the floor (thesis
+eq. 4.6).
 """
 
 from dataclasses import dataclass
@@ -12,10 +13,14 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
 from habitus.fit.points.correspondence_kernels import nearest_around
+from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.scan import Cloud
+from habitus.fit.retarget.contacts import find_soles
 from habitus.fit.points.settings import SCANS, SurfaceSettings
 from habitus.mesh.normals import vertex_normals
+from habitus.residuals.points import PointObservations
 from habitus.solve.terms import geman_mcclure_weight
 
 NORMAL_DISTANCE = 0.06
@@ -129,3 +134,45 @@ def hidden_vertices(body: BodyModel) -> Bool[np.ndarray, " V"] | None:
     seen = np.zeros(full.num_vertices, dtype=bool)
     seen[np.unique(full.mesh.quads[~full.mesh.hidden])] = True
     return ~(seen if full is body else seen[body.full_vertices])
+
+
+@dataclass(frozen=True, eq=False)
+class Footpads:
+    """Vertices of the soles as points of the surface: face and corner of each, and how high (m)
+    above the floor each is where the foot stands flat: soles are arched, and round at their rims.
+    """
+
+    face: Int[np.ndarray, " P"]
+    corner: Int[np.ndarray, " P"]
+    height: Float[np.ndarray, " P"]
+
+    @staticmethod
+    def of(body: BodyModel) -> "Footpads | None":
+        """Those of a body; None where it has no feet."""
+        try:
+            used = find_soles(body).used
+        except HabitusError:
+            return None
+        order = np.argsort(body.faces.ravel(), kind="stable")
+        first = order[np.searchsorted(body.faces.ravel(), used, sorter=order)]
+        mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
+        rest = body.rest_vertices(mean)[:, 1]
+        return Footpads(first // 3, first % 3, rest[used] - rest[used].min())
+
+    def on_floor(
+        self, surface: Float[np.ndarray, "V 3"], body: BodyModel, settings: RgbdSettings
+    ) -> PointObservations:
+        """E_F: drawn to their heights, all together with the weight of one; robust, as a foot may
+        be lifted.
+        """
+        count = len(self.face)
+        target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
+        off = surface[body.faces[self.face, self.corner], 1] - self.height
+        weight = settings.floor / settings.floor_sd**2 / count
+        root = np.sqrt(weight * geman_mcclure_weight(off, settings.floor_scale))
+        return PointObservations(
+            self.face,
+            np.eye(3)[self.corner],
+            target,
+            root[:, None, None] * np.array([0.0, 1.0, 0.0]),
+        )

@@ -142,7 +142,7 @@ def _prepared(
     found: list[PreparedView] = []
     kept: list[int] = []
     errors: list[HabitusError] = []
-    for k, view in enumerate(capture.views):
+    for k, view in enumerate(each.in_own_frame() for each in capture.views):
         try:
             found.append(
                 PreparedView.of(view, segment(view, settings.segmentation), settings.segmentation)

@@ -1,6 +1,6 @@
 """Correspondences of depth views: "depth", the point of the model's surface that a pixel belongs to
 (the nearest that the camera would see, or the same pixel's); "outline", the silhouette's nearest
-pixel of what covers the background; "floor", the soles at their heights above it (thesis eq. 4.6).
+pixel of what covers the background.
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,8 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
 from habitus.fit.points.depth_settings import STANDARD, DepthStage, RgbdSettings
 from habitus.fit.points.prepared_views import Grid
-from habitus.fit.retarget.contacts import find_soles
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations
@@ -147,45 +144,3 @@ def misfit(grid: Grid, drawn: Drawn, settings: RgbdSettings = STANDARD) -> float
         return 2.0 * most
     distance = np.minimum(KDTree(drawn.points).query(own)[0], most).mean()
     return float(distance + most * len(wrong_rows(grid, drawn, settings.seen_through)) / len(own))
-
-
-@dataclass(frozen=True, eq=False)
-class Footpads:
-    """Vertices of the soles as points of the surface: face and corner of each, and how high (m)
-    above the floor each is where the foot stands flat: soles are arched, and round at their rims.
-    """
-
-    face: Int[np.ndarray, " P"]
-    corner: Int[np.ndarray, " P"]
-    height: Float[np.ndarray, " P"]
-
-    @staticmethod
-    def of(body: BodyModel) -> "Footpads | None":
-        """Those of a body; None where it has no feet."""
-        try:
-            used = find_soles(body).used
-        except HabitusError:
-            return None
-        order = np.argsort(body.faces.ravel(), kind="stable")
-        first = order[np.searchsorted(body.faces.ravel(), used, sorter=order)]
-        mean = np.zeros(body.num_betas) if body.people_mean is None else body.people_mean
-        rest = body.rest_vertices(mean)[:, 1]
-        return Footpads(first // 3, first % 3, rest[used] - rest[used].min())
-
-    def on_floor(
-        self, surface: Float[np.ndarray, "V 3"], body: BodyModel, settings: RgbdSettings
-    ) -> PointObservations:
-        """E_F: drawn to their heights, all together with the weight of one; robust, as a foot may
-        be lifted.
-        """
-        count = len(self.face)
-        target = np.column_stack([np.zeros(count), self.height, np.zeros(count)])
-        off = surface[body.faces[self.face, self.corner], 1] - self.height
-        weight = settings.floor / settings.floor_sd**2 / count
-        root = np.sqrt(weight * geman_mcclure_weight(off, settings.floor_scale))
-        return PointObservations(
-            self.face,
-            np.eye(3)[self.corner],
-            target,
-            root[:, None, None] * np.array([0.0, 1.0, 0.0]),
-        )

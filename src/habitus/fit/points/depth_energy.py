@@ -5,7 +5,7 @@
     "depth"    E_D, robust (thesis eq. 4.5): pixels against the surface (`depth_correspondences`),
                with skin offsets in the last stages (`skin_offsets`)
     "outline"  points of the model before background that was seen, against the silhouette (ours)
-    "floor"    E_F (thesis eq. 4.6): soles on the floor (`depth_correspondences`), once a stage
+    "floor"    E_F (thesis eq. 4.6): soles on the floor (`Footpads`), once a stage
                moves all unknowns
     "shape"    E_S, "pose" E_P (thesis sec. 4.6.1): Gaussians (`priors`)
     "skin"     1/2 |z|^2, the prior of the skin offsets (ours)
@@ -30,10 +30,17 @@ from habitus.body.state import BodyState
 from habitus.fit.points.appearance import edges_of
 from habitus.fit.points.colour_terms import ColourEnergy
 from habitus.fit.points.colour_views import ColourLevel, Look, Moving
-from habitus.fit.points.depth_correspondences import Footpads, look, match
+from habitus.fit.points.correspondences import Footpads
+from habitus.fit.points.depth_correspondences import look, match
 from habitus.fit.points.depth_settings import STIFF, DepthStage, RgbdSettings
 from habitus.fit.points.prepared_views import Grid, PreparedView
-from habitus.fit.points.skin_offsets import SkinDepth, SkinField, moved_back, skin_depth_term
+from habitus.fit.points.skin_offsets import (
+    SkinField,
+    SkinPlanes,
+    moved_back,
+    skin_planes_term,
+    skin_prior,
+)
 from habitus.fit.points.terms import points_around, pose_prior, shape_prior
 from habitus.render.triangles import Triangles
 from habitus.residuals.points import PointObservations, PointSolver
@@ -228,7 +235,7 @@ class DepthEnergy:
         energy = replace(self, settings=settings)
         found = energy.observations(seen, self.grids(stage.stride), stage, stage.scales[-1])
         depth = [
-            SkinDepth.of(field, state.body, k, state.skin, view["depth"], models[k], seen[k])
+            SkinPlanes.of(field, state.body, k, state.skin, view["depth"], models[k], seen[k])
             for k, view in enumerate(found)
         ]
         rest = [
@@ -240,10 +247,10 @@ class DepthEnergy:
         ]
         count = len(state.skin)
         return {
-            "depth": skin_depth_term(self.body, depth, count),
+            "depth": skin_planes_term(self.body, depth, count),
             **self.points_terms(state.body, rest),
             **self.priors(means),
-            "skin": Term(lambda skin: (skin, {"skin": np.eye(count)})),
+            "skin": skin_prior(count),
         }
 
 

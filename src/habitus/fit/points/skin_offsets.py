@@ -1,4 +1,4 @@
-"""Skin offsets of a person seen in depth views, and the clothes that lie on the skin.
+"""Skin offsets of a person seen in depth views and scans, and the clothes that lie on the skin.
 
     "depth"  1/2 sum_p w_p (n_p . (q_p - t_p) + h_p + l_p)^2,    h = Z z
     "skin"   1/2 |z|^2
@@ -27,8 +27,7 @@ from habitus.fit.offsets import (
     motion_along,
     offset_spread,
 )
-from habitus.fit.points.correspondences import hidden_vertices
-from habitus.fit.points.depth_correspondences import Footpads
+from habitus.fit.points.correspondences import Footpads, hidden_vertices
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import farthest_points
@@ -122,9 +121,9 @@ def moved_back(
 
 
 @dataclass(frozen=True, eq=False)
-class SkinDepth:
-    """E_D of one view around a state, with skin offsets: with d (U,) the displacement of the
-    correspondences' corners along the normals they have there,
+class SkinPlanes:
+    """Points against planes in pose k of a state, with skin offsets (E_D of a view): with d (U,)
+    the displacement of the correspondences' corners along the normals they have there,
 
         1/2 |S d + r|^2,    S^T S = lumped, S^T r = pull, |r|^2 = square
 
@@ -153,9 +152,9 @@ class SkinDepth:
         observations: PointObservations,
         model: Float[np.ndarray, "V 3"],
         seen: Float[np.ndarray, "V 3"],
-    ) -> "SkinDepth":
-        """Of view k. observations: on the surface ``seen``, one direction each. model: the surface
-        without skin and clothes.
+    ) -> "SkinPlanes":
+        """Of pose k. observations: on the surface ``seen``, one direction each, outward or inward.
+        model: the surface without skin and clothes.
         """
         body = field.body
         face, share = observations.face, observations.barycentric
@@ -163,17 +162,19 @@ class SkinDepth:
         row = np.repeat(np.arange(len(face)), 3)
         table = coo_array((share.ravel(), (row, corner.ravel())), shape=(len(face), len(used)))
         difference = points_on_surface(seen, body.faces, face, share) - observations.target
+        normal = vertex_normals(model, body.faces)
         direction = observations.directions[:, 0]
-        residual = (direction * difference).sum(1)
+        outward = (points_on_surface(normal, body.faces, face, share) * direction).sum(1)
+        residual = np.where(outward < 0.0, -1.0, 1.0) * (direction * difference).sum(1)
         root = np.linalg.norm(direction, axis=1)
         rows = csr_array(diags_array(root) @ table.tocsr())
-        return SkinDepth(
+        return SkinPlanes(
             body,
             state,
             k,
             skin,
             used,
-            vertex_normals(model, body.faces)[used],
+            normal[used],
             model[used],
             field.basis[used],
             csr_array(rows.T @ rows),
@@ -184,7 +185,7 @@ class SkinDepth:
     def displacement(
         self, betas: np.ndarray, pose: np.ndarray, trans: np.ndarray, skin: np.ndarray
     ) -> Float[np.ndarray, " U"]:
-        """Of the corners, at the state of this view."""
+        """Of the corners, at the state of pose k."""
         here = (self.state.betas, self.state.pose[self.k], self.state.trans[self.k])
         by_skin = self.basis @ (skin - self.skin)
         if all(map(np.array_equal, here, (betas, pose, trans))):
@@ -210,8 +211,10 @@ class SkinDepth:
         return along.T @ (self.pull + self.lumped @ displaced), along.T @ (self.lumped @ along)
 
 
-def skin_depth_term(body: BodyModel, views: Sequence[SkinDepth], count: int) -> Term:
-    """The term "depth" of all views, over betas, trans, pose and ``count`` numbers of the skin."""
+def skin_planes_term(body: BodyModel, planes: Sequence[SkinPlanes], count: int) -> Term:
+    """The term of several sets of points, over betas, all trans and poses and ``count`` numbers of
+    the skin.
+    """
     head = body.num_betas
     size = head + 3 + 3 * body.num_joints
     part = {
@@ -227,18 +230,15 @@ def skin_depth_term(body: BodyModel, views: Sequence[SkinDepth], count: int) -> 
     def residual(
         betas: np.ndarray, pose: np.ndarray, trans: np.ndarray, skin: np.ndarray
     ) -> Quadratic:
-        places = list(zip(pose, trans, strict=True))
-        moved = [
-            view.displacement(betas, *place, skin)
-            for view, place in zip(views, places, strict=True)
-        ]
+        moved = [each.displacement(betas, pose[each.k], trans[each.k], skin) for each in planes]
 
         def derivatives() -> tuple[dict[str, np.ndarray], dict[tuple[str, str], np.ndarray]]:
-            found = [
-                view.equations(betas, *place, each)
-                for view, place, each in zip(views, places, moved, strict=True)
-            ]
-            gradient, matrix = (np.stack(each) for each in zip(*found, strict=True))
+            gradient = np.zeros((len(pose), size + count))
+            matrix = np.zeros((len(pose), size + count, size + count))
+            for each, displaced in zip(planes, moved, strict=True):
+                slope, curvature = each.equations(betas, pose[each.k], trans[each.k], displaced)
+                gradient[each.k] += slope
+                matrix[each.k] += curvature
             blocks = {(a, b): matrix[:, part[a], part[b]] for a, b in own + mixed}
             blocks |= {(a, b): matrix[:, part[a], part[b]].sum(0) for a, b in common}
             slopes = {name: gradient[:, where] for name, where in part.items()}
@@ -246,7 +246,12 @@ def skin_depth_term(body: BodyModel, views: Sequence[SkinDepth], count: int) -> 
                 slopes[name] = slopes[name].sum(0)
             return slopes, blocks
 
-        cost = sum(view.cost(each) for view, each in zip(views, moved, strict=True))
+        cost = sum(each.cost(displaced) for each, displaced in zip(planes, moved, strict=True))
         return Quadratic(cost, derivatives)
 
-    return Term(residual, name="depth")
+    return Term(residual)
+
+
+def skin_prior(count: int) -> Term:
+    """The term "skin" over the C numbers of the field."""
+    return Term(lambda skin: (skin, {"skin": np.eye(count)}))

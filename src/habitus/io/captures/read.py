@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from habitus.errors import LONGEST_MESSAGE, HabitusError, shown
 from habitus.io.captures.c3d import parse_c3d
@@ -21,6 +21,7 @@ from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
 from habitus.io.names import shown_stem
+from habitus.parallel.blocks import blocks
 
 PARSERS: Mapping[str, Callable[[bytes, str], RawPoints]] = {
     ".c3d": parse_c3d,
@@ -35,12 +36,17 @@ FASTEST_HZ = 20_000.0
 USUAL_HZ = 5.0, 2_000.0
 
 
+def _partly_missing(markers: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, "T M"]:
+    known = np.isfinite(markers)
+    return known.any(axis=2) != known.all(axis=2)
+
+
 @dataclass(frozen=True)
 class Capture:
     """The markers of one person in one capture: T frames, M physical markers.
 
-    ``markers`` are metres in the capture's own right-handed world frame, NaN where missing,
-    read-only; ``up_axis`` is a signed axis such as "+z"; ``labels`` are free of subject prefixes;
+    ``markers`` are metres in the capture's own right-handed world frame, read-only, NaN where
+    missing: a marker without one of its coordinates is missing; ``up_axis`` is a signed axis such as "+z"; ``labels`` are free of subject prefixes;
     ``dropped`` names each point left out, with the reason; ``recorded`` holds what the file says of
     the person (height_m, mass_kg, marker_diameter_m, age_years, sex); ``unit`` is the unit of
     length that the file's numbers are in; ``doubts`` say what the data did not decide, a sentence
@@ -61,6 +67,9 @@ class Capture:
     doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if any(_partly_missing(self.markers[part]).any() for part in blocks(len(self.markers))):
+            whole = np.where(_partly_missing(self.markers)[..., None], np.nan, self.markers)
+            object.__setattr__(self, "markers", whole)
         self.markers.setflags(write=False)
 
     def __repr__(self) -> str:
