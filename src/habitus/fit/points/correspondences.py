@@ -17,8 +17,8 @@ from habitus.errors import HabitusError
 from habitus.fit.points.correspondence_kernels import nearest_around
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.scan import Cloud
-from habitus.fit.retarget.contacts import find_soles
 from habitus.fit.points.settings import SCANS, SurfaceSettings
+from habitus.fit.retarget.contacts import find_soles
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations
 from habitus.solve.terms import geman_mcclure_weight

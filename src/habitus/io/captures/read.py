@@ -46,11 +46,11 @@ class Capture:
     """The markers of one person in one capture: T frames, M physical markers.
 
     ``markers`` are metres in the capture's own right-handed world frame, read-only, NaN where
-    missing: a marker without one of its coordinates is missing; ``up_axis`` is a signed axis such as "+z"; ``labels`` are free of subject prefixes;
-    ``dropped`` names each point left out, with the reason; ``recorded`` holds what the file says of
-    the person (height_m, mass_kg, marker_diameter_m, age_years, sex); ``unit`` is the unit of
-    length that the file's numbers are in; ``doubts`` say what the data did not decide, a sentence
-    each.
+    missing: a marker without one of its coordinates is missing; ``up_axis`` is a signed axis such
+    as "+z"; ``labels`` are free of subject prefixes; ``dropped`` names each point left out, with
+    the reason; ``recorded`` holds what the file says of the person (height_m, mass_kg,
+    marker_diameter_m, age_years, sex); ``unit`` is the unit of length that the file's numbers are
+    in; ``doubts`` say what the data did not decide, a sentence each.
     """
 
     name: str
