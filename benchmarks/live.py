@@ -48,7 +48,7 @@ class Clock:
         """Nothing is open."""
 
 
-def send(points, labels, rate_hz, sent, ready, told):
+def send(points, labels, rate_hz, sent, ready, ended):
     """The server's process: frames at a rate, and when each was sent."""
     with NatNetServer(model("Bob", labels), rate_hz=rate_hz) as server:
         packets = [frame(k, each, "Bob") for k, each in enumerate(points)]
@@ -60,7 +60,7 @@ def send(points, labels, rate_hz, sent, ready, told):
             time.sleep(max(0.0, began + k / rate_hz - time.perf_counter()))
             sent[k] = time.perf_counter()
             server.socket.sendto(packet, server.client)
-        told.wait(2.0)
+        ended.wait(2.0)
 
 
 def occupied():
@@ -93,7 +93,7 @@ def run(subject, points, labels, options, view, folder):
     sent = context.RawArray("d", len(points))
     done = np.full(len(points), np.nan)
     ready = context.Queue()
-    told = context.Event()
+    ended = context.Event()
     browsers = []
     said = []
 
@@ -102,7 +102,7 @@ def run(subject, points, labels, options, view, folder):
             browsers.append(browse(text.removeprefix("viewer: "), folder))
 
     server = context.Process(
-        target=send, args=(points, labels, options.rate, sent, ready, told), daemon=True
+        target=send, args=(points, labels, options.rate, sent, ready, ended), daemon=True
     )
     others = (
         [context.Process(target=occupied, daemon=True) for _ in range(os.cpu_count() or 1)]
@@ -126,7 +126,7 @@ def run(subject, points, labels, options, view, folder):
             on_status=note,
         )
     finally:
-        told.set()
+        ended.set()
         for each in (server, *others):
             each.terminate()
         for each in browsers:

@@ -75,7 +75,7 @@ def main() -> None:
             for case in options.cases:
                 if (k, sensor, case) not in done:
                     rows.append(_row(body, rest[k], bool(female[k]), k, sensor, case, options))
-                    print(_told(rows[-1]), flush=True)
+                    print(_line(rows[-1]), flush=True)
                     write_json_quietly(options.out, {**settings, "machine": info, "rows": rows})
     tables = {
         f"{sensor} {case}": _table(rows, sensor, case)
@@ -274,7 +274,7 @@ def _table(rows: list[dict[str, Any]], sensor: str, case: str) -> dict[str, Any]
     return table
 
 
-def _told(row: dict[str, Any]) -> str:
+def _line(row: dict[str, Any]) -> str:
     off = {
         name.split("_")[0]: f"{100 * (row['measured'][name] - row['true'][name]):+.1f}"
         for name in MEASURES

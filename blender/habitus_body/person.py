@@ -195,13 +195,13 @@ def tell(name):
     person is shown.
     """
 
-    def told(person, context):
+    def fit(person, context):
         if person.name_full not in _busy:
             with _quietly(person):
                 person.habitus_known[NAMES.index(name)] = True
             fit_measures(person, context)
 
-    return told
+    return fit
 
 
 def known(person) -> list:

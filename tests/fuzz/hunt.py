@@ -28,15 +28,17 @@ MOST_BYTES = 1 << 30
 
 def main() -> None:
     """Run as a command."""
-    told = argparse.ArgumentParser(description=__doc__)
-    told.add_argument("--mutants", type=int, default=20_000)
-    told.add_argument("--first", type=int, default=0, help="number of the first mutant")
-    told.add_argument("--workers", type=int, default=2)
-    told.add_argument("--seconds", type=float, default=float("inf"), help="stop after these")
-    told.add_argument("--only", default="", help="part of a target's name")
-    told.add_argument("--findings", type=Path, default=Path(tempfile.gettempdir()) / "habitus-fuzz")
-    told.add_argument("--work", nargs=2, type=int, help=argparse.SUPPRESS)
-    options = told.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mutants", type=int, default=20_000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first mutant")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after these")
+    parser.add_argument("--only", default="", help="part of a target's name")
+    parser.add_argument(
+        "--findings", type=Path, default=Path(tempfile.gettempdir()) / "habitus-fuzz"
+    )
+    parser.add_argument("--work", nargs=2, type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
     sys.path[:0] = [str(HERE), str(HERE.parent / "helpers")]
     if options.work:
         _work(*options.work, options)
@@ -212,8 +214,8 @@ def _keep(found: list[tuple[int, str, str]], done: Counter, options: argparse.Na
     from targets import all_targets
 
     options.findings.mkdir(parents=True, exist_ok=True)
-    told = {"tried": dict(sorted(done.items())), "wrong": found}
-    (options.findings / "findings.json").write_text(json.dumps(told, indent=1))
+    findings = {"tried": dict(sorted(done.items())), "wrong": found}
+    (options.findings / "findings.json").write_text(json.dumps(findings, indent=1))
     targets = (
         tuple(target for target in all_targets() if options.only in target.name) if found else ()
     )

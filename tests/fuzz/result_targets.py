@@ -114,7 +114,7 @@ def _archives(folder: Path) -> list[Target]:
     def manifest(path: Path) -> None:
         with open_manifest(path.parent) as found:
             rows = found.captures()
-            list(found.results()), found.people(), list(found.worn()), found.stamps()
+            list(found.results()), found.people(), list(found.marker_sets()), found.stamps()
             assert found.count() >= 0 and found.left_out() >= 0
             for row in rows:
                 assert not Path(row.folder).is_absolute() and ".." not in Path(row.folder).parts
@@ -126,10 +126,10 @@ def _archives(folder: Path) -> list[Target]:
 
     place = folder / "archive"
     place.mkdir()
-    worn = MarkerSet("Ann", ("A", "B", "C"), np.ones((3, 3)))
+    markers = MarkerSet("Ann", ("A", "B", "C"), np.ones((3, 3)))
     with open_manifest(place) as made:
         for k, name in enumerate(("one.c3d", "two.c3d", "no.c3d")):
-            people = (Seen("Ann", 5, 100.0, worn),) if k < 2 else ()
+            people = (Seen("Ann", 5, 100.0, markers),) if k < 2 else ()
             held = Looked("digest", people, "" if people else "broken")
             made.looked(name, (1, 2), held, [name[:3]][: len(people)])
         made.group({(name, ""): "Ann" for name in ("one.c3d", "two.c3d")})

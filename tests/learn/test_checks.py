@@ -49,7 +49,7 @@ def registrations_of(vertices, template, **changed):
     return Registrations(vertices=vertices, faces=template.faces, **(words | changed))
 
 
-def told(vertices, template, **changed):
+def findings_of(vertices, template, **changed):
     return [
         (f.kind, f.name, f.message)
         for f in check_registrations(registrations_of(vertices, template, **changed), template)
@@ -64,7 +64,7 @@ def swapped(words, **at):
 
 
 def test_good_registrations_pass(surfaces, template):
-    assert told(surfaces, template) == []
+    assert findings_of(surfaces, template) == []
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_one_spoilt_mesh_is_named_and_no_other(surfaces, template, spoil, messag
 def test_where_a_body_stands_and_how_it_is_turned_does_not_matter(surfaces, template):
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     turn *= np.linalg.det(turn)
-    assert told(surfaces @ turn + [100.0, -3.0, 7.0], template) == []
+    assert findings_of(surfaces @ turn + [100.0, -3.0, 7.0], template) == []
 
 
 @pytest.mark.parametrize("rows", [[8], [8, 20], [0, 13, 29]])
@@ -122,7 +122,7 @@ def test_registrations_under_another_subjects_name_are_found_and_no_other(surfac
     ]
     errors = [
         finding
-        for finding in told(surfaces, template, subject=tuple(subject))
+        for finding in findings_of(surfaces, template, subject=tuple(subject))
         if finding[0] == "error"
     ]
     assert [name for _, name, _ in errors] == [f"scan {k}" for k in rows]
@@ -138,7 +138,7 @@ def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(sur
     assert [k // POSES for k in kept] == [0, 0, 1, 1, 1, 2, 2, 3, 3, 4, 4]
     errors = [
         finding
-        for finding in told(surfaces[kept], template, subject=tuple(subject))
+        for finding in findings_of(surfaces[kept], template, subject=tuple(subject))
         if finding[0] == "error"
     ]
     assert {name for _, name, _ in errors} <= {"scan 4", "scan 6"}
@@ -147,15 +147,15 @@ def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(sur
 def test_a_subject_of_two_sexes_is_refused(surfaces, template):
     sex = swapped(["female"] * len(surfaces), k14="male")
     message = "the sex of this subject is female in 5 (first scan 12) and male in 1 (first scan 14); expected one"
-    assert told(surfaces, template, sex=sex) == [("error", "person 2", message)]
+    assert findings_of(surfaces, template, sex=sex) == [("error", "person 2", message)]
 
 
 def test_a_subject_with_one_pose_is_reported(surfaces, template):
     subject = swapped([f"person {k // POSES}" for k in range(len(surfaces))], k29="passer-by")
-    found = told(surfaces, template, subject=subject)
+    found = findings_of(surfaces, template, subject=subject)
     assert [(kind, name) for kind, name, _ in found] == [("warning", "passer-by")]
     which = swapped(["pose"] * len(surfaces), k29="shape")
-    assert told(surfaces, template, subject=subject, set=which) == []
+    assert findings_of(surfaces, template, subject=subject, set=which) == []
 
 
 @pytest.mark.parametrize(
@@ -176,19 +176,19 @@ def test_a_joint_that_hardly_bends_is_named(template, joint, straight):
         pose[:, body.joint_names.index(other), axis] = 0.0
     betas = torch.tensor(rng.normal(size=(2, body.num_betas))).repeat_interleave(6, 0)
     vertices = body(betas, torch.tensor(pose)).vertices.numpy()
-    found = told(vertices, template, subject=("a",) * 6 + ("b",) * 6)
+    found = findings_of(vertices, template, subject=("a",) * 6 + ("b",) * 6)
     assert [(kind, name) for kind, name, _ in found] == [("warning", joint)]
     assert "0 of 12 do" in found[0][2]
 
 
 def test_too_few_poses_at_all_are_one_warning(surfaces, template):
-    found = told(surfaces[:3], template, subject=("a",) * 3)
+    found = findings_of(surfaces[:3], template, subject=("a",) * 3)
     assert [(kind, name) for kind, name, _ in found] == [("warning", "the registrations")]
 
 
 def test_joints_without_vertices_are_reported(surfaces, template):
     part = np.where(template.part == 22, 20, template.part)
-    found = told(surfaces, replace(template, part=part))
+    found = findings_of(surfaces, replace(template, part=part))
     assert [(kind, name) for kind, name, _ in found] == [("warning", "left_hand")]
 
 
@@ -220,7 +220,7 @@ def test_registrations_that_cannot_be_read_are_named(surfaces, template):
                 raise HabitusError("scan.ply: it is torn")
             return surfaces[k]
 
-    findings = told(Broken(), template)
+    findings = findings_of(Broken(), template)
     assert findings == [("error", "scan 4", "scan.ply: it is torn")]
 
 
@@ -256,20 +256,20 @@ def test_refusal_names_the_first_few_and_counts_the_rest(surfaces, template):
 def test_holes_are_noted_once_and_what_is_seen_is_judged(surfaces, template):
     vertices = surfaces[: 2 * POSES].copy()
     vertices[1, 100:300], vertices[8, 2000:2071] = np.nan, np.nan
-    (found,) = told(vertices, template)
+    (found,) = findings_of(vertices, template)
     message = "2 registrations have holes: 1.8% of the vertices on average, most scan 1 (2.7%)"
     assert found == ("warning", "the registrations", message)
     weights = np.ones(vertices.shape[1])
     weights[:500] = 0.0
     vertices[8, 400] = 1e9  # in a hole
-    assert [kind for kind, *_ in told(vertices, template, weights=weights)] == ["warning"]
+    assert [kind for kind, *_ in findings_of(vertices, template, weights=weights)] == ["warning"]
     vertices[8, 600:700] *= 1000
-    found = told(vertices, template, weights=weights)
+    found = findings_of(vertices, template, weights=weights)
     assert [(kind, name) for kind, name, _ in found] == [
         ("error", "scan 8"),
         ("warning", "the registrations"),
     ]
-    (error, *_) = told(vertices, template, weights=2 * weights)
+    (error, *_) = findings_of(vertices, template, weights=2 * weights)
     assert error[2] == "scan 0: its weights run from 0 to 2; expected 0 to 1"
 
 
@@ -277,12 +277,12 @@ def test_parts_that_are_scattered_over_the_mesh_are_refused_and_pieces_apart_not
     surfaces, template
 ):
     random = np.random.default_rng(0).permutation(template.part)
-    (error, *_) = told(surfaces[:6], replace(template, part=random))
+    (error, *_) = findings_of(surfaces[:6], replace(template, part=random))
     assert error[:2] == ("error", "the template") and "its 24 parts lie in" in error[2]
     elbow, foot = (template.joint_names.index(name) for name in ("left_elbow", "right_foot"))
     part = template.part.copy()
     part[template.part_vertices(foot)[:9]] = elbow
-    found = told(surfaces, replace(template, part=part))
+    found = findings_of(surfaces, replace(template, part=part))
     assert [(kind, name) for kind, name, _ in found] == [("warning", "parts of left_elbow")]
     assert "9 vertices lie among parts of joints that are far from theirs" in found[0][2]
 
@@ -307,7 +307,7 @@ def test_a_template_that_faces_backwards_or_whose_sides_are_exchanged_is_noted(t
 def test_another_frame_than_the_templates_is_noted(template, turn, words):
     body, pose = skinned(), np.random.default_rng(2).normal(size=(6, 24, 3)) * 0.2
     surfaces = body((), pose).vertices @ np.array(turn, float).T
-    found = told(surfaces, template, subject=("a",) * 6)[-1]
+    found = findings_of(surfaces, template, subject=("a",) * 6)[-1]
     assert found[:2] == ("warning", "the registrations") and words in found[2]
 
 
@@ -316,23 +316,23 @@ def test_meshes_that_are_there_twice_are_noted_wherever_they_stand(surfaces, tem
     vertices = surfaces.copy()
     vertices[9], vertices[22] = vertices[7], vertices[20] @ (turn * np.linalg.det(turn)) + 3.0
     vertices = vertices.astype(np.float32)
-    (found,) = told(vertices, template)
+    (found,) = findings_of(vertices, template)
     assert found[:2] == ("warning", "the registrations")
     assert "2 meshes are there twice (scan 9 is scan 7, scan 22 is scan 20)" in found[2]
 
 
 def test_many_of_a_kind_are_one_note(surfaces, template):
     subject = [f"one {k}" if k < 12 else f"person {k // POSES}" for k in range(len(surfaces))]
-    (found,) = told(surfaces, template, subject=tuple(subject))
+    (found,) = findings_of(surfaces, template, subject=tuple(subject))
     assert found[1] == "12 subjects (one 0, one 1, one 2 and 9 more)"
     body, pose = skinned(), np.random.default_rng(1).normal(size=(12, 24, 3)) * 0.4
     pose[:, 15:] *= 0.05
-    (found,) = told(body((), pose).vertices, template, subject=("a",) * 12)
+    (found,) = findings_of(body((), pose).vertices, template, subject=("a",) * 12)
     assert found[1].startswith("9 joints (head, ") and found[1].endswith(" and 6 more)")
     assert "bend each of these joints more than 15 degrees (0 of 12 do at the least)" in found[2]
 
 
 def test_no_registrations_at_all_are_a_warning(surfaces, template):
-    assert [(kind, name) for kind, name, _ in told(surfaces[:0], template)] == [
+    assert [(kind, name) for kind, name, _ in findings_of(surfaces[:0], template)] == [
         ("warning", "the registrations")
     ]

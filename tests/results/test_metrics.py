@@ -121,7 +121,7 @@ def test_held_out_markers_have_their_own_labels():
 def test_held_out_markers_at_told_places_are_told_beside_them():
     held = HeldOut(("CHIN", "NOSE"), np.array([[0.03, 0.04]]), None)
     told = HeldOut(("CHIN", "NOSE"), np.array([[0.005, np.nan]]), None)
-    found = marker_metrics(synthetic_fit(3, held_out=held, held_out_told=told))
+    found = marker_metrics(synthetic_fit(3, held_out=held, held_out_known_placement=told))
     assert found["held_out_error_mm"]["pose"]["mean"] == pytest.approx(35)
     assert found["held_out_known_placement_mm"]["pose"]["mean"] == pytest.approx(5)
     assert marker_metrics(synthetic_fit(3, held_out=held))["held_out_known_placement_mm"] is None

@@ -162,11 +162,11 @@ _BLOCK = 4096  # frames worked on together
 
 @dataclass(frozen=True, eq=False)
 class _Skeletons:
-    """Posed skeletons of T frames: own rotations, rotations in the world, and places (m), of all
-    joints.
+    """Posed skeletons of T frames: rotations of all joints against their parents, and in the world,
+    and places (m).
     """
 
-    own: Float[np.ndarray, "T J 3 3"]
+    turns: Float[np.ndarray, "T J 3 3"]
     world: Float[np.ndarray, "T J 3 3"]
     places: Float[np.ndarray, "T J 3"]
 
@@ -237,7 +237,7 @@ def _smpl(skeletons: _Skeletons, joints: list[int], rate_hz: float) -> np.ndarra
     velocity, acceleration = _differences(np.diff(skeletons.places[:, 0], axis=0), rate_hz)
     root = skeletons.world[:, 0].swapaxes(-1, -2)
     moved = [(root @ each[..., None])[..., 0] for each in (velocity, acceleration)]
-    turned = [each.reshape(len(root), -1) for each in _turning(skeletons.own[:, joints], rate_hz)]
+    turned = [each.reshape(len(root), -1) for each in _turning(skeletons.turns[:, joints], rate_hz)]
     return np.concatenate([*turned, *moved], axis=-1)
 
 

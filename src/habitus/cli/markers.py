@@ -105,7 +105,7 @@ def _fill(options: Markers, console: "Console") -> None:
         )
     assert options.fill is not None
     found = fill_capture(options.source, options.fill, options.out, body=options.body)
-    for line in _told(found):
+    for line in _unfilled(found):
         say(console, line, "note")
     filled = int(found.filling.filled.sum())
     say(
@@ -115,7 +115,7 @@ def _fill(options: Markers, console: "Console") -> None:
     )
 
 
-def _told(found: "FilledCapture") -> list[str]:
+def _unfilled(found: "FilledCapture") -> list[str]:
     """What was not filled, a line a marker and reason."""
     gaps = found.filling.gaps
     counts = Counter((gap.label, gap.why) for gap in gaps if gap.why)

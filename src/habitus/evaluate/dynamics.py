@@ -131,7 +131,7 @@ _STEPS = 6  # of the solver in each frame, which begins where the last one ended
 class _Shared:
     body: BodyModel
     rig: Rig
-    betas: dict[str, Float[np.ndarray, " B"]]
+    betas: dict[str, Float[np.ndarray, " _"]]
 
 
 def with_motions(

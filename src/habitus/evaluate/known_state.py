@@ -60,10 +60,10 @@ def known_errors(
 def _checked(bodies: Mapping[str, BodyModel], registrations: Registrations) -> Known:
     known = registrations.known or Known()
     count = len(registrations)
-    people = known.told("betas", count) | np.array(
+    people = known.known_rows("betas", count) | np.array(
         [subject in known.rest for subject in registrations.subject], bool
     )
-    is_known = known.told("pose", count) & people
+    is_known = known.known_rows("pose", count) & people
     if not count or not is_known.all() or known.pose is None:
         which = registrations.name[int((~is_known).argmax())] if count else "none there"
         raise HabitusError(
@@ -95,7 +95,7 @@ def _block(
             offset = target - _surface(body, registrations.subject[row], known, row)
             offset -= (
                 (weight @ offset) / weight.sum()
-                if not known.told("trans", len(registrations))[row]
+                if not known.known_rows("trans", len(registrations))[row]
                 else 0.0
             )
             out[b, k] = _numbers(np.linalg.norm(offset, axis=1), weight)

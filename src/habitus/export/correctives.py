@@ -54,7 +54,7 @@ class Block:
     name: str
     vertices: Int[np.ndarray, " N"]
     shapes: Float[np.ndarray, "N 3 n"]
-    coefficients: tuple[Float[np.ndarray, "T n"], ...]
+    coefficients: tuple[Float[np.ndarray, "_ n"], ...]
     ends: tuple[str, ...] = ()
     rows: Float[np.ndarray, "n 9"] | None = None
     sample: Float[np.ndarray, "S n"] | None = None
@@ -77,7 +77,7 @@ class Morphs:
 
     shapes: Float[np.ndarray, "K V 3"]
     names: tuple[str, ...]
-    weights: tuple[Float[np.ndarray, "T K"], ...]
+    weights: tuple[Float[np.ndarray, "_ K"], ...]
     rows: Float[np.ndarray, "K 9"]
     residual: float = 0.0
     worst: float = 0.0
@@ -174,7 +174,7 @@ def _numbered(name: str, count: int) -> tuple[str, ...]:
 
 
 def _components(
-    block: Block, terms: Sequence[Float[np.ndarray, "T n"]]
+    block: Block, terms: Sequence[Float[np.ndarray, "_ n"]]
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "N 3 K"], Float[np.ndarray, "n K"]]:
     """Energies, directions and what turns coefficients into weights, of the deformation D = B C^T,
     largest first.

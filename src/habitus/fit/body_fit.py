@@ -100,7 +100,7 @@ class BodyFit:
     poses: tuple[str, ...]
     status: str
     costs: Mapping[str, float]
-    residuals: Mapping[str, Float[np.ndarray, " n"]]
+    residuals: Mapping[str, Float[np.ndarray, " _"]]
     latent_markers: Float[np.ndarray, "M 3"] | None = None
     skin_offset: Float[np.ndarray, " V"] | None = None
     motions: tuple[MarkerFit, ...] = ()

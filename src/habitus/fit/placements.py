@@ -149,7 +149,7 @@ class Variances:
     label: float = 0.03
     person: float = 0.2
     person_label: float = 0.15
-    own: float = 0.1
+    marker: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class _Group:
         """Covariance of what people do by themselves."""
         person = self.people[:, None] == self.people
         labels = variances.person_label * (self.labels[:, None] == self.labels)
-        each = person * (variances.person + labels) + variances.own * np.eye(len(person))
+        each = person * (variances.person + labels) + variances.marker * np.eye(len(person))
         return np.outer(self.scale, self.scale) * each / np.sqrt(np.outer(self.trust, self.trust))
 
 

@@ -155,7 +155,7 @@ class ViewStart:
     pose: Float[np.ndarray, "K J 3"]
     trans: Float[np.ndarray, "K 3"]
     views: tuple[ViewData, ...]
-    masks: tuple[Bool[np.ndarray, "H W"], ...]
+    masks: tuple[Bool[np.ndarray, "_ _"], ...]
     noise: tuple[float | None, ...]
 
 

@@ -25,13 +25,13 @@ NUMBERS = "compare.json"
 class Comparison:
     """Two results of one capture, and how far they are apart.
 
-    ``names`` tell them apart, ``found`` holds every distance at every moment, ``numbers`` what
-    compare.json holds (mm, degrees, m), ``reports`` are their pages where they lie beside the
+    ``names`` tell them apart, ``differences`` holds every distance at every moment, ``numbers``
+    what compare.json holds (mm, degrees, m), ``reports`` are their pages where they lie beside the
     results.
     """
 
     names: tuple[str, str]
-    found: Differences
+    differences: Differences
     numbers: Mapping[str, Any]
     reports: tuple[Path | None, Path | None] = (None, None)
 
@@ -68,7 +68,9 @@ class Comparison:
         """
         target = Path(folder)
         links = tuple(None if page is None else _way(target, page) for page in self.reports)
-        write_text(target / PAGE, comparison_page(self.found, self.numbers, self.names, links))
+        write_text(
+            target / PAGE, comparison_page(self.differences, self.numbers, self.names, links)
+        )
         write_json(target / NUMBERS, self.numbers)
         return target / PAGE
 

@@ -201,12 +201,12 @@ def _median(values: Float[np.ndarray, "T M M"]) -> Float[np.ndarray, "M M"]:
     return np.where(count > 0, middle, np.nan)
 
 
-def grouped(worn: Sequence[tuple[Found, MarkerSet | None]]) -> list[list[Found]]:
+def grouped(captures: Sequence[tuple[Found, MarkerSet | None]]) -> list[list[Found]]:
     """Captures of one folder, of one recorded subject and with the same markers, together; each
     other one alone.
     """
     groups: dict[Path, list[tuple[MarkerSet | None, list[Found]]]] = defaultdict(list)
-    for capture, seen in worn:
+    for capture, seen in captures:
         here = groups[capture.path.parent]
         for first, members in here:
             if seen is not None and first is not None and first.matches(seen):

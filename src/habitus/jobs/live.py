@@ -90,7 +90,7 @@ class Follower:
         sinks: Sequence[Sink],
         keep: bool = True,
     ):
-        self._found = followed
+        self._followed = followed
         self._wiring = followed.wiring
         self._heading = heading
         self._rate = rate_hz
@@ -118,9 +118,9 @@ class Follower:
         if frame.heading is not self._heading:
             self._relabelled(frame.heading)
         for _ in range(self._bridged(missing)):
-            self._add(self._found.tracker.step(self._none()), self._none())
+            self._add(self._followed.tracker.step(self._none()), self._none())
         markers = self._wiring.markers(frame.points)
-        live = self._found.tracker.step(markers)
+        live = self._followed.tracker.step(markers)
         if not waited:
             self.latencies.append(time.perf_counter() - frame.arrived)
         now = Now(frame.number, self.seconds, markers, live)
@@ -132,7 +132,7 @@ class Follower:
     def rehearse(self) -> None:
         """To be called shortly before a frame is due."""
         self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
-        self._found.tracker.rehearse()
+        self._followed.tracker.rehearse()
 
     def _add(self, live: LiveFrame, markers: np.ndarray) -> None:
         self._report_state(live)
@@ -171,8 +171,8 @@ class Follower:
         changed is said.
         """
         self._heading = heading
-        self._wiring, gone, new = rewired(self._found.wiring, self._known, heading.labels)
-        labels = self._found.known.layout.labels
+        self._wiring, gone, new = rewired(self._followed.wiring, self._known, heading.labels)
+        labels = self._followed.known.layout.labels
         left = int((self._wiring.columns >= 0).sum())
         said = (
             f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers "

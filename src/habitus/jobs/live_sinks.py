@@ -101,7 +101,7 @@ class Viewer:
         self._say = say
         self._count = 0
         self._text = ""
-        self._told = ""
+        self._last_state = ""
         self._who = _who(known)
         fields = {name: getattr(known.body, name) for name in NEEDED}
         self._token = new_token()
@@ -142,8 +142,8 @@ class Viewer:
             if self._board.port
             else ""
         )
-        if now and now != self._told:
-            self._told = now
+        if now and now != self._last_state:
+            self._last_state = now
             self._say(
                 "the viewer has ended; frames are followed without it"
                 if now == "gone"

@@ -259,7 +259,9 @@ class Mosh(MoshOptions):
                 else [None] * len(held.observed)
             )
             for index, (fit, errors) in enumerate(zip(fits, known, strict=True)):
-                yield replace(fit, held_out=errors_of(fit, held, index), held_out_told=errors)
+                yield replace(
+                    fit, held_out=errors_of(fit, held, index), held_out_known_placement=errors
+                )
             return
         every = self.hold_out_every
         rotated = (
@@ -273,7 +275,7 @@ class Mosh(MoshOptions):
             default, known_placement = (
                 (None, None) if rotated is None else (rotated[0][index], rotated[1][index])
             )
-            yield replace(fit, held_out=default, held_out_told=known_placement)
+            yield replace(fit, held_out=default, held_out_known_placement=known_placement)
 
 
 def _listed(sources: Source | Sequence[Source]) -> list[Source]:

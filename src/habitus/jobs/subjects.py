@@ -434,7 +434,7 @@ def known_labels(labels: Sequence[str], body: BodyModel) -> dict[str, Marker]:
     """What some labels usually mean, by the layout that explains most of them and where others
     agree; on this body.
     """
-    meanings = interpreted(labels, shipped_layouts()).found
+    meanings = interpreted(labels, shipped_layouts()).markers
     return {
         labels[column]: marker
         for column, marker in meanings.items()

@@ -68,7 +68,7 @@ class _Explained:
     """One candidate: capture column -> (marker, quality), and how well it explains the capture."""
 
     layout: MarkerLayout
-    found: Mapping[int, tuple[Marker, float]]
+    markers: Mapping[int, tuple[Marker, float]]
     score: float
     evidence: float  # 0..1: how much of the layout itself is there
 
@@ -83,7 +83,7 @@ def best_match(
     """
     meaning = interpreted(labels, candidates)
     named = [label for label in labels if label not in meaning.left_out]
-    confidence = _confidence(meaning, len(meaning.found) / max(1, len(named)))
+    confidence = _confidence(meaning, len(meaning.markers) / max(1, len(named)))
     _refuse_if_unsure(labels, meaning, confidence)
     match = _as_match(labels, meaning, confidence)
     return match if markers is None else _against_geometry(match, markers)
@@ -167,7 +167,7 @@ class _Meaning:
 
     best: _Explained
     rivals: Sequence[_Explained]
-    found: Mapping[int, Marker]
+    markers: Mapping[int, Marker]
     left_out: Mapping[str, str]
     doubts: Mapping[str, str]
     shared: str = ""
@@ -183,11 +183,11 @@ def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _M
     if not candidates:
         raise HabitusError("no layout to match against; expected at least one")
     best = _interpreted(labels, candidates)
-    if len(best.found) >= _UNDERSTOOD * len(labels):
+    if len(best.markers) >= _UNDERSTOOD * len(labels):
         return best
     for shared, plain in without_shared(labels):
         other = _interpreted(plain, candidates)
-        if len(other.found) > max(2 * len(best.found), FEWEST_MARKERS - 1):
+        if len(other.markers) > max(2 * len(best.markers), FEWEST_MARKERS - 1):
             names = dict(zip(plain, labels, strict=True))
             left_out = {names[label]: why for label, why in other.left_out.items()}
             doubts = {names[label]: why for label, why in other.doubts.items()}
@@ -204,7 +204,7 @@ def _interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _
     rivals = ranked[1:]
     left_out = _left_out(labels, best)
     extras, doubts = _extras(labels, best, rivals, left_out)
-    found = {column: marker for column, (marker, _) in best.found.items()} | extras
+    found = {column: marker for column, (marker, _) in best.markers.items()} | extras
     return _Meaning(best, rivals, found, left_out, doubts)
 
 
@@ -213,7 +213,7 @@ def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
     found = {}
     for column, label in enumerate(labels):
         why = next((reasons[form] for form in spellings(label) if form in reasons), None)
-        if why is not None and column not in best.found:
+        if why is not None and column not in best.markers:
             found[label] = why
     return found
 
@@ -228,11 +228,11 @@ def _extras(
     is not used.
     """
     tables = [(rival.layout.name, _lookup(rival.layout)) for rival in rivals]
-    taken = {marker.place for marker, _ in best.found.values() if marker.place_spread < 0.03}
+    taken = {marker.place for marker, _ in best.markers.values() if marker.place_spread < 0.03}
     extras: dict[int, Marker] = {}
     doubts: dict[str, str] = {}
     for column, label in enumerate(labels):
-        if column in best.found or label in left_out:
+        if column in best.markers or label in left_out:
             continue
         meanings = _meanings(label, tables)
         places = {marker.place for marker, _ in meanings}
@@ -273,17 +273,17 @@ def _confidence(meaning: _Meaning, used: float) -> float:
     doubt = 0.0
     for rival in meaning.rivals:
         near = 1.0 - (best.score - rival.score) / _RIVAL
-        if near > 0 and best.found:
-            other = {column: marker.place for column, (marker, _) in rival.found.items()}
-            places = {column: marker.place for column, (marker, _) in best.found.items()}
+        if near > 0 and best.markers:
+            other = {column: marker.place for column, (marker, _) in rival.markers.items()}
+            places = {column: marker.place for column, (marker, _) in best.markers.items()}
             differing = sum(other.get(column, place) != place for column, place in places.items())
-            doubt = max(doubt, near * differing / len(best.found))
+            doubt = max(doubt, near * differing / len(best.markers))
     return round(float(np.clip(used * best.evidence * (1.0 - doubt), 0.0, 1.0)), 3)
 
 
 def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: float) -> None:
     name = meaning.best.layout.name
-    count = len(meaning.found)
+    count = len(meaning.markers)
     single = not meaning.rivals
     arrived = ", ".join(labels[:10]) + (f", … ({len(labels)} in all)" if len(labels) > 10 else "")
     alike = next((shared for shared, _ in without_shared(labels)), "")
@@ -308,16 +308,16 @@ def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: floa
 
 def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> LayoutMatch:
     best = meaning.best
-    found = meaning.found
+    found = meaning.markers
     left_out = {**meaning.left_out, **meaning.doubts}
     columns = sorted(found)
     used = tuple(
         replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases))
         for c in columns
     )
-    present = {marker.label for marker, _ in best.found.values()}
+    present = {marker.label for marker, _ in best.markers.values()}
     unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
-    borrowed = [labels[column] for column in columns if column not in best.found]
+    borrowed = [labels[column] for column in columns if column not in best.markers]
     warnings = []
     if meaning.shared:
         warnings.append(f"labels read without what they share: {meaning.shared}")

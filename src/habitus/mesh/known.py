@@ -58,7 +58,7 @@ class Known:
         arrays = {"pose": self.pose, "trans": self.trans, "betas": self.betas}
         return {name: array for name, array in arrays.items() if array is not None}
 
-    def told(self, name: str, count: int) -> Bool[np.ndarray, " N"]:
+    def known_rows(self, name: str, count: int) -> Bool[np.ndarray, " N"]:
         """Of which of ``count`` registrations ``pose``, ``trans`` or ``betas`` is known."""
         array = getattr(self, name)
         return (

@@ -157,7 +157,7 @@ class Registrations:
     @cached_property
     def made(self) -> Bool[np.ndarray, " N"]:
         """Those whose poses are known: they were made, not scanned."""
-        return (self.known or Known()).told("pose", len(self))
+        return (self.known or Known()).known_rows("pose", len(self))
 
     def where(
         self,

@@ -216,7 +216,7 @@ def front_and_back(
     )
 
 
-def side_by_side(pictures: Sequence[Rgba], gap: int = 12) -> Rgba:
+def side_by_side(pictures: Sequence[UInt8[np.ndarray, "H _ 4"]], gap: int = 12) -> Rgba:
     """Pictures of one height beside each other, ``gap`` pixels between two."""
     space = np.zeros((pictures[0].shape[0], gap, 4), np.uint8)
     return np.concatenate([part for image in pictures for part in (space, image)][1:], 1)

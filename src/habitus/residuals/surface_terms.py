@@ -68,7 +68,7 @@ class _OfOneFrame:
     def __call__(self, betas: Array, pose: Array, trans: Array) -> Quadratic:
         """Robust cost, and normal equations with the correspondences of this state held."""
         frame = getattr(self, "frame", 0)
-        state = (to_numpy(betas, np.float64), _one(pose, 2, frame), _one(trans, 1, frame))
+        state = (to_numpy(betas, np.float64), _at_frame(pose, 2, frame), _at_frame(trans, 1, frame))
         points, cost = self.matched(np.asarray(self.solver.body(*state).vertices))
         count = len(pose) if pose.ndim == 3 else 1
         frames = [points if k == (frame if count > 1 else 0) else None for k in range(count)]
@@ -80,7 +80,7 @@ class _OfOneFrame:
         return Quadratic(cost, derivatives)
 
 
-def _one(value: Array, axes: int, frame: int) -> np.ndarray:
+def _at_frame(value: Array, axes: int, frame: int) -> np.ndarray:
     whole = to_numpy(value, np.float64)
     return whole if whole.ndim == axes else whole[frame]
 

@@ -63,7 +63,7 @@ def marker_metrics(fit: MarkerFit) -> dict[str, Any]:
             stage: error_summary(fit.errors(stage), fit.labels) for stage in ("pose", "soft_tissue")
         },
         "held_out_error_mm": _held_out(fit.held_out),
-        "held_out_known_placement_mm": _held_out(fit.held_out_told),
+        "held_out_known_placement_mm": _held_out(fit.held_out_known_placement),
         "suspect_markers": [_suspect(suspect) for suspect in fit.suspects],
         "stage_seconds": seconds,
         "frames_per_second": {

@@ -47,7 +47,7 @@ def clouds_of(markers: np.ndarray, seed: int = 0, ghosts: int = 0) -> tuple[Clou
     return Clouds.of(both, planted.RATE_HZ, "+y"), label[order][np.isfinite(both).all(axis=2)]
 
 
-def found(markers: np.ndarray, seed: int = 0, ghosts: int = 0, who: Known | None = None):
+def labelled(markers: np.ndarray, seed: int = 0, ghosts: int = 0, who: Known | None = None):
     truth = capture()
     clouds, label = clouds_of(markers, seed, ghosts)
     return (
@@ -65,15 +65,15 @@ def found(markers: np.ndarray, seed: int = 0, ghosts: int = 0, who: Known | None
 
 
 def test_a_layout_is_enough_to_name_the_points_and_to_leave_ghosts_alone():
-    result, truth, _ = found(capture().observed, ghosts=2)
+    result, truth, _ = labelled(capture().observed, ghosts=2)
     named = result.label >= 0
     assert np.mean(result.label[named] == truth[named]) > 0.99
     assert np.mean(result.label[truth >= 0] == truth[truth >= 0]) > 0.97
 
 
 def test_the_order_of_the_points_does_not_matter():
-    one, first, _ = found(capture().observed, seed=1, who=known())
-    other, second, _ = found(capture().observed, seed=2, who=known())
+    one, first, _ = labelled(capture().observed, seed=1, who=known())
+    other, second, _ = labelled(capture().observed, seed=2, who=known())
     for result, truth in ((one, first), (other, second)):
         assert np.mean(result.label == truth) > 0.99
     rows = np.repeat(np.arange(FRAMES), len(capture().layout))
@@ -87,7 +87,7 @@ def test_broken_trajectories_keep_their_names():
     for _ in range(40):
         first = rng.integers(FRAMES)
         markers[first : first + rng.integers(3, 10), rng.integers(markers.shape[1])] = np.nan
-    result, truth, _ = found(markers, who=known())
+    result, truth, _ = labelled(markers, who=known())
     assert np.mean(result.label == truth) > 0.99
 
 
@@ -95,7 +95,7 @@ def test_nobody_takes_the_name_of_a_marker_that_is_not_there():
     markers = capture().observed.copy()
     gone = capture().columns("LFHD", "RKNE", "STRN")
     markers[:, gone] = np.nan
-    result, truth, _ = found(markers, who=known())
+    result, truth, _ = labelled(markers, who=known())
     assert np.mean(np.isin(result.label, gone)) < 1e-3
     assert np.mean(result.label == truth) > 0.99
 
@@ -120,4 +120,4 @@ def test_twins_under_each_others_names_are_put_right():
 
 def test_too_few_points_are_refused():
     with pytest.raises(HabitusError, match=r"at most 4 points .* expected at least 6"):
-        found(capture().observed[:, :4])
+        labelled(capture().observed[:, :4])

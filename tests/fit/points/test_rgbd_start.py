@@ -102,9 +102,9 @@ def test_the_true_surface_misfits_least(seen):
 def test_a_grids_pixels_are_the_images(seen):
     _, sight, _, _ = seen
     grid = sight.grid(3)
-    inside = grid.points[grid.own]
+    inside = grid.points[grid.person]
     pixels = grid.camera.project(torch.from_numpy(inside))[0].numpy()
-    rows, columns = np.nonzero(grid.own)
+    rows, columns = np.nonzero(grid.person)
     np.testing.assert_allclose(pixels, np.stack([columns + 0.5, rows + 0.5], 1), atol=1e-3)
 
 
@@ -125,7 +125,7 @@ def test_the_planar_term_is_least_where_the_surface_was_observed(seen):
     body, sight, surface, _ = seen
     grid = sight.grid(4)
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
-    observed = grid.points[grid.own]
+    observed = grid.points[grid.person]
     centre = surface.mean(0)
 
     def terms_at(values, stage, step):

@@ -75,4 +75,4 @@ def test_a_grid_of_few_pixels_is_finer():
     sight = PreparedView.of(view, segment(view))
     assert sight.grid(2).stride == 2
     coarse = sight.grid(40)
-    assert coarse.stride < 40 and coarse.own.sum() >= SEGMENTATION.grid_pixels
+    assert coarse.stride < 40 and coarse.person.sum() >= SEGMENTATION.grid_pixels

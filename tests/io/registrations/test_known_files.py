@@ -61,7 +61,7 @@ def test_a_folder_of_archives_is_one_dataset_and_what_one_does_not_tell_is_not_k
     write_registrations(made(3, ("d", "d")), tmp_path / "3.npz")
     found = open_registrations(tmp_path)
     assert found.subject == ("a", "a", "c", "d", "d") and set(found.known.rest) == {"d"}
-    assert found.known.told("pose", 5).tolist() == [True, True, False, True, True]
+    assert found.known.known_rows("pose", 5).tolist() == [True, True, False, True, True]
     assert found.made.tolist() == [True, True, False, True, True]
 
 

@@ -70,7 +70,7 @@ def test_held_out_errors_at_known_placements_have_a_column_of_their_own():
     held, told = (HeldOut(("CHIN",), np.full((3, 1), error), None) for error in (0.0321, 0.0054))
     plain, both = (
         report_page(synthetic_fit(3, held_out=held, **more))
-        for more in ({}, {"held_out_told": told})
+        for more in ({}, {"held_out_known_placement": told})
     )
     assert "32.1 mm" in plain and "5.4 mm" not in plain and "known placement" not in plain
     assert "32.1 mm" in both and "5.4 mm" in both and "Pose stage, known placement" in both

@@ -152,7 +152,7 @@ class Tapes:
         """(N, M) in metres and kg, in the order of MEASURES; `points` gives a slice (N, 3p) of the
         flat points.
         """
-        return np.stack([self._one(name, points)[0] for name in MEASURES], 1)
+        return np.stack([self._measured(name, points)[0] for name in MEASURES], 1)
 
     def slopes(
         self, points: Callable[[slice], np.ndarray], offsets: np.ndarray
@@ -163,7 +163,7 @@ class Tapes:
         values = []
         slopes = []
         for name in MEASURES:
-            value, slope = self._one(name, points)
+            value, slope = self._measured(name, points)
             values.append(value)
             slopes.append(
                 slope.reshape(len(slope), -1).astype(np.float32) @ offsets[:, self.where[name]].T
@@ -182,7 +182,7 @@ class Tapes:
         local = posed(morphs.local_offsets)
         return replace(morphs, base=base, macro_offsets=macro, local_offsets=local)
 
-    def _one(
+    def _measured(
         self, name: str, points: Callable[[slice], np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         here = points(self.where[name])

@@ -19,7 +19,7 @@ from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment
 
 
-def clusters(placement: Placement) -> list[Int[np.ndarray, " k"]]:
+def clusters(placement: Placement) -> list[Int[np.ndarray, " _"]]:
     """The markers (two or more) of each place that a layout gives to several."""
     where = np.stack([placement.vertices, np.round(1e4 * placement.distance)], axis=1)
     place = np.unique(where, axis=0, return_inverse=True)[1].ravel()
@@ -92,7 +92,7 @@ def _points(
     chosen: np.ndarray,
     frames: np.ndarray,
     state: tuple[np.ndarray, np.ndarray],
-) -> list[Float[np.ndarray, "n 3"]]:
+) -> list[Float[np.ndarray, "_ 3"]]:
     """Of each frame the chosen points in the basis of a triangle of the posed body, metres."""
     tripod = MarkerAttachment(
         np.tile(carrier, (4, 1)), np.concatenate([np.zeros((1, 3)), np.eye(3)])
@@ -106,7 +106,7 @@ def _points(
 
 
 def _places(
-    points: list[Float[np.ndarray, "n 3"]], count: int, settings: ClusterSettings
+    points: list[Float[np.ndarray, "_ 3"]], count: int, settings: ClusterSettings
 ) -> Float[np.ndarray, "k 3"] | None:
     """Where ``count`` markers sit that gave these points, frame by frame; None where no frame shows
     them all.

@@ -34,7 +34,7 @@ def people_on_ground(
 
 
 def nearest_bodies(
-    clouds: Clouds, tracklet: Int[np.ndarray, " P"], predicted: Sequence[Float[np.ndarray, "T M 3"]]
+    clouds: Clouds, tracklet: Int[np.ndarray, " P"], predicted: Sequence[Float[np.ndarray, "T _ 3"]]
 ) -> Int[np.ndarray, " P"]:
     """The person of each point, by the predicted markers (of each person) that its tracklet passes
     nearest to.

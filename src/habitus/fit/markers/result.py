@@ -90,7 +90,7 @@ def _moved(
     pose: Float[np.ndarray, "f J 3"],
     trans: Float[np.ndarray, "f 3"],
     rows: Int[np.ndarray, " P"],
-) -> tuple[Float[np.ndarray, "f 3M N"], Float[np.ndarray, "f 3P N"]]:
+) -> tuple[Float[np.ndarray, "f R N"], Float[np.ndarray, "f S N"]]:
     """How markers, and vertices, move with pose and place."""
     markers = marker_jacobian(fit.body, fit.attachment, fit.betas, pose, trans).by_pose
     probes = np.asarray(

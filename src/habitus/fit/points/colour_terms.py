@@ -120,7 +120,7 @@ def colour_equations(
 
 
 def _channel(
-    views: list[tuple[ViewRows, Int[np.ndarray, " n"]]],
+    views: list[tuple[ViewRows, Int[np.ndarray, " _"]]],
     albedo: Float[np.ndarray, " V"],
     edges: sparse.csr_array,
     used: Int[np.ndarray, " c"],
@@ -281,7 +281,7 @@ class ColourEnergy:
         return {name: gradient[where] for name, where in places.items()}, blocks
 
 
-def _places(values: Mapping[str, Any]) -> dict[str, Int[np.ndarray, " n"]]:
+def _places(values: Mapping[str, Any]) -> dict[str, Int[np.ndarray, " _"]]:
     """Where the numbers of each unknown are in `ColourEquations`."""
     head = len(values["betas"])
     count = len(values["pose"])

@@ -94,14 +94,14 @@ def _nearest(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
     """For each pixel of the person the nearest point of the model: its row, and the pixel's own
     point.
     """
-    target = grid.points[grid.own]
+    target = grid.points[grid.person]
     if not len(drawn.points):
         return np.zeros(0, np.int64), target[:0]
     return np.asarray(KDTree(drawn.points).query(target)[1]), target
 
 
 def _same_pixel(grid: Grid, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
-    own = grid.own.ravel()[drawn.pixel]
+    own = grid.person.ravel()[drawn.pixel]
     return np.flatnonzero(own), grid.points.reshape(-1, 3)[drawn.pixel[own]]
 
 
@@ -129,7 +129,7 @@ def outline(grid: Grid, drawn: Drawn, reach: float, settings: RgbdSettings) -> P
 
 def wrong_rows(grid: Grid, drawn: Drawn, clearance: float) -> Int[np.ndarray, " n"]:
     """Points of the model that lie ``clearance`` (m) or more before what was seen through them."""
-    behind, own = (image.ravel()[drawn.pixel] for image in (grid.behind, grid.own))
+    behind, own = (image.ravel()[drawn.pixel] for image in (grid.behind, grid.person))
     depth = grid.camera.to_camera(torch.from_numpy(drawn.points)).numpy()[:, 2]
     return np.flatnonzero(~own & (behind > depth + clearance))
 
@@ -139,7 +139,7 @@ def misfit(grid: Grid, drawn: Drawn, settings: RgbdSettings = STANDARD) -> float
     the model, and the cap for each pixel of the model that was seen through.
     """
     most = settings.search.max_misfit_distance
-    own = grid.points[grid.own]
+    own = grid.points[grid.person]
     if not len(drawn.points) or not len(own):
         return 2.0 * most
     distance = np.minimum(KDTree(drawn.points).query(own)[0], most).mean()

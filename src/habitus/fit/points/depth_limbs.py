@@ -100,7 +100,7 @@ def _unexplained(grid: Grid, drawn: Drawn, distance: float) -> float:
     """Share of the person's pixels that are further from the body than ``distance`` (m)."""
     if not len(drawn.points):
         return 1.0
-    return float((KDTree(drawn.points).query(grid.points[grid.own])[0] > distance).mean())
+    return float((KDTree(drawn.points).query(grid.points[grid.person])[0] > distance).mean())
 
 
 def _rows(energy: DepthEnergy, side: str, limb: str) -> Int[np.ndarray, " j"]:

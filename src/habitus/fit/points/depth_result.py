@@ -180,15 +180,15 @@ def _of_view(
     noise = settings.noise if sight.noise is None else sight.noise
     grid = sight.grid(settings.judged_stride)
     drawn = look(grid, vertices, triangles)
-    own = grid.own.ravel()
-    shown = np.zeros(grid.own.size, bool)
+    own = grid.person.ravel()
+    shown = np.zeros(grid.person.size, bool)
     shown[drawn.pixel] = True
     both = own[drawn.pixel]
     target = grid.points.reshape(-1, 3)[drawn.pixel[both]]
     off = ((target - drawn.points[both]) * drawn.normals[both]).sum(1)
     far = np.linalg.norm(drawn.points[both] - grid.eye, axis=1)
     near = (
-        KDTree(drawn.points).query(grid.points[grid.own])[0] < settings.explained_distance
+        KDTree(drawn.points).query(grid.points[grid.person])[0] < settings.explained_distance
         if len(drawn.points)
         else np.zeros(1, bool)
     )

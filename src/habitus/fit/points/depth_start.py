@@ -192,7 +192,7 @@ def _placed(
     saw; then turned and moved on the floor plan until it is nearest to the observed points.
     """
     settings = energy.settings.search
-    observed = grid.points[grid.own]
+    observed = grid.points[grid.person]
     tree = KDTree(observed)
     root = np.asarray(surface.joints[0])
     shape = np.asarray(surface.vertices) - root

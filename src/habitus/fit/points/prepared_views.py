@@ -285,14 +285,14 @@ def seen_through(view: DepthView, mask: Bool[np.ndarray, "H W"]) -> Float[np.nda
 class Grid:
     """Every stride-th pixel of the neighbourhood of a person, R x C.
 
-    points: world (m). own: which show the person. behind: depth of what was seen through, 0
+    points: world (m). person: which show the person. behind: depth of what was seen through, 0
     elsewhere. nearest: the nearest pixel (row, column) that is the person's.
     """
 
     camera: Camera
     stride: int
     points: Float[np.ndarray, "R C 3"]
-    own: Bool[np.ndarray, "R C"]
+    person: Bool[np.ndarray, "R C"]
     behind: Float[np.ndarray, "R C"]
     eye: Float[np.ndarray, " 3"]
 
@@ -300,7 +300,7 @@ class Grid:
     def nearest(self) -> Int[np.ndarray, "2 R C"]:
         """The nearest pixel that shows the person."""
         return np.asarray(
-            distance_transform_edt(~self.own, return_distances=False, return_indices=True)
+            distance_transform_edt(~self.person, return_distances=False, return_indices=True)
         )
 
 

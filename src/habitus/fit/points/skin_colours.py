@@ -63,7 +63,7 @@ class ColourCloud:
 class ColourMatch:
     """The correspondences of a scan's coloured points on a surface, and the weight of each (N,)."""
 
-    found: Correspondences
+    correspondences: Correspondences
     weight: Float[np.ndarray, " N"]
 
     @staticmethod
@@ -155,14 +155,14 @@ class _Rounds:
     grid: SkinGrid
     coarse: SkinGrid
     clouds: Sequence[ColourCloud]
-    certain: list[Float[np.ndarray, " N"]]
-    shapes: list[Float[np.ndarray, "N 9"]]
+    certain: list[Float[np.ndarray, " _"]]
+    shapes: list[Float[np.ndarray, "_ 9"]]
     tables: list[csr_array]
     coarse_tables: list[csr_array]
     settings: ScanColourSettings
-    left: list[Float[np.ndarray, "N 3"]]
-    gains: list[Float[np.ndarray, "N 3"]]
-    weights: list[Float[np.ndarray, " N"]]
+    left: list[Float[np.ndarray, "_ 3"]]
+    gains: list[Float[np.ndarray, "_ 3"]]
+    weights: list[Float[np.ndarray, " _"]]
     each: Float[np.ndarray, "K G 3"]
     seen: Float[np.ndarray, "K G"]
     noise: Float[np.ndarray, " 3"]
@@ -176,7 +176,9 @@ class _Rounds:
     ) -> "_Rounds":
         """Before the first step: a texture of one tone, and no gain."""
         coarse = SkinGrid.of(grid.faces, settings.gain_pieces)
-        places = [(sight.found.face, sight.found.barycentric) for sight in sights]
+        places = [
+            (sight.correspondences.face, sight.correspondences.barycentric) for sight in sights
+        ]
         certain = [sight.weight for sight in sights]
         middle = np.median(
             np.concatenate(
@@ -192,7 +194,7 @@ class _Rounds:
             coarse,
             clouds,
             certain,
-            [harmonic_terms(sight.found.normal) for sight in sights],
+            [harmonic_terms(sight.correspondences.normal) for sight in sights],
             [grid.weights(*place) for place in places],
             [coarse.weights(*place) for place in places],
             settings,

@@ -43,7 +43,7 @@ class Soles:
     ball, toes.
     """
 
-    points: tuple[tuple[Int[np.ndarray, " n"], ...], ...]
+    points: tuple[tuple[Int[np.ndarray, " _"], ...], ...]
 
     @property
     def used(self) -> Int[np.ndarray, " N"]:

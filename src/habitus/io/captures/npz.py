@@ -64,11 +64,11 @@ def _raw(arrays: NpzArchive) -> RawPoints:
         format="npz",
         labels=tuple(texts),
         points=points.astype(np.float64, copy=False),
-        rate_hz=number_of(_one(rate)),
-        unit=_one(unit),
-        up_claim=signed_axis(_one(up)),
+        rate_hz=number_of(_text(rate)),
+        unit=_text(unit),
+        up_claim=signed_axis(_text(up)),
         up_source="up_axis",
-        subjects=tuple(filter(None, [_one(_find(arrays, ("subject",)))])),
+        subjects=tuple(filter(None, [_text(_find(arrays, ("subject",)))])),
         recorded=_recorded(arrays),
     )
 
@@ -101,7 +101,7 @@ def _texts(labels: np.ndarray) -> np.ndarray:
     return np.char.decode(labels, "utf-8", "replace") if labels.dtype.kind == "S" else labels
 
 
-def _one(value: np.ndarray | None) -> str | None:
+def _text(value: np.ndarray | None) -> str | None:
     """A scalar array as text."""
     if value is None or value.size != 1 or value.dtype.kind not in "USfiu":
         return None
@@ -128,10 +128,10 @@ def _by_label(labels: np.ndarray, points: np.ndarray) -> tuple[list[str], np.nda
 def _recorded(arrays: NpzArchive) -> Mapping[str, float | str]:
     found: dict[str, float | str] = {}
     for name in ("height_m", "mass_kg", "marker_diameter_m", "age_years"):
-        value = number_of(_one(_find(arrays, (name,))))
+        value = number_of(_text(_find(arrays, (name,))))
         if value is not None and value > 0:
             found[name] = value
-    sex = _one(_find(arrays, ("sex", "gender")))
+    sex = _text(_find(arrays, ("sex", "gender")))
     if sex in ("female", "male"):
         found["sex"] = sex
     return found

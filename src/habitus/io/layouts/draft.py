@@ -43,7 +43,7 @@ def draft_layout(
     meaning = interpreted(labels, known)
     found = {
         labels[column]: replace(marker, label=labels[column], aliases=(), optional=False)
-        for column, marker in sorted(meaning.found.items())
+        for column, marker in sorted(meaning.markers.items())
     }
     source = meaning.best.layout.name
     lines = [
@@ -54,9 +54,9 @@ def draft_layout(
         "[markers]",
         *_marker_lines(found),
     ]
-    near = sorted(meaning.found) if len(meaning.found) >= 10 else list(range(len(labels)))
+    near = sorted(meaning.markers) if len(meaning.markers) >= 10 else list(range(len(labels)))
     for column, label in enumerate(labels):
-        if column not in meaning.found and label not in meaning.left_out:
+        if column not in meaning.markers and label not in meaning.left_out:
             lines += _todo(
                 column,
                 labels,

@@ -80,16 +80,16 @@ def layout_of_labels(
     """
     check_count(len(labels), MAX_LABELS, f"labels in the layout file {where}")
     meaning = interpreted(labels, known)
-    if len(meaning.found) < FEWEST_MARKERS:
+    if len(meaning.markers) < FEWEST_MARKERS:
         raise HabitusError(
-            f"layout file {where}: {len(meaning.found)} of its {len(labels)} labels "
+            f"layout file {where}: {len(meaning.markers)} of its {len(labels)} labels "
             f"({listed(labels) or 'none'}) are "
             f"known to any layout; expected at least {FEWEST_MARKERS}; let --layout discover find "
             "where they sit"
         )
     markers = tuple(
         replace(marker, label=labels[column], aliases=(), optional=False)
-        for column, marker in sorted(meaning.found.items())
+        for column, marker in sorted(meaning.markers.items())
     )
     used = {marker.label for marker in markers}
     left_out = {
@@ -160,7 +160,7 @@ def match_layout(
 
 
 def match_layouts(
-    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "T M 3"]]],
+    captures: Sequence[tuple[Sequence[str], Float[np.ndarray, "_ _ 3"]]],
     layouts: Iterable[MarkerLayout] | None = None,
 ) -> tuple[LayoutMatch, ...]:
     """`match_layout` for several captures (labels, markers) of one person in one session, judged

@@ -61,7 +61,7 @@ def parse_moshpp(text: str, where: str, known: Sequence[MarkerLayout]) -> Marker
     unique = {label: (vertex, distance) for label, vertex, distance in reversed(entries)}
     labels = tuple(dict.fromkeys(label for label, _, _ in entries))
     check_count(len(labels), MAX_LABELS, f"markers in the layout file {where}")
-    places = interpreted(labels, known).found
+    places = interpreted(labels, known).markers
     markers = []
     for column, label in enumerate(labels):
         place = places.get(column, Marker(label))

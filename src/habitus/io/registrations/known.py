@@ -12,16 +12,16 @@ from habitus.errors import HabitusError
 from habitus.mesh.known import Known
 
 KEYS = ("pose", "poses", "trans", "betas", "rest")
-Told = Mapping[str, np.ndarray]
+KnownArrays = Mapping[str, np.ndarray]
 """The arrays of one path by `KEYS`: rows of registrations, and ``rest`` (S, V, 3) of its subjects
 as they appear. ``poses`` is AMASS' word for ``pose``.
 """
 
 
 def checked(
-    told: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str
-) -> Told:
-    """The arrays as numbers in the shapes that they should have; one person's betas may be told
+    arrays: Mapping[str, np.ndarray], subjects: Sequence[str], vertices: int, where: str
+) -> KnownArrays:
+    """The arrays as numbers in the shapes that they should have; one person's betas may be given
     once.
 
     Raises HabitusError where they have other shapes.
@@ -35,7 +35,7 @@ def checked(
         "rest": (people, vertices, 3),
     }
     found = {}
-    for key, array in told.items():
+    for key, array in arrays.items():
         key = "pose" if key == "poses" else key
         if key == "pose" and array.ndim == 2 and array.shape[-1] % 3 == 0:
             array = array.reshape(len(array), -1, 3)
@@ -56,27 +56,27 @@ def checked(
 
 
 def joined_known(
-    told: Sequence[Told], subjects: Sequence[Sequence[str]], factor: Float[np.ndarray, " N"]
+    paths: Sequence[KnownArrays], subjects: Sequence[Sequence[str]], factor: Float[np.ndarray, " N"]
 ) -> Known | None:
-    """What several paths tell, one after the other, in metres; None where none tells anything.
+    """What is known of several paths, one after the other, in metres; None where nothing is.
 
     ``factor`` takes the lengths of each registration to metres. Raises HabitusError where paths
     differ in how many joints or shape coefficients there are.
     """
-    if not any(told):
+    if not any(paths):
         return None
     counts = [len(words) for words in subjects]
     rows = {
-        key: _joined([one.get(key) for one in told], counts, key)
+        key: _joined([arrays.get(key) for arrays in paths], counts, key)
         for key in ("pose", "trans", "betas")
     }
     if rows["trans"] is not None:
         rows["trans"] = rows["trans"] * factor[:, None]
     rest = {}
     first = 0
-    for one, words in zip(told, subjects, strict=True):
-        for k, subject in enumerate(dict.fromkeys(words) if "rest" in one else ()):
-            rest[subject] = one["rest"][k] * factor[first + list(words).index(subject)]
+    for arrays, words in zip(paths, subjects, strict=True):
+        for k, subject in enumerate(dict.fromkeys(words) if "rest" in arrays else ()):
+            rest[subject] = arrays["rest"][k] * factor[first + list(words).index(subject)]
         first += len(words)
     return Known(**rows, rest=MappingProxyType(rest))
 

@@ -29,8 +29,8 @@ _FRAME = re.compile(r"(.*?)(?::|_(?=\d{3}))(\d+)")
 _STILL = "still_vertices"
 _NAMES = "joint_names"
 MOTION = "motion"
-"""The group of an HDF5 file that holds a group a sequence, with what is told of its motion."""
-Told = Mapping[str, Any]
+"""The group of an HDF5 file that holds a group a sequence, with what is known of its motion."""
+KnownArrays = Mapping[str, Any]
 
 
 def open_moving_surfaces(
@@ -57,9 +57,9 @@ def open_moving_surfaces(
 def _open(path: Path, rate_hz: float | None, unit: str) -> list[MovingSurface]:
     registrations = open_registrations(path, unit=unit)
     try:
-        told = _told_by(path)
+        known = _known_of(path)
         return [
-            _sequence(name, rows, registrations, told(name), rate_hz)
+            _sequence(name, rows, registrations, known(name), rate_hz)
             for name, rows in _runs(registrations)
         ]
     except HabitusError as error:
@@ -90,13 +90,17 @@ def _runs(registrations: Registrations) -> list[tuple[str, np.ndarray]]:
 
 
 def _sequence(
-    name: str, rows: np.ndarray, registrations: Registrations, told: Told, rate_hz: float | None
+    name: str,
+    rows: np.ndarray,
+    registrations: Registrations,
+    known: KnownArrays,
+    rate_hz: float | None,
 ) -> MovingSurface:
-    found = {key: told[key] for key in _NUMBERS if told.get(key) is not None}
-    own = told["rows"](rows)
+    found = {key: known[key] for key in _NUMBERS if known.get(key) is not None}
+    own = known["rows"](rows)
     for key in ("betas", "pose", "trans"):
         if key in found:
-            found[key] = _of_rows(key, np.asarray(found[key], np.float64), own, told["count"])
+            found[key] = _of_rows(key, np.asarray(found[key], np.float64), own, known["count"])
     if "trans" in found and isinstance(registrations.vertices, ScaledVertices):
         found["trans"] = found["trans"] * registrations.vertices.factor[rows][:, None]
     rate = rate_hz or (
@@ -115,8 +119,8 @@ def _sequence(
         betas=found.get("betas"),
         pose=found.get("pose"),
         trans=found.get("trans"),
-        still=_still(told, own, registrations.vertices, rows),
-        joint_names=told.get(_NAMES),
+        still=_still(known, own, registrations.vertices, rows),
+        joint_names=known.get(_NAMES),
         vertex_ids=None if ids is None else np.asarray(ids, np.int64).ravel(),
     )
 
@@ -143,24 +147,26 @@ def _of_rows(key: str, array: np.ndarray, rows: np.ndarray, count: int) -> np.nd
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """Surfaces at rest of the frames of a sequence: rows ``own`` of others, in metres by a factor a
+    """Surfaces at rest of the frames of a sequence: ``rows`` of others, in metres by a factor a
     frame.
     """
 
     source: Vertices
-    own: Int[np.ndarray, " T"]
+    rows: Int[np.ndarray, " T"]
     factor: Float[np.ndarray, " T"]
 
     @property
     def shape(self) -> tuple[int, ...]:
-        return (len(self.own), *self.source.shape[1:])
+        return (len(self.rows), *self.source.shape[1:])
 
     def __getitem__(self, frame: Any) -> np.ndarray:
-        return self.factor[frame] * np.asarray(self.source[int(self.own[frame])], np.float64)
+        return self.factor[frame] * np.asarray(self.source[int(self.rows[frame])], np.float64)
 
 
-def _still(told: Told, own: np.ndarray, beside: Vertices, rows: np.ndarray) -> _Still | None:
-    source = told.get(_STILL)
+def _still(
+    known: KnownArrays, own: np.ndarray, beside: Vertices, rows: np.ndarray
+) -> _Still | None:
+    source = known.get(_STILL)
     if source is None:
         return None
     if tuple(source.shape[1:]) != tuple(beside.shape[1:]) or own.max() >= source.shape[0]:
@@ -175,21 +181,21 @@ def _still(told: Told, own: np.ndarray, beside: Vertices, rows: np.ndarray) -> _
     )
 
 
-def _told_by(path: Path) -> Callable[[str], Told]:
+def _known_of(path: Path) -> Callable[[str], KnownArrays]:
     """What a file states about each of its sequences, by name."""
     if path.suffix in (".h5", ".hdf5"):
-        return lambda name: {**_told_by_h5(path, name), "rows": lambda rows: np.arange(len(rows))}
+        return lambda name: {**_known_in_h5(path, name), "rows": lambda rows: np.arange(len(rows))}
     if path.is_dir():
         zarr = (
             path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists()
         )
-        told = _told_by_zarr(path) if zarr else _told_by_folder(path)
+        known = _known_in_zarr(path) if zarr else _known_in_folder(path)
     else:
-        told = _told_by_npz(path)
-    return lambda name: {**told, "rows": lambda rows: rows}
+        known = _known_in_npz(path)
+    return lambda name: {**known, "rows": lambda rows: rows}
 
 
-def _told_by_npz(path: Path) -> dict[str, Any]:
+def _known_in_npz(path: Path) -> dict[str, Any]:
     with path.open("rb") as file:
         archive = NpzArchive(file)
         found: dict[str, Any] = {
@@ -202,7 +208,7 @@ def _told_by_npz(path: Path) -> dict[str, Any]:
         return _in_words(found) | {"count": archive.header("vertices").shape[0]}
 
 
-def _told_by_folder(path: Path) -> dict[str, Any]:
+def _known_in_folder(path: Path) -> dict[str, Any]:
     files = {_key(file.stem): file for file in sorted(path.glob("*.npy"))}
     found: dict[str, Any] = {
         key: read_npy(files[key]) for key in (*_NUMBERS, _NAMES) if key in files
@@ -213,7 +219,7 @@ def _told_by_folder(path: Path) -> dict[str, Any]:
     return _in_words(found) | {"count": rows}
 
 
-def _told_by_zarr(path: Path) -> dict[str, Any]:
+def _known_in_zarr(path: Path) -> dict[str, Any]:
     group = require_extra("zarr", "zarr folders").open_group(str(path), mode="r")
     allowance = Allowance(folder_bytes(path))
     names = [name for name in group if _key(name) in (*_NUMBERS, _NAMES)]
@@ -226,7 +232,7 @@ def _told_by_zarr(path: Path) -> dict[str, Any]:
     return _in_words(found) | {"count": group["vertices"].shape[0]}
 
 
-def _told_by_h5(path: Path, sequence: str) -> dict[str, Any]:
+def _known_in_h5(path: Path, sequence: str) -> dict[str, Any]:
     """Arrays of the group of a sequence; rate_hz, vertex_ids may stand in ``motion`` itself, for
     all.
     """

@@ -78,7 +78,7 @@ def open_registrations(
         verdict=words["verdict"] if any(words["verdict"]) else (),
         weights=_weights(sources),
         known=joined_known(
-            [source.told for source in sources],
+            [source.known for source in sources],
             [source.words["subject"] for source in sources],
             factor,
         ),

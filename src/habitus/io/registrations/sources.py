@@ -15,7 +15,7 @@ from habitus.io.archives import NpzArchive, checked_texts, read_npy, reason
 from habitus.io.limits import MAX_NAME_LENGTH, Allowance, folder_bytes
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.names import inside
-from habitus.io.registrations.known import KEYS, Told, checked
+from habitus.io.registrations.known import KEYS, KnownArrays, checked
 from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.table import known_word, read_table
 from habitus.io.registrations.vertex_files import (
@@ -40,10 +40,10 @@ _PEOPLE_OF = 10  # FAUST: ten registrations of each subject, one after the other
 @dataclass(frozen=True, eq=False)
 class Source:
     """What one path holds; ``words`` has one word a registration in each column, "" where it is not
-    told.
+    given.
 
-    ``weights`` of vertices are (V,) or (N, V), None where none are told; ``told`` is what is known
-    besides.
+    ``weights`` of vertices are (V,) or (N, V), None where none are given; ``known`` is what is
+    known besides.
     """
 
     path: Path
@@ -51,7 +51,7 @@ class Source:
     faces: Int[np.ndarray, "F 3"]
     words: Mapping[str, Sequence[str]]
     weights: Float[np.ndarray, "..."] | None = None
-    told: Told = field(default_factory=dict)
+    known: KnownArrays = field(default_factory=dict)
 
 
 def _reason(error: Exception) -> str:
@@ -178,11 +178,11 @@ def _open_zarr(path: Path) -> Source:
 
 def _parted(
     arrays: dict[str, np.ndarray],
-) -> tuple[np.ndarray, dict[str, list[str]], np.ndarray | None, Told]:
+) -> tuple[np.ndarray, dict[str, list[str]], np.ndarray | None, KnownArrays]:
     """Faces, words, weights, and what is known besides."""
     words = {key: _texts(array) for key, array in arrays.items() if key in WORDS}
-    told = {key: array for key, array in arrays.items() if key in KEYS}
-    return arrays["faces"], words, arrays.get("weights"), told
+    known = {key: array for key, array in arrays.items() if key in KEYS}
+    return arrays["faces"], words, arrays.get("weights"), known
 
 
 def _open_sequences(path: Path, every: int) -> Source:
@@ -249,7 +249,7 @@ def _source(
     faces: np.ndarray,
     words: Mapping[str, Sequence[str]],
     weights: np.ndarray | None = None,
-    told: Told | None = None,
+    arrays: KnownArrays | None = None,
 ) -> Source:
     """The words of a source filled up and in one spelling, its shapes checked."""
     shape = tuple(vertices.shape)
@@ -281,5 +281,5 @@ def _source(
         full[key] = [
             known_word(key, word, f"{path}: registration {k}") for k, word in enumerate(column)
         ]
-    known = checked(told or {}, full["subject"], shape[1], str(path))
+    known = checked(arrays or {}, full["subject"], shape[1], str(path))
     return Source(path, vertices, faces.astype(np.int64), full, weights, known)

@@ -33,16 +33,16 @@ class FileVertices:
     def _shape(self) -> tuple[int, int, int]:
         raise NotImplementedError
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         """The vertices (V, 3) of registration ``k``."""
         raise NotImplementedError
 
     def __getitem__(self, rows: Any) -> np.ndarray:
         chosen = np.arange(self.shape[0])[rows]
         if chosen.ndim == 0:
-            return self._one(int(chosen))
+            return self._read(int(chosen))
         return (
-            np.stack([self._one(int(k)) for k in chosen])
+            np.stack([self._read(int(k)) for k in chosen])
             if len(chosen)
             else np.zeros((0, *self.shape[1:]))
         )
@@ -90,7 +90,7 @@ class MappedVertices(FileVertices):
             ) from error
         return mapped.transpose(self.axes)
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         return np.asarray(self._array[k])
 
 
@@ -105,7 +105,7 @@ class MeshVertices(FileVertices):
     def _shape(self) -> tuple[int, int, int]:
         return len(self.paths), self.vertices, 3
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         vertices, faces = read_mesh(self.paths[k])
         if len(vertices) != self.vertices:
             raise HabitusError(
@@ -156,7 +156,7 @@ class SequenceVertices(FileVertices):
             )
         return found
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         sequence, frame = self.frames[k].tolist()
         mapped = self._mapped[sequence]
         if mapped is not None:
@@ -184,7 +184,7 @@ class ZarrVertices(FileVertices):
     def _shape(self) -> tuple[int, int, int]:
         return tuple(self._array.shape)
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         try:
             return np.asarray(self._array[k])
         except Exception as error:  # a damaged chunk may raise anything
@@ -204,7 +204,7 @@ class ScaledVertices(FileVertices):
         n, v, three = self.source.shape
         return n, v, three
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         return np.asarray(self.source[k], dtype=np.float64) * self.factor[k]
 
 
@@ -222,7 +222,7 @@ class JoinedVertices(FileVertices):
         """Where each source ends."""
         return np.cumsum([source.shape[0] for source in self.sources])
 
-    def _one(self, k: int) -> np.ndarray:
+    def _read(self, k: int) -> np.ndarray:
         place = int(np.searchsorted(self.ends, k, side="right"))
         return np.asarray(self.sources[place][k - (int(self.ends[place - 1]) if place else 0)])
 

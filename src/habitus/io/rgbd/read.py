@@ -28,7 +28,7 @@ MILLIMETRE = 0.001
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Description:
     """A description and the cameras in it."""
 
     path: Path
@@ -75,7 +75,7 @@ def _read_views(
     paths = files.descriptions if cameras is None else (Path(cameras),)
     shape = read_depth(chosen[0].depth, 1.0).shape
     rig = _rig(
-        [_Told(path, read_description(path)) for path in paths], (shape[1], shape[0]), source
+        [_Description(path, read_description(path)) for path in paths], (shape[1], shape[0]), source
     )
     notes += rig.notes
     metres = next(
@@ -115,18 +115,18 @@ def _chosen(
     return [found[k] for k in wanted]
 
 
-def _rig(told: list[_Told], size: tuple[int, int], source: Path) -> Rig:
+def _rig(descriptions: list[_Description], size: tuple[int, int], source: Path) -> Rig:
     """The cameras out of all descriptions: one file for both, or one each."""
     apart = {"depth": DEPTH, "colour": COLOUR}
     named = {
-        kind: [one for one in told if any(w in one.path.stem.lower() for w in w_)]
+        kind: [one for one in descriptions if any(w in one.path.stem.lower() for w in w_)]
         for kind, w_ in apart.items()
     }
     if named["depth"] and named["colour"] and named["depth"][0] is not named["colour"][0]:
-        return _of_two(named["depth"][0], named["colour"][0], told, size)
+        return _of_two(named["depth"][0], named["colour"][0], descriptions, size)
     problems = []
     notes = ()
-    for one in told:
+    for one in descriptions:
         try:
             rig = read_rig(one.table, str(one.path), size)
         except HabitusError as error:
@@ -146,14 +146,19 @@ def _rig(told: list[_Told], size: tuple[int, int], source: Path) -> Rig:
     )
 
 
-def _of_two(depth: _Told, colour: _Told, told: list[_Told], size: tuple[int, int]) -> Rig:
+def _of_two(
+    depth: _Description,
+    colour: _Description,
+    descriptions: list[_Description],
+    size: tuple[int, int],
+) -> Rig:
     one = read_rig(depth.table, str(depth.path), size)
     other = read_rig(colour.table, str(colour.path), size)
     assert one.depth is not None or one.colour is not None
     camera = other.colour or other.depth
     notes = (*one.notes, *other.notes)
-    metres = one.metres or next((r for each in told if (r := _metres(each, size))), None)
-    for each in told:
+    metres = one.metres or next((r for each in descriptions if (r := _metres(each, size))), None)
+    for each in descriptions:
         if camera is not None:
             moved, more = placed(camera, each.table, str(each.path))
             camera = moved
@@ -161,7 +166,7 @@ def _of_two(depth: _Told, colour: _Told, told: list[_Told], size: tuple[int, int
     return Rig(one.depth or one.colour, camera, metres, notes)
 
 
-def _metres(one: _Told, size: tuple[int, int]) -> float | None:
+def _metres(one: _Description, size: tuple[int, int]) -> float | None:
     try:
         return read_rig(one.table, str(one.path), size).metres
     except HabitusError:

@@ -32,11 +32,11 @@ def write_views(capture: RgbdCapture, folder: PathLike, unit: float = 0.001) -> 
             _write(partial / "background" / "depth.png", _steps(first.background, unit))
         if first.background_colour is not None:
             _write(partial / "background" / "color.png", first.background_colour)
-        table: dict[str, Any] = {"depth_scale": unit, "depth": _told(first.camera)}
+        table: dict[str, Any] = {"depth_scale": unit, "depth": _intrinsics(first.camera)}
         if first.colour_camera is not None:
             turn = np.asarray(matrix_from_rotvec(first.colour_camera.rotation))
             shift = first.colour_camera.translation.tolist()
-            table["color"] = _told(first.colour_camera)
+            table["color"] = _intrinsics(first.colour_camera)
             table["depth_to_color"] = {"rotation": turn.tolist(), "translation": shift}
         write_text(partial / "cameras.json", json.dumps(table, indent=1) + "\n")
 
@@ -53,7 +53,7 @@ def _write(path: Path, image: np.ndarray) -> None:
     Image.fromarray(image).save(path)
 
 
-def _told(camera: Camera) -> dict[str, Any]:
+def _intrinsics(camera: Camera) -> dict[str, Any]:
     (fx, fy), (cx, cy) = camera.focal_length.tolist(), camera.principal_point.tolist()
     found = {
         "width": camera.width,

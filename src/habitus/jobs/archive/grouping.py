@@ -111,19 +111,19 @@ person).
 
 
 def grouped_by_subject(
-    worn: Iterable[tuple[str, str, MarkerSet]], table: SubjectsTable | None, top: str
+    captures: Iterable[tuple[str, str, MarkerSet]], table: SubjectsTable | None, top: str
 ) -> dict[Key, str]:
     """The subject of each capture, given in the order of their paths; ``top`` is what the folder of
     all is called.
 
     A table's subject is one wherever the captures lie; else those of one folder that name one
     subject are. Of either, captures whose markers sit elsewhere are parted, as "ann (2)": one shape
-    stage places each marker once. Where what was worn cannot tell, a table is believed, and a
+    stage places each marker once. Where marker sets cannot tell, a table is believed, and a
     folder is not.
     """
     heads: dict[str, list[MarkerSet]] = defaultdict(list)
     subjects: dict[Key, str] = {}
-    for path, person, seen in worn:
+    for path, person, seen in captures:
         given = table.subject(Path(path)) if table is not None and not person else None
         name = given or _folder_name(path, seen.subject, top)
         kin = heads[name]

@@ -207,14 +207,14 @@ class Look:
 
 @dataclass(frozen=True)
 class Seen:
-    """Somebody in a file: the file's name for them, how much there is of them, and what they
-    wore.
+    """Somebody in a file: the file's name for them, how much there is of them, and their marker
+    set.
     """
 
     subject: str | None
     frames: int
     rate_hz: float
-    worn: MarkerSet
+    markers: MarkerSet
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ class Manifest:
                 f"DELETE FROM captures WHERE path = ? AND person NOT IN ({kept})", (path, *names)
             )
             for name, folder, seen in zip(names, folders, content.people, strict=True):
-                row = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.worn))
+                row = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.markers))
                 self._db.execute(
                     "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, "
                     "subject, state, key) "
@@ -105,8 +105,8 @@ class Manifest:
 
     # -- captures ----------------------------------------------------------------------------------
 
-    def worn(self) -> Iterator[tuple[str, str, MarkerSet]]:
-        """Path, person and what they wore of every capture, in the order of their paths."""
+    def marker_sets(self) -> Iterator[tuple[str, str, MarkerSet]]:
+        """Path, person and marker set of every capture, in the order of their paths."""
         rows = self._db.execute(
             "SELECT path, person, said, worn FROM captures ORDER BY path, person"
         )
@@ -310,9 +310,9 @@ def _names(people: Sequence[Seen]) -> list[str]:
     return [""] if len(people) == 1 else [person.subject or "" for person in people]
 
 
-def _packed(worn: MarkerSet) -> bytes:
-    upper = worn.rigid[np.triu_indices(len(worn.labels), 1)].astype(np.float32)
-    return zlib.compress(json.dumps(worn.labels).encode() + b"\0" + upper.tobytes())
+def _packed(markers: MarkerSet) -> bytes:
+    upper = markers.rigid[np.triu_indices(len(markers.labels), 1)].astype(np.float32)
+    return zlib.compress(json.dumps(markers.labels).encode() + b"\0" + upper.tobytes())
 
 
 def _unpacked(subject: str | None, packed: bytes) -> MarkerSet:

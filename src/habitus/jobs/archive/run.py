@@ -334,7 +334,7 @@ class _Run:
     def group(self, table: SubjectsTable | None) -> None:
         """Tell whose each capture is."""
         self.manifest.group(
-            grouped_by_subject(self.manifest.worn(), table, file_name(self.top.name))
+            grouped_by_subject(self.manifest.marker_sets(), table, file_name(self.top.name))
         )
 
     def _done(self, take: Callable[[], Any]) -> Iterator[tuple[Any, Any]]:

@@ -87,7 +87,7 @@ class _Sketch:
     """
 
     directions: Float[np.ndarray, "k M"]
-    coefficients: list[Float[np.ndarray, "n k"]]
+    coefficients: list[Float[np.ndarray, "_ k"]]
     energy: float = 0.0
 
     def add(self, rows: Float[np.ndarray, "n M"]) -> None:
@@ -113,7 +113,7 @@ class _Sketch:
 
 
 def principal_components(
-    blocks: Iterable[Float[np.ndarray, "n M"]],
+    blocks: Iterable[Float[np.ndarray, "_ M"]],
     count: int,
     rank: int,
     group: Int[np.ndarray, " T"] | None = None,

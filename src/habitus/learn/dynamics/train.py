@@ -33,7 +33,7 @@ class LearnedDynamics:
     body: BodyModel
     shares: Float[np.ndarray, " D"]
     choices: tuple[Choice, ...]
-    coefficients: tuple[Float[np.ndarray, "T D"], ...]
+    coefficients: tuple[Float[np.ndarray, "_ D"], ...]
 
     @property
     def modes(self) -> Float[np.ndarray, "M 2"]:

@@ -239,14 +239,14 @@ def check_known(problem: Problem, body: BodyModel | None) -> None:
 
 def known_poses(problem: Problem) -> Bool[np.ndarray, " N"]:
     """The registrations whose poses are known and are to be started from."""
-    return _known(problem).told("pose", len(problem.registrations))
+    return _known(problem).known_rows("pose", len(problem.registrations))
 
 
 def known_people(problem: Problem) -> Bool[np.ndarray, " S"]:
     """The subjects whose rest surfaces are known and are to be started from."""
     data = problem.registrations
     known = _known(problem)
-    by_betas = known.told("betas", len(data))[_first_rows(problem)]
+    by_betas = known.known_rows("betas", len(data))[_first_rows(problem)]
     return np.array([subject in known.rest for subject in data.subjects], bool) | by_betas
 
 
@@ -280,7 +280,7 @@ def _known_fits(shared: tuple[Problem, Rig, list[RestPerson]], rows: np.ndarray)
     known = _known(problem)
     data = problem.registrations
     fits = []
-    places = known.told("trans", len(data))
+    places = known.known_rows("trans", len(data))
     assert known.pose is not None
     for row in rows:
         pose = known.pose[row]

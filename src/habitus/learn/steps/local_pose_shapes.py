@@ -295,8 +295,8 @@ def _normal_equations(
     features: Float[np.ndarray, "N G"],
     square: Float[np.ndarray, "N m 6"],
     right: Float[np.ndarray, "N m 3"],
-) -> tuple[Float[np.ndarray, "m 3G 3G"], Float[np.ndarray, "m 3G"]]:
-    """Of each vertex: sums over registrations of A'A (x) f f' and of A'y (x) f."""
+) -> tuple[Float[np.ndarray, "m R R"], Float[np.ndarray, "m R"]]:
+    """Of each vertex (R = 3 G): sums over registrations of A'A (x) f f' and of A'y (x) f."""
     count = square.shape[1]
     size = features.shape[1]
     row, two = np.triu_indices(size)

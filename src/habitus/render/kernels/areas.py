@@ -225,13 +225,13 @@ def _clip_to_square(lines, room, n):
         best = lines[k, 2] + max(lines[k, 0], 0.0) + max(lines[k, 1], 0.0)
         if best <= 0.0:
             return 0
-    polygon = room.one
+    polygon = room.first
     size = 4
     polygon[0, 0], polygon[0, 1], polygon[1, 0], polygon[1, 1] = 0.0, 0.0, 1.0, 0.0
     polygon[2, 0], polygon[2, 1], polygon[3, 0], polygon[3, 1] = 1.0, 1.0, 0.0, 1.0
-    size = clip(polygon, size, lines[0, 0], lines[0, 1], lines[0, 2], room.two)
-    size = clip(room.two, size, lines[1, 0], lines[1, 1], lines[1, 2], room.one)
-    return clip(room.one, size, lines[2, 0], lines[2, 1], lines[2, 2], room.polygon[n])
+    size = clip(polygon, size, lines[0, 0], lines[0, 1], lines[0, 2], room.second)
+    size = clip(room.second, size, lines[1, 0], lines[1, 1], lines[1, 2], room.first)
+    return clip(room.first, size, lines[2, 0], lines[2, 1], lines[2, 2], room.polygon[n])
 
 
 @jit_inline
@@ -275,13 +275,13 @@ def _apart(room, own, n):
 def _crosses(room, own, n, a, b, c):
     """Whether, where two faces overlap, now one and now the other is nearer."""
     size = room.corners[own]
-    copy(room.polygon[own], size, room.one)
+    copy(room.polygon[own], size, room.first)
     for k in range(3):
         line = room.lines[n, k]
-        size = clip(room.one, size, line[0], line[1], line[2], room.two)
-        copy(room.two, size, room.one)
-    nearer = area_of(room.two, clip(room.one, size, a, b, c, room.two))
-    return nearer > 1e-6 and area_of(room.one, size) - nearer > 1e-6
+        size = clip(room.first, size, line[0], line[1], line[2], room.second)
+        copy(room.second, size, room.first)
+    nearer = area_of(room.second, clip(room.first, size, a, b, c, room.second))
+    return nearer > 1e-6 and area_of(room.first, size) - nearer > 1e-6
 
 
 @jit_inline
@@ -293,28 +293,28 @@ def _cut_away(room, count, lines, a, b, c):
     meets = False
     while piece < count:
         size = room.sizes[piece]
-        copy(room.pieces[piece], size, room.one)
+        copy(room.pieces[piece], size, room.first)
         for k in range(4):
             la, lb, lc = (a, b, c) if k == 3 else (lines[k, 0], lines[k, 1], lines[k, 2])
-            size = clip(room.one, size, la, lb, lc, room.two)
-            copy(room.two, size, room.one)
-        if area_of(room.one, size) <= EMPTY or count + 4 > PIECES:
+            size = clip(room.first, size, la, lb, lc, room.second)
+            copy(room.second, size, room.first)
+        if area_of(room.first, size) <= EMPTY or count + 4 > PIECES:
             piece += 1
             continue
         size = room.sizes[piece]
         meets = True
-        copy(room.pieces[piece], size, room.one)
+        copy(room.pieces[piece], size, room.first)
         count -= 1
         copy(room.pieces[count], room.sizes[count], room.pieces[piece])
         room.sizes[piece] = room.sizes[count]
         for k in range(4):
             la, lb, lc = (a, b, c) if k == 3 else (lines[k, 0], lines[k, 1], lines[k, 2])
-            outside = clip(room.one, size, -la, -lb, -lc, room.pieces[count])
+            outside = clip(room.first, size, -la, -lb, -lc, room.pieces[count])
             if area_of(room.pieces[count], outside) > EMPTY:
                 room.sizes[count] = outside
                 count += 1
-            size = clip(room.one, size, la, lb, lc, room.two)
-            copy(room.two, size, room.one)
+            size = clip(room.first, size, la, lb, lc, room.second)
+            copy(room.second, size, room.first)
     return count, meets
 
 

@@ -139,5 +139,5 @@ class AreaRoom(NamedTuple):
     polygon: Float[np.ndarray, "N M 2"]
     pieces: Float[np.ndarray, "P M 2"]
     sizes: Int[np.ndarray, " P"]
-    one: Float[np.ndarray, "M 2"]
-    two: Float[np.ndarray, "M 2"]
+    first: Float[np.ndarray, "M 2"]
+    second: Float[np.ndarray, "M 2"]

@@ -16,12 +16,12 @@ import numpy as np
 Stops = tuple[dict[str, tuple[float, float, float]], ...]
 
 
-def _one(joint: str, *stops: tuple[float, float, float]) -> Stops:
+def _bends(joint: str, *stops: tuple[float, float, float]) -> Stops:
     return tuple({joint: stop} for stop in stops)
 
 
 ARM: dict[str, Stops] = {
-    "elbow": _one("elbow", (0, -40, 0), (0, -75, 0), (0, -105, 0), (0, -125, 0), (0, -140, 0)),
+    "elbow": _bends("elbow", (0, -40, 0), (0, -75, 0), (0, -105, 0), (0, -125, 0), (0, -140, 0)),
     "arm_down": tuple(
         {"shoulder": (0, 0, z), "collar": (0, 0, c)}
         for z, c in ((-25, 0), (-50, -3), (-70, -8), (-80, -8))
@@ -39,7 +39,7 @@ ARM: dict[str, Stops] = {
         {"shoulder": (0, 40, -30), "collar": (0, 8, 0)},
         {"shoulder": (0, 35, -60), "collar": (0, 8, -5)},
     ),
-    "arm_twist": _one(
+    "arm_twist": _bends(
         "shoulder", (35, 0, 0), (70, 0, 0), (30, 0, -60), (-35, 0, -60), (-60, 0, 0), (-85, 0, 0)
     ),
     "arm_front_up": (
@@ -52,13 +52,13 @@ ARM: dict[str, Stops] = {
         {"shoulder": (-40, 0, -75), "elbow": (0, -100, 0)},
         {"shoulder": (45, -10, -70), "elbow": (0, -130, 0)},
     ),
-    "wrist_twist": _one(
+    "wrist_twist": _bends(
         "wrist", (45, 0, 0), (75, 0, 0), (92, 0, 0), (-40, 0, 0), (-70, 0, 0), (-90, 0, 0)
     ),
-    "wrist": _one(
+    "wrist": _bends(
         "wrist", (0, 0, -40), (0, 0, -70), (0, 25, 0), (0, -30, 0), (0, 0, 40), (0, 0, 65)
     ),
-    "collar": _one("collar", (0, 0, 14), (0, 0, 28), (0, -20, 0), (0, 18, 0), (0, 0, -10)),
+    "collar": _bends("collar", (0, 0, 14), (0, 0, 28), (0, -20, 0), (0, 18, 0), (0, 0, -10)),
     "behind_head": (
         {"shoulder": (0, 0, 30), "elbow": (0, -60, 0), "collar": (0, 0, 10)},
         {"shoulder": (-40, 10, 45), "elbow": (0, -125, 0), "collar": (0, 0, 20)},
@@ -75,7 +75,7 @@ ARM: dict[str, Stops] = {
     ),
 }
 LEG: dict[str, Stops] = {
-    "knee": _one("knee", (40, 0, 0), (75, 0, 0), (105, 0, 0), (125, 0, 0), (140, 0, 0)),
+    "knee": _bends("knee", (40, 0, 0), (75, 0, 0), (105, 0, 0), (125, 0, 0), (140, 0, 0)),
     "hip": (
         {"hip": (-30, 0, 0)},
         {"hip": (-60, 0, 0)},
@@ -94,10 +94,10 @@ LEG: dict[str, Stops] = {
         {"hip": (22, 0, 0), "knee": (50, 0, 0)},
         {"hip": (15, 0, 8), "knee": (100, 0, 0)},
     ),
-    "hip_twist": _one(
+    "hip_twist": _bends(
         "hip", (0, 25, 5), (0, 42, 8), (-60, 30, 15), (-60, -25, 5), (0, -25, 2), (0, -38, 4)
     ),
-    "ankle": _one(
+    "ankle": _bends(
         "ankle", (22, 0, 0), (45, 0, 0), (15, 0, 18), (10, 0, -18), (-12, 0, 0), (-24, 0, 0)
     ),
     "toes": (
@@ -134,9 +134,9 @@ TRUNK: dict[str, Stops] = {
     "extended": _spine(*(((-a, 0, 0), (-0.9 * a, 0, 0), (-0.6 * a, 0, 0)) for a in (8, 16))),
     "aside": _spine(*(((0, 0, a), (0, 0, a), (0, 0, 0.7 * a)) for a in (9, 18))),
     "twisted": _spine(*(((0, 0.7 * a, 0), (0, a, 0), (0, a, 0)) for a in (10, 20))),
-    "low": _one("spine1", (20, 0, 0), (32, 0, 0), (0, 20, 0), (0, 0, 18), (-14, 0, 0)),
-    "middle": _one("spine2", (18, 0, 0), (28, 0, 0), (0, 22, 0), (0, 0, 18), (-14, 0, 0)),
-    "high": _one("spine3", (16, 0, 0), (24, 0, 0), (0, 22, 0), (0, 0, 15), (-12, 0, 0)),
+    "low": _bends("spine1", (20, 0, 0), (32, 0, 0), (0, 20, 0), (0, 0, 18), (-14, 0, 0)),
+    "middle": _bends("spine2", (18, 0, 0), (28, 0, 0), (0, 22, 0), (0, 0, 18), (-14, 0, 0)),
+    "high": _bends("spine3", (16, 0, 0), (24, 0, 0), (0, 22, 0), (0, 0, 15), (-12, 0, 0)),
     "turned_down": _spine(
         ((12, 8, 0), (12, 12, 4), (10, 12, 4)),
         ((18, 14, 6), (18, 18, 8), (15, 18, 6)),
@@ -147,8 +147,8 @@ NECK: dict[str, Stops] = {
     "extended": tuple({"neck": (-a, 0, 0), "head": (-0.8 * a, 0, 0)} for a in (15, 28)),
     "aside": tuple({"neck": (0, 0, a), "head": (0, 0, 0.5 * a)} for a in (14, 28)),
     "turned": tuple({"neck": (0, a, 0), "head": (0, 0.8 * a, 0)} for a in (18, 38)),
-    "neck": _one("neck", (30, 0, 0), (0, 40, 0), (0, 0, 28), (-25, 0, 0)),
-    "head": _one("head", (22, 0, 0), (0, 35, 0), (0, 0, 20), (-22, 0, 0)),
+    "neck": _bends("neck", (30, 0, 0), (0, 40, 0), (0, 0, 28), (-25, 0, 0)),
+    "head": _bends("head", (22, 0, 0), (0, 35, 0), (0, 0, 20), (-22, 0, 0)),
 }
 LANES = ("left_arm", "right_arm", "left_leg", "right_leg", "trunk", "neck")
 MIDDLE = ("spine1", "spine2", "spine3", "neck", "head", "pelvis", "jaw")
