@@ -351,6 +351,7 @@ class Worker:
             ["--record", str(out), "--record-of", *folders, "--", *tests], 3600.0
         )
         if result != "survived":
+            out.unlink(missing_ok=True)  # it holds the tests before the failure only
             sys.exit(f"the tests fail as they are, {test}: mend that first")
 
     def run(self, arguments: list[str], timeout: float) -> tuple[str, str]:
