@@ -24,7 +24,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -42,19 +42,24 @@ from habitus.fit.points.skin_offsets import (
     skin_planes_term,
     skin_prior,
 )
-from habitus.fit.sensors import ScanData, SensorData, ViewData
+from habitus.fit.sensors import SensorData
 from habitus.fit.starts import (
     MarkerStart,
+    ScanPoints,
     ScanStart,
+    ViewPixels,
     ViewStart,
     most_markers,
+    own_scans,
+    own_views,
+    shared_scans,
+    shared_views,
     start_markers,
     start_scans,
     start_views,
 )
 from habitus.fit.verdict import Verdict
 from habitus.kernels.threads import one_blas_thread
-from habitus.mesh.normals import vertex_normals
 from habitus.mesh.proximity import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import LatentMarkers, attach
@@ -67,30 +72,6 @@ from habitus.solve.terms import Term, geman_mcclure_weight
 from habitus.types import Progress
 
 Values = Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True, eq=False)
-class ViewPixels:
-    """A view, the person's pixels, sd of depth over its square (1 / m), and the pose (row of the
-    state) it shows.
-    """
-
-    data: ViewData
-    mask: Bool[np.ndarray, "H W"]
-    noise: float
-    row: int
-
-
-@dataclass(frozen=True, eq=False)
-class ScanPoints:
-    """Some points of a scan (m) and their normals, their noise (m), and the pose (row of the state)
-    they show.
-    """
-
-    points: Float[np.ndarray, "P 3"]
-    normals: Float[np.ndarray, "P 3"] | None
-    noise: float
-    row: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,10 +182,10 @@ def start(
         solver=PointSolver.of(body),
         poses=_pose_names(markers, views, scans, len(data.captures)),
         markers=markers,
-        views=(*_own_views(views, frames, settings), *_shared_views(data, markers, settings)),
+        views=(*own_views(views, frames, settings), *shared_views(data, markers, settings)),
         scans=(
-            *_own_scans(data, scans, frames + own, settings),
-            *_shared_scans(data, markers, settings),
+            *own_scans(data, scans, frames + own, settings),
+            *shared_scans(data, markers, settings),
         ),
         field=SkinField.of(body, settings.depth) if surfaces and settings.skin_steps else None,
     )
@@ -224,80 +205,6 @@ def _pose_names(
 def pose_name(capture: int, frame: int, captures: int) -> str:
     """The name of a capture's frame among the poses of a fit."""
     return f"frame {frame}" if captures == 1 else f"capture {capture} frame {frame}"
-
-
-def _own_views(
-    start: ViewStart | None, first: int, settings: FitSettings
-) -> tuple[ViewPixels, ...]:
-    if start is None:
-        return ()
-    return tuple(
-        ViewPixels(data, mask, _view_noise(data, noise, settings), first + k)
-        for k, (data, mask, noise) in enumerate(
-            zip(start.views, start.masks, start.noise, strict=True)
-        )
-    )
-
-
-def _shared_views(
-    data: SensorData, markers: MarkerStart | None, settings: FitSettings
-) -> tuple[ViewPixels, ...]:
-    """Views of captures' frames, which start from the markers' poses."""
-    views = [each for each in data.views if each.at is not None]
-    if markers is None or not views:
-        return ()
-    from habitus.fit.points.prepared_views import segment  # needs PyTorch, as views do
-
-    found = [segment(each.view) for each in views]
-    return tuple(
-        ViewPixels(each, part.mask, _view_noise(each, part.noise, settings), _row(markers, each))
-        for each, part in zip(views, found, strict=True)
-    )
-
-
-def _view_noise(data: ViewData, measured: float | None, settings: FitSettings) -> float:
-    """What is given, else what the view's empty room shows, else the recipe's."""
-    known = [noise for noise in (data.noise, measured) if noise is not None]
-    return known[0] if known else settings.depth.noise
-
-
-def _own_scans(
-    data: SensorData, start: ScanStart | None, first: int, settings: FitSettings
-) -> tuple[ScanPoints, ...]:
-    if start is None:
-        return ()
-    last = settings.scans.stages[-1]
-    own = [each for each in data.scans if each.at is None]
-    clouds = [fit.cloud.first(last.points) for fit in start.fits]
-    return tuple(
-        ScanPoints(cloud.points, cloud.normals, each.noise or last.noise, first + k)
-        for k, (each, cloud) in enumerate(zip(own, clouds, strict=True))
-    )
-
-
-def _shared_scans(
-    data: SensorData, markers: MarkerStart | None, settings: FitSettings
-) -> tuple[ScanPoints, ...]:
-    """Scans of captures' frames: some points, and their normals where any point outward."""
-    last = settings.scans.stages[-1]
-    found = []
-    for each in data.scans:
-        if each.at is None or markers is None:
-            continue
-        scan = each.scan
-        normals = scan.normals if scan.oriented else None
-        if normals is None and scan.faces is not None:
-            normals = vertex_normals(scan.points, scan.faces)
-        some = np.random.default_rng(settings.seed).permutation(len(scan.points))[: last.points]
-        chosen = None if normals is None else np.asarray(normals)[some]
-        noise = each.noise or last.noise
-        found.append(ScanPoints(scan.points[some], chosen, noise, _row(markers, each)))
-    return tuple(found)
-
-
-def _row(markers: MarkerStart, data: ViewData | ScanData) -> int:
-    assert data.at is not None
-    return markers.frames.index(data.at)
 
 
 # ---- all sensors together ------------------------------------------------------------------------
@@ -344,6 +251,10 @@ def joint_terms(
         **_markers_and_priors(problem, state, stage),
         **_surface_terms(problem, stage),
     }
+    return _joined(terms, more)
+
+
+def _joined(terms: dict[str, Term], more: Mapping[str, Term]) -> dict[str, Term]:
     for name in more:
         if name in terms:
             raise HabitusError(f"your term {name!r} is named as one of the fit is; rename it")
@@ -364,8 +275,7 @@ def skin_terms(problem: Problem, state: Values, more: Mapping[str, Term]) -> dic
         model = np.asarray(problem.body(*here).vertices)
         return model, along_normals(model, outer[sensor], problem.body)
 
-    def planes(row: int, term: Depth | Points, sensor: str) -> Term:
-        model, seen = surfaces(row, sensor)
+    def planes(row: int, term: Depth | Points, model: np.ndarray, seen: np.ndarray) -> Term:
         points = term.matched(seen).points
         held = SkinPlanes.of(field, whole, row, state["skin"], points, model, seen)
         return skin_planes_term(problem.body, [held], field.count)
@@ -377,15 +287,14 @@ def skin_terms(problem: Problem, state: Values, more: Mapping[str, Term]) -> dic
         outline = moved_back(
             _silhouette(problem, each, stage).matched(seen).points, model, seen, problem.body
         )
-        terms[f"depth {k}"] = planes(each.row, across, "view")
+        terms[f"depth {k}"] = planes(each.row, across, model, seen)
         terms[f"silhouette {k}"] = points_term(
             problem.solver, [outline if n == each.row else None for n in range(len(whole.pose))]
         )
     for k, scan in enumerate(problem.scans):
-        terms[f"scan {k}"] = planes(
-            scan.row, replace(_points(problem, scan, stage), slide=0.0), "scan"
-        )
-    return {**terms, **more}
+        exact = replace(_points(problem, scan, stage), slide=0.0)
+        terms[f"scan {k}"] = planes(scan.row, exact, *surfaces(scan.row, "scan"))
+    return _joined(terms, more)
 
 
 def _markers_and_priors(problem: Problem, state: Values, stage: JointStage) -> dict[str, Term]:
@@ -495,8 +404,8 @@ def residuals(
     for k, each in enumerate(problem.views):
         depth = Depth(problem.solver, each.data.view.camera, each.data.view.depth, each.mask)
         found[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets, offset)
-    for k, each in enumerate(problem.scans):
-        found[f"scan {k}"] = distances_to(body, whole[each.row], each.points, offset)
+    for k, scan in enumerate(problem.scans):
+        found[f"scan {k}"] = distances_to(body, whole[scan.row], scan.points, offset)
     return found
 
 

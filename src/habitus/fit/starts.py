@@ -28,8 +28,9 @@ from habitus.fit.markers.start import start_frames, trunk_weights
 from habitus.fit.markers.suspects import exchange
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
-from habitus.fit.sensors import FrameOf, SensorData, ViewData
+from habitus.fit.sensors import FrameOf, ScanData, SensorData, ViewData
 from habitus.markers.layouts import MarkerLayout
+from habitus.mesh.normals import vertex_normals
 from habitus.observe.markers import attach, default_markers
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
@@ -191,3 +192,101 @@ def into_frame(
     root = np.asarray(body.rest_joints(state.betas))[0]
     pose[0] = rotvec_from_matrix(turn.T @ matrix_from_rotvec(pose[0]))
     return pose, turn.T @ (root + trans - shift) - root
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPixels:
+    """A view, the person's pixels, sd of depth over its square (1 / m), and the pose (row of the
+    state) it shows.
+    """
+
+    data: ViewData
+    mask: Bool[np.ndarray, "H W"]
+    noise: float
+    row: int
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoints:
+    """Some points of a scan (m) and their normals, their noise (m), and the pose (row of the state)
+    they show.
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    normals: Float[np.ndarray, "P 3"] | None
+    noise: float
+    row: int
+
+
+def own_views(start: ViewStart | None, first: int, settings: FitSettings) -> tuple[ViewPixels, ...]:
+    """Views with poses of their own, the rows of the state from ``first`` on."""
+    if start is None:
+        return ()
+    return tuple(
+        ViewPixels(data, mask, _view_noise(data, noise, settings), first + k)
+        for k, (data, mask, noise) in enumerate(
+            zip(start.views, start.masks, start.noise, strict=True)
+        )
+    )
+
+
+def shared_views(
+    data: SensorData, markers: MarkerStart | None, settings: FitSettings
+) -> tuple[ViewPixels, ...]:
+    """Views of captures' frames, which start from the markers' poses."""
+    views = [each for each in data.views if each.at is not None]
+    if markers is None or not views:
+        return ()
+    from habitus.fit.points.prepared_views import segment  # needs PyTorch, as views do
+
+    found = [segment(each.view) for each in views]
+    return tuple(
+        ViewPixels(each, part.mask, _view_noise(each, part.noise, settings), _row(markers, each))
+        for each, part in zip(views, found, strict=True)
+    )
+
+
+def _view_noise(data: ViewData, measured: float | None, settings: FitSettings) -> float:
+    """What is given, else what the view's empty room shows, else the recipe's."""
+    known = [noise for noise in (data.noise, measured) if noise is not None]
+    return known[0] if known else settings.depth.noise
+
+
+def own_scans(
+    data: SensorData, start: ScanStart | None, first: int, settings: FitSettings
+) -> tuple[ScanPoints, ...]:
+    """Scans with poses of their own, the rows of the state from ``first`` on."""
+    if start is None:
+        return ()
+    last = settings.scans.stages[-1]
+    own = [each for each in data.scans if each.at is None]
+    clouds = [fit.cloud.first(last.points) for fit in start.fits]
+    return tuple(
+        ScanPoints(cloud.points, cloud.normals, each.noise or last.noise, first + k)
+        for k, (each, cloud) in enumerate(zip(own, clouds, strict=True))
+    )
+
+
+def shared_scans(
+    data: SensorData, markers: MarkerStart | None, settings: FitSettings
+) -> tuple[ScanPoints, ...]:
+    """Scans of captures' frames: some points, and their normals where any point outward."""
+    last = settings.scans.stages[-1]
+    found = []
+    for each in data.scans:
+        if each.at is None or markers is None:
+            continue
+        scan = each.scan
+        normals = scan.normals if scan.oriented else None
+        if normals is None and scan.faces is not None:
+            normals = vertex_normals(scan.points, scan.faces)
+        some = np.random.default_rng(settings.seed).permutation(len(scan.points))[: last.points]
+        chosen = None if normals is None else np.asarray(normals)[some]
+        noise = each.noise or last.noise
+        found.append(ScanPoints(scan.points[some], chosen, noise, _row(markers, each)))
+    return tuple(found)
+
+
+def _row(markers: MarkerStart, data: ViewData | ScanData) -> int:
+    assert data.at is not None
+    return markers.frames.index(data.at)
