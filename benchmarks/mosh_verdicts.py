@@ -188,6 +188,21 @@ def table(rows: list[dict], title: str) -> Table:
     return shown
 
 
+def summary(rows: list[dict]) -> dict[str, dict[str, int]]:
+    """How many of the clean, of the spoilt, and of the spoilt that no data can tell, got which
+    level.
+    """
+    found = {
+        "clean": [row for row in rows if row["kind"] == CLEAN],
+        "spoilt": [row for row in rows if row["kind"] != CLEAN and not row["undecidable"]],
+        "undecidable": [row for row in rows if row["kind"] != CLEAN and row["undecidable"]],
+    }
+    return {
+        name: {"all": len(some), **Counter(row["level"] for row in some)}
+        for name, some in found.items()
+    }
+
+
 def main() -> None:
     """Fit and judge all, print the table, write JSON."""
     arguments = capture_parser(__doc__)
@@ -209,7 +224,8 @@ def main() -> None:
                     f"{row['capture']}, {row['kind']}: {row['level']}: {row['reasons'][0]}",
                     flush=True,
                 )
-            write_json(options.out, {"machine": where, "frames": options.frames, "rows": rows})
+            found = {"machine": where, "frames": options.frames, "summary": summary(rows)}
+            write_json(options.out, {**found, "rows": rows})
     Console(width=130).print(
         table(rows, f"verdicts on clean and spoilt captures: {in_words(where)}")
     )
