@@ -1,18 +1,20 @@
 """Is any wrong result of `habitus register` or `rgbd` called good? Depth folders and scans spoilt as
 wholes.
 
-    python benchmarks/surface_faults.py [--depth NAME …] [--scans NAME …] [--out FILE]
+    python benchmarks/surface_faults.py [--depth NAME …] [--scans NAME …] [--out FILE] [--resume]
 
 One simulated person before an Azure Kinect in two views, and one scan, spoilt in each way of
 `habitus_lab.population.spoilt_surfaces`. A result is wrong where vertices are off by more than 40 mm
 on average, or where there is no truth to compare with (a box, a cube). Upside-down data must be
-found or fail; a mirrored scan is a person's scan, and right as it is.
+found or fail; the mirror image of a person is a person, and right where the surface is.
 """
 
 import argparse
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from scipy.spatial import KDTree
 import habitus
 from habitus.errors import HabitusError
 from habitus.fit.points.depth_result import RgbdFit
+from habitus.fit.points.scan_result import ScanFit
 from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
 from habitus_lab.population.scans import Scanner, person, scanned, stance
 from habitus_lab.population.spoilt_surfaces import DEPTH_FAULTS, SCAN_FAULTS, spoilt_capture
@@ -89,17 +92,22 @@ def scan_row(kind: str, seed: int) -> dict[str, Any]:
 
     def fitted() -> tuple[str, list[str], float]:
         (fit,) = registrar().register([scan])
-        error = errors(fit, fit.vertices, _spoilt_truth(kind, truth), seen=True)["mean"]
+        error = scan_error(fit, truth, kind)
         return fit.verdict.level, [*fit.verdict.reasons, *fit.notes], error
 
     return row("scan", kind, fitted)
 
 
-def _spoilt_truth(kind: str, truth: np.ndarray) -> np.ndarray:
-    """Where the vertices are in the spoilt scan; of a mirror image there is no other truth."""
-    if kind == "upside down":
-        return truth * [-1.0, -1.0, 1.0]
-    return truth * [-1.0, 1.0, 1.0] if kind == "mirrored" else truth
+def scan_error(fit: ScanFit, truth: np.ndarray, kind: str) -> float:
+    """Mean distance (mm) of the vertices that were seen from the truth; of a mirror image, whose
+    left hand is the fit's right hand, from its surface.
+    """
+    if kind == "mirrored":
+        there = truth * [-1.0, 1.0, 1.0] @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
+        apart = KDTree(there).query(fit.vertices)[0][fit.weights > 0.5]
+        return float(1e3 * apart.mean())
+    turned = truth * [-1.0, -1.0, 1.0] if kind == "upside down" else truth
+    return errors(fit, fit.vertices, turned, seen=True)["mean"]
 
 
 def row(what: str, kind: str, fitted: Callable[[], tuple[str, list[str], float]]) -> dict[str, Any]:
@@ -109,7 +117,7 @@ def row(what: str, kind: str, fitted: Callable[[], tuple[str, list[str], float]]
         level, reasons, error = fitted()
     except HabitusError as refusal:
         level, reasons, error = "refused", [str(refusal)], np.nan
-    right = bool(error < MAX_ERROR_MM) or (what, kind) == ("scan", "mirrored")
+    right = bool(error < MAX_ERROR_MM)
     found = {
         "what": what,
         "fault": kind,
@@ -124,12 +132,34 @@ def row(what: str, kind: str, fitted: Callable[[], tuple[str, list[str], float]]
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """All faults asked for, and the clean ones."""
+    """All faults asked for, and the clean ones. Each row is kept in a file beside `--out`, too, from
+    which `--resume` goes on.
+    """
+    kept = options.out.with_suffix(".jsonl")
+    if not options.resume:
+        kept.unlink(missing_ok=True)
+    found = list(rows(options, kept))
+    return {"rows": found, "good_and_wrong": sum(row["good_and_wrong"] for row in found)}
+
+
+def rows(options: argparse.Namespace, kept: Path) -> Iterator[dict[str, Any]]:
+    """The rows, those that were kept first."""
+    known = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
     true, other = scene(SEEDS[0]), scene(SEEDS[1])
-    depth = partial(depth_row, true=true, other=other)
-    rows = [depth(kind) for kind in (CLEAN, *options.depth)] if options.depth else []
-    rows += [scan_row(kind, SEEDS[0]) for kind in (CLEAN, *options.scans)] if options.scans else []
-    return {"rows": rows, "good_and_wrong": sum(row["good_and_wrong"] for row in rows)}
+    makers = {
+        "depth": partial(depth_row, true=true, other=other),
+        "scan": partial(scan_row, seed=SEEDS[0]),
+    }
+    for what, kinds in (("depth", options.depth), ("scan", options.scans)):
+        for kind in (CLEAN, *kinds) if kinds else ():
+            found = next(
+                (row for row in known if (row["what"], row["fault"]) == (what, kind)), None
+            )
+            if found is None:
+                found = makers[what](kind)
+                with kept.open("a") as file:
+                    file.write(json.dumps(found) + "\n")
+            yield found
 
 
 def show(found: dict[str, Any]) -> None:
@@ -150,4 +180,5 @@ if __name__ == "__main__":
     arguments.add_argument(
         "--scans", nargs="*", choices=list(SCAN_FAULTS), default=list(SCAN_FAULTS)
     )
+    arguments.add_argument("--resume", action="store_true", help="keep rows of a stopped run")
     run(arguments, measure, show)

@@ -54,6 +54,7 @@ def test_an_upside_down_scan_is_found(registrar, person):
 
 def test_who_stands_beside_the_person_is_counted(person):
     assert cleaned(spoilt("two people", person[0])).islands == pytest.approx(0.5, abs=0.05)
+    assert cleaned(spoilt("two people who touch", person[0])).islands == 0.0
     assert cleaned(person[0]).islands == 0.0
 
 

@@ -226,7 +226,7 @@ SCAN_FAULTS: Mapping[str, ScanSpoiling] = {
     "a cube": _cube,
     "a chair": _chair,
     "two people": _beside(1.2),
-    "two people who touch": _beside(0.6),
+    "two people who touch": _beside(0.35),
     "left half missing": _kept(lambda points: points[:, 0] > np.median(points[:, 0])),
     "lower half missing": _kept(lambda points: _upper(points, 0.5)),
     "head missing": _kept(lambda points: ~_upper(points, 0.14)),
