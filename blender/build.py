@@ -15,7 +15,7 @@ from scipy.special import chdtri, ndtr
 import habitus
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.measurements import volume
-from habitus.fit.from_measurements import MOST_SD
+from habitus.fit.from_measurements import ESTIMATE
 
 HERE = Path(__file__).resolve().parent
 NEAR = 0.06
@@ -103,7 +103,7 @@ def _measures(model: Any) -> dict[str, np.ndarray]:
         name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1))
         for name, p in points.items()
     }
-    rarest = chdtri(np.arange(1, 7), 2 * ndtr(-MOST_SD))  # sums of so many squares, so rare as that
+    rarest = chdtri(np.arange(1, 7), 2 * ndtr(-ESTIMATE.max_sd))  # sums of so many squares, so rare as that
     return measures | {"density": np.array(density), "rarest": rarest}
 
 
