@@ -22,15 +22,31 @@ EXPORTED = (
     "habitus export wrote it from a fit: it is skipped, as it is no capture; name the file itself "
     "to read it as one"
 )
-_FRAMES = 200
-_LEAST_LABELS = 8
-_LEAST_PAIRS = 10
-_RIGID = 0.02
-_NEAR = 0.06
-_FAR = 0.3
-"""Metres: markers further apart sit on different segments, and keep their distance only while a
-person keeps still."""
-_ALIKE = 0.025
+
+
+@dataclass(frozen=True)
+class GroupingSettings:
+    """Whether two captures show one person with the same markers. Tuned on 19 real captures."""
+
+    frames: int = 200
+    """Frames, evenly spaced, whose distances between markers are compared, about."""
+    rigid: float = 0.02
+    """Share of its median by which a distance on one segment varies, at the median."""
+    near: float = 0.06
+    """Metres: markers closer to each other are on one plate, the same on everybody."""
+    far: float = 0.3
+    """Metres: markers further apart sit on different segments, and keep their distance only while
+    a person keeps still."""
+    min_labels: int = 8
+    """Labels that both captures have: with fewer it is undecided."""
+    min_pairs: int = 10
+    """Rigid distances that both captures have: with fewer it is undecided."""
+    same: float = 0.025
+    """Median relative difference of these distances below which it is one person: at most 0.015
+    for one person in one session, and at least 0.076 for two people."""
+
+
+GROUPING = GroupingSettings()
 
 
 @dataclass(frozen=True)
@@ -148,43 +164,43 @@ class MarkerSet:
     rigid: Float[np.ndarray, "M M"]
 
     @staticmethod
-    def of(capture: Capture) -> "MarkerSet":
+    def of(capture: Capture, settings: GroupingSettings = GROUPING) -> "MarkerSet":
         """Of some of its frames."""
-        markers = capture.markers[:: -(-len(capture) // _FRAMES)]
+        markers = capture.markers[:: -(-len(capture) // settings.frames)]
         with np.errstate(all="ignore"):
             between = np.linalg.norm(markers[:, :, None] - markers[:, None], axis=3)
             distances = _median(between)
-            kept = (distances > _NEAR) & (distances < _FAR)
-            kept &= _median(np.abs(between - distances)) < _RIGID * distances
+            kept = (distances > settings.near) & (distances < settings.far)
+            kept &= _median(np.abs(between - distances)) < settings.rigid * distances
         return MarkerSet(capture.subject, capture.labels, np.where(kept, distances, np.nan))
 
-    def matches(self, other: "MarkerSet") -> bool:
+    def matches(self, other: "MarkerSet", settings: GroupingSettings = GROUPING) -> bool:
         """Whether markers that keep their distance in both captures are as far apart in one as in
         the other.
         """
-        difference = self.relative_difference(other)
-        return self.subject == other.subject and difference is not None and difference < _ALIKE
+        difference = self.relative_difference(other, settings)
+        return (
+            self.subject == other.subject and difference is not None and difference < settings.same
+        )
 
-    def differs(self, other: "MarkerSet") -> bool:
+    def differs(self, other: "MarkerSet", settings: GroupingSettings = GROUPING) -> bool:
         """Whether such markers are not as far apart; False where too few can tell."""
-        difference = self.relative_difference(other)
-        return difference is not None and difference >= _ALIKE
+        difference = self.relative_difference(other, settings)
+        return difference is not None and difference >= settings.same
 
-    def relative_difference(self, other: "MarkerSet") -> float | None:
-        """The median of what such distances differ by, as a share; None where too few can tell.
-
-        Measured on 19 real captures: at most 1.5 % for one person in one session, and at least
-        7.6 % for two people.
-        """
+    def relative_difference(
+        self, other: "MarkerSet", settings: GroupingSettings = GROUPING
+    ) -> float | None:
+        """The median of what such distances differ by, as a share; None where too few can tell."""
         common = [label for label in self.labels if label in other.labels]
-        if len(common) < _LEAST_LABELS:
+        if len(common) < settings.min_labels:
             return None
         a = self._among(common)
         b = other._among(common)
         rigid = np.triu(np.isfinite(a) & np.isfinite(b), 1)
         return (
             float(np.median(np.abs(np.log(b[rigid] / a[rigid]))))
-            if rigid.sum() >= _LEAST_PAIRS
+            if rigid.sum() >= settings.min_pairs
             else None
         )
 
