@@ -33,6 +33,7 @@ def still(fit: MarkerFit, frames: int, angles=None) -> MarkerFit:
         fit,
         pose=pose,
         trans=np.zeros((frames, 3)),
+        pose_stage=(pose, np.zeros((frames, 3))),
         observed_markers=markers,
         predicted_pose_stage=markers,
         marker_weights=np.ones(markers.shape[:2]),
@@ -64,10 +65,10 @@ def test_shape_labels_and_frames(fit):
         fit, betas=np.array([0.0, -3.0, 0.4, 0.0]), flagged_frames=flagged, left_out=("A",)
     )
     found = evidence(
-        replace(changed, observed_markers=fit.observed_markers * gap, displaced=np.arange(41.0))
+        replace(changed, observed_markers=fit.observed_markers * gap, displaced=np.arange(42.0))
     )
     assert found.beta_sd == 3.0 and found.betas_rms == pytest.approx(np.sqrt(9.16 / 4))
-    assert (found.no_data, found.gap_s, found.displaced) == (0.25, 5 / fit.rate_hz, 20.0)
+    assert (found.no_data, found.gap_s, found.displaced) == (0.25, 5 / fit.rate_hz, 20.5)
     assert (found.markers, found.left_out, found.rate_hz) == (42, ("A",), fit.rate_hz)
     assert evidence(replace(fit, betas=np.array([0.3, 0.1, 0.0, 0.0]))).beta_sd == 0.3
 

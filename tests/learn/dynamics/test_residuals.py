@@ -108,7 +108,14 @@ def test_poses_of_other_joints_are_found_by_name():
     found = replace(one, pose=pose, joint_names=names, betas=one.betas[:2]).for_body(body)
     np.testing.assert_array_equal(found.pose, one.pose)
     assert found.betas.shape == (4,)
-    pose[3, -1] = 0.1
+
+
+@pytest.mark.wrong_shapes
+def test_poses_that_the_body_cannot_take_are_refused():
+    body = soft_tubes()
+    (one,) = soft_people(body, people=1, sequences=1, frames=6)
+    names = (*body.joint_names, "tail")
+    pose = np.concatenate([one.pose, np.full((6, 1, 3), 0.1)], 1)
     with pytest.raises(HabitusError, match="joint 'tail' moves"):
         replace(one, pose=pose, joint_names=names).for_body(body)
     with pytest.raises(HabitusError, match="a pose of 9 joints without names"):

@@ -208,6 +208,7 @@ def test_too_few_people_to_leave_some_out_give_convex_rows(count):
     assert np.array_equal(convex, found)
 
 
+@pytest.mark.wrong_shapes
 @pytest.mark.parametrize(
     "change, said",
     [

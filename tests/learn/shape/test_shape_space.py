@@ -142,6 +142,7 @@ def test_a_mapped_file_is_not_held_in_memory(tmp_path, monkeypatch):
     assert np.allclose(space.directions, in_memory.directions, atol=1e-8)
 
 
+@pytest.mark.wrong_shapes
 @pytest.mark.parametrize(
     "surfaces, count, weights, said",
     [

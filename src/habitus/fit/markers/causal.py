@@ -126,7 +126,7 @@ def fit_causally(
     marked: MarkedBody,
     observed: Float[np.ndarray, "T M 3"],
     prior: PosePrior,
-    start: tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]],
+    start: tuple[Float[np.ndarray, "F J 3"], Float[np.ndarray, "F 3"]],
     scale: Float[np.ndarray, " M"],
     settings: SequenceSettings,
     live: LiveSettings = LIVE,
