@@ -103,7 +103,8 @@ def _measures(model: Any) -> dict[str, np.ndarray]:
         name: _short(np.moveaxis(np.concatenate([p[:1], p[1:] - p[:1]]), 0, -1))
         for name, p in points.items()
     }
-    rarest = chdtri(np.arange(1, 7), 2 * ndtr(-ESTIMATE.max_sd))  # sums of so many squares, so rare as that
+    # sums of so many squares, as rare as a person so far from the mean
+    rarest = chdtri(np.arange(1, 7), 2 * ndtr(-ESTIMATE.max_sd))
     return measures | {"density": np.array(density), "rarest": rarest}
 
 
