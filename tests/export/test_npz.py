@@ -1,5 +1,6 @@
 import io
 import json
+import zipfile
 
 import numpy as np
 import pytest
@@ -75,3 +76,17 @@ def test_the_archive_is_numpys_to_the_byte_where_memory_is_short_too(soft, monke
     )
     save_arrays(found, arrays)
     assert found.getvalue() == expected.getvalue()
+
+
+def test_long_arrays_are_written_as_short_ones_are(monkeypatch):
+    """File-backed arrays, whole or in part, go to the file a block at a time."""
+    monkeypatch.setattr(blocks, "IN_MEMORY", 1000)
+    long = blocks.empty_array((20_000, 4, 3))
+    long[:] = np.arange(long.size).reshape(long.shape)
+    arrays = {"poses": long.reshape(len(long), 12), "root": long[:, 0], "ends": long[[0, -1]]}
+    written, expected = io.BytesIO(), io.BytesIO()
+    save_arrays(written, arrays)
+    np.savez(expected, **{name: np.array(each) for name, each in arrays.items()})
+    for name in arrays:
+        contents = (zipfile.ZipFile(file).read(f"{name}.npy") for file in (written, expected))
+        assert next(contents) == next(contents), name

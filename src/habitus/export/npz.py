@@ -18,7 +18,7 @@ from habitus.body.joint_layouts import SMPLH
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
-from habitus.parallel.blocks import drop_pages, mapped
+from habitus.parallel.blocks import blocks, drop_pages, is_file_backed, mapped
 from habitus.rotations import up_rotation
 from habitus.types import PathLike
 
@@ -85,8 +85,19 @@ def save_arrays(file: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
-            drop_pages(array)
+                _write_array(member, array)
+
+
+def _write_array(file: IO[bytes], array: np.ndarray) -> None:
+    """``np.lib.format.write_array``; a file-backed array a block at a time."""
+    if not is_file_backed(array):
+        np.lib.format.write_array(file, array, allow_pickle=False)
+        return
+    header = np.lib.format.header_data_from_array_1_0(array)
+    np.lib.format.write_array_header_1_0(file, header | {"fortran_order": False})
+    for part in blocks(len(array)):
+        file.write(array[part].tobytes())
+        drop_pages(array)
 
 
 def npz_arrays(fit: "MarkerFit") -> dict[str, np.ndarray]:
