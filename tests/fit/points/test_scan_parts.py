@@ -154,6 +154,15 @@ def test_what_is_off_the_surface_counts_where_it_is_together():
     assert lost_share(points, np.zeros(10_000)) == 0.0
 
 
+def test_a_lost_piece_counts_by_its_area_however_dense_the_points_are():
+    """A plate of 1 m^2 whose corner of 0.01 m^2 has as many points as the rest, as hands of meshes."""
+    rng = np.random.default_rng(0)
+    flat = np.concatenate([rng.uniform(0, 1, (4000, 2)), rng.uniform(0, 0.1, (4000, 2))])
+    points = np.column_stack([flat, np.zeros(8000)])
+    away = np.where(np.linalg.norm(points - [0.05, 0.05, 0.0], axis=1) < 0.03, 0.02, 0.0)
+    assert lost_share(points, away) == pytest.approx(np.pi * 0.03**2, rel=0.25)
+
+
 def test_the_verdict_follows_the_numbers():
     good = {
         "betas": np.ones(4),

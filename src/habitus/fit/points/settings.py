@@ -178,6 +178,10 @@ class LimbSettings:
     """Of the ball that holds a lost piece: smaller than a hand."""
     lost_balls: int = 1000
     """Balls that are tried, about."""
+    area_neighbours: int = 8
+    """Neighbours of a point within which it stands for an area."""
+    area_quantile: float = 0.95
+    """Of the distances to the last of them, beyond which none counts: a stray point is no area."""
 
 
 @dataclass(frozen=True)
