@@ -13,7 +13,7 @@ from habitus.arrays import runs
 from habitus.body.skinning import descends
 from habitus.fit.markers.evidence_settings import EVIDENCE, EvidenceSettings
 from habitus.fit.markers.solution import MarkerSolution
-from habitus.parallel.blocks import mapped
+from habitus.parallel.blocks import drop_pages, mapped
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SIDES = ("left", "right")
@@ -115,7 +115,7 @@ def evidence(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Evid
     tilt, standing = _tilt(fit, settings)
     torn, level = _torn(fit, observed, settings)
     names = fit.body.joint_names
-    return Evidence(
+    found = Evidence(
         mean_mm=float(distance[seen].mean()) if seen.any() else None,
         p95_mm=float(np.percentile(distance[seen], 95)) if seen.any() else None,
         motion=_motion(fit, settings),
@@ -147,6 +147,10 @@ def evidence(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Evid
         doubts=fit.doubts,
         extremes=motion_extremes(fit, settings),
     )
+    drop_pages(
+        *(fit.observed_markers, fit.predicted_pose_stage, fit.marker_weights, fit.pose, fit.trans)
+    )
+    return found
 
 
 def limbs_of(fit: MarkerSolution, settings: EvidenceSettings = EVIDENCE) -> Bool[np.ndarray, "M J"]:

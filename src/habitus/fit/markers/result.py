@@ -20,6 +20,7 @@ from habitus.fit.verdict import Verdict
 from habitus.mesh.proximity import farthest_points
 from habitus.observe.marker_prediction import BodyMarkers
 from habitus.observe.markers import marker_jacobian
+from habitus.parallel.blocks import drop_pages
 
 _BATCH = 8  # patterns of markers at once: bounds memory, changes no result
 
@@ -76,13 +77,11 @@ def _trusted(fit: MarkerSolution, edges: np.ndarray, min_weight: float) -> Bool[
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights
     observed = fit.observed_markers
-    return np.array(
-        [
-            ((weights[a:b] >= min_weight) & np.isfinite(observed[a:b, :, 0])).any(0)
-            for a, b in spans
-        ],
-        bool,
-    )
+    found = []
+    for a, b in spans:
+        found.append(((weights[a:b] >= min_weight) & np.isfinite(observed[a:b, :, 0])).any(0))
+        drop_pages(weights, observed)
+    return np.array(found, bool)
 
 
 def _moved(
