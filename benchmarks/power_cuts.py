@@ -11,7 +11,8 @@ be seen must be whole and of one fit, old or new; what was finished before must 
 by byte; nothing may lie outside the folder for results. A last run that is left alone must leave
 nothing but results. With --hasty the shape stage takes one step on three frames: what is written,
 and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit
-on the size of files.
+on the size of files. `habitus archive` is killed half as often; resumed, its results must be those
+of a run that nobody killed.
 """
 
 import hashlib
@@ -23,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -214,8 +215,61 @@ def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
         "seconds_of_a_run": seconds,
         "states": states_told,
         "faults": found,
+        "fault_count": len(found),
         "left_over": left,
     } | {"users_file_kept": kept}
+
+
+def archive_kills(folder: Path, frames: int, count: int, seed: int) -> dict[str, object]:
+    """`habitus archive` of a few captures, one of them spoilt, killed again and again, and what the
+    run that is left alone makes of it, against a run that nobody killed.
+    """
+    known = CAPTURES / "85_12.c3d"
+    length = 6 * frames
+    body = load_body("default")
+    whole = read_capture(known) if known.exists() else synthetic(body, "cmu-41", length)
+    captures = folder / "captures"
+    captures.mkdir()
+    out = folder / "out"
+    for k in range(6):
+        part = replace(whole[k * frames : (k + 1) * frames], name=f"part{k}")
+        write_c3d(part, captures / f"part{k}.c3d")
+    (captures / "bad.c3d").write_bytes((captures / "part0.c3d").read_bytes()[:700])
+    options = ["--soft-tissue", "none", "--workers", "1", "--quiet"]
+    command = [sys.executable, "-m", "habitus", "archive", str(captures), *options, "--out"]
+    began = time.monotonic()
+    alone = subprocess.run([*command, str(folder / "alone")], capture_output=True, text=True)
+    seconds = time.monotonic() - began
+    chance = random.Random(seed)
+    torn = []
+    for k in range(count):
+        process = subprocess.Popen([*command, str(out)], stderr=subprocess.DEVNULL)
+        time.sleep(chance.uniform(0.3, 0.5) * seconds)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        made = [path for path in out.glob("part*") if path.is_dir()]
+        torn += [f"kill {k}: {path.name}" for path in made if not _names(path).issuperset(FILES)]
+    last = subprocess.run([*command, str(out)], capture_output=True, text=True)
+    same = all(_same_arrays(folder / "alone", out, f"part{k}/body.npz") for k in range(6))
+    return {
+        "kills": count,
+        "torn": torn,
+        "torn_count": len(torn),
+        "exit_codes": [alone.returncode, last.returncode],
+        "same_as_alone": same,
+        "left_over": [path.name for path in out.glob(".*.partial-*")],
+    }
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def _same_arrays(first: Path, second: Path, name: str) -> bool:
+    with np.load(first / name) as one, np.load(second / name) as two:
+        return one.files == two.files and all(
+            one[key].tobytes() == two[key].tobytes() for key in one.files
+        )
 
 
 def two_at_once(bench: Bench) -> dict[str, object]:
@@ -271,9 +325,13 @@ def main() -> None:
     print(in_words(where))
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "bench").mkdir()
+        (Path(folder) / "archive").mkdir()
         bench = prepare(Path(folder) / "bench", options.frames, options.hasty)
         found = {
             "kills": kills(bench, options.kills, options.seed),
+            "archive": archive_kills(
+                Path(folder) / "archive", options.frames, options.kills // 2, options.seed
+            ),
             "two_at_once": two_at_once(bench),
             "full_disk": full_disk(bench),
         }
