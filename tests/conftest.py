@@ -19,7 +19,7 @@ from shape_checks import checked_modules
 # Shapes in signatures are checked while tests run, in every module without compiled kernels.
 ROOMS = (
     *("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel"),
-    *("residuals", "solve"),
+    *("residuals", "solve", "learn", "io", "report", "evaluate", "results", "export"),
 )
 LAB_ROOMS = ("population", "baselines")
 for package in (
