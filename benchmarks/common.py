@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -206,8 +207,9 @@ def write_json(path: Path, content: dict) -> None:
 
 def command() -> str:
     """The command line of this benchmark, without the folders of this machine."""
-    words = (Path(word).name if "/" in word else word for word in sys.argv[1:])
-    return " ".join(("benchmarks/" + Path(sys.argv[0]).name, *words))
+    paths = ("/" in word.replace(" / ", "") for word in sys.argv[1:])
+    words = (Path(w).name if path else w for w, path in zip(sys.argv[1:], paths, strict=True))
+    return shlex.join(("benchmarks/" + Path(sys.argv[0]).name, *words))
 
 
 def written_rows(path: Path, key: str, **settings: object) -> list[dict]:
