@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Real, UInt8
 from scipy.ndimage import gaussian_filter
 
 from habitus.errors import shown
@@ -355,7 +355,7 @@ def _depth_difference(
 
 
 def _ramp_picture(
-    values: Float[np.ndarray, "h w"], limit: float, ramp: tuple[str, ...], low: float = 0.0
+    values: Real[np.ndarray, "h w"], limit: float, ramp: tuple[str, ...], low: float = 0.0
 ) -> Picture:
     colours = ramp_colours(np.ravel(values).astype(float), limit, ramp, low)
     return (255 * colours).astype(np.uint8).reshape(*values.shape, 3)
