@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
 from habitus.body.dynamics import Dynamics
+from habitus.body.hinges import Hinges, check_hinges
 from habitus.body.kernels import LocalShapes, local_shapes
 from habitus.body.pose_features import (
     PoseFeatures,
@@ -170,7 +171,7 @@ class VertexRows:
 
     @property
     def posedirs(self) -> Float[Array, "F M"] | None:
-        """What pose features add, where the body has pose blend shapes."""
+        """What pose features, and behind them hinges, add, where the body has pose blend shapes."""
         return (
             self.blend_shapes[self.num_shapes :]
             if len(self.blend_shapes) > self.num_shapes
@@ -251,6 +252,7 @@ class BodyArrays:
     female_rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None = None
     people_mean: Float[np.ndarray, " B"] | None = None
     pose_joints: tuple[int, ...] | None = None
+    hinges: Hinges | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     dynamics: Dynamics | None = None
     ages: Ages | None = None
@@ -277,6 +279,13 @@ class BodyArrays:
             )
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
+        if self.hinges is not None:
+            if self.posedirs is None or self.pose_features != "rotations" or self.shape_features:
+                raise HabitusError(
+                    "hinge channels need posedirs that are linear in R - I alone; expected "
+                    "pose_features 'rotations' and no shape_features"
+                )
+            check_hinges(self.hinges, self.num_vertices, self.drivers, self.num_betas)
         if self.dynamics is not None and len(self.dynamics.directions) != self.num_vertices:
             raise HabitusError(
                 f"dynamic blend shapes of {len(self.dynamics.directions)} vertices; expected "
@@ -337,6 +346,17 @@ class BodyArrays:
         everyone = tuple(range(1, self.num_joints))
         given = self.features.per_joint, self.pose_joints
         return of_joints(self.posedirs[rows], *given, everyone, self.shape_features)
+
+    @cached_property
+    def pose_directions(self) -> Float[np.ndarray, "V 3 G"] | None:
+        """All that a pose adds: ``posedirs``, or, where the body has hinges, what is left of them
+        without the hinges' stand-ins, and the hinges' directions (`pose_coefficients`).
+        """
+        if self.posedirs is None or self.hinges is None:
+            return self.posedirs
+        plain = self.hinges.without_linear(self.posedirs, self.drivers)
+        folds = self.hinges.directions.reshape(self.num_vertices, 3, -1)
+        return np.concatenate([plain, folds], axis=2)
 
     @cached_property
     def skinning_weights(self) -> Float[np.ndarray, "V J"]:
@@ -414,7 +434,7 @@ class BodyArrays:
             weights = self.skinning_weights, self.skinning_index, self.skinning_value
             driven = self.features.per_joint, 1 + self.shape_features
             rows = vertex_rows(
-                kind, some, self.v_template, directions, self.posedirs, *weights, driven
+                kind, some, self.v_template, directions, self.pose_directions, *weights, driven
             )
         if ids is None:
             self._cache[kind, count] = rows

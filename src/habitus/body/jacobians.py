@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from habitus.arrays import (
     broadcast_shapes,
+    cast,
     constant,
     cross,
     eye,
@@ -29,7 +30,7 @@ from habitus.arrays import (
 )
 from habitus.body.body_arrays import add_blend_shapes
 from habitus.body.model import BodyModel
-from habitus.body.pose_features import extended
+from habitus.body.hinges import Hinges, pose_coefficients
 from habitus.body.prepared import PreparedBody
 from habitus.body.skinning import (
     descends,
@@ -114,12 +115,15 @@ def surface_jacobian(
     directions = unflatten(prepared.rows.shapedirs.T, 0, (3, -1)).swapaxes(0, 1)
     by_betas = directions[..., : body.num_betas]
     if prepared.rows.posedirs is not None:
-        feature = body.features.of_pose(angles, skeleton.rotations, body.drivers)
-        rest = add_blend_shapes(
-            rest, extended(feature, prepared.betas, body.shape_features), prepared.rows.posedirs
-        )
+        driven = (body.features, body.hinges, body.shape_features, body.drivers)
+        moved = pose_coefficients(*driven, angles, skeleton.rotations, prepared.betas)
+        rest = add_blend_shapes(rest, moved, prepared.rows.posedirs)
         if body.shape_features:
+            feature = body.features.of_pose(angles, skeleton.rotations, body.drivers)
             by_betas = by_betas + _offsets_by_betas(prepared, feature)
+        if body.hinges is not None:
+            weights = moved[..., -body.hinges.count :: 1 + body.hinges.num_shapes]
+            by_betas = by_betas + _folds_by_betas(prepared, body.hinges, weights)
     rest = unflatten(rest, -1, (3, -1)).mT
     rest = kind.xp.broadcast_to(rest, (*batch, *rest.shape[-2:]))
     move = _linear if body.skinning == "lbs" else _dual
@@ -174,9 +178,52 @@ def _blocks(prepared: PreparedBody) -> Float[Array, "S P 3 N"]:
     coefficient.
     """
     assert prepared.rows.posedirs is not None
-    return unflatten(
-        unflatten(prepared.rows.posedirs, 0, (1 + prepared.model.shape_features, -1)), -1, (3, -1)
-    )
+    hinges = prepared.model.hinges
+    plain = prepared.rows.posedirs[: None if hinges is None else -hinges.count]
+    return unflatten(unflatten(plain, 0, (1 + prepared.model.shape_features, -1)), -1, (3, -1))
+
+
+def _folds(prepared: PreparedBody, hinges: Hinges) -> Float[Array, "C S1 3 N"]:
+    """Directions of the hinges: for all shapes alike, then times each of S shape coefficients."""
+    assert prepared.rows.posedirs is not None
+    rows = prepared.rows.posedirs[-hinges.count :]
+    return unflatten(unflatten(rows, 0, (-1, 1 + hinges.num_shapes)), -1, (3, -1))
+
+
+def _folds_by_betas(
+    prepared: PreparedBody, hinges: Hinges, weights: Float[Array, "*batch C"]
+) -> Float[Array, "*batch N 3 B"]:
+    """Derivative of the hinges' offsets by all shape coefficients: zero after the first S."""
+    xp = namespace(weights)
+    directions = _folds(prepared, hinges)[:, 1:]  # (C, S, 3, N)
+    offsets = xp.tensordot(weights, directions, 1).swapaxes(-1, -3)
+    others = prepared.model.num_betas - hinges.num_shapes
+    return xp.concatenate([offsets, constant(np.zeros((*offsets.shape[:-1], others)), weights)], -1)
+
+
+def _folds_by_pose(
+    prepared: PreparedBody,
+    hinges: Hinges,
+    feature: Float[Array, "*batch F"],
+    change: Float[Array, "*batch P 9 3"],
+) -> Float[Array, "*batch N 3 P 3"]:
+    """Derivative of the hinges' offsets by the driving joints' rotations, ``change`` that of their
+    features.
+    """
+    drivers = prepared.model.drivers
+    driven = hinges.driven(feature, drivers)
+    slope = 2 * driven * cast(driven < 1, driven)
+    factors = constant(np.ones(1), feature)
+    if hinges.num_shapes:
+        shape = prepared.betas[..., : hinges.num_shapes]
+        xp = namespace(feature, shape)
+        factors = xp.concatenate([xp.ones_like(shape[..., :1]), shape], -1)
+    directions = (_folds(prepared, hinges) * factors[..., None, :, None, None]).sum(-3)
+    rows = unflatten(constant(hinges.rows_of(drivers, hinges.rows), feature), -1, (-1, 9))
+    pulls = (slope[..., None, None] * rows)[..., None, :] @ change[..., None, :, :, :]
+    by_channel = flatten(pulls[..., 0, :], -2)  # (*batch, C, 3 P)
+    offsets = flatten(directions.swapaxes(-1, -2), -2).swapaxes(-1, -2) @ by_channel
+    return unflatten(unflatten(offsets, -1, (-1, 3)), -3, (-1, 3))
 
 
 def _offsets_by_betas(
@@ -208,6 +255,9 @@ def _offsets_by_pose(
         first = first + beta[..., None, None, None, None] * block
     offsets = flatten(first, -2).mT @ change  # (*batch, P, 3 N, 3)
     offsets = xp.moveaxis(unflatten(offsets, -2, (3, -1)), -2, -4).swapaxes(-2, -3)
+    if (hinges := prepared.model.hinges) is not None:
+        feature = features.of_pose(pose, skeleton.rotations, drivers)
+        offsets = offsets + _folds_by_pose(prepared, hinges, feature, change)
     columns = {joint: offsets[..., k, :] for k, joint in enumerate(drivers)}
     none = xp.zeros_like(skeleton.rotations[..., None, 0, :, :]) + xp.zeros_like(offsets[..., 0, :])
     return xp.stack([columns.get(joint, none) for joint in range(pose.shape[-2])], -2)

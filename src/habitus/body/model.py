@@ -37,7 +37,8 @@ class BodyModel(BodyArrays, Measured):
     numbers each, see `habitus.body.pose_features`; SMPL's "rotations" have k = 9), of
     ``pose_joints`` (P joints in that order; None: all but the root, as in SMPL) and in their
     products with each of the first s = ``shape_features`` shape coefficients: F is P k (1 + s),
-    block after block. ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index``
+    block after block. ``hinges`` add what deep folds need besides (`habitus.body.hinges`).
+    ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index``
     and ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for
     SMPL); a weight of 0 fills up. ``expressiondirs`` move the face and nothing else, apart from
     shape; ``dynamics`` are blend shapes of soft tissue in motion, and what predicts them
@@ -88,6 +89,7 @@ class BodyModel(BodyArrays, Measured):
             female_rows=rows,
             people_mean=None if self.people_mean is None else self.people_mean[:count],
             shape_features=min(count, self.shape_features),
+            hinges=None if self.hinges is None else self.hinges.with_shapes(count),
             finer=then(self.finer, "with_betas", count),
         )
 
@@ -118,6 +120,7 @@ class BodyModel(BodyArrays, Measured):
             part=None if self.part is None else np.asarray(way.carries)[self.part],
             posedirs=posedirs,
             pose_joints=tuple(way.kept[joint] for joint in drivers),
+            hinges=None if self.hinges is None else self.hinges.with_joints(dict(way.kept)),
             finer=then(self.finer, "with_joints", joints),
         )
 
@@ -149,6 +152,7 @@ class BodyModel(BodyArrays, Measured):
             v_template=self.v_template + offset,
             shapedirs=scale * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,
+            hinges=None if self.hinges is None else self.hinges.scaled(scale),
             dynamics=None if self.dynamics is None else self.dynamics.scaled(scale),
             ages=None,
             finer=then(self.finer, "at_age", years),
@@ -387,7 +391,17 @@ def in_step(coarse: Any, full: Any, rows: Int[np.ndarray, " V"] | None) -> bool:
             return False
         if ours is not None and not np.array_equal(ours[some], theirs[rows[some]]):
             return False
-    return _same_dynamics(coarse.dynamics, full.dynamics, some, rows)
+    return _same_hinges(coarse.hinges, full.hinges, some, rows) and _same_dynamics(
+        coarse.dynamics, full.dynamics, some, rows
+    )
+
+
+def _same_hinges(coarse: Any, full: Any, some: np.ndarray, rows: np.ndarray) -> bool:
+    if coarse is None or full is None:
+        return coarse is full
+    return np.array_equal(coarse.rows, full.rows) and np.array_equal(
+        coarse.directions[some], full.directions[rows[some]]
+    )
 
 
 def _same_dynamics(coarse: Any, full: Any, some: np.ndarray, rows: np.ndarray) -> bool:

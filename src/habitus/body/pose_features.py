@@ -76,12 +76,14 @@ def check_driven_by_rotations(body: Any, user: str) -> None:
     """
     name = getattr(body, "pose_features", "rotations")
     shapes = getattr(body, "shape_features", 0)
-    if body.posedirs is not None and (name != "rotations" or shapes):
+    hinges = getattr(body, "hinges", None)
+    if body.posedirs is not None and (name != "rotations" or shapes or hinges is not None):
         products = f" times {shapes} shape coefficients" if shapes else ""
+        products += " and hinges" if hinges is not None else ""
         raise HabitusError(
             f"pose blend shapes driven by {name!r}{products}; {user} need 'rotations' alone: take "
             "another body, "
-            "or replace(body, posedirs=None)"
+            "or replace(body, posedirs=None, hinges=None)"
         )
 
 

@@ -13,8 +13,9 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
-from habitus.body.kernels import joint_motions, posed_vertices
-from habitus.body.pose_features import PoseFeatures, extended
+from habitus.body.kernels import in_blocks, joint_motions, posed_vertices
+from habitus.body.hinges import Hinges, pose_coefficients
+from habitus.body.pose_features import PoseFeatures
 from habitus.body.skinning import skin, skinning_motions, world_motions
 from habitus.body.state import BodySurface
 from habitus.rotations import matrix_from_rotvec
@@ -48,6 +49,8 @@ class Preparable(Protocol):
     def drivers(self) -> list[int]: ...  # noqa: D102
     @property
     def features(self) -> PoseFeatures: ...  # noqa: D102
+    @property
+    def hinges(self) -> Hinges | None: ...  # noqa: D102
     def full_pose(self, values: Any, kind: Kind) -> Array: ...  # noqa: D102
     def full_trans(self, values: Any, kind: Kind) -> Array: ...  # noqa: D102
     def prepare(  # noqa: D102
@@ -173,8 +176,8 @@ class PreparedBody:
     ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
         model = self.model
         one = self.shaped if self.coefficients.shape[:-1] == () else None
-        driven = (model.features, self.coefficients, model.shape_features, model.drivers)
-        rest = (self.rows, one, self.rest_joints, model.parents)
+        driven = (model.features, model.hinges, model.shape_features, model.drivers)
+        rest = (self.rows, one, self.rest_joints, model.parents, self.coefficients)
         return posed_surface(*rest, driven, model.skinning, pose, place, batch, self.kind)
 
     def _readable(
@@ -194,8 +197,10 @@ class PreparedBody:
         posedirs = self.rows.posedirs
         if posedirs is not None:
             whole = xp.broadcast_to(pose, (*batch, model.num_joints, 3))
-            feature = model.features.of_pose(whole, rotations, model.drivers)
-            rest = add_blend_shapes(rest, extended(feature, betas, model.shape_features), posedirs)
+            driven = (model.features, model.hinges, model.shape_features, model.drivers)
+            rest = add_blend_shapes(
+                rest, pose_coefficients(*driven, whole, rotations, betas), posedirs
+            )
         world = world_motions(rotations, rest_joints, model.parents)
         motions = skinning_motions(world, rest_joints)
         vertices = skin(
@@ -233,7 +238,8 @@ def posed_surface(
     shaped: Float[Array, " M"] | None,
     rest_joints: Float[Array, "*#batch J 3"],
     parents: tuple[int, ...],
-    driven: tuple[PoseFeatures, Float[Array, "*#batch C"], int, list[int]],
+    betas: Float[Array, "*#batch C"],
+    driven: tuple[PoseFeatures, Hinges | None, int, list[int]],
     skinning: str,
     pose: Float[Array, "*#batch J 3"],
     trans: Float[Array, "*#batch 3"],
@@ -242,25 +248,22 @@ def posed_surface(
 ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
     """Posed vertices and joints (m) in the kind given, as `PreparedBody` says.
 
-    ``shaped`` is the rest surface where all share one. ``driven``: the kind of pose features, the
-    coefficients of shape and expression, how many of these the features are multiplied with, and
-    the joints whose features count.
+    ``shaped`` is the rest surface where all share one. ``betas``: the coefficients of shape and
+    expression. ``driven``: the kind of pose features, hinges, how many of the coefficients the
+    features are multiplied with, and the joints whose features count.
     """
     count = int(np.prod(batch, dtype=int))
     pose = _stacked(pose, 2, batch, count, whole=True)
     joints = _stacked(rest_joints, 2, batch, count)
     places = _stacked(trans, 1, batch, count, whole=True)
     motions, posed, entries = joint_motions(pose, joints, np.array(parents))
-    features, betas, shape_features, drivers = driven
     coefficients = [] if shaped is not None else [_stacked(betas, 1, batch, count, whole=True)]
     local = None
     if rows.posedirs is not None:
-        feature = features.of_pose(
-            pose, entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype), drivers
-        )
-        shapes = _stacked(betas[..., :shape_features], 1, batch, count)
-        local = None if rows.local is None else (rows.local, np.ascontiguousarray(feature))
-        coefficients += [] if local else [extended(feature, shapes, shape_features)]
+        rotations = entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype)
+        moved = pose_coefficients(*driven, pose, rotations, _stacked(betas, 1, batch, count))
+        local = None if rows.local is None else (rows.local, in_blocks(moved))
+        coefficients += [] if local else [moved]
     base = to_numpy(rows.template if shaped is None else shaped)
     bases = to_numpy(rows.blend_shapes)
     bases = bases[0 if shaped is None else rows.num_shapes : rows.num_shapes if local else None]

@@ -142,6 +142,7 @@ def _with_template(body: BodyModel, points: np.ndarray, scale: float, name: str)
         v_template=points,
         shapedirs=scale * body.shapedirs,
         posedirs=None if body.posedirs is None else scale * body.posedirs,
+        hinges=None if body.hinges is None else body.hinges.scaled(scale),
         expressiondirs=None if body.expressiondirs is None else scale * body.expressiondirs,
         dynamics=None if body.dynamics is None else body.dynamics.scaled(scale),
         female_direction=None,

@@ -167,4 +167,4 @@ def without_pose_shapes(body: BodyModel) -> BodyModel:
     """The same body as plain blend skinning: what S 5.1 calls LBS, "the SMPL-LBS model with no pose
     blend shapes".
     """
-    return replace(body, posedirs=None)
+    return replace(body, posedirs=None, hinges=None)

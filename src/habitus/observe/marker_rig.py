@@ -110,7 +110,7 @@ def kernels_cover(body: BodyModel) -> bool:
 
     Other bodies are fitted by `habitus.observe.marker_prediction.BodyMarkers`.
     """
-    usual = body.pose_features == "rotations" and not body.shape_features
+    usual = body.pose_features == "rotations" and not body.shape_features and body.hinges is None
     return body.skinning == "lbs" and (body.posedirs is None or usual)
 
 

@@ -39,6 +39,7 @@ NEEDED = (
     "pose_features",
     "shape_features",
     "pose_joints",
+    "hinges",
 )
 """Fields of a body that its surface depends on, which the viewer gets."""
 _SKIN = (196, 202, 212)

@@ -163,7 +163,7 @@ class PointSolver:
     def of(body: BodyModel) -> "PointSolver":
         """Lay out the arrays of a body; to be made once."""
         plain = body.posedirs is None or (
-            body.pose_features == "rotations" and not body.shape_features
+            body.pose_features == "rotations" and not body.shape_features and body.hinges is None
         )
         if body.skinning != "lbs" or not plain:
             return PointSolver(body, None, np.zeros(body.num_faces, np.int64), ())

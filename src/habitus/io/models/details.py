@@ -12,6 +12,7 @@ from jaxtyping import Int
 
 from habitus.body.body_arrays import Ages, BodyMesh
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
+from habitus.body.hinges import ENTRIES, Hinges
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
@@ -61,6 +62,34 @@ def _statures(template: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray,
     return np.ptp(template[:, 1, None] + directions[:, 1], axis=0), float(np.ptp(template[:, 1]))
 
 
+def read_hinges(arrays: ModelArrays, vertices: int, joints: int) -> Hinges | None:
+    """The channels of deep folds, where the file has them."""
+    if "hinge_joints" not in arrays:
+        return None
+    joint = arrays.index("hinge_joints", joints, None)
+    count = len(joint)
+    return Hinges(
+        joint,
+        arrays.number("hinge_rows", count, ENTRIES),
+        arrays.number("hinge_bias", count),
+        arrays.number("hinge_linear", count, ENTRIES),
+        arrays.number("hingedirs", vertices, 3, count, None),
+    )
+
+
+def hinges_form(hinges: Hinges | None) -> dict[str, np.ndarray]:
+    """The arrays that `read_hinges` reads."""
+    if hinges is None:
+        return {}
+    return {
+        "hinge_joints": hinges.joint,
+        "hinge_rows": hinges.rows,
+        "hinge_bias": hinges.bias,
+        "hinge_linear": hinges.linear,
+        "hingedirs": hinges.directions,
+    }
+
+
 def ages_form(ages: Ages | None) -> dict[str, np.ndarray]:
     """The arrays that `read_ages` reads."""
     if ages is None:
@@ -85,6 +114,7 @@ _ROWS = (
     "v_template",
     "shapedirs",
     "posedirs",
+    "hingedirs",
     "expressiondirs",
     "agedirs",
     "dynamicsdirs",
@@ -295,6 +325,7 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
         if (value := getattr(model, key)) is not None
     }
     arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
+    arrays |= hinges_form(model.hinges)
     if model.pose_joints is not None:
         arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
     if model.landmarks:

@@ -150,6 +150,27 @@ NECK: dict[str, Stops] = {
     "neck": _bends("neck", (30, 0, 0), (0, 40, 0), (0, 0, 28), (-25, 0, 0)),
     "head": _bends("head", (22, 0, 0), (0, 35, 0), (0, 0, 20), (-22, 0, 0)),
 }
+MORE_ARM: dict[str, Stops] = {
+    "elbow_fold": _bends("elbow", *((0, -t, 0) for t in (30, 60, 75, 90, 105, 120, 135, 148))),
+    "elbow_twist": _bends(
+        "elbow", (30, 0, 0), (60, 0, 0), (80, 0, 0), (-40, 0, 0), (-80, 0, 0), (0, 8, 0)
+    ),
+    "collar_wide": _bends(
+        "collar", (0, 0, 40), (0, -30, 0), (0, 30, 0), (0, 0, -25), (40, 0, 0), (-30, 0, 0)
+    ),
+}
+MORE_LEG: dict[str, Stops] = {
+    "knee_fold": _bends("knee", *((t, 0, 0) for t in (30, 60, 75, 90, 105, 120, 135, 148))),
+    "knee_sitting": tuple(
+        {"hip": (-90, 0, 4), "knee": (t, 0, 0)} for t in (30, 60, 75, 90, 105, 120, 135, 146)
+    ),
+    "knee_twist": _bends(
+        "knee", (0, 30, 0), (0, -30, 0), (0, 0, 25), (0, 0, -25), (-5, 0, 0), (-10, 0, 0)
+    ),
+}
+"""Units of a further round: hinges through all angles of their folds, and about axes that the first
+rounds leave out.
+"""
 LANES = ("left_arm", "right_arm", "left_leg", "right_leg", "trunk", "neck")
 MIDDLE = ("spine1", "spine2", "spine3", "neck", "head", "pelvis", "jaw")
 BOTH_LEGS = ("squat",)
@@ -201,6 +222,27 @@ def sessions(
             "neck": (NECK, _pick(necks, k)),
         }
         found.append(_session(rng, f"lanes{turn}{k:02d}", lanes, joint_names))
+    return found
+
+
+def further_sessions(
+    seed: int, person: int, sex: str, joint_names: tuple[str, ...]
+) -> list[Session]:
+    """The sessions of one person's further round: every unit of `MORE_ARM` and `MORE_LEG` on both
+    sides, the left one's beside another of the right.
+    """
+    rng = np.random.default_rng([seed, person, SEXES.index(sex), ROUNDS + 1])
+    arms = _shuffled(rng, MORE_ARM)
+    legs = _shuffled(rng, MORE_LEG)
+    found = []
+    for k in range(len(arms)):
+        lanes = {
+            "left_arm": (MORE_ARM, arms[k]),
+            "right_arm": (MORE_ARM, arms[k - 1]),
+            "left_leg": (MORE_LEG, legs[k]),
+            "right_leg": (MORE_LEG, legs[k - 1]),
+        }
+        found.append(_session(rng, f"further{k:02d}", lanes, joint_names))
     return found
 
 

@@ -19,7 +19,13 @@ from habitus import load_body
 from habitus.parallel.workers import open_workers
 from habitus_lab.default_body.flesh.gather import gather, table
 from habitus_lab.default_body.flesh.people import people
-from habitus_lab.default_body.flesh.poses import ROUNDS, SEXES, Session, rounds_of_sessions
+from habitus_lab.default_body.flesh.poses import (
+    ROUNDS,
+    SEXES,
+    Session,
+    further_sessions,
+    rounds_of_sessions,
+)
 from habitus_lab.default_body.flesh.simulate import Task, Workshop, simulate
 from habitus_lab.default_body.flesh.studio import open_studio
 from habitus_lab.population.poses import motion_poses
@@ -38,9 +44,9 @@ def tasks(options: argparse.Namespace) -> list[Task]:
     for sex in options.sexes:
         body = load_body(sex, detail="full", joints="smplx")
         for k, shape in enumerate(people(body, sex, options.people, options.seed)):
-            for turn, all_of in enumerate(
-                rounds_of_sessions(options.seed, k, sex, body.joint_names)
-            ):
+            given = (options.seed, k, sex, body.joint_names)
+            rounds = [] if options.further else list(rounds_of_sessions(*given))
+            for turn, all_of in enumerate([*rounds, further_sessions(*given)]):
                 found += [(k // BLOCK, turn, k, Task(sex, shape, one)) for one in all_of]
             rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
             moments = _from_motions(options, rng, len(body.joint_names))
@@ -83,6 +89,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, required=True, help="folder of cages and results")
     parser.add_argument("--sexes", nargs="+", choices=SEXES, default=SEXES)
     parser.add_argument("--people", type=int, default=20, help="of each sex")
+    parser.add_argument(
+        "--further", action="store_true", help="only the further round: folds and rare axes"
+    )
     parser.add_argument(
         "--motions", nargs="*", type=Path, default=[], help="fitted motions (npz with `poses`)"
     )
