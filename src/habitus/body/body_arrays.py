@@ -350,13 +350,15 @@ class BodyArrays:
     @cached_property
     def pose_directions(self) -> Float[np.ndarray, "V 3 G"] | None:
         """All that a pose adds: ``posedirs``, or, where the body has hinges, what is left of them
-        without the hinges' stand-ins, and the hinges' directions (`pose_coefficients`).
+        without the hinges' stand-ins, the hinges' directions, and zeros up to a block of nine
+        (`pose_coefficients`).
         """
         if self.posedirs is None or self.hinges is None:
             return self.posedirs
         plain = self.hinges.without_linear(self.posedirs, self.drivers)
         folds = self.hinges.directions.reshape(self.num_vertices, 3, -1)
-        return np.concatenate([plain, folds], axis=2)
+        none = np.zeros((self.num_vertices, 3, self.hinges.padding))
+        return np.concatenate([plain, folds, none], axis=2)
 
     @cached_property
     def skinning_weights(self) -> Float[np.ndarray, "V J"]:

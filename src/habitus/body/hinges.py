@@ -58,6 +58,11 @@ class Hinges:
         """C (1 + S): directions in all."""
         return self.directions.shape[2] * self.directions.shape[3]
 
+    @property
+    def padding(self) -> int:
+        """Zeros behind them, up to a multiple of `ENTRIES`: kernels take features by blocks."""
+        return -self.count % ENTRIES
+
     def rows_of(self, drivers: list[int], rows: Float[np.ndarray, "C 9"]) -> np.ndarray:
         """Rows (C, 9 P) over the features of all P joints that drive pose blend shapes."""
         table = np.zeros((self.num_channels, len(drivers), ENTRIES))
@@ -139,16 +144,16 @@ def pose_coefficients(
     betas: Float[Array, "*#batch B"],
 ) -> Float[Array, "*batch G"]:
     """What a body's pose directions are multiplied with: its pose features, times shape where they
-    depend on it, and its hinges' weights.
+    depend on it, its hinges' weights, and zeros up to a block of nine.
     """
     feature = features.of_pose(pose, rotations, drivers)
     if hinges is None:
         return extended(feature, betas, shape_features)
     folds = hinges.coefficients(feature, betas, drivers)
     xp = namespace(folds)
-    return xp.concatenate(
-        [xp.broadcast_to(feature, (*folds.shape[:-1], feature.shape[-1])), folds], -1
-    )
+    batch = folds.shape[:-1]
+    none = constant(np.zeros((*batch, hinges.padding)), folds)
+    return xp.concatenate([xp.broadcast_to(feature, (*batch, feature.shape[-1])), folds, none], -1)
 
 
 def check_hinges(hinges: Hinges | None, vertices: int, drivers: list[int], betas: int) -> None:

@@ -29,8 +29,8 @@ from habitus.arrays import (
     unflatten,
 )
 from habitus.body.body_arrays import add_blend_shapes
+from habitus.body.hinges import ENTRIES, Hinges, pose_coefficients
 from habitus.body.model import BodyModel
-from habitus.body.hinges import Hinges, pose_coefficients
 from habitus.body.prepared import PreparedBody
 from habitus.body.skinning import (
     descends,
@@ -122,7 +122,9 @@ def surface_jacobian(
             feature = body.features.of_pose(angles, skeleton.rotations, body.drivers)
             by_betas = by_betas + _offsets_by_betas(prepared, feature)
         if body.hinges is not None:
-            weights = moved[..., -body.hinges.count :: 1 + body.hinges.num_shapes]
+            first = len(body.drivers) * ENTRIES
+            folds = moved[..., first : first + body.hinges.count]
+            weights = folds[..., :: 1 + body.hinges.num_shapes]
             by_betas = by_betas + _folds_by_betas(prepared, body.hinges, weights)
     rest = unflatten(rest, -1, (3, -1)).mT
     rest = kind.xp.broadcast_to(rest, (*batch, *rest.shape[-2:]))
@@ -178,15 +180,18 @@ def _blocks(prepared: PreparedBody) -> Float[Array, "S P 3 N"]:
     coefficient.
     """
     assert prepared.rows.posedirs is not None
-    hinges = prepared.model.hinges
-    plain = prepared.rows.posedirs[: None if hinges is None else -hinges.count]
-    return unflatten(unflatten(plain, 0, (1 + prepared.model.shape_features, -1)), -1, (3, -1))
+    model = prepared.model
+    plain = prepared.rows.posedirs[
+        : model.features.count(1 + len(model.drivers), model.shape_features)
+    ]
+    return unflatten(unflatten(plain, 0, (1 + model.shape_features, -1)), -1, (3, -1))
 
 
 def _folds(prepared: PreparedBody, hinges: Hinges) -> Float[Array, "C S1 3 N"]:
     """Directions of the hinges: for all shapes alike, then times each of S shape coefficients."""
     assert prepared.rows.posedirs is not None
-    rows = prepared.rows.posedirs[-hinges.count :]
+    first = len(prepared.model.drivers) * ENTRIES
+    rows = prepared.rows.posedirs[first : first + hinges.count]
     return unflatten(unflatten(rows, 0, (-1, 1 + hinges.num_shapes)), -1, (3, -1))
 
 

@@ -71,17 +71,9 @@ def local_shapes(
     return None if len(shapes.driver) > SPARSE * posedirs.size / (3 * PER_JOINT) else shapes
 
 
-def in_blocks(features: Float[np.ndarray, "*batch F"]) -> Float[np.ndarray, "*batch G"]:
-    """With zeros behind them, up to a multiple of `PER_JOINT`; contiguous."""
-    missing = -features.shape[-1] % PER_JOINT
-    if not missing:
-        return np.ascontiguousarray(features)
-    return np.pad(features, [(0, 0)] * (features.ndim - 1) + [(0, missing)])
-
-
 def without_zeros(posedirs: Float[np.ndarray, "N 3 F"]) -> LocalShapes:
-    """Blend shapes driven by entries of R - I, and by hinges behind them, however few their zeros."""
-    by_joint = in_blocks(posedirs).reshape(len(posedirs), 3, -1, PER_JOINT)
+    """Blend shapes driven by entries of R - I, or hinges, nine by nine, however few their zeros."""
+    by_joint = posedirs.reshape(len(posedirs), 3, -1, PER_JOINT)
     drives = by_joint.any((1, 3))
     vertex, driver = np.nonzero(drives)
     start = np.concatenate([[0], np.cumsum(drives.sum(1))])

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
-from habitus.body.kernels import in_blocks, joint_motions, posed_vertices
 from habitus.body.hinges import Hinges, pose_coefficients
+from habitus.body.kernels import joint_motions, posed_vertices
 from habitus.body.pose_features import PoseFeatures
 from habitus.body.skinning import skin, skinning_motions, world_motions
 from habitus.body.state import BodySurface
@@ -262,7 +262,7 @@ def posed_surface(
     if rows.posedirs is not None:
         rotations = entries.reshape(*pose.shape, 3) + np.eye(3, dtype=pose.dtype)
         moved = pose_coefficients(*driven, pose, rotations, _stacked(betas, 1, batch, count))
-        local = None if rows.local is None else (rows.local, in_blocks(moved))
+        local = None if rows.local is None else (rows.local, np.ascontiguousarray(moved))
         coefficients += [] if local else [moved]
     base = to_numpy(rows.template if shaped is None else shaped)
     bases = to_numpy(rows.blend_shapes)
