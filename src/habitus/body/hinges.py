@@ -106,10 +106,6 @@ class Hinges:
         directions = (self.directions @ factors)[..., None]
         return replace(self, linear=np.zeros_like(self.linear), directions=directions)
 
-    def some(self, ids: object) -> "Hinges":
-        """The channels of some vertices."""
-        return replace(self, directions=self.directions[ids])
-
     def with_shapes(self, count: int) -> "Hinges":
         """The channels without factors of betas from number ``count`` on."""
         return replace(self, directions=self.directions[..., : 1 + count])

@@ -325,7 +325,7 @@ def area_shares(
     hands and faces. By the square of the distance to a neighbour; that of a stray point is bounded.
     """
     count = min(settings.area_neighbours + 1, len(points))
-    radius = KDTree(points).query(points, k=[count])[0][:, 0]
+    radius = KDTree(points).query(points, k=count)[0].reshape(len(points), -1)[:, -1]
     radius = np.minimum(radius, np.quantile(radius, settings.area_quantile))
     area = np.square(radius)
     return area / area.sum()
