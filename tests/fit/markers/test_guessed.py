@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit
 
-from habitus.fit.markers.evidence_settings import UNCERTAINTY
+from habitus.fit.markers.solution import UNCERTAINTY
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from synthetic_fit import synthetic_fit, tube_body
 
-from habitus.fit.markers.evidence_settings import UncertaintySettings
 from habitus.fit.markers.result import betas_covariance
+from habitus.fit.markers.solution import UncertaintySettings
 
 
 def sorted_variances(covariance: np.ndarray) -> np.ndarray:

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import runs
 from habitus.body.skinning import descends
-from habitus.fit.markers.evidence_settings import EVIDENCE, EvidenceSettings
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.parallel.blocks import drop_pages, mapped
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -33,6 +32,51 @@ MASS_SEGMENTS = (
 )
 """Segments of a body from joint to joint, share of its mass, and where between the two joints the
 mass is: de Leva 1996, Journal of Biomechanics 29(9), table 4, men."""
+
+
+@dataclass(frozen=True)
+class EvidenceSettings:
+    """How evidence is measured. Metres, seconds and shares of 0..1."""
+
+    frames: int = 4000
+    """Frames, evenly spaced, whose errors are measured, about; more take memory and change no
+    verdict."""
+    few_frames: int = 200
+    """The same for motion, tilt and size, which take joints or pairs of markers in each frame."""
+    pair_frames: int = 20
+    """The same for distances between all pairs of markers."""
+    min_weight: float = 0.5
+    """Robust weight, of 1, below which a sample is distrusted."""
+    seen_weight: float = 0.1
+    """Robust weight from which on a sample determines where a limb is."""
+    carried: float = 0.5
+    """Share of a marker's skinning weights by which a joint, or what hangs from it, carries it."""
+    straight: float = 0.97
+    """Distance from ankles to neck over the way by knees, hips and pelvis: who stands has more."""
+    standing: float = 0.1
+    """Share of straight frames above which tilt is measured over these alone."""
+    close: float = 0.15
+    """Markers this close at rest, or on one part of the body, are a pair that stays together,"""
+    torn: float = 0.4
+    """is torn if it is observed this much further apart,"""
+    level: float = 0.3
+    """and torn level if the two are less than this apart in height."""
+    motion_step: float = 0.02
+    """Seconds of the differences that speeds and accelerations are taken from: noise of 1 mm leaves
+    an acceleration of 6 m/s^2, and steps of a sprint last 0.1 s."""
+    motion_samples: int = 400
+    """Triples of frames from which the extremes of motion are taken, at most."""
+    motion_percentile: float = 95.0
+    """Of speeds and accelerations; single frames with wrong markers do not count."""
+    extent_percentile: float = 90.0
+    """Of the markers' distances from their middle, for the size: stray markers do not count."""
+
+    def rows(self, num_frames: int) -> Int[np.ndarray, " F"]:
+        """About ``few_frames`` of a capture's frames, evenly spaced."""
+        return np.arange(0, num_frames, max(1, num_frames // self.few_frames))
+
+
+EVIDENCE = EvidenceSettings()
 
 
 class Motion(NamedTuple):

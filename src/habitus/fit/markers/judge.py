@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from habitus.fit.markers.evidence import Evidence, evidence
-from habitus.fit.markers.evidence_settings import EVIDENCE, EvidenceSettings
+from habitus.fit.markers.evidence import EVIDENCE, Evidence, EvidenceSettings, evidence
 from habitus.fit.markers.shape import HOPELESS
 from habitus.fit.markers.solution import MarkerSolution
 from habitus.fit.verdict import (

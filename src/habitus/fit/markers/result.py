@@ -13,9 +13,13 @@ from jaxtyping import Bool, Float, Int
 from habitus.body.jacobians import surface_jacobian
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior, prior_of
-from habitus.fit.markers.evidence_settings import UNCERTAINTY, UncertaintySettings
 from habitus.fit.markers.judge import judge
-from habitus.fit.markers.solution import Guessed, MarkerSolution
+from habitus.fit.markers.solution import (
+    UNCERTAINTY,
+    Guessed,
+    MarkerSolution,
+    UncertaintySettings,
+)
 from habitus.fit.verdict import Verdict
 from habitus.mesh.proximity import farthest_points
 from habitus.observe.marker_prediction import BodyMarkers

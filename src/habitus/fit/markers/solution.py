@@ -13,7 +13,6 @@ from habitus.body.prior import prior_of
 from habitus.body.soft_tissue import simulate_soft_tissue
 from habitus.body.state import BodyState
 from habitus.fit.markers.energy import sequence_terms
-from habitus.fit.markers.evidence_settings import UNCERTAINTY
 from habitus.fit.markers.settings import sequence_settings, settings_from
 from habitus.fit.markers.suspects import Suspect
 from habitus.observe.marker_prediction import BodyMarkers, marked_body, predict
@@ -22,6 +21,33 @@ from habitus.parallel.blocks import distances, mapped
 from habitus.solve.terms import Term
 
 ALL = slice(None)
+
+
+@dataclass(frozen=True)
+class UncertaintySettings:
+    """How far betas and segments are determined by the markers."""
+
+    spans: int = 24
+    """Spans of time in which segments are looked at, at most: each costs a solve of all joints."""
+    place: float = 0.015
+    """Standard deviation (m) of a marker's place on a real body about its place on the fitted one:
+    hands that placed it, flesh, and a shape space that knows no body exactly."""
+    trusted: float = 0.5
+    """Robust weight, of 1, from which on a marker counts as seen."""
+    root_sd: float = 10.0
+    """Radians and metres by which the whole body may be turned and moved: as good as free."""
+    pose_sd: float = 1.0
+    """Radians and metres by which pose and trans may make up for a change of betas: wide, but no
+    joint turns further."""
+    probes: int = 3
+    """Points of the skin, far apart, that stand for a joint's segment: enough for any turn."""
+    min_weight: float = 0.4
+    """Skinning weight of a joint at such a point, at least."""
+    guessed: float = 0.06
+    """Metres: a segment whose skin is known no better (standard deviation) is guessed."""
+
+
+UNCERTAINTY = UncertaintySettings()
 
 
 class Guessed(NamedTuple):

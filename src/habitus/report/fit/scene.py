@@ -11,8 +11,8 @@ import numpy as np
 
 from habitus.body.joint_angles import joint_angles
 from habitus.export.animation import STAGES, Animation, Track, animate
-from habitus.fit.markers.evidence_settings import UNCERTAINTY
 from habitus.fit.markers.result import MarkerFit
+from habitus.fit.markers.solution import UNCERTAINTY
 from habitus.mesh.proximity import signed_distance
 from habitus.parallel.blocks import every_nth_frame, mapped
 from habitus.report.shell import Blob
