@@ -329,6 +329,10 @@ class MoshSettings:
     hopeless_step: int = 2
     """Steps of the annealing after which ``hopeless`` is checked: the first still leaves poses
     rough."""
+    rough: float = 0.02
+    """Metres: the last step is solved once, and roughly, where half of the markers are further from
+    the body before it: no sound fit comes of it, and to settle it took most of the time of captures
+    that fail. Sound captures have at most 0.011."""
     last_repeats: int = 3
     """Times that the last step is solved: triangles and robust weights are held within a step, and
     settle in these."""

@@ -93,14 +93,20 @@ def shape_stage(
     filled = np.nan_to_num(observed)
     iterations = 0
     status = ""
+    settled = False
     costs: dict[str, float] = {}
     last = len(settings.annealing) - 1
     for step in [*range(last), *([last] * settings.last_repeats)]:
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         residual = markers(**unknowns) - filled
-        if step == settings.hopeless_step and _hopeless(residual, visible, settings):
+        off = _median_distance(residual, visible)
+        if step == settings.hopeless_step and off > settings.hopeless:
             status = HOPELESS
             break
+        rough = off > settings.rough
+        if step == last and rough and settled:
+            break
+        settled = step == last
         weights = visible * _robust_weights(residual, step, settings)
         terms = shape_terms(
             body, markers, placement, filled, weights, prior, settings, settings.annealing[step]
@@ -111,7 +117,7 @@ def shape_stage(
             "dogleg",
             blocks=("trans", "pose"),
             max_iterations=settings.shape_iterations,
-            tolerances=Tolerances(cost=settings.shape_tolerances[step == last]),
+            tolerances=Tolerances(cost=settings.shape_tolerances[step == last and not rough]),
             stretch=False,
         )
         unknowns = result.values
@@ -131,9 +137,9 @@ def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachm
     return attach(unknowns["latent_markers"], body.rest_vertices(unknowns["betas"]), body.faces)
 
 
-def _hopeless(residual: np.ndarray, visible: np.ndarray, settings: MoshSettings) -> bool:
-    """Whether half of the markers are nowhere near the body."""
-    return bool(np.median(np.linalg.norm(residual, axis=2)[visible > 0]) > settings.hopeless)
+def _median_distance(residual: np.ndarray, visible: np.ndarray) -> float:
+    """Of the markers that are seen from where they are expected (m)."""
+    return float(np.median(np.linalg.norm(residual, axis=2)[visible > 0]))
 
 
 def _robust_weights(residual: np.ndarray, step: int, settings: MoshSettings) -> np.ndarray:
