@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hinged_body import KNEE, with_hinges
+from synthetic_fit import tube_body
 
 import habitus as hb
 from habitus.body.jacobians import surface_jacobian
@@ -107,6 +108,22 @@ def test_hinges_travel_with_a_body(body, tmp_path):
     assert {fewer.joint_names[j] for j in fewer.hinges.joint} == named
     child = body.at_age(8)
     assert np.abs(child.hinges.directions).max() < np.abs(body.hinges.directions).max()
+
+
+def test_files_for_others_have_the_pose_blend_shapes_that_stand_in_for_hinges(tmp_path):
+    body = with_hinges(tube_body(posedirs=True))
+    plain = replace(body, hinges=None)
+    pose = bent(body, 130)
+    save_body(body, tmp_path / "body.pkl")
+    read = load_body(tmp_path / "body.pkl")
+    assert read.hinges is None
+    np.testing.assert_allclose(read((), pose).vertices, plain((), pose).vertices, atol=1e-9)
+    save_body(body, tmp_path / "body.npz")
+    save_body(plain, tmp_path / "plain.npz")
+    with np.load(tmp_path / "body.npz") as file, np.load(tmp_path / "plain.npz") as without:
+        more = set(file.files) - set(without.files)
+        assert more == {"hinge_joints", "hinge_rows", "hinge_bias", "hinge_linear", "hingedirs"}
+        np.testing.assert_array_equal(file["posedirs"], without["posedirs"])
 
 
 def test_hinges_that_do_not_fit_are_refused(body):
