@@ -22,7 +22,7 @@ and places.
 """
 HELD = {"people": ("templates", "joints"), "poses": ("pose", "trans")}
 """The unknowns of eq. 14 that those of `FIXED` hold, where these are not of the same name."""
-STOPPING = ("rounds", "tolerance", "least_effect")
+STOPPING = ("rounds", "tolerance", "least_effect", "hinges")
 """Options that say how long, or what is done at the end: a training goes on with others."""
 
 
@@ -95,6 +95,13 @@ class TrainSettings:
     """Parts into which people are divided for that cross-validation."""
     imputation_steps: int = 12
     """Steps of expectation maximisation that fill holes of rest surfaces; converged by then."""
+    hinge_joints: tuple[str, ...] = ("left_knee", "right_knee", "left_elbow", "right_elbow")
+    """Joints that fold about one axis, of those that the body has: ``hinges`` are theirs."""
+    hinge_shapes: int = 2
+    """Shape coefficients that hinge channels are multiplied with: two tell as much of where a
+    person's fold begins as girths do, a third no more."""
+    hinge_ridge: float = 3e-3
+    """Of a channel's mean square: what keeps its directions small."""
     checks: CheckSettings = CHECKS
     """What counts as wrong with registrations."""
 
@@ -133,6 +140,10 @@ class TrainOptions:
     """Weight mu of E_R, which keeps local pose blend shapes small at rotations by 0 to 90 degrees
     that no registration shows (`habitus.learn.posing.rotation_prior`); 0 leaves it out, 0.003
     damped those of the default body.
+    """
+    hinges: tuple[float, ...] = ()
+    """Bends (degrees) where channels of knees and elbows begin, learned at the end for deep folds
+    that vec(R - I) cannot tell (`habitus.body.hinges`); the default body has 60, 90, 115 and 135.
     """
     influences: int = 4
     """Most joints that move a vertex."""
@@ -181,6 +192,16 @@ class TrainOptions:
                 for key in ("l1", "least_effect", "rotation_prior", "tolerance")
             }
         )
+        object.__setattr__(self, "hinges", tuple(map(float, self.hinges)))
+        plain = self.pose_features == "rotations" and self.pose_shapes != "none"
+        if self.hinges and (self.shape_features or not plain):
+            raise HabitusError(
+                f"hinges with pose_features {self.pose_features!r}, pose_shapes "
+                f"{self.pose_shapes!r} and {self.shape_features} shape_features; expected pose "
+                "blend shapes of 'rotations' alone"
+            )
+        if any(not 0 <= degrees < 150 for degrees in self.hinges):
+            raise HabitusError(f"hinges begin at {self.hinges} degrees; expected 0 to 150")
         if self.influences > CANDIDATES:
             raise HabitusError(
                 f"influences is {self.influences}; expected {CANDIDATES} or fewer joints a vertex"

@@ -37,6 +37,7 @@ from habitus.learn.start.first_estimate import (
     state_problem,
 )
 from habitus.learn.steps.alternation import STEPS, Step, over_relax
+from habitus.learn.steps.hinges import with_learned_hinges
 from habitus.learn.steps.pose_shapes import let_go
 from habitus.learn.steps.poses import EdgeDistance, edge_distance
 from habitus.mesh.laplacian import fill_holes
@@ -107,6 +108,8 @@ def train_body(
         )
     state = _settled(replace(problem, options=options), state, workers, callback)
     trained = assemble(name, template, state.estimate.rig, regressor, shape, body)
+    if options.hinges:
+        trained = with_learned_hinges(trained, problem, state.estimate, options)
     return TrainedBody(trained, state.history, state.estimate, shape)
 
 

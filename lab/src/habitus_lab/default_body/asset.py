@@ -28,6 +28,7 @@ DESCRIPTION = (
 TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, before flesh/ship.py
 LEARNED = "are learned from simulated flesh"
 DAMPED = LEARNED + ", damped where no pose was simulated"
+FOLDED = DAMPED + ", with hinge channels at knees and elbows"
 
 
 def asset_arrays(

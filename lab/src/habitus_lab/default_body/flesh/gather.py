@@ -23,9 +23,10 @@ from .studio import SKIN, below
 from .touching import averaging, drawn_apart
 
 HELD_PERSON = 6
-HELD_POSE = (
-    8  # every so manieth person, and of the others every so manieth pose, is of the set "test"
-)
+HELD_POSE = 7
+"""Every so manieth person, and of the others every so manieth pose, is of the set "test"; sessions
+have other numbers of stops, so that no stop is always held out.
+"""
 FIRM = 0.95
 RAMP = (
     0.6  # skin this much of head, hands and feet is not simulated; weights fall to 0 over the ramp
