@@ -16,8 +16,12 @@ import habitus
 from habitus.body.joint_layouts import SMPL, SMPLH, SMPLX
 from habitus.body.measurements import volume
 from habitus.fit.from_measurements import ESTIMATE
+from habitus.io.models.details import hinges_form
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE / "habitus_body"))  # whose __init__ needs Blender
+from folds import fold_shapes  # noqa: E402
+
 NEAR = 0.06
 """Metres from the highest and the lowest point of the template within which anybody's are looked
 for.
@@ -28,8 +32,6 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
     """The arrays that the add-on needs of a body at its full level of detail."""
     coarse = habitus.load_body(name)
     model = coarse.full or coarse
-    blocks = [model.posedirs[..., 9 * k : 9 * k + 9] for k in range(len(model.drivers))]
-    moved = [np.flatnonzero(block.any((1, 2))) for block in blocks]
     shape = {
         "v_template": model.v_template,
         "shapedirs": _short(model.shapedirs),
@@ -47,17 +49,28 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
         "age_adult": np.array(model.ages.adult),
     }
     skin = {
-        "drivers": np.array(model.drivers),
-        "pose_start": np.cumsum([0, *map(len, moved)]),
-        "pose_vertices": np.concatenate(moved).astype(np.int32),
-        "pose_values": _short(np.concatenate([b[m] for b, m in zip(blocks, moved, strict=True)])),
         "skinning_index": model.skinning_index.astype(np.int32),
         "skinning_value": model.skinning_value.astype(np.float32),
         "faces": model.mesh.quads.astype(np.int32),
         "uv": model.mesh.uv.astype(np.float32),
         "face_uv": model.mesh.quad_uv.astype(np.int32),
     }
-    return shape | skin | _dynamics(model) | _measures(coarse)
+    return shape | skin | pose_arrays(model) | _dynamics(model) | _measures(coarse)
+
+
+def pose_arrays(model: Any) -> dict[str, np.ndarray]:
+    """Those that the add-on needs of pose blend shapes, folds among them."""
+    held = hinges_form(model.hinges)
+    folds, shapes = fold_shapes(held, list(model.joint_names), model.drivers, model.posedirs)
+    blocks = [shapes[..., 9 * k : 9 * k + 9] for k in range(len(model.drivers))]
+    moved = [np.flatnonzero(block.any((1, 2))) for block in blocks]
+    folds["fold_values"] = _short(folds["fold_values"])
+    return folds | {
+        "drivers": np.array(model.drivers),
+        "pose_start": np.cumsum([0, *map(len, moved)]),
+        "pose_vertices": np.concatenate(moved).astype(np.int32),
+        "pose_values": _short(np.concatenate([b[m] for b, m in zip(blocks, moved, strict=True)])),
+    }
 
 
 def _short(values: np.ndarray) -> np.ndarray:

@@ -16,8 +16,9 @@ ENTRIES = [f"{row}{column}" for row in "xyz" for column in "xyz"]
 def write_fbx(context, person, path):
     """The scene's frames as FBX; how many blend shapes follow the bones comes back.
 
-    These are the body's own, entry by entry of R - I, called as `habitus export --bake-correctives
-    all` calls them, so that a .correctives.json of that drives them in other poses.
+    These are the body's own, entry by entry of R - I and fold by fold, called as `habitus export
+    --bake-correctives all` calls them, so that a .correctives.json of that drives them in other
+    poses.
     """
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_fbx"):
         bpy.ops.preferences.addon_enable(module="io_scene_fbx")
@@ -51,8 +52,9 @@ class _baked:
         person["habitus_baked"] = 1
         blocks[KEY].data.foreach_set("co", rest.ravel())
         curves, self.names = add_curves(self.keys, "baked", "KEY"), []
-        drivable = _drivable(body_of(person), matrices(pose), tall)
-        for name, vertices, shape, values in (*drivable, *_both_ways(tissue, weights, rest)):
+        model, turned = body_of(person), matrices(pose)
+        driven = (*_drivable(model, turned, tall), *_folds(model, person, turned, tall))
+        for name, vertices, shape, values in (*driven, *_both_ways(tissue, weights, rest)):
             moved = rest.copy()
             moved[vertices] += shape
             key = person.shape_key_add(name=name, from_mix=False)
@@ -144,3 +146,11 @@ def _drivable(model, rotations, tall):
                         2 * sign * tall * values[..., entry],
                         weights,
                     )
+
+
+def _folds(model, person, rotations, tall):
+    """The same of the folds that these turns need."""
+    for k, weights in enumerate(model.folded(rotations).T):
+        vertices, shape = model.fold(k, np.array(person.habitus_betas))
+        if len(vertices) and weights.max() > 1e-6:
+            yield str(model.arrays["fold_names"][k]), vertices, tall * shape, weights

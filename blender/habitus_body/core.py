@@ -50,7 +50,7 @@ class Body:
         """The joints (J, 3) at rest."""
         return self._shaped("joint_template", "joint_shapedirs", "joint_age_directions", betas, age)
 
-    def correctives(self, rotations: np.ndarray, age: float = 0.0) -> np.ndarray:
+    def correctives(self, rotations: np.ndarray, betas: np.ndarray, age: float = 0.0) -> np.ndarray:
         """Pose blend shapes (V, 3; m at rest) for the joints' local rotations (J, 3, 3)."""
         start, vertices, values = (
             self.arrays[f"pose_{name}"] for name in ("start", "vertices", "values")
@@ -59,7 +59,26 @@ class Body:
         for k, joint in enumerate(self.drivers):
             rows = slice(start[k], start[k + 1])
             offsets[vertices[rows]] += values[rows] @ (rotations[joint] - np.eye(3)).reshape(9)
+        for k, weight in enumerate(self.folded(rotations)):
+            if weight > 0:
+                moved, shape = self.fold(k, betas)
+                offsets[moved] += weight * shape
         return self.grown(age)[1] * offsets
+
+    def folded(self, rotations: np.ndarray) -> np.ndarray:
+        """Weights (..., C) of the folds for the joints' local rotations (..., J, 3, 3)."""
+        joints, rows, bias = (self.arrays[f"fold_{name}"] for name in ("joints", "rows", "bias"))
+        turned = rotations[..., joints, :, :] - np.eye(3)
+        return np.clip((turned * rows.reshape(-1, 3, 3)).sum((-2, -1)) - bias, 0.0, 1.0) ** 2
+
+    def fold(self, k: int, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The vertices that a fold moves, and how (N, 3; m)."""
+        start, vertices, values = (
+            self.arrays[f"fold_{name}"] for name in ("start", "vertices", "values")
+        )
+        rows = slice(start[k], start[k + 1])
+        known = np.append(1.0, self.padded(betas)[: values.shape[-1] - 1])
+        return vertices[rows], values[rows] @ known
 
     def _shaped(
         self, template: str, directions: str, ages: str, betas: np.ndarray, age: float

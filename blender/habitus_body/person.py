@@ -246,7 +246,8 @@ def correct(person):
     if person.get("habitus_baked"):
         return
     keys = person.data.shape_keys.key_blocks
-    moved = body_of(person).correctives(rotations_of(person), person.habitus_age)
+    betas = np.array(person.habitus_betas)
+    moved = body_of(person).correctives(rotations_of(person), betas, person.habitus_age)
     moved = (points_of(keys["Basis"]) + moved).astype(np.float32)
     if np.abs(moved - points_of(keys[KEY])).max() > 1e-7:
         keys[KEY].data.foreach_set("co", moved.ravel())

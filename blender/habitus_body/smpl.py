@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bodies of files in SMPL's form (.npz): v_template, shapedirs, posedirs, J_regressor, weights,
-kintree_table, f.
+kintree_table, f; of habitus' also hinge channels.
 """
 
 from pathlib import Path
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from .core import Body, layouts, read_arrays
+from .folds import fold_shapes
 
 WANTED = ("v_template", "shapedirs", "J_regressor", "weights", "kintree_table", "f")
 
@@ -56,10 +57,13 @@ def _body(path: str, held: dict) -> Body:
         "parents": parents,
         "faces": np.asarray(held["f"], np.int64),
     }
-    return Body(arrays | _pose_shapes(held, len(parents)) | _skin(weights), Path(path).stem)
+    return Body(
+        arrays | _pose_shapes(held, list(map(str, names))) | _skin(weights), Path(path).stem
+    )
 
 
-def _pose_shapes(held: dict, joints: int) -> dict:
+def _pose_shapes(held: dict, names: list) -> dict:
+    joints = len(names)
     shapes = np.asarray(held.get("posedirs", np.zeros((len(held["v_template"]), 3, 0))), np.float64)
     drivers = (
         np.asarray(held.get("posedirs_joints", np.arange(1, joints)))
@@ -72,9 +76,10 @@ def _pose_shapes(held: dict, joints: int) -> dict:
         raise ValueError(
             f"has {shapes.shape[-1]} pose blend shapes; expected {9 * (joints - 1)}, nine a joint"
         )
+    folds, shapes = fold_shapes(held, names, drivers.tolist(), shapes)
     blocks = [shapes[..., 9 * k : 9 * k + 9] for k in range(len(drivers))]
     moved = [np.flatnonzero(block.any((1, 2))) for block in blocks]
-    return {
+    return folds | {
         "drivers": drivers,
         "pose_start": np.cumsum([0, *map(len, moved)]),
         "pose_vertices": np.concatenate([np.zeros(0, np.int64), *moved]),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hinged_body import KNEE, with_hinges
 from read_blender import PROGRAMS
 from synthetic_fit import tube_body
 
@@ -106,6 +107,7 @@ assert bpy.ops.habitus.add_file(filepath=f"{folder}/smpl.npz") == {"FINISHED"}
 assert bpy.ops.habitus.import_npz(filepath=f"{folder}/other.npz") == {"FINISHED"}
 scene.frame_set(4)
 found["other"] = seen(context.object)
+assert bpy.ops.habitus.export_fbx(filepath=f"{folder}/folded") == {"FINISHED"}
 bpy.ops.habitus.add(sex="male")  # turned by hand, in one key, at the place where it stands
 person = context.object
 person.parent.pose.bones["left_elbow"].rotation_quaternion = (0.8, 0.0, -0.6, 0.0)
@@ -125,6 +127,10 @@ hard = imported("hard")
 for frame in (3, 7):
     scene.frame_set(frame + 1)
     found[f"fbx{frame}"], found[f"hard{frame}"] = seen(fbx), seen(hard)
+folded = imported("folded")
+found["folds"] = [key.name for key in folded.data.shape_keys.key_blocks if "_fold_" in key.name]
+scene.frame_set(4)
+found["folded"] = seen(folded)
 keyed = imported("keyed")
 scene.frame_set(1)
 found["keyed_fbx"] = seen(keyed)
@@ -195,9 +201,11 @@ def written(folder: Path) -> Given:
     np.savez(
         folder / "motion.npz", **held, markers_obs=markers, labels_obs=np.array(["LKNE", "RKNE"])
     )
-    file = tube_body(posedirs=True)
+    file = with_hinges(tube_body(posedirs=True))
     save_body(file, folder / "smpl.npz")
-    other = Motion(file, rng.normal(size=6), *path, 60.0, up_axis="+y", body_name="tubes")
+    bent = path[0].copy()
+    bent[:, file.joint_names.index(KNEE)] = [2.2, 0.1, 0.0]
+    other = Motion(file, rng.normal(size=6), bent, path[1], 60.0, up_axis="+y", body_name="tubes")
     other.export(folder / "other.npz")
     return Given(bodies, betas, pose, motion, other)
 
@@ -287,4 +295,6 @@ def motions(given: Given, found: dict[str, np.ndarray], folder: Path) -> None:
     assert off(found["after_hard"], found["frame7"]) < 1e-6
     assert off(found["keyed_fbx"], found["keyed"]) < 1e-4
     turn = up_rotation("+z").T
-    assert off(found["other"], given.other.vertices(3) @ turn.T) < 1e-4
+    for name in ("other", "folded"):
+        assert off(found[name], given.other.vertices(3) @ turn.T) < 1e-4
+    assert {f"{KNEE}_fold_60", f"{KNEE}_fold_84"} <= set(found["folds"].tolist())

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hinged_body import KNEE, with_hinges
 from read_blender import PROGRAMS, run
 from scipy.spatial.transform import Rotation
 from synthetic_fit import synthetic_fit, tube_body
@@ -61,11 +62,12 @@ np.savez(f"{folder}/found.npz", vertices=points.reshape(-1, 3) @ whole[:3, :3].T
 def test_any_pose_of_an_imported_person_is_the_bodys(tmp_path, program, operator):
     if PROGRAMS[program] is None:
         pytest.skip(f"no {program} here: apt-get install blender python3-numpy, or pip install bpy")
-    fit = synthetic_fit(3, soft=False, body=tube_body(posedirs=True))
+    fit = synthetic_fit(3, soft=False, body=with_hinges(tube_body(posedirs=True)))
     rng = np.random.default_rng(6)
     fit.export(tmp_path / "a.fbx", correctives="all")
     pose = rng.normal(0, 0.5, (fit.body.num_joints, 3))
     pose[0] = 0
+    pose[fit.body.joint_names.index(KNEE), 0] = 2.2  # into a fold
     names = np.array(fit.body.joint_names)
     np.savez(tmp_path / "given.npz", turns=Rotation.from_rotvec(pose).as_matrix(), names=names)
     (tmp_path / "drive.py").write_text(SCRIPT)
