@@ -15,7 +15,7 @@ import pytest
 
 from habitus import files
 from habitus.errors import HabitusError
-from habitus.files import atomic_write, locked, tidy, whole_folder, write_text
+from habitus.files import atomic_write, files_together, locked, tidy, whole_folder, write_text
 
 OURS = ("numbers.txt", "page.html")
 
@@ -149,6 +149,69 @@ def test_tidying_touches_nothing_else(tmp_path):
     tidy(tmp_path, OURS)
     assert sorted(content(tmp_path)) == sorted(kept)
     tidy(tmp_path / "nowhere")
+
+
+def test_a_kill_at_any_step_leaves_files_of_one_run(tmp_path):
+    """A child that ends before its n-th change of names, for every n; then the next run tidies."""
+    seen = []
+    for n in range(1, 40):
+        folder = tmp_path / str(n)
+        folder.mkdir()
+        for name in ("numbers.txt", "page.html", "extra.txt"):
+            (folder / name).write_text("old")
+        child = os.fork()
+        if child == 0:
+            try:
+                _end_before_change(n)
+                with files_together(folder, ours=("extra.txt",)) as partial:
+                    for name in OURS:
+                        write_text(partial / name, "new")
+            finally:
+                os._exit(0)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        tidy(folder)
+        seen.append(content(folder))
+        if code == 0:
+            break
+    old = dict.fromkeys(("numbers.txt", "page.html", "extra.txt"), "old")
+    new = dict.fromkeys(OURS, "new")
+    committed = seen.index(new)
+    assert seen == [old] * committed + [new] * (len(seen) - committed)
+    assert committed >= 3 and len(seen) - committed >= 4
+
+
+def _end_before_change(n: int) -> None:
+    """In a child process: end it before the n-th change of names."""
+    counter = iter(range(1, n + 1))
+
+    def dying(change):
+        def call(*arguments, **named):
+            if next(counter) == n:
+                os._exit(9)
+            return change(*arguments, **named)
+
+        return call
+
+    for name in ("rename", "replace", "unlink", "rmdir"):
+        setattr(os, name, dying(getattr(os, name)))
+
+
+@pytest.mark.parametrize("killed_after_renames", [1, 2])
+def test_the_next_run_tidies_what_is_beside_its_folder(killed_after_renames, tmp_path):
+    aside = tmp_path / ".out.old-abcdefgh"
+    write(aside, "old")
+    (aside / "notes.txt").write_text("mine")
+    write(tmp_path / ".out.partial-abcdefgh", "torn")
+    if killed_after_renames == 2:
+        write(tmp_path / "out", "new")
+    others = (".out.partial-abcdefgh.json", ".walk.partial-abcdefgh")
+    for name in others:
+        (tmp_path / name).write_text("of others")
+    with locked(tmp_path / "out", OURS):
+        pass
+    results = {f"out/{name}": "new" if killed_after_renames == 2 else "old" for name in OURS}
+    others_there = dict.fromkeys(others, "of others")
+    assert content(tmp_path) == {**results, **others_there, "out/notes.txt": "mine"}
 
 
 def test_a_link_is_replaced_and_what_it_led_to_is_not_touched(tmp_path):

@@ -2,8 +2,9 @@
 apart.
 
 What is being written stands under a hidden name beside its place, ``.NAME.partial-…``, and takes
-the place in one step. An older folder is first moved to ``.NAME.old-…``. `tidy` removes what killed
-runs left, and puts an older folder back where a run was killed between the two steps.
+the place in one step. An older folder is first moved to ``.NAME.old-…``; files that belong together
+are first collected in ``.files.ready-…``. `tidy` removes what killed runs left, puts an older
+folder back where a run was killed between the two steps, and places files that were ready.
 """
 
 import os
@@ -19,7 +20,7 @@ from filelock import FileLock, Timeout
 from habitus.errors import HabitusError
 
 LOCK = ".lock"
-_LEFT = re.compile(r"\.(?P<name>.+)\.(?P<kind>partial|old)-[a-z0-9_]{8}(\.[^.]*)?", re.DOTALL)
+_LEFT = re.compile(r"\.(?P<name>.+)\.(?P<kind>partial|old|ready)-[a-z0-9_]{8}(\.[^.]*)?", re.DOTALL)
 _ROOM = "free some room or choose another folder"
 
 
@@ -94,6 +95,51 @@ def whole_folder(path: str | os.PathLike[str], ours: Collection[str] = ()) -> It
         shutil.rmtree(partial, ignore_errors=True)
 
 
+@contextmanager
+def files_together(folder: Path, ours: Collection[str] = ()) -> Iterator[Path]:
+    """A hidden folder in ``folder`` whose files take their places there when the block ends well,
+    and vanish otherwise; of ``ours``, those that it lacks are removed.
+
+    It is renamed to ``.files.ready-…`` first: where a kill comes between the files, `tidy` places
+    the others. Raises HabitusError where that cannot be done.
+    """
+    try:
+        for left in folder.glob(".files.ready-*"):
+            _place(left, folder)
+        partial = Path(tempfile.mkdtemp(dir=folder, prefix=".files.partial-"))
+    except OSError as error:
+        raise HabitusError(
+            f"cannot write to {folder}: {error.strerror or error}; choose another folder"
+        ) from error
+    try:
+        yield partial
+        for name in ours:
+            (partial / name).touch()
+        _flush(partial)
+        ready = partial.with_name(partial.name.replace(".partial-", ".ready-"))
+        os.rename(partial, ready)
+        _flush(folder)
+        _place(ready, folder)
+    except HabitusError as error:
+        raise HabitusError(str(error).replace(str(partial), str(folder))) from error
+    except OSError as error:
+        raise HabitusError(f"cannot write {folder}: {error.strerror or error}; {_ROOM}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _place(ready: Path, folder: Path) -> None:
+    """Move a folder's files to ``folder``; an empty one stands for a file to remove."""
+    for path in ready.iterdir():
+        if path.stat().st_size:
+            os.replace(path, folder / path.name)
+        else:
+            (folder / path.name).unlink(missing_ok=True)
+            path.unlink()
+    _flush(folder)
+    ready.rmdir()
+
+
 def replaceable(path: str | os.PathLike[str]) -> Path:
     """The absolute path of a folder that may be replaced. Raises HabitusError for a file and for
     the working folder.
@@ -145,18 +191,21 @@ def _clear(aside: Path, target: Path, ours: Collection[str]) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
-def tidy(folder: Path, ours: Collection[str] = ()) -> None:
+def tidy(folder: Path, ours: Collection[str] = (), name: str | None = None) -> None:
     """Remove what killed runs left in a folder that nobody else is at work in; ``ours`` as for
-    `whole_folder`.
+    `whole_folder`. With a ``name``, only what they left of the folder of this name.
     """
-    entries = list(folder.iterdir()) if folder.is_dir() else []
+    readable = folder.is_dir() and os.access(folder, os.R_OK)
+    entries = list(folder.iterdir()) if readable else []
     for entry in entries:
         found = _LEFT.fullmatch(entry.name)
-        if found is None:
+        if found is None or (name and not (found["name"] == name and entry.is_dir())):
             continue
         with suppress(OSError):
             if found["kind"] == "old" and not os.path.lexists(folder / found["name"]):
                 os.rename(entry, folder / found["name"])
+            elif found["kind"] == "ready":
+                _place(entry, folder)
             elif found["kind"] == "old":
                 _clear(entry, folder / found["name"], ours)
             elif entry.is_dir() and not entry.is_symlink():
@@ -209,10 +258,13 @@ def writable_folder(folder: Path) -> Path:
 @contextmanager
 def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
     """Keep other runs out of the folder (created if missing) until the block ends or the process
-    dies; then `tidy` it.
+    dies; `tidy` it first, and what is left beside it of runs that replaced it as a whole.
 
     Raises HabitusError at once where another run is at work in it, or it cannot be written to.
     """
+    target = Path(os.path.abspath(folder))
+    if not os.path.lexists(target):
+        tidy(target.parent, ours, target.name)  # a kill between two renames: the older one returns
     is_new = not folder.exists()
     lock = FileLock(writable_folder(folder) / LOCK, mode=0o666 & ~_umask())
     try:
@@ -229,6 +281,7 @@ def locked(folder: Path, ours: Collection[str] = ()) -> Iterator[None]:
         ) from error
     try:
         tidy(folder, ours)
+        tidy(target.parent, ours, target.name)
         yield
     finally:
         with suppress(OSError):  # who waits for it sees that it has no name any more

@@ -264,6 +264,23 @@ def test_a_trainer_writes_nothing_before_it_is_saved(files, quick, tmp_path, mon
     assert len(ours["energies"]) == len(theirs["energies"])
 
 
+def test_files_of_a_model_are_replaced_together(files, quick, tmp_path, monkeypatch):
+    older = ("model.npz", "model.pkl", "poses.npz", "training.json")
+    for name in older:
+        (tmp_path / name).write_text("of an earlier run")
+    (done,) = train(files[0], quick, template=files[1], options=QUICK, workers=1)
+
+    def fails(*_):
+        raise HabitusError("no room")
+
+    monkeypatch.setattr("habitus.jobs.train.write_record", fails)
+    with pytest.raises(HabitusError, match="no room"):
+        done.save(tmp_path)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        older, "of an earlier run"
+    )
+
+
 def test_a_trainer_with_a_folder_is_the_command(files, quick):
     done = Trainer(**vars(QUICK)).fit(files[0], files[1], out=quick, workers=1)
     assert done.folder == quick  # and continues from there: options are the same

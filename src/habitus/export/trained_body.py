@@ -27,7 +27,6 @@ def write_model(
     """
     if like is not None:
         save_like(body, like, folder / f"{stem}.npz")
-        (folder / "model.pkl").unlink(missing_ok=True)  # of an earlier run
         return [
             f"no model.pkl: {stem}.npz has two levels of detail; save_body writes one of them for "
             "others"
@@ -36,7 +35,6 @@ def write_model(
     if stem == "model" and is_official(body):
         save_body(body, folder / "model.pkl")
     elif stem == "model":
-        (folder / "model.pkl").unlink(missing_ok=True)  # of an earlier run
         driven = f"{body.pose_features!r} and {body.shape_features} shape coefficients"
         return [f"no model.pkl: SMPL's form has no word for pose blend shapes driven by {driven}"]
     return []

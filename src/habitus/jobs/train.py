@@ -17,7 +17,7 @@ import habitus
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.export.trained_body import write_model, write_poses
-from habitus.files import atomic_write, locked, tidy, writable_folder
+from habitus.files import atomic_write, files_together, locked, tidy, writable_folder
 from habitus.io.models.levels import has_levels
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.templates import body_template, template_and_body
@@ -219,23 +219,23 @@ class Training:
         return self.trained.body
 
     def save(self, folder: PathLike) -> "Training":
-        """Write model.npz, model.pkl, poses.npz, training.json and the baselines' models, each
-        atomically.
+        """Write model.npz, model.pkl, poses.npz, training.json and the baselines' models, all or
+        none.
 
         The same result is returned with its folder, and with a warning where SMPL's pickle cannot
         express the model (no model.pkl is written then). Raises HabitusError where the folder
         cannot be written to.
         """
         folder = writable_folder(Path(folder))
-        notes = write_model(self.body, folder, like=self.like)
-        write_poses(
-            folder / "poses.npz", self.registrations.where(set="pose"), self.trained.estimate
-        )
-        for name, baseline in self.baselines.items():
-            write_model(baseline.body, folder, name)
-        warnings = (*self.warnings, *(note for note in notes if note not in self.warnings))
-        saved = replace(self, folder=folder, warnings=warnings)
-        write_record(saved, folder)
+        with files_together(folder, ours=("model.pkl",)) as partial:
+            notes = write_model(self.body, partial, like=self.like)
+            poses = self.registrations.where(set="pose")
+            write_poses(partial / "poses.npz", poses, self.trained.estimate)
+            for name, baseline in self.baselines.items():
+                write_model(baseline.body, partial, name)
+            warnings = (*self.warnings, *(note for note in notes if note not in self.warnings))
+            saved = replace(self, folder=folder, warnings=warnings)
+            write_record(saved, partial)
         return saved
 
 
