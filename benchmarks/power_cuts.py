@@ -1,8 +1,8 @@
 """What is left of `habitus mosh` when it is killed at any moment, when the disk is full, when two
 run in one folder.
 
-python benchmarks/power_cuts.py [--kills 50] [--frames 60] [--hasty] [--seed 0] [--out
-power_cuts.json]
+python benchmarks/power_cuts.py [--kills 50] [--frames 60] [--hasty] [--seed 0]
+[--only rgbd register train] [--out power_cuts.json]
 
 Fits of a real capture where there is one (../shared/mocap), else of a synthetic one, replace the
 results of earlier fits and get SIGKILL: half of them at a random moment between start and end, half
@@ -12,10 +12,11 @@ by byte; nothing may lie outside the folder for results. A last run that is left
 nothing but results. With --hasty the shape stage takes one step on three frames: what is written,
 and when, stays the same. The full disk is a tmpfs of 1 MB where mounting is allowed, else a limit
 on the size of files. `habitus archive` is killed half as often; resumed, its results must be those
-of a run that nobody killed.
+of a run that nobody killed. `habitus rgbd`, `register` and `train`: see `killed_programs`; with
+--only these alone are measured, and the file's other numbers stay.
 """
 
-import hashlib
+import argparse
 import json
 import random
 import shutil
@@ -26,23 +27,25 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from common import CAPTURES, in_words, machine, parser, synthetic, write_json
+from common import CAPTURES, command, in_words, machine, parser, synthetic, write_json
+from killed_programs import MAIN, NOTES, PROGRAMS, digests, kill_once, program_kills, same_arrays
 
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.models.bodies import load_body
 
-HASTY = """
+HASTY = (
+    """
 from functools import partial
 import habitus.jobs.mosh as jobs
 jobs.MoshSettings = partial(jobs.MoshSettings, annealing=(10.0,), frames=3)
-from habitus.cli.main import main
-main()
 """
+    + MAIN
+)
 FILES = {"body.npz", "body.glb", "metrics.json", "report.html"}
-NOTES = "notes of the user.txt"
 
 
 @dataclass(frozen=True)
@@ -91,15 +94,6 @@ def prepare(folder: Path, frames: int, hasty: bool) -> Bench:
             folder / f"{name}.c3d",
         )
     return Bench(folder, hasty)
-
-
-def digests(folder: Path) -> dict[str, str]:
-    """Of every file below a folder."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-    }
 
 
 def faults(bench: Bench, before: dict[str, dict[str, str]], seed: int) -> list[str]:
@@ -156,35 +150,6 @@ def _mixed(folder: Path, old: dict[str, str], now: dict[str, str], seed: int) ->
     return found
 
 
-def kill_once(bench: Bench, seed: int, chance: random.Random, seconds: float, writing: bool) -> str:
-    """Start a fit and kill it; says in which state it was."""
-    process = bench.start(seed)
-    began = time.monotonic()
-    if writing:
-        known = set(bench.out.glob(".*.partial-*"))
-        while process.poll() is None and not set(bench.out.glob(".*.partial-*")) - known:
-            time.sleep(0.001)
-        time.sleep(chance.uniform(0.0, 0.4))
-    else:
-        time.sleep(chance.uniform(0.0, seconds))
-    ended = process.poll() is not None
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
-    hidden = [path.name for path in bench.out.glob(".*") if path.name != ".lock"]
-    state = (
-        "ended"
-        if ended
-        else "writing"
-        if any(".partial-" in name for name in hidden)
-        else "working"
-    )
-    print(
-        f"  killed after {time.monotonic() - began:6.2f} s, {state}; left hidden: {len(hidden)}",
-        flush=True,
-    )
-    return state
-
-
 def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
     """Fits killed one after another, each begun in what the one before has left."""
     subprocess.run(
@@ -200,7 +165,9 @@ def kills(bench: Bench, count: int, seed: int) -> dict[str, object]:
     found = []
     before = {name: digests(bench.out / name) for name in ("one", "two", "finished before")}
     for k in range(count):
-        states.append(kill_once(bench, k, chance, seconds, writing=k % 2 == 0))
+        delay = chance.uniform(0.0, seconds if k % 2 else 0.4)
+        pattern = "" if k % 2 else ".*.partial-*"
+        states.append(kill_once(bench.command(k), bench.out, pattern, delay))
         now = [f"kill {k}: {fault}" for fault in faults(bench, before, k)]
         print("".join(f"    {fault}\n" for fault in now), end="", flush=True)
         found += now
@@ -250,7 +217,10 @@ def archive_kills(folder: Path, frames: int, count: int, seed: int) -> dict[str,
         made = [path for path in out.glob("part*") if path.is_dir()]
         torn += [f"kill {k}: {path.name}" for path in made if not _names(path).issuperset(FILES)]
     last = subprocess.run([*command, str(out)], capture_output=True, text=True)
-    same = all(_same_arrays(folder / "alone", out, f"part{k}/body.npz") for k in range(6))
+    same = all(
+        same_arrays(folder / "alone" / f"part{k}/body.npz", out / f"part{k}/body.npz")
+        for k in range(6)
+    )
     return {
         "kills": count,
         "torn": torn,
@@ -263,13 +233,6 @@ def archive_kills(folder: Path, frames: int, count: int, seed: int) -> dict[str,
 
 def _names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
-
-
-def _same_arrays(first: Path, second: Path, name: str) -> bool:
-    with np.load(first / name) as one, np.load(second / name) as two:
-        return one.files == two.files and all(
-            one[key].tobytes() == two[key].tobytes() for key in one.files
-        )
 
 
 def two_at_once(bench: Bench) -> dict[str, object]:
@@ -319,28 +282,40 @@ def main() -> None:
     arguments.add_argument("--frames", type=int, default=60)
     arguments.add_argument("--hasty", action="store_true")
     arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--only", nargs="+", choices=PROGRAMS, default=())
     arguments.add_argument("--out", type=Path)
     options = arguments.parse_args()
     where = machine()
     print(in_words(where))
+    before: dict = {}
+    if options.only and options.out and options.out.exists():
+        before = json.loads(options.out.read_text("utf-8"))
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "bench").mkdir()
-        (Path(folder) / "archive").mkdir()
-        bench = prepare(Path(folder) / "bench", options.frames, options.hasty)
-        found = {
-            "kills": kills(bench, options.kills, options.seed),
-            "archive": archive_kills(
-                Path(folder) / "archive", options.frames, options.kills // 2, options.seed
-            ),
-            "two_at_once": two_at_once(bench),
-            "full_disk": full_disk(bench),
-        }
+        found = {} if options.only else markers(Path(folder), options)
+        found["programs"] = before.get("programs", {})
+        for name in options.only or PROGRAMS:
+            (Path(folder) / name).mkdir()
+            row = program_kills(name, Path(folder) / name, options.kills, options.seed)
+            found["programs"][name] = {"command": command(), **row}
     print(json.dumps(found, indent=1))
     if options.out:
-        write_json(
-            options.out,
-            {"machine": where, "frames": options.frames, "hasty": options.hasty, **found},
-        )
+        about = {"machine": where, "frames": options.frames, "hasty": options.hasty}
+        write_json(options.out, {**about, **before, **found})
+
+
+def markers(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
+    """`habitus mosh` and `archive`."""
+    (folder / "bench").mkdir()
+    (folder / "archive").mkdir()
+    bench = prepare(folder / "bench", options.frames, options.hasty)
+    return {
+        "kills": kills(bench, options.kills, options.seed),
+        "archive": archive_kills(
+            folder / "archive", options.frames, options.kills // 2, options.seed
+        ),
+        "two_at_once": two_at_once(bench),
+        "full_disk": full_disk(bench),
+    }
 
 
 if __name__ == "__main__":
