@@ -17,6 +17,7 @@ import numpy as np
 from common import in_words, machine, parser
 
 import habitus
+from habitus.body.hinges import pose_coefficients
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.prior import shipped_prior
@@ -76,18 +77,17 @@ def _of_people(body: BodyModel, count: int) -> np.ndarray:
 def _left_out(animation: Animation, rotations: np.ndarray) -> np.ndarray:
     """How far (m) vertices are from the body's own at rest, (T, V)."""
     body = animation.body
-    turned = (rotations - np.eye(3)).reshape(*rotations.shape[:2], 9)
-    known = (
-        turned[:, list(body.drivers)].reshape(len(rotations), -1)
-        @ body.posedirs.reshape(-1, body.posedirs.shape[-1]).T
-    )
+    posed = np.zeros((*rotations.shape[:2], 3)), rotations, np.zeros(body.num_betas)
+    driven = body.features, body.hinges, body.shape_features, body.drivers
+    directions = body.pose_directions
+    known = pose_coefficients(*driven, *posed) @ directions.reshape(-1, directions.shape[-1]).T
     found = np.zeros_like(known)
-    if animation.morph_rows.any():
-        channels = drivers(animation)["channels"]
-        joints = [body.joint_names.index(channel["joint"]) for channel in channels]
-        weights = np.clip(
-            (turned[:, joints] * [channel["row"] for channel in channels]).sum(-1), 0, 1
-        )
+    if animation.morph_drivers.live.any():
+        joints = [
+            body.joint_names.index(channel["joint"]) for channel in drivers(animation)["channels"]
+        ]
+        entries = (rotations[:, joints] - np.eye(3)).reshape(len(rotations), len(joints), 9)
+        weights = animation.morph_drivers.weights(entries)
         found = weights @ animation.morphs.reshape(len(animation.morphs), -1)
     return np.linalg.norm((found - known).reshape(len(known), -1, 3), axis=-1)
 

@@ -3,14 +3,14 @@
 runs Python 3.7.
 
 `habitus export walk/body.npz --out walk.fbx --bake-correctives all` writes walk.correctives.json
-beside the mesh. The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1: R is how
-its joint is turned against its parent, both counted from rest, in the body's axes (x to its left, y
-up, z forward).
+beside the mesh. The weight of a channel is ``clip(row . vec(R - I) - bias, 0, 1) ** power``: R is
+how its joint is turned against its parent, both counted from rest, in the body's axes (x to its
+left, y up, z forward). Files of edition 1 have no bias and no power: 0 and 1.
 """
 
 import json
 
-FORMAT, EDITION = "habitus-correctives", 1
+FORMAT, EDITIONS = "habitus-correctives", (1, 2)
 ORDERS = ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (1, 0, 2), (2, 1, 0))
 
 
@@ -34,18 +34,23 @@ class Correctives:
     def _read(self, told):
         if not isinstance(told, dict) or told.get("format") != FORMAT:
             raise ValueError("is no .correctives.json of habitus export")
-        if told["version"] != EDITION:
-            raise ValueError(f"is of edition {told['version']}; this reads edition {EDITION}")
+        if told["version"] not in EDITIONS:
+            raise ValueError(f"is of edition {told['version']}; this reads editions 1 and 2")
         self.joints = [joint["name"] for joint in told["joints"]]
         self.rests = {joint["name"]: joint["rest"] for joint in told["joints"]}
         self._parents = {joint["name"]: joint["parent"] for joint in told["joints"]}
         self.channels = [channel["name"] for channel in told["channels"]]
         self._driven = {}
         for place, channel in enumerate(told["channels"]):
-            self._driven.setdefault(channel["joint"], []).append((place, channel["row"]))
-        for channels in self._driven.values():
-            if not all(len(row) == 9 and _finite(row) for _, row in channels):
+            bias, power = (
+                (0.0, 1.0) if told["version"] == 1 else (channel["bias"], channel["power"])
+            )
+            if len(channel["row"]) != 9 or not _finite(channel["row"]):
                 raise ValueError("has channels without nine numbers")
+            if not _finite([bias, power]) or power <= 0:
+                raise ValueError("has channels without a bias and a positive power")
+            driven = place, channel["row"], bias, power
+            self._driven.setdefault(channel["joint"], []).append(driven)
         known = set(self.joints)
         if not all(len(rest) == 3 and _finite(rest) for rest in self.rests.values()):
             raise ValueError("has joints without three numbers")
@@ -92,8 +97,9 @@ class Correctives:
                 for row, sign in axes
                 for column, other in axes
             ]
-            for place, row in channels:
-                found[place] = min(1.0, max(0.0, sum(r * e for r, e in zip(row, entries))))
+            for place, row, bias, power in channels:
+                driven = sum(r * e for r, e in zip(row, entries)) - bias
+                found[place] = min(1.0, max(0.0, driven)) ** power
         return found
 
 

@@ -6,30 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinged_body import KNEE, with_hinges
+from synthetic_fit import tube_body
 
 import habitus as hb
-from habitus.body.hinges import Hinges
 from habitus.body.jacobians import surface_jacobian
 from habitus.errors import HabitusError
 from habitus.io.models.bodies import load_body, save_body
-
-KNEE = "left_knee"
-ROW = np.array([0.0, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, -0.5])
-"""Of vec(R - I): 1 - cos t about x."""
-
-
-def with_hinges(body):
-    """The body with four channels at both knees, at vertices that a knee drives."""
-    rng = np.random.default_rng(0)
-    joints = [body.joint_names.index(name) for name in (KNEE, "right_knee")]
-    directions = np.zeros((body.num_vertices, 3, 4, 3))
-    for k, joint in enumerate(joints):
-        near = np.flatnonzero(body.skinning_weights[:, joint] > 0.2)
-        directions[near, :, 2 * k : 2 * k + 2] = 0.01 * rng.normal(size=(len(near), 3, 2, 3))
-    linear = 0.2 * rng.normal(size=(4, 9))
-    bias = np.array([0.5, 0.9, 0.5, 0.9])
-    hinges = Hinges(np.repeat(joints, 2), np.tile(ROW, (4, 1)), bias, linear, directions)
-    return replace(body, hinges=hinges)
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +108,22 @@ def test_hinges_travel_with_a_body(body, tmp_path):
     assert {fewer.joint_names[j] for j in fewer.hinges.joint} == named
     child = body.at_age(8)
     assert np.abs(child.hinges.directions).max() < np.abs(body.hinges.directions).max()
+
+
+def test_files_for_others_have_the_pose_blend_shapes_that_stand_in_for_hinges(tmp_path):
+    body = with_hinges(tube_body(posedirs=True))
+    plain = replace(body, hinges=None)
+    pose = bent(body, 130)
+    save_body(body, tmp_path / "body.pkl")
+    read = load_body(tmp_path / "body.pkl")
+    assert read.hinges is None
+    np.testing.assert_allclose(read((), pose).vertices, plain((), pose).vertices, atol=1e-9)
+    save_body(body, tmp_path / "body.npz")
+    save_body(plain, tmp_path / "plain.npz")
+    with np.load(tmp_path / "body.npz") as file, np.load(tmp_path / "plain.npz") as without:
+        more = set(file.files) - set(without.files)
+        assert more == {"hinge_joints", "hinge_rows", "hinge_bias", "hinge_linear", "hingedirs"}
+        np.testing.assert_array_equal(file["posedirs"], without["posedirs"])
 
 
 def test_hinges_that_do_not_fit_are_refused(body):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from habitus.errors import HabitusError
-from habitus.export.correctives import WORST, Block, check_correctives, furthest, morphs_of
+from habitus.export.correctives import WORST, Block, Drivers, check_correctives, furthest, morphs_of
 
 VERTICES = 40
 FRAMES = 30
@@ -23,7 +23,8 @@ def made(seed: int, scale: float) -> list[Block]:
         shapes = scale * rng.normal(size=(12, 3, count))
         ends = tuple("abcdefghi")
         sample = rng.normal(size=(50, count)) * 0.3
-        blocks.append(Block(name, some, shapes, (np.clip(terms, -2, 2),), ends, np.eye(9), sample))
+        driven = Drivers.linear(np.eye(9))
+        blocks.append(Block(name, some, shapes, (np.clip(terms, -2, 2),), ends, driven, sample))
     soft = scale * rng.normal(size=(VERTICES, 3, 4))
     blocks.append(Block("soft_tissue", np.arange(VERTICES), soft, (rng.normal(size=(FRAMES, 4)),)))
     return blocks
@@ -61,7 +62,7 @@ def test_local_ones_stay_local_and_live_ones_keep_their_measure():
     assert found.names[:2] == ("hip_a", "hip_b") and found.names[-1].startswith("soft_tissue_")
     assert np.allclose(found.shapes[0, blocks[0].vertices], 2 * blocks[0].shapes[..., 0])
     assert np.allclose(found.weights[0][:, 0], blocks[0].coefficients[0][:, 0] / 2)
-    assert found.live.tolist() == 18 * [True] + 4 * [False]
+    assert found.drivers.live.tolist() == 18 * [True] + 4 * [False]
     auto = morphs_of(blocks, VERTICES, [FRAMES], "auto")
     elsewhere = np.setdiff1d(np.arange(VERTICES), blocks[0].vertices)
     for name, shape in zip(auto.names, auto.shapes, strict=True):
@@ -74,7 +75,9 @@ def test_rows_give_the_weights_of_any_pose_and_many_of_them_the_whole_surface():
         found = morphs_of(blocks, VERTICES, [FRAMES], wanted)
         for block in blocks[:2]:
             own = [k for k, name in enumerate(found.names) if name.startswith(f"{block.name}_")]
-            assert np.allclose(found.weights[0][:, own], block.coefficients[0] @ found.rows[own].T)
+            assert np.allclose(
+                found.weights[0][:, own], block.coefficients[0] @ found.drivers.rows[own].T
+            )
         known = sum(
             (
                 np.linalg.norm(b.shapes, axis=1).max() * np.abs(b.sample).sum(1).max()

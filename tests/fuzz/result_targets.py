@@ -244,12 +244,14 @@ def _other_programs(folder: Path) -> list[Target]:
     )
     record = {
         "format": "habitus-correctives",
-        "version": 1,
+        "version": 2,
         "joints": [
             {"name": name, "rest": [0.0, 0.1 * k, 0.0], "parent": names[max(0, k - 1)]}
             for k, name in enumerate(names)
         ],
-        "channels": [{"name": "a", "joint": "joint2", "row": [0.1] * 9}],
+        "channels": [
+            {"name": "a", "joint": "joint2", "row": [0.1] * 9, "bias": -0.2, "power": 2.0},
+        ],
     }
     return [
         alone("addon.npz", motion, (folder / "motion.npz").read_bytes()),

@@ -3,11 +3,12 @@ or mirrored.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
+from hinged_body import with_hinges
 from scipy.spatial.transform import Rotation
 
 import habitus as hb
@@ -17,25 +18,31 @@ from habitus.export.driven import drivers
 
 UNITY = np.diag([-1.0, 1.0, 1.0])
 """From the body's axes to those of a mesh that Unity imported."""
+SIDES = ("left", "right")
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 @dataclass(eq=False)
 class Exported:
     """The default body at random betas as a file of so many blend shapes has it, and poses (T, J,
-    3) it never took.
+    3) it never took; ``folds``: with made-up folds, and knees bent deep.
     """
 
     correctives: str
+    folds: bool = False
 
     def __post_init__(self):
         rng = np.random.default_rng(8)
         self.body = hb.load_body("default")
+        if self.folds:
+            self.body = replace(with_hinges(self.body), finer=None)
         self.betas = rng.normal(size=self.body.num_betas)
         joints = self.body.num_joints
         still = BodyMotion(self.body, self.betas, np.zeros((2, joints, 3)), np.zeros((2, 3)), 30.0)
         self.animation = one_sided(animate(still, correctives=self.correctives, body=self.body))
         self.poses = rng.normal(0, 0.5, (2, joints, 3))
+        if self.folds:
+            self.poses[:, [self.body.joint_names.index(f"{s}_knee") for s in SIDES], 0] = 2.0
         self.rest_turns = Rotation.random(joints, rng).as_matrix()
 
     @cached_property
@@ -58,7 +65,8 @@ class Exported:
         for channel in drivers(self.animation)["channels"]:
             vectors = self.poses[:, names.index(channel["joint"])]
             turned = (Rotation.from_rotvec(vectors).as_matrix() - np.eye(3)).reshape(-1, 9)
-            columns.append(np.clip(turned @ channel["row"], 0, 1))
+            driven = turned @ channel["row"] - channel.get("bias", 0.0)
+            columns.append(np.clip(driven, 0, 1) ** channel.get("power", 1.0))
         return np.stack(columns, 1)
 
     def off(self, weights: np.ndarray) -> np.ndarray:

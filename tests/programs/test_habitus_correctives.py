@@ -4,6 +4,7 @@ turned.
 
 import ast
 import itertools
+import json
 import sys
 from pathlib import Path
 
@@ -43,6 +44,21 @@ def test_text_that_is_none_is_refused(module):
     for text in ("[]", "{}", '{"format": "gltf"}'):
         with pytest.raises(ValueError, match="is no"):
             module.Correctives(text)
+
+
+def test_folds_need_a_bias_and_a_positive_power(tmp_path, module):
+    path = Imported(np.eye(3), 1.0, exported("all", folds=True)).save_drivers(tmp_path)
+    told = json.loads(path.read_text())
+    folds = [channel for channel in told["channels"] if "_fold_" in channel["name"]]
+    assert len(folds) == 4 and all(channel["power"] == 2.0 for channel in folds)
+    module.Correctives(json.dumps(told))
+    for change in ({"power": 0.0}, {"power": "2"}, {"bias": 1e9}):
+        changed = {**told, "channels": [{**folds[0], **change}]}
+        with pytest.raises(ValueError, match="without a bias and a positive power"):
+            module.Correctives(json.dumps(changed))
+    del folds[0]["bias"]
+    with pytest.raises(ValueError, match="damaged"):
+        module.Correctives(json.dumps({**told, "channels": folds}))
 
 
 def test_scripts_need_nothing_but_their_program():

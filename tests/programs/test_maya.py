@@ -56,9 +56,11 @@ def opened(monkeypatch):
     sys.modules.pop("habitus_maya", None)
 
 
-@pytest.mark.parametrize("axes", [np.eye(3), Z_UP], ids=["y up", "z up"])
-def test_any_pose_gets_the_bodys_own_surface(tmp_path, opened, axes):
-    person = Imported(axes, 100.0, exported("all"))
+@pytest.mark.parametrize(
+    ("axes", "folds"), [(np.eye(3), False), (Z_UP, True)], ids=["y up", "z up, with folds"]
+)
+def test_any_pose_gets_the_bodys_own_surface(tmp_path, opened, axes, folds):
+    person = Imported(axes, 100.0, exported("all", folds))
     scene, maya = opened(person)
     node = maya.attach(person.save_drivers(tmp_path), "body")
     weights = np.zeros((len(person.file.poses), len(person.file.animation.morphs)))
@@ -86,6 +88,6 @@ def test_what_does_not_belong_together_is_refused(tmp_path, opened):
     del scene.nodes["blend"][1]["aliases"]["left_knee_01"], scene.links["skin.matrix[2]"]
     with pytest.raises(ValueError, match="body has no left_hip, left_knee_01; export both"):
         maya.attach(path, "body")
-    with pytest.raises(ValueError, match="edition 2"):
-        maya.attach(person.save_drivers(tmp_path, version=2), "body")
+    with pytest.raises(ValueError, match="edition 3"):
+        maya.attach(person.save_drivers(tmp_path, version=3), "body")
     assert "habitus_correctives1" not in scene.nodes

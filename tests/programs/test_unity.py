@@ -73,12 +73,18 @@ def driven(program: Path, drivers: Path, text: str) -> subprocess.CompletedProce
 
 @needs_mono
 @pytest.mark.parametrize(
-    ("axes", "scale", "own_axes", "full", "prefix"),
-    [(UNITY, 1.0, False, 100.0, ""), (UNITY @ Z_UP, 100.0, True, 1.0, "person:")],
-    ids=["as the importer leaves it", "bones of other axes, mesh z up in cm"],
+    ("axes", "scale", "own_axes", "full", "prefix", "folds"),
+    [
+        (UNITY, 1.0, False, 100.0, "", False),
+        (UNITY @ Z_UP, 100.0, True, 1.0, "person:", False),
+        (UNITY, 1.0, False, 100.0, "", True),
+    ],
+    ids=["as the importer leaves it", "bones of other axes, mesh z up in cm", "with folds"],
 )
-def test_any_pose_gets_the_bodys_own_surface(tmp_path, drive, axes, scale, own_axes, full, prefix):
-    person = Imported(axes, scale, exported("all"), own_axes)
+def test_any_pose_gets_the_bodys_own_surface(
+    tmp_path, drive, axes, scale, own_axes, full, prefix, folds
+):
+    person = Imported(axes, scale, exported("all", folds), own_axes)
     told = driven(drive, person.save_drivers(tmp_path), given(person, full, prefix))
     assert told.returncode == 0, told.stderr
     weights = np.loadtxt(tmp_path / "found.txt") / full
@@ -96,7 +102,7 @@ def test_few_blend_shapes_are_driven_alike_and_another_mesh_is_refused(tmp_path,
         drive, person.save_drivers(tmp_path), text.replace("left_knee_01\n", "left_knee_99\n")
     )
     assert refused.returncode == 3 and "drives left_knee_01, which body has not" in refused.stderr
-    assert "edition 2" in driven(drive, person.save_drivers(tmp_path, version=2), text).stderr
+    assert "edition 3" in driven(drive, person.save_drivers(tmp_path, version=3), text).stderr
 
 
 def test_every_file_of_the_package_has_its_meta_file():

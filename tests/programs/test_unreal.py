@@ -34,9 +34,9 @@ def motion_of(person: Imported) -> Sequence:
     )
 
 
-@pytest.fixture
-def editor(monkeypatch):
-    person = Imported(UNREAL, 100.0, exported("all"))
+@pytest.fixture(params=[False, True], ids=["without folds", "with folds"])
+def editor(monkeypatch, request):
+    person = Imported(UNREAL, 100.0, exported("all", request.param))
     imported = []
     assets = {
         "/Game/dance": motion_of(person),

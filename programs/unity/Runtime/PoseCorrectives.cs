@@ -30,7 +30,7 @@ namespace Habitus
             public Quaternion before, after;
             public readonly List<int> shapes = new List<int>();
             public readonly List<float> full = new List<float>();
-            public readonly List<float[]> rows = new List<float[]>();
+            public readonly List<CorrectivesData.Channel> channels = new List<CorrectivesData.Channel>();
         }
 
         readonly float[] turned = new float[9];
@@ -70,11 +70,11 @@ namespace Habitus
                 LessIdentity(axes.ToBody(turn), turned);
                 for (int k = 0; k < joint.shapes.Count; k++)
                 {
-                    float weight = 0;
-                    var row = joint.rows[k];
+                    var channel = joint.channels[k];
+                    float weight = -channel.bias;
                     for (int e = 0; e < 9; e++)
-                        weight += row[e] * turned[e];
-                    weight = Mathf.Clamp01(weight) * strength * joint.full[k];
+                        weight += channel.row[e] * turned[e];
+                    weight = Mathf.Pow(Mathf.Clamp01(weight), channel.power) * strength * joint.full[k];
                     skin.SetBlendShapeWeight(joint.shapes[k], weight);
                 }
             }
@@ -130,7 +130,7 @@ namespace Habitus
                     found[channel.joint] = joint = Between(named, channel.joint, parents[channel.joint]);
                 joint.shapes.Add(shape);
                 joint.full.Add(boundMesh.GetBlendShapeFrameWeight(shape, boundMesh.GetBlendShapeFrameCount(shape) - 1));
-                joint.rows.Add(channel.row);
+                joint.channels.Add(channel);
             }
             var all = new Driven[found.Count];
             found.Values.CopyTo(all, 0);

@@ -70,16 +70,16 @@ def find_pose_features(name: str) -> PoseFeatures:
     return POSE_FEATURES[name]
 
 
-def check_driven_by_rotations(body: Any, user: str) -> None:
+def check_driven_by_rotations(body: Any, user: str, hinges: bool = False) -> None:
     """HabitusError unless a body's pose blend shapes, if any, are linear in vec(R - I) alone, which
-    ``user`` needs.
+    ``user`` needs, or with ``hinges`` in these and the channels of hinges.
     """
     name = getattr(body, "pose_features", "rotations")
     shapes = getattr(body, "shape_features", 0)
-    hinges = getattr(body, "hinges", None)
-    if body.posedirs is not None and (name != "rotations" or shapes or hinges is not None):
+    folds = not hinges and getattr(body, "hinges", None) is not None
+    if body.posedirs is not None and (name != "rotations" or shapes or folds):
         products = f" times {shapes} shape coefficients" if shapes else ""
-        products += " and hinges" if hinges is not None else ""
+        products += " and hinges" if folds else ""
         raise HabitusError(
             f"pose blend shapes driven by {name!r}{products}; {user} need 'rotations' alone: take "
             "another body, "

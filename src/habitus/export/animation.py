@@ -24,13 +24,15 @@ from habitus.body.soft_tissue import dynamics_of
 from habitus.errors import HabitusError
 from habitus.export.correctives import (
     Block,
+    Drivers,
     Morphs,
     check_correctives,
-    furthest,
+    features,
     morphs_of,
     principal,
     sampled_rotations,
 )
+from habitus.export.folds import folds, softened
 from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation
 
@@ -59,11 +61,11 @@ class Animation:
     """Skinned animation in a +y-up world, metres; one track a stage, all over the same bind pose
     and morphs.
 
-    ``morph_names`` say what they hold. A row of ``morph_rows`` times vec(R - I), R the rotation of
-    the joint that the name begins with, is the morph's weight in any pose; it is zero where no
-    joint drives it. ``morph_residual`` is the RMS (metres, over vertices and frames) of what the
-    kept morphs cannot express, ``morph_worst`` the largest distance, in the frames that it can be
-    largest in, ``morph_elsewhere`` that of other poses, where joints drive morphs.
+    ``morph_names`` say what they hold. ``morph_drivers`` give the weights in any pose of those that
+    the joint drives that the name begins with. ``morph_residual`` is the RMS (metres, over vertices
+    and frames) of what the kept morphs cannot express, ``morph_worst`` the largest distance, in the
+    frames that it can be largest in, ``morph_elsewhere`` that of other poses, where joints drive
+    morphs.
     """
 
     body: BodyModel
@@ -74,7 +76,7 @@ class Animation:
     morph_residual: float
     rate_hz: float
     morph_names: tuple[str, ...] = ()
-    morph_rows: Float[np.ndarray, "K 9"] = field(default_factory=lambda: np.zeros((0, 9)))
+    morph_drivers: Drivers = field(default_factory=lambda: Drivers.linear(np.zeros((0, 9))))
     morph_worst: float = 0.0
     morph_elsewhere: float = 0.0
 
@@ -115,15 +117,15 @@ def animate(
     Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most
     ``max_morphs``; with ``correctives`` those that `habitus.export.correctives.morphs_of` gives.
     ``body`` is shown in the place of the fitted one: its full level of detail. Raises HabitusError
-    where pose blend shapes are not linear in vec(R - I) alone.
+    where pose blend shapes are not linear in vec(R - I) alone, hinges apart.
     """
-    check_driven_by_rotations(fit.body, "animations")
+    check_driven_by_rotations(fit.body, "animations", hinges=True)
     body = body or fit.body
     betas = np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
     motions = [_motion(fit, stage, stride) for stage in chosen]
     joints = body.joint_template + body.joint_shapedirs @ betas
-    morphs = _morphs(body, motions, correctives, max_morphs, tolerance)
+    morphs = _morphs(body, betas, motions, correctives, max_morphs, tolerance)
     world = up_rotation(fit.up_axis)
     tracks = (
         Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
@@ -132,11 +134,12 @@ def animate(
     rest = body.v_template + body.shapedirs @ betas
     rate = float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
-    return Animation(*shown, morphs.names, morphs.rows, morphs.worst, morphs.elsewhere)
+    return Animation(*shown, morphs.names, morphs.drivers, morphs.worst, morphs.elsewhere)
 
 
 def _morphs(
     body: BodyModel,
+    betas: Float[np.ndarray, " B"],
     motions: list[_Motion],
     correctives: str | None,
     max_morphs: int,
@@ -147,7 +150,7 @@ def _morphs(
         if correctives and check_correctives(correctives)[0] == "live"
         else None
     )
-    blocks = _blocks(body, motions, sample)
+    blocks = _blocks(body, betas, motions, sample)
     vertices = len(body.v_template)
     if correctives is None and blocks and max_morphs:
         return principal(blocks, vertices, max_morphs, tolerance)
@@ -207,29 +210,21 @@ def _joint_translations(
 
 
 def _blocks(
-    body: BodyModel, motions: list[_Motion], sample: Float[np.ndarray, "S J 3 3"] | None
+    body: BodyModel,
+    betas: Float[np.ndarray, " B"],
+    motions: list[_Motion],
+    sample: Float[np.ndarray, "S J 3 3"] | None,
 ) -> list[Block]:
     """The body's blend shapes: those that a joint drives, of the vertices that they move; soft
     tissue; dynamics.
     """
-    found = []
+    rotations = [motion.rotations for motion in motions]
+    found = _linear(body, rotations, sample) + folds(body, betas, rotations, sample)
     everyone = np.arange(len(body.v_template))
-    if body.posedirs is not None:
-        for k, joint in enumerate(body.drivers):
-            shapes = body.posedirs[..., 9 * k : 9 * k + 9]
-            moved = np.flatnonzero(shapes.any((1, 2)))
-            drives = tuple(features(m.rotations, joint) for m in motions)
-            usual = None
-            if sample is not None:
-                usual = features(sample, joint)
-            told = body.joint_names[joint], moved, shapes[moved], drives, ENTRIES
-            found.append(Block(*told, rows=np.eye(9), sample=usual))
     if any(motion.soft is not None for motion in motions):
-        found.append(
-            Block(
-                "soft_tissue", everyone, body.shapedirs, _or_still(motions, "soft", body.num_betas)
-            )
-        )
+        soft = _or_still(motions, "soft", body.num_betas)
+        shapes, weights = softened(body, rotations, soft)
+        found.append(Block("soft_tissue", everyone, shapes, weights))
     if any(motion.dynamics is not None for motion in motions):
         directions = dynamics_of(body).directions
         found.append(
@@ -240,9 +235,27 @@ def _blocks(
     return found
 
 
-def features(rotations: Float[np.ndarray, "T J 3 3"], joint: int) -> Float[np.ndarray, "T 9"]:
-    """What a joint drives its blend shapes with: vec(R - I), rows first."""
-    return (rotations[:, joint] - np.eye(3)).reshape(-1, 9)
+def _linear(
+    body: BodyModel,
+    rotations: list[Float[np.ndarray, "_ J 3 3"]],
+    sample: Float[np.ndarray, "S J 3 3"] | None,
+) -> list[Block]:
+    """The pose blend shapes that are linear in vec(R - I), a block each driving joint."""
+    if body.posedirs is None:
+        return []
+    posedirs = body.posedirs
+    if body.hinges is not None:
+        posedirs = body.hinges.without_linear(posedirs, body.drivers)
+    found = []
+    for k, joint in enumerate(body.drivers):
+        shapes = posedirs[..., 9 * k : 9 * k + 9]
+        moved = np.flatnonzero(shapes.any((1, 2)))
+        terms = tuple(features(each, joint) for each in rotations)
+        usual = None if sample is None else features(sample, joint)
+        driven = Drivers.linear(np.eye(9))
+        name = body.joint_names[joint]
+        found.append(Block(name, moved, shapes[moved], terms, ENTRIES, driven, usual))
+    return found
 
 
 def _or_still(motions: list[_Motion], name: str, count: int) -> tuple[np.ndarray, ...]:
@@ -259,25 +272,30 @@ def one_sided(animation: Animation) -> Animation:
 
     Some readers, Blender's among them, cut other weights off. A morph with weights of both signs
     becomes two, forth and back; linear interpolation between frames stays the same. Those that
-    joints drive keep their size, and each side that any rotation reaches.
+    joints drive keep their size, and each side that any rotation reaches; a fold has one.
     """
     track = animation.tracks[0]
+    driven = animation.morph_drivers
     morphs = []
     weights = []
     names = []
-    rows = []
+    drivers = []
     for k, name in enumerate(animation.morph_names):
-        for sign, end in ((1.0, ""), (-1.0, "_back")):
+        for sign, end in ((1.0, ""), (-1.0, "_back"))[: 1 if driven.folds[k] else 2]:
             side = np.maximum(sign * track.morph_weights[:, k], 0.0)
-            row = sign * animation.morph_rows[k]
-            reach = float(furthest(row) > 1e-6) if row.any() else side.max()
+            one = replace(driven[[k]], rows=sign * driven.rows[[k]])
+            reach = float(one.reached()[0]) if one.live[0] else side.max()
             if reach > 1e-6:
                 morphs.append((sign * reach * animation.morphs[k]).astype(np.float32))
                 weights.append((side / reach).astype(np.float32))
                 names.append(f"{name}{end}")
-                rows.append(row)
+                drivers.append(one)
     shape = animation.morphs.shape[1:]
     frames = len(track.quaternions)
-    track = replace(track, morph_weights=np.reshape(weights, (-1, frames)).T)
-    told = {"morph_names": tuple(names), "morph_rows": np.reshape(rows, (-1, 9))}
-    return replace(animation, morphs=np.reshape(morphs, (-1, *shape)), tracks=(track,), **told)
+    return replace(
+        animation,
+        morphs=np.reshape(morphs, (-1, *shape)),
+        tracks=(replace(track, morph_weights=np.reshape(weights, (-1, frames)).T),),
+        morph_names=tuple(names),
+        morph_drivers=Drivers.together([driven[:0], *drivers]),
+    )

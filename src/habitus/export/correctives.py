@@ -4,6 +4,7 @@ poses that people take.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,6 +36,58 @@ def sampled_rotations(body: BodyModel) -> Float[np.ndarray, "S J 3 3"]:
     return np.concatenate([np.broadcast_to(np.eye(3), (SAMPLES, 1, 3, 3)), turned], axis=1)
 
 
+def features(rotations: Float[np.ndarray, "T J 3 3"], joint: int) -> Float[np.ndarray, "T 9"]:
+    """What a joint drives its blend shapes with: vec(R - I), rows first."""
+    return (rotations[:, joint] - np.eye(3)).reshape(-1, 9)
+
+
+@dataclass(frozen=True, eq=False)
+class Drivers:
+    """How joints drive K blend shapes, in every file and for every pose: a weight is (row . vec(R -
+    I) - bias)^power, R its joint's rotation. No joint drives one whose row is zero.
+
+    ``power`` is 1 with a ``bias`` of 0, or 2 for folds (`habitus.body.hinges`), where the base is
+    cut off at 0 and 1.
+    """
+
+    rows: Float[np.ndarray, "K 9"]
+    bias: Float[np.ndarray, " K"]
+    power: Float[np.ndarray, " K"]
+
+    @classmethod
+    def linear(cls, rows: Float[np.ndarray, "K 9"]) -> "Drivers":
+        """Of blend shapes that are linear in vec(R - I); rows of zeros: that no joint drives."""
+        return cls(rows, np.zeros(len(rows)), np.ones(len(rows)))
+
+    @classmethod
+    def together(cls, parts: Sequence["Drivers"]) -> "Drivers":
+        """Those of all parts, in their order."""
+        arrays = zip(*((part.rows, part.bias, part.power) for part in parts), strict=True)
+        return cls(*map(np.concatenate, arrays))
+
+    @property
+    def live(self) -> Bool[np.ndarray, " K"]:
+        """Which of them joints drive."""
+        return np.any(self.rows, axis=1)
+
+    @property
+    def folds(self) -> Bool[np.ndarray, " K"]:
+        """Which of them are folds."""
+        return self.power == 2
+
+    def __getitem__(self, some: Any) -> "Drivers":
+        return Drivers(self.rows[some], self.bias[some], self.power[some])
+
+    def weights(self, entries: Float[np.ndarray, "*batch #K 9"]) -> Float[np.ndarray, "*batch K"]:
+        """The weights between 0 and 1 for vec(R - I) of each one's joint."""
+        return np.clip((entries * self.rows).sum(-1) - self.bias, 0.0, 1.0) ** self.power
+
+    def reached(self) -> Bool[np.ndarray, " K"]:
+        """Which of them any rotation moves to their side."""
+        most = np.array([furthest(row) for row in self.rows])
+        return most - self.bias > 1e-6
+
+
 WORST = 1e-4
 """How far from the fit the worst vertex of the worst frame may be that "auto" leaves, metres."""
 CHECKED = 64
@@ -46,9 +99,8 @@ class Block:
     """Blend shapes that belong together, of N vertices: n shapes (m) and, a motion each, their
     coefficients (T, n).
 
-    Those of a joint are *live*, driven by what other programs know as well: each coefficient is a
-    row of ``rows`` times vec(R - I) of its rotation. ``sample`` are coefficients in poses that
-    people take.
+    Those of a joint are *live*, driven by what other programs know as well: its rotation, as
+    ``drivers`` say. ``sample`` are coefficients in poses that people take.
     """
 
     name: str
@@ -56,13 +108,18 @@ class Block:
     shapes: Float[np.ndarray, "N 3 n"]
     coefficients: tuple[Float[np.ndarray, "_ n"], ...]
     ends: tuple[str, ...] = ()
-    rows: Float[np.ndarray, "n 9"] | None = None
+    drivers: Drivers | None = None
     sample: Float[np.ndarray, "S n"] | None = None
 
     @property
     def live(self) -> bool:
         """Whether a joint's rotation drives it."""
-        return self.rows is not None
+        return self.drivers is not None
+
+    @property
+    def folds(self) -> bool:
+        """Whether these are a joint's folds, which no sums of them can stand for."""
+        return self.drivers is not None and bool(self.drivers.folds.any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,23 +127,17 @@ class Morphs:
     """K morphs, their names, and for each motion their weights, between -1 and 1.
 
     ``residual`` and ``worst`` (m) are what they cannot express: RMS over vertices and frames, and
-    the largest of the frames looked at. The weight of a live one is its row of ``rows`` times vec(R
-    - I) of its joint's rotation, in every file and for every pose; other rows are zero.
-    ``elsewhere`` (m) is the largest distance in poses that people take.
+    the largest of the frames looked at. ``drivers`` give the weights of live ones in every file and
+    for every pose. ``elsewhere`` (m) is the largest distance in poses that people take.
     """
 
     shapes: Float[np.ndarray, "K V 3"]
     names: tuple[str, ...]
     weights: tuple[Float[np.ndarray, "_ K"], ...]
-    rows: Float[np.ndarray, "K 9"]
+    drivers: Drivers
     residual: float = 0.0
     worst: float = 0.0
     elsewhere: float = 0.0
-
-    @property
-    def live(self) -> Bool[np.ndarray, " K"]:
-        """Which of them joints drive."""
-        return np.any(self.rows, axis=1)
 
 
 def check_correctives(text: str) -> tuple[str, int]:
@@ -111,7 +162,7 @@ def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wan
     directions that leave no vertex further away than `WORST`, each of what one joint drives;
     "live:96", so many directions of what joints drive, those that poses of people need most, the
     same for every motion of the body; "pca:16", so many principal directions of all together. Soft
-    tissue comes in principal directions.
+    tissue comes in principal directions. Folds come as they are, beside the 96 of "live:96".
     """
     kind, count = check_correctives(wanted)
     blocks = [block for block in blocks if block.shapes.any()]
@@ -120,15 +171,13 @@ def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wan
             np.zeros((0, vertices, 3)),
             (),
             tuple(np.zeros((n, 0)) for n in frames),
-            np.zeros((0, 9)),
+            Drivers.linear(np.zeros((0, 9))),
         )
     if kind == "pca":
         return principal(blocks, vertices, count, 0.0)
     if kind == "live":
         return _most_needed(blocks, vertices, count)
-    local = [
-        _exact(block) if kind == "all" and block.live else _directions(block) for block in blocks
-    ]
+    local = [_exact(each) if each.live and kind == "all" else _baked(each) for each in blocks]
     together = _together(local, vertices)
     if kind == "none":
         return _kept(together, np.arange(0), *_worst(together, np.arange(len(together.names))))
@@ -159,7 +208,7 @@ def principal(blocks: Sequence[Block], vertices: int, most: int, tolerance: floa
         np.moveaxis(shapes, -1, 0),
         _numbered(name, len(values)),
         tuple(weights),
-        np.zeros((len(values), 9)),
+        Drivers.linear(np.zeros((len(values), 9))),
     )
     return _kept(found, np.arange(kept), float(left[kept]))
 
@@ -202,6 +251,14 @@ def _components(
     return values, shapes, weighing / scale
 
 
+def _baked(block: Block) -> tuple[Block, tuple[str, ...]]:
+    """A block for one motion alone: folds as they are, others in their principal directions."""
+    if not block.folds:
+        return _directions(block)
+    block, names = _exact(block)
+    return replace(block, drivers=None), names
+
+
 def _directions(block: Block) -> tuple[Block, tuple[str, ...]]:
     """A block in its principal directions, weights between -1 and 1."""
     _, shapes, weighing = _components(block, block.coefficients)
@@ -212,24 +269,25 @@ def _directions(block: Block) -> tuple[Block, tuple[str, ...]]:
 
 
 def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
-    """So many directions of what joints drive, those with the most energy in their samples; soft
-    tissue beside them.
+    """So many directions of what joints drive, those with the most energy in their samples; folds
+    and soft tissue beside them.
     """
     energies = []
     parts = []
     usual = []
     for block in blocks:
-        if block.rows is None or block.sample is None:
-            parts.append(_directions(block))
+        if block.drivers is None or block.sample is None or block.folds:
+            parts.append(_exact(block) if block.folds else _directions(block))
             energies.append(np.full(len(parts[-1][1]), np.inf))
+            usual += [] if block.sample is None else [block.sample]
             continue
         values, shapes, weighing = _components(block, [block.sample])
-        size = np.array([max(furthest(row), furthest(-row)) for row in weighing.T @ block.rows])
+        rows = weighing.T @ block.drivers.rows
+        size = np.array([max(furthest(row), furthest(-row)) for row in rows])
         weighing /= size
         weights = tuple(c @ weighing for c in block.coefficients)
-        own = Block(
-            block.name, block.vertices, shapes * size, weights, rows=weighing.T @ block.rows
-        )
+        driven = Drivers.linear(rows / size[:, None])
+        own = Block(block.name, block.vertices, shapes * size, weights, drivers=driven)
         parts.append((own, _numbered(block.name, len(values))))
         energies.append(values)
         usual.append(block.sample @ weighing)
@@ -238,7 +296,7 @@ def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
     rows = np.sort(order[: count + int(np.isinf(np.concatenate(energies)).sum())])
     left = np.setdiff1d(np.arange(len(order)), rows)
     poses = np.zeros((len(usual[0]) if usual else 0, len(order)))
-    poses[:, whole.live] = np.hstack(usual) if usual else 0.0
+    poses[:, whole.drivers.live] = np.hstack(usual) if usual else 0.0
     found = _kept(whole, rows, *_worst(whole, left))
     return replace(found, elsewhere=_worst(whole, left, poses)[1])
 
@@ -252,11 +310,13 @@ def furthest(row: Float[np.ndarray, " 9"]) -> float:
 
 
 def _exact(block: Block) -> tuple[Block, tuple[str, ...]]:
-    """A block as it is: twice the shapes by half of what drives them."""
+    """A block as it is: folds, or twice the shapes by half of what drives them."""
+    names = tuple(f"{block.name}_{end}" for end in block.ends)
+    if block.drivers is None or block.folds:
+        return block, names
     halves = tuple(0.5 * c for c in block.coefficients)
-    rows = None if block.rows is None else 0.5 * block.rows
-    own = Block(block.name, block.vertices, 2.0 * block.shapes, halves, rows=rows)
-    return own, tuple(f"{block.name}_{end}" for end in block.ends)
+    driven = Drivers.linear(0.5 * block.drivers.rows)
+    return Block(block.name, block.vertices, 2.0 * block.shapes, halves, drivers=driven), names
 
 
 def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> Morphs:
@@ -269,8 +329,10 @@ def _together(parts: Sequence[tuple[Block, tuple[str, ...]]], vertices: int) -> 
     weights = tuple(
         np.hstack(each) for each in zip(*(block.coefficients for block, _ in parts), strict=True)
     )
-    rows = [np.zeros((len(own), 9)) if block.rows is None else block.rows for block, own in parts]
-    return Morphs(shapes, names, weights, np.concatenate(rows))
+    drivers = Drivers.together(
+        [block.drivers or Drivers.linear(np.zeros((len(own), 9))) for block, own in parts]
+    )
+    return Morphs(shapes, names, weights, drivers)
 
 
 def _fewest(morphs: Morphs, worst: float) -> Morphs:
@@ -279,7 +341,7 @@ def _fewest(morphs: Morphs, worst: float) -> Morphs:
     """
     weights = np.concatenate(morphs.weights)
     reach = np.linalg.norm(morphs.shapes, axis=-1).max(axis=1) * np.abs(weights).max(axis=0)
-    reach[morphs.live] = np.inf  # also of joints that this motion leaves still
+    reach[morphs.drivers.live] = np.inf  # also of joints that this motion leaves still
     order = np.argsort(reach, kind="stable")
     fewest = 0
     most = int(np.searchsorted(reach[order], max(worst, 1e-9)))  # one alone may not be too much
@@ -317,4 +379,4 @@ def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float | None
         worst = _worst(morphs, left)[1]
     names = tuple(morphs.names[k] for k in rows)
     weights = tuple(w[:, rows] for w in morphs.weights)
-    return Morphs(morphs.shapes[rows], names, weights, morphs.rows[rows], residual, worst)
+    return Morphs(morphs.shapes[rows], names, weights, morphs.drivers[rows], residual, worst)

@@ -1,9 +1,10 @@
 """How bones drive a file's blend shapes, as JSON beside it: for Unity, Maya, Unreal and scripts of
 any program.
 
-The weight of a channel is ``row . vec(R - I)``, cut off between 0 and 1; R is the rotation of its
+The weight of a channel is ``clip(row . vec(R - I) - bias, 0, 1) ^ power``; R is the rotation of its
 joint against its parent, both counted from rest, in the body's axes, x to its left, y up, z
-forward; rows of R first. It holds for every pose, not only for those of the file's motion.
+forward; rows of R first. It holds for every pose, not only for those of the file's motion. Edition
+1 has no bias and no power, which are 0 and 1 then: bodies without folds have it.
 """
 
 import json
@@ -18,7 +19,8 @@ from habitus.export.animation import Animation
 from habitus.files import atomic_write
 
 FORMAT = "habitus-correctives"
-EDITION = 1
+LINEAR, FOLDS = 1, 2
+"""Editions: without and with ``bias`` and ``power``."""
 ENDING = ".correctives.json"
 
 
@@ -29,7 +31,7 @@ def write_drivers(animation: Animation, beside: str | os.PathLike[str]) -> Path 
     animation: as a file has it (`habitus.export.animation.one_sided`). Its path comes back. Raises
     HabitusError where it cannot be written.
     """
-    if not animation.morph_rows.any():
+    if not animation.morph_drivers.live.any():
         return None
     path = Path(beside).with_suffix(ENDING)
     with atomic_write(path) as temporary:
@@ -47,14 +49,18 @@ def drivers(animation: Animation) -> Mapping[str, Any]:
         {"name": name, "parent": "" if parent < 0 else names[parent], "rest": _short(place)}
         for name, parent, place in zip(names, body.parents, animation.rest_joints, strict=True)
     ]
-    channels = [
-        {"name": name, "joint": _joint(name, names), "row": _short(row)}
-        for name, row in zip(animation.morph_names, animation.morph_rows, strict=True)
-        if row.any()
-    ]
+    driven = animation.morph_drivers
+    edition = FOLDS if driven.folds.any() else LINEAR
+    channels = []
+    for k in np.flatnonzero(driven.live):
+        name = animation.morph_names[k]
+        channel = {"name": name, "joint": _joint(name, names), "row": _short(driven.rows[k])}
+        if edition == FOLDS:
+            channel |= {"bias": _short(driven.bias[[k]])[0], "power": float(driven.power[k])}
+        channels.append(channel)
     return {
         "format": FORMAT,
-        "version": EDITION,
+        "version": edition,
         "body": body.name,
         "joints": joints,
         "channels": channels,

@@ -25,7 +25,11 @@ namespace UnityEngine
     public class MonoBehaviour : Component { }
     public class TextAsset : Object { public string text; }
     public static class Debug { public static void LogError(object message, Object context) { Console.Error.WriteLine(message); } }
-    public static class Mathf { public static float Clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; } }
+    public static class Mathf
+    {
+        public static float Clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }
+        public static float Pow(float x, float power) { return (float)Math.Pow(x, power); }
+    }
 
     public struct Vector3
     {

@@ -366,10 +366,11 @@ def save_body(model: BodyModel, path: str | Path) -> None:
 
     ``.npz`` is read by `load_body` and by ``smplx`` for SMPL-H, SMPL-X and MANO; ``.pkl`` (plain
     arrays, no foreign classes) also by ``smplx`` for SMPL. What only habitus knows (landmarks,
-    parts, mirror, pose prior, skinning function, ages, quads) travels along, but not ``body.full``:
-    save that by itself. Official files have no word for pose blend shapes that are driven by
-    anything but SMPL's rotations: such a body goes to a ``.npz`` under the project's own names,
-    which nothing else reads.
+    parts, mirror, pose prior, skinning function, ages, quads, hinges) travels along, but not
+    ``body.full``: save that by itself. A ``.pkl`` has no hinges; its ``posedirs`` stand in for
+    them. Official files have no word for pose blend shapes that are driven by anything but SMPL's
+    rotations: such a body goes to a ``.npz`` under the project's own names, which nothing else
+    reads.
 
     Raises HabitusError for such a body's ``.pkl``, for another ending, or where nothing can be
     written.
@@ -384,6 +385,8 @@ def save_body(model: BodyModel, path: str | Path) -> None:
             "shape_features; official "
             "files hold 'rotations' with 0: save the body as .npz"
         )
+    if target.suffix == ".pkl":
+        model = replace(model, hinges=None)
     arrays = official_form(model) if official else own_form(model)
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         if target.suffix == ".npz":
