@@ -19,6 +19,7 @@ from habitus.export.fbx.write import write_fbx
 from habitus.export.folds import beginning, fold_names
 from habitus.export.glb import write_glb
 from habitus.export.usd import write_usd
+from habitus.learn.posing.hinge_rows import hinge_row
 from habitus.rotations import up_rotation
 
 DEGREES = (0, 100, 140)
@@ -118,18 +119,10 @@ def test_few_directions_come_with_all_folds():
     assert 9 + 4 <= len(animation.morph_names) <= 18 + 4
 
 
-def cap(begin: float, far: float = 165.0, full: float = 155.0) -> tuple[np.ndarray, float]:
-    """A channel that a bone's direction drives: zero up to an angle, blind to twist."""
-    bone, ahead = np.array([0.0, -1, 0]), np.array([0.0, 0, -1])
-    middle = np.cos(np.radians(far)) * bone + np.sin(np.radians(far)) * ahead
-    size = np.cos(np.radians(full - far)) - np.cos(np.radians(begin - far))
-    bias = np.cos(np.radians(begin - far)) - np.cos(np.radians(far))
-    return np.outer(middle, bone).ravel() / size, bias / size
-
-
 @pytest.mark.parametrize("begin", [0.0, 7.5, 60.0, 90.0, 115.0, 135.0, 150.0])
 def test_a_fold_begins_where_no_smaller_turn_reaches_it(begin):
-    row, bias = cap(begin)
+    bone, axis = np.array([0.1, -1.0, 0.05]), np.array([1.0, 0.2, 0.1])
+    row, bias = hinge_row(bone, axis, np.radians(begin))
     assert beginning(row, bias) == pytest.approx(begin, abs=1e-3)
     vectors = np.random.default_rng(0).normal(size=(20000, 3))
     turns = hb.rotations.matrix_from_rotvec(vectors * np.random.default_rng(1).uniform(0, 2))
