@@ -255,3 +255,24 @@ def test_a_state_that_changes_in_place_is_a_new_one():
     assert first != again
     assert again == PointSolver.of(body).cost(betas, pose, trans, points)
     assert solver.at(betas - 0.5, pose, trans, points).cost == pytest.approx(first)
+
+
+@pytest.mark.parametrize("degrees", [40.0, 100.0, 140.0])
+def test_hinges_are_compiled_too(degrees):
+    """Cost, gradient and matrix in a fold, by betas as well, at points that hinges move."""
+    body = with_hinges(load_body("female"))
+    knee = body.joint_names.index("left_knee")
+    near = np.flatnonzero(body.hinges.directions[body.faces].any((1, 2, 3, 4)))
+    points = some_points(body, 0.1)
+    points = replace(points, face=near[np.linspace(0, len(near) - 1, len(points.face), dtype=int)])
+    betas, pose, trans = some_state(body)
+    pose = 0.2 * pose
+    pose[knee] = [np.radians(degrees), 0.1, 0.0]
+    solver = PointSolver.of(body)
+    assert solver.rig is not None
+    fast = solver.at(betas, pose, trans, points)
+    slow = reference_equations(body, betas, pose, trans, points)
+    for ours, theirs in zip(fast, slow, strict=True):
+        scale = np.abs(theirs).max()
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * scale)
+    assert solver.cost(betas, pose, trans, points) == pytest.approx(slow.cost, rel=1e-9)

@@ -16,6 +16,7 @@ def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
     room: (4, 3) numbers to work with.
     """
     betas = by_betas.shape[2]
+    joints = len(state.joints)
     for n in range(len(used)):
         i = used[n]
         _rest(rig, state, i, room[0])
@@ -35,10 +36,20 @@ def move_vertices(rig, state, used, vertices, by_betas, by_pose, room):
                     for b in range(betas):
                         by_betas[i, c, b] += share * shift[c, b]
         for s in range(rig.start[i], rig.start[i + 1]):
-            _by_joint(rig, state, i, rig.joint[s], room[0], by_pose[s])
+            feature = rig.feature[s]
+            if feature < joints:
+                _by_joint(rig, state, i, rig.joint[s], room[0], by_pose[s])
+            else:
+                by_pose[s] = 0.0
+                _add_by_betas(
+                    rig.value_shapes[rig.shape[s]],
+                    state.hinges_by_betas[feature - joints],
+                    turn,
+                    by_betas[i],
+                )
             if rig.shape[s] >= 0:
                 _add_pose_shape(
-                    rig.value_shapes[rig.shape[s]], state.change[rig.joint[s]], turn, by_pose[s]
+                    rig.value_shapes[rig.shape[s]], state.change[feature], turn, by_pose[s]
                 )
 
 
@@ -79,7 +90,7 @@ def _rest(rig, state, i, rest):
     for s in range(rig.start[i], rig.start[i + 1]):
         g = rig.shape[s]
         if g >= 0:
-            feature = state.feature[rig.joint[s]]
+            feature = state.feature[rig.feature[s]]
             for e in range(9):
                 for c in range(3):
                     rest[c] += rig.value_shapes[g, 3 * e + c] * feature[e]
@@ -139,6 +150,19 @@ def _add_pose_shape(shapes, change, turn, out):
             z += shapes[3 * f + 2] * by
         for c in range(3):
             out[3 * c + e] += turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
+
+
+@jit_inline
+def _add_by_betas(shapes, by, turn, out):
+    """Hinges are multiplied with the first betas."""
+    for b in range(by.shape[1]):
+        x = y = z = 0.0
+        for f in range(9):
+            x += shapes[3 * f] * by[f, b]
+            y += shapes[3 * f + 1] * by[f, b]
+            z += shapes[3 * f + 2] * by[f, b]
+        for c in range(3):
+            out[c, b] += turn[c, 0] * x + turn[c, 1] * y + turn[c, 2] * z
 
 
 @jit_noalloc

@@ -32,7 +32,7 @@ from habitus.residuals.point_kernels import (
     points_cost,
     write_rows,
 )
-from habitus.residuals.surface_rig import SurfaceRig, surface_rig
+from habitus.residuals.surface_rig import SurfaceRig, surface_rig, with_hinges
 from habitus.rotations import cross_matrix
 from habitus.solve.arrow import ArrowMatrix
 from habitus.solve.terms import Quadratic, Term
@@ -127,8 +127,9 @@ class _State(NamedTuple):
     turns: Float[np.ndarray, "J 3 3"]
     shifts: Float[np.ndarray, "J 3 B"]
     below: Float[np.ndarray, "J J"]
-    feature: Float[np.ndarray, "J 9"]
-    change: Float[np.ndarray, "J 9 3"]
+    feature: Float[np.ndarray, "F 9"]
+    change: Float[np.ndarray, "F 9 3"]
+    hinges_by_betas: Float[np.ndarray, "H 9 S"]
 
 
 class _Table(NamedTuple):
@@ -163,7 +164,7 @@ class PointSolver:
     def of(body: BodyModel) -> "PointSolver":
         """Lay out the arrays of a body; to be made once."""
         plain = body.posedirs is None or (
-            body.pose_features == "rotations" and not body.shape_features and body.hinges is None
+            body.pose_features == "rotations" and not body.shape_features
         )
         if body.skinning != "lbs" or not plain:
             return PointSolver(body, None, np.zeros(body.num_faces, np.int64), ())
@@ -287,8 +288,7 @@ class PointSolver:
             skeleton.turns,
             skeleton.shifts_betas,
             np.array(skeleton.below),
-            feature,
-            change,
+            *with_hinges(body.hinges, betas, feature, change),
         )
         arrays = (np.ascontiguousarray(array) for array in moved)
         return _State(np.array(betas, float), np.array(trans, float), *arrays)

@@ -11,6 +11,7 @@ import numpy as np
 from habitus.body.model import BodyModel
 
 DRAWN = 240  # people that the spread ones are chosen from
+FIRST_END = 30  # number of the first of `ends`
 LARGEST = 2.6  # no beta beyond
 AGES = (
     None,
@@ -60,6 +61,16 @@ def people(body: BodyModel, sex: str, count: int, seed: int) -> list[Shape]:
         Shape(f"{sex}{k:02d}", betas[row], AGES[(k - 1) % len(AGES)], stout[row])
         for k, row in enumerate(spread, start=1)
     ]
+
+
+def ends(body: BodyModel, sex: str) -> list[Shape]:
+    """Four people two standard deviations along betas 1 and 2, either way: folds depend on these,
+    and people drawn at random reach so far in few.
+    """
+    betas = np.zeros((4, body.num_betas))
+    betas[[0, 1], 0] = betas[[2, 3], 1] = (2.0, -2.0)
+    stout = _stoutness(body, betas)
+    return [Shape(f"{sex}{FIRST_END + k}", betas[k], None, stout[k]) for k in range(4)]
 
 
 def _stoutness(body: BodyModel, betas: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from habitus import load_body
 from habitus.parallel.workers import open_workers
 from habitus_lab.default_body.flesh.gather import gather, table
-from habitus_lab.default_body.flesh.people import people
+from habitus_lab.default_body.flesh.people import FIRST_END, ends, people
 from habitus_lab.default_body.flesh.poses import (
     ROUNDS,
     SEXES,
@@ -51,6 +51,9 @@ def tasks(options: argparse.Namespace) -> list[Task]:
             rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
             moments = _from_motions(options, rng, len(body.joint_names))
             found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in moments]
+        for k, shape in enumerate(ends(body, sex), start=FIRST_END):
+            last = further_sessions(options.seed, k, sex, body.joint_names)
+            found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in last]
     return [row[-1] for row in sorted(found, key=lambda row: row[:3])]
 
 
