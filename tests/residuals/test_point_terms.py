@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hinged_body import with_hinges
 from synthetic import synthetic_body
 
+from habitus.io.models.bodies import load_body
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import MarkerAttachment, marker_jacobian
 from habitus.residuals.points import (

@@ -337,15 +337,21 @@ class BodyArrays:
         """The joints that drive the pose blend shapes, in their order."""
         return list(range(1, self.num_joints) if self.pose_joints is None else self.pose_joints)
 
-    def smpl_posedirs(self, rows: Any = slice(None)) -> Float[np.ndarray, "N 3 F"] | None:
+    def smpl_posedirs(
+        self, rows: Any = slice(None), *, beside_hinges: bool = False
+    ) -> Float[np.ndarray, "N 3 F"] | None:
         """``posedirs`` of some vertices as SMPL has them, driven by all joints but the root: zeros
-        for those that do not.
+        for those that do not. ``beside_hinges``: without the hinges' stand-ins.
         """
-        if self.posedirs is None or self.pose_joints is None:
-            return None if self.posedirs is None else self.posedirs[rows]
+        posedirs = self.pose_directions if beside_hinges else self.posedirs
+        if posedirs is None or self.posedirs is None:
+            return None
+        some = posedirs[rows][..., : self.posedirs.shape[-1]]
+        if self.pose_joints is None:
+            return some
         everyone = tuple(range(1, self.num_joints))
         given = self.features.per_joint, self.pose_joints
-        return of_joints(self.posedirs[rows], *given, everyone, self.shape_features)
+        return of_joints(some, *given, everyone, self.shape_features)
 
     @cached_property
     def pose_directions(self) -> Float[np.ndarray, "V 3 G"] | None:

@@ -130,6 +130,12 @@ class Hinges:
         )
 
 
+NO_HINGES = Hinges(
+    np.zeros(0), np.zeros((0, ENTRIES)), np.zeros(0), np.zeros((0, ENTRIES)), np.zeros((0, 3, 0, 1))
+)
+"""No channels, of any body."""
+
+
 def pose_coefficients(
     features: PoseFeatures,
     hinges: Hinges | None,

@@ -6,7 +6,7 @@ rigidly about joint j needs no corners: dx = m x (x - p_j) for each column m of 
 """
 
 from habitus.kernels.jit import jit_inline
-from habitus.kernels.simd import spread
+from habitus.kernels.simd import load, spread
 from habitus.kernels.simd_linalg import (
     add3,
     cross3,
@@ -146,9 +146,9 @@ def pose_shape_columns(rig, slots, offsets, workspace, s, carriage, blends):
     turned = load9(workspace, offsets.local + 9 * joint)
     left = load9(workspace, offsets.left + 9 * joint)
     first, by_s, by_n, by_f = blends
-    a = rest_slopes(rig, slots.posedir[3 * s], turned)
-    b = rest_slopes(rig, slots.posedir[3 * s + 1], turned)
-    c = rest_slopes(rig, slots.posedir[3 * s + 2], turned)
+    a = rest_slopes(rig, offsets, workspace, slots.posedir[3 * s], turned)
+    b = rest_slopes(rig, offsets, workspace, slots.posedir[3 * s + 1], turned)
+    c = rest_slopes(rig, offsets, workspace, slots.posedir[3 * s + 2], turned)
     bs = mixed3(by_s, b)
     bn = mixed3(by_n, b)
     cn = mixed3(by_f, c)
@@ -175,9 +175,9 @@ def mixed3(shares, vectors):
 
 
 @jit_inline
-def rest_slopes(rig, d, turned):
-    """How x, y and z of a corner at rest change by pose blend shape d (none if -1) as R_j is turned
-    from the left: sum_c R_c x P_c over the columns c.
+def rest_slopes(rig, offsets, workspace, d, turned):
+    """How x, y and z of a corner at rest change by pose blend shape d (none if -1) and the joint's
+    hinges as R_j is turned from the left: sum_c R_c x P_c over the columns c.
     """
     x = spread3(0.0, 0.0, 0.0)
     y = spread3(0.0, 0.0, 0.0)
@@ -186,6 +186,14 @@ def rest_slopes(rig, d, turned):
         x = slope(rig.posedirs, d, 0, turned)
         y = slope(rig.posedirs, d, 1, turned)
         z = slope(rig.posedirs, d, 2, turned)
+        for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
+            h = rig.fold_channel[k]
+            fold = rig.folds[k]
+            by = load(workspace, offsets.fold + 2 * h + 1)
+            turns = scale3(by, slope(rig.hinge_rows, h, 0, turned))
+            x = add3(x, scale3(spread(fold[0]), turns))
+            y = add3(y, scale3(spread(fold[1]), turns))
+            z = add3(z, scale3(spread(fold[2]), turns))
     return x, y, z
 
 

@@ -4,7 +4,7 @@ Every frame has a SIMD lane, and everything lies in one workspace (n, LANES) lai
 """
 
 from habitus.kernels.jit import jit_inline, jit_noalloc
-from habitus.kernels.simd import LANES, load, root, spread
+from habitus.kernels.simd import LANES, load, root, spread, store, where_less
 from habitus.kernels.simd_linalg import (
     add3,
     along3,
@@ -44,6 +44,7 @@ def place_markers(rig, offsets, workspace, state):
     """Joints, corners and markers of the states in rows `state`."""
     shape_joints(rig, offsets, workspace, state)
     move_joints(rig, offsets, workspace, state)
+    weigh_hinges(rig, offsets, workspace)
     shape_corners(rig, offsets, workspace, state)
     move_corners(rig, offsets, workspace)
     for i in range(len(rig.triangles)):
@@ -92,6 +93,23 @@ def move_joints(rig, offsets, workspace, state):
 
 
 @jit_inline
+def weigh_hinges(rig, offsets, workspace):
+    """Weight w = clip(x, 0, 1)^2 of each hinge channel, and dw / dx."""
+    for h in range(len(rig.hinge_joint)):
+        local = offsets.local + 9 * rig.hinge_joint[h]
+        x = spread(-rig.hinge_bias[h])
+        for e in range(9):
+            x = x + rig.hinge_rows[h, 0, e] * (
+                load(workspace, local + e) - (1.0 if e % 4 == 0 else 0.0)
+            )
+        x = where_less(x, 0.0, 0.0, x)
+        slope = where_less(x, 1.0, 2.0 * x, 0.0)
+        x = where_less(x, 1.0, x, 1.0)
+        store(workspace, offsets.fold + 2 * h, x * x)
+        store(workspace, offsets.fold + 2 * h + 1, slope)
+
+
+@jit_inline
 def shape_corners(rig, offsets, workspace, state):
     """Rest places of the corners with betas and pose blend shapes added."""
     betas = state + 3 + 3 * len(rig.parents)
@@ -111,6 +129,10 @@ def shape_corners(rig, offsets, workspace, state):
                 rest = add3(
                     rest, along3(change, posedirs[d, 0, e], posedirs[d, 1, e], posedirs[d, 2, e])
                 )
+            for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
+                weight = load(workspace, offsets.fold + 2 * rig.fold_channel[k])
+                fold = rig.folds[k]
+                rest = add3(rest, along3(weight, fold[0], fold[1], fold[2]))
         store3(workspace, offsets.rest + 3 * u, rest)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
+from habitus.body.hinges import NO_HINGES
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import check_driven_by_rotations
 from habitus.errors import HabitusError
@@ -39,7 +40,8 @@ class MarkerRig(NamedTuple):
     rest_corners: Float[np.ndarray, "U 3"]
     corner_shapedirs: Float[np.ndarray, "U 3 B"]
     corner_posedirs: Float[np.ndarray, "U 3 P"]
-    """Offsets per entry of vec(R - I), rows first, joint 1 first (S 3.2)."""
+    """Offsets per entry of vec(R - I), rows first, joint 1 first (S 3.2), without the stand-ins of
+    hinges."""
     influences: Int[np.ndarray, "U K"]
     """Joints that move each corner; padding has weight 0."""
     weights: Float[np.ndarray, "U K"]
@@ -47,6 +49,12 @@ class MarkerRig(NamedTuple):
     """Corners (a, b, c) of each marker, as rows of the arrays above."""
     coefficients: Float[np.ndarray, "M 3"]
     """(c_n, c_t, c_s) of each marker in its triangle's basis."""
+    corner_folds: Float[np.ndarray, "U 3 C"]
+    """Offsets per weight of each of C hinge channels (`habitus.body.hinges`) of this person: soft
+    tissue does not change them."""
+    hinge_joint: Int[np.ndarray, " C"]
+    hinge_rows: Float[np.ndarray, "C 9"]
+    hinge_bias: Float[np.ndarray, " C"]
 
     @property
     def num_joints(self) -> int:
@@ -89,7 +97,14 @@ def marker_rig(
         to_numpy(body.skinning_index[corners], np.int64),
         to_numpy(body.skinning_value[corners], np.float64),
     )
-    posedirs = body.smpl_posedirs(corners)
+    posedirs = body.smpl_posedirs(corners, beside_hinges=True)
+    hinges = body.hinges or NO_HINGES
+    folds = np.zeros((len(corners), 3, 0))
+    if body.hinges is not None:
+        factors = np.zeros(1 + hinges.num_shapes)
+        factors[0] = 1.0
+        factors[1 : 1 + len(shape)] = shape[: hinges.num_shapes]
+        folds = hinges.directions[corners] @ factors
     return MarkerRig(
         parents=np.asarray(body.parents, dtype=np.int64),
         rest_joints=joints + joint_directions @ shape,
@@ -101,6 +116,10 @@ def marker_rig(
         weights=weights,
         triangles=np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.int64),
         coefficients=attachment.coefficients,
+        corner_folds=np.ascontiguousarray(folds),
+        hinge_joint=hinges.joint,
+        hinge_rows=hinges.rows,
+        hinge_bias=hinges.bias,
     )
 
 
@@ -110,7 +129,7 @@ def kernels_cover(body: BodyModel) -> bool:
 
     Other bodies are fitted by `habitus.observe.marker_prediction.BodyMarkers`.
     """
-    usual = body.pose_features == "rotations" and not body.shape_features and body.hinges is None
+    usual = body.pose_features == "rotations" and not body.shape_features
     return body.skinning == "lbs" and (body.posedirs is None or usual)
 
 
@@ -158,7 +177,8 @@ class SimdRig(NamedTuple):
     """A `MarkerRig` whose lists of influences and pose blend shapes hold what is not zero; Z = 3
     ceil(B / 3) betas.
 
-    The run of corner u in a list is start[u] : start[u + 1].
+    The run of corner u in a list is start[u] : start[u + 1]; that of pose blend shape d in the list
+    of its joint's hinges, fold_start[d] : fold_start[d + 1].
     """
 
     parents: Int[np.ndarray, " J"]
@@ -172,6 +192,12 @@ class SimdRig(NamedTuple):
     posedir_start: Int[np.ndarray, " U1"]
     posedir_joint: Int[np.ndarray, " D"]
     posedirs: Float[np.ndarray, "D 3 9"]
+    fold_start: Int[np.ndarray, " D1"]
+    fold_channel: Int[np.ndarray, " E"]
+    folds: Float[np.ndarray, "E 3"]
+    hinge_joint: Int[np.ndarray, " C"]
+    hinge_rows: Float[np.ndarray, "C 1 9"]
+    hinge_bias: Float[np.ndarray, " C"]
     triangles: Int[np.ndarray, "M 3"]
     coefficients: Float[np.ndarray, "M 3"]
 
@@ -224,6 +250,7 @@ class Offsets(NamedTuple):
     joint_by_shape: int
     corner_by_shape: int
     blend: int
+    fold: int
     observed: int
     weight: int
     marker: int
@@ -248,6 +275,9 @@ def simd_rig(rig: MarkerRig, betas: int) -> SimdRig:
         influence_joint=rig.influences[used],
         influence_weight=rig.weights[used],
         **_posedirs(rig),
+        hinge_joint=rig.hinge_joint,
+        hinge_rows=rig.hinge_rows[:, None],
+        hinge_bias=rig.hinge_bias,
         triangles=rig.triangles,
         coefficients=rig.coefficients,
     )
@@ -352,10 +382,19 @@ def _pairs(start: np.ndarray, block: np.ndarray, blocks: int) -> dict[str, np.nd
 def _posedirs(rig: MarkerRig) -> dict[str, np.ndarray]:
     blocks = rig.corner_posedirs.reshape(len(rig.rest_corners), 3, -1, 9).transpose(0, 2, 1, 3)
     used = (blocks != 0).any(axis=(2, 3))
+    moved = (rig.corner_folds != 0).any(axis=1)
+    corner, channel = np.nonzero(moved)
+    used[corner, rig.hinge_joint[channel] - 1] = True
+    number = np.cumsum(used).reshape(used.shape) - 1
+    shape = number[corner, rig.hinge_joint[channel] - 1]
+    order = np.argsort(shape, kind="stable")
     return {
         "posedir_start": _starts(used.sum(axis=1)),
         "posedir_joint": np.nonzero(used)[1] + 1,
         "posedirs": np.ascontiguousarray(blocks[used].reshape(-1, 3, 9)),
+        "fold_start": _starts(np.bincount(shape, minlength=int(used.sum()))),
+        "fold_channel": channel[order].astype(np.int64),
+        "folds": np.ascontiguousarray(rig.corner_folds[corner, :, channel][order]),
     }
 
 
@@ -381,6 +420,7 @@ def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
         "joint_by_shape": 3 * joints * betas,
         "corner_by_shape": 3 * corners * betas,
         "blend": 9 * corners,
+        "fold": 2 * len(rig.hinge_joint),
         "observed": 3 * markers,
         "weight": markers,
         "marker": 3 * markers,
