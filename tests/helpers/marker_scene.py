@@ -2,11 +2,13 @@
 it.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 from rigged_body import random_body
 
+from habitus.body.hinges import Hinges
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import BodyMarkers, predict
@@ -17,7 +19,10 @@ from habitus.observe.markers import attach
 def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     """A rig, its prior, a smooth motion of it and the markers that were seen."""
     rng = np.random.default_rng(seed)
+    shapes = kind.pop("hinge_shapes", None)
     body = random_body(seed, **({"joints": 5, "posedirs": False, "betas": 4} | kind))
+    if shapes is not None:
+        body = replace(body, hinges=random_hinges(body, rng, shapes))
     betas = rng.normal(size=4)
     rest = body.v_template + body.shapedirs @ betas
     corners = body.faces[:markers]
@@ -39,6 +44,17 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     return SimpleNamespace(
         rig=rig, marked=marked, prior=prior, pose=pose, trans=trans, observed=observed, rng=rng
     )
+
+
+def random_hinges(body, rng, shapes):
+    """Three channels of two joints, in the middle of their range at small turns; one of them moves
+    vertices that its joint's pose blend shapes do not.
+    """
+    directions = 0.05 * rng.normal(size=(body.num_vertices, 3, 3, 1 + shapes))
+    directions[::3] = 0.0
+    rows = rng.normal(size=(3, 9))
+    joints = np.array([body.drivers[0], body.drivers[-1], body.drivers[-1]])
+    return Hinges(joints, rows, np.full(3, -0.4), 0.3 * rng.normal(size=(3, 9)), directions)
 
 
 def fit(s, observed=None, soft_tissue=None, weights=None, scales=None, **settings):

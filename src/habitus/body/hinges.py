@@ -131,7 +131,11 @@ class Hinges:
 
 
 NO_HINGES = Hinges(
-    np.zeros(0), np.zeros((0, ENTRIES)), np.zeros(0), np.zeros((0, ENTRIES)), np.zeros((0, 3, 0, 1))
+    np.zeros(0, np.int64),
+    np.zeros((0, ENTRIES)),
+    np.zeros(0),
+    np.zeros((0, ENTRIES)),
+    np.zeros((0, 3, 0, 1)),
 )
 """No channels, of any body."""
 

@@ -18,10 +18,17 @@ TIGHT = SequenceOptions(strides=(1,), tolerance=1e-9, cost_tolerance=0.0, sweeps
 
 
 KINDS = [{}, {"posedirs": True}, {"joints": 9, "influences": 4}, {"joints": 1, "influences": 1}]
+FOLDED = {"posedirs": True, "drivers": (4, 2)}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("betas", [0, 4])
+@pytest.mark.parametrize(
+    ("kind", "betas"),
+    [
+        *((kind, betas) for kind in KINDS for betas in (0, 4)),
+        (FOLDED | {"hinge_shapes": 2}, 0),
+        (FOLDED | {"hinge_shapes": 0}, 4),
+    ],
+)
 def test_compiled_and_dense_visits_agree(kind, betas):
     """Costs, and with them gradients and matrices: a Gauss-Newton step of either leads to the same
     place.
