@@ -84,7 +84,11 @@ def test_markers_are_fitted_beside_a_scan_and_terms_without_torch():
         betas, places = np.ones(4), layout.vertices(body)
         made = simulate_capture(body, betas, pose, trans, places, layout.distances(), Faults(), rng)
         markers = hb.Markers(made.observed, layout, fps=60.0)
-        settings = hb.FitSettings(frames=4, motion=False)
+        standard = hb.FitSettings()
+        few = replace(standard.scans.search, candidates=1, drawn_poses=0, kept=4, refined=1)
+        settings = replace(
+            standard, frames=4, motion=False, scans=replace(standard.scans, search=few)
+        )
         alone = hb.Fit(body, markers, settings).solve()
         scan = hb.Scan(np.asarray(body(betas, pose[5], trans[5]).vertices), frame=5)
         prior = {"mine": hb.Term(lambda betas: (betas, {"betas": np.eye(4)}))}

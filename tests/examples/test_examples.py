@@ -5,17 +5,27 @@ import re
 import runpy
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from read_bvh import Bvh
 from read_fbx import Fbx
+from rgbd_scene_small import QUICK_DEPTH
 
+import habitus as hb
 from habitus.fit.points.settings import SCANS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
+FEW_STARTS = hb.FitSettings(
+    depth=QUICK_DEPTH,
+    scans=replace(
+        SCANS, search=replace(SCANS.search, candidates=1, drawn_poses=0, kept=4, refined=1)
+    ),
+)
+"""Of the searches for poses: the examples' people stand in an A-pose, which needs no more."""
 
 
 @pytest.fixture
@@ -105,8 +115,7 @@ def test_examples_write_into_a_folder_that_git_ignores(tmp_path, monkeypatch):
 
 
 def test_a_scan_is_registered(run, monkeypatch):
-    few = replace(SCANS, search=replace(SCANS.search, kept=4, refined=1))
-    monkeypatch.setattr("habitus.jobs.register.SCANS", few)  # an A-pose needs no more
+    monkeypatch.setattr("habitus.jobs.register.SCANS", FEW_STARTS.scans)
     found = run("register")
     assert found["distance"][0] < 0.7 and found["distance"][1] < 3.0
     assert found["truth"][0] < 2.0 and "good" in run.text
@@ -130,6 +139,7 @@ def test_two_sensors_together_are_better_than_either(monkeypatch):
     alone.
     """
     monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.setattr(hb, "Fit", partial(hb.Fit, settings=FEW_STARTS))
     main = runpy.run_path(str(EXAMPLES / "two_sensors.py"))["main"]
     errors = main(1)
     for alone in ("12 markers", "2 depth views"):
@@ -138,6 +148,7 @@ def test_two_sensors_together_are_better_than_either(monkeypatch):
 
 def test_a_scan_gives_the_shape_of_a_captures_motion(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.setattr(hb, "Fit", partial(hb.Fit, settings=FEW_STARTS))
     main = runpy.run_path(str(EXAMPLES / "scan_and_capture.py"))["main"]
     errors = main(str(tmp_path))
     assert errors["with a scan: shape"] < 0.2 * errors["12 markers: shape"]

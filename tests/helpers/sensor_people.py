@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from rgbd_scene_small import QUICK_DEPTH
 
 import habitus as hb
 from habitus.fit.body_fit import JointStage
@@ -20,16 +21,19 @@ QUICK_SCANS = replace(
     SCANS,
     offset_stages=SCANS.offset_stages[:1],
     search=replace(
-        SCANS.search, candidates=1, drawn_poses=0, headings=8, checked=60, kept=6, refined=2
+        SCANS.search, candidates=1, drawn_poses=0, headings=8, checked=40, kept=4, refined=2
     ),
-    limbs=replace(SCANS.limbs, rounds=0),
-    surface=replace(SCANS.surface, points=1500, stages=SCANS.surface.stages[:1]),
+    limbs=replace(
+        SCANS.limbs, rounds=0, stages=tuple(replace(one, steps=2) for one in SCANS.limbs.stages)
+    ),
+    surface=replace(SCANS.surface, points=1500, stages=SCANS.surface.stages[:1], stretched=1.0),
 )
 QUICK = hb.FitSettings(
     frames=4,
     motion=False,
     stages=(JointStage(0.06, 2.0, iterations=5), JointStage(0.03, 1.0, "pixel", iterations=8)),
     mosh=MOSH,
+    depth=QUICK_DEPTH,
     scans=QUICK_SCANS,
 )
 SHOTS = (0, 30)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from read_glb import Glb
-from rgbd_scene_small import small_scene
+from rgbd_scene_small import QUICK_DEPTH, small_scene
 
 import habitus as hb
 from habitus.cli.main import main
@@ -25,7 +25,7 @@ def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rgbd")
     body, scene = small_scene()
     write_views(scene.capture, folder / "views")
-    fit = hb.fit_rgbd(hb.read_views(folder / "views"), body)
+    fit = hb.fit_rgbd(hb.read_views(folder / "views"), body, settings=QUICK_DEPTH)
     fit.save(folder / "out")
     return folder / "out", body, scene, fit
 

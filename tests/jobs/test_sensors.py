@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sensor_people import MOSH, QUICK, QUICK_SCANS, SHOTS, body, halves, person, scan_of
+from rgbd_scene_small import QUICK_DEPTH
+from sensor_people import (
+    MOSH,
+    QUICK,
+    QUICK_SCANS,
+    SHOTS,
+    body,
+    halves,
+    person,
+    scan_of,
+)
 
 import habitus as hb
 from habitus.observe.depth_views import RgbdCapture
@@ -47,7 +57,7 @@ def test_scans_alone_are_what_register_scans_makes_of_them():
 def test_views_alone_are_what_fit_rgbd_makes_of_them():
     capture = RgbdCapture("views", tuple(person(0)[2]))  # calibrated: not at the origin
     fit = hb.Fit(body(), hb.Depth(capture), QUICK).solve()
-    expected = hb.fit_rgbd(capture, body())
+    expected = hb.fit_rgbd(capture, body(), settings=QUICK_DEPTH)
     (found,) = fit.results
     same(found, expected, "betas", "pose", "trans", "skin")
     assert (found.costs, found.status, found.verdict) == (

@@ -4,7 +4,8 @@ bodies: benchmarks/surface_faults.py).
 
 import numpy as np
 import pytest
-from rgbd_scene_small import small_scene
+from rgbd_scene_small import QUICK_DEPTH, small_scene
+from sensor_people import QUICK_SCANS
 
 from habitus import load_body
 from habitus.body.prior import prior_of
@@ -21,7 +22,7 @@ from habitus_lab.population.spoilt_surfaces import SCAN_FAULTS, spoilt_capture
 @pytest.fixture(scope="module")
 def registrar() -> Registrar:
     body = load_body("default")
-    return Registrar.of(coarse_body(body, 1200), prior_of(body))
+    return Registrar.of(coarse_body(body, 1200), prior_of(body), settings=QUICK_SCANS)
 
 
 @pytest.fixture(scope="module")
@@ -82,5 +83,5 @@ def test_depth_views_without_a_person_are_refused(others, kind):
 def test_depth_views_of_a_wrong_focal_length_fail(others):
     """Other ways of spoiling: benchmarks/surface_faults.py."""
     body, scene = small_scene()
-    fit = fit_views(spoilt_capture("focal length x 1.3", scene, others), body)
+    fit = fit_views(spoilt_capture("focal length x 1.3", scene, others), body, settings=QUICK_DEPTH)
     assert fit.verdict.level == "failed"

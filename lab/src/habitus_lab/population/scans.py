@@ -198,7 +198,7 @@ def _seen(points: np.ndarray, normals: np.ndarray, side: np.ndarray) -> np.ndarr
     across /= np.linalg.norm(across)
     depth = points @ side
     cells = np.floor(points @ np.stack([across, np.cross(side, across)]).T / CELL).astype(np.int64)
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    _, cell = np.unique(cells @ [1 << 20, 1], return_inverse=True)  # one number a cell
     nearest = np.full(cell.max(initial=-1) + 1, -np.inf)
     np.maximum.at(nearest, cell.ravel(), depth)
     return (normals @ side > GRAZING) & (depth > nearest[cell.ravel()] - BEHIND)
