@@ -28,6 +28,28 @@ for package in (
 ):
     install_import_hook(checked_modules(package), "shape_checks.shapes_only")
 
+# Begun first, so that no worker ends with one of them alone. The second compiles no kernels: the
+# other worker finds those of the first on disk.
+LONGEST = (
+    *("fit/test_problem.py", "test_api_reference.py", "examples/test_examples.py"),
+    *("fit/points/test_spoilt_surfaces.py", "jobs/test_sensors.py", "jobs/test_train.py"),
+    *("learn/test_train_recipe.py", "fit/points/test_rgbd_off_model.py", "cli/test_main.py"),
+    *("jobs/test_rgbd.py", "fit/points/test_bodies_of_scans.py", "test_without_torch.py"),
+    *("render/jacobians/test_image_jacobians.py", "report/test_injection.py"),
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """pytest-xdist keeps the order of files: it would begin with those of the most tests."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files come first."""
+    here = Path(__file__).parent
+    rank = {here / name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item):
