@@ -293,6 +293,10 @@ def test_a_file_where_the_captures_folder_should_be(quick, walk, run, tmp_path):
     refused(run("mosh", walk, "--soft-tissue", "none"), "walk")
 
 
+def test_a_name_that_the_system_refuses_is_one_line(run, tmp_path):
+    refused(run("measure", tmp_path / f"{'x' * 300}.npz"), "File name too long", "check the path")
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -17,11 +17,15 @@ import zarr
 from habitus.errors import HabitusError
 from habitus.io.archives import NpzArchive, open_archive
 from habitus.io.captures.read import read_captures
+from habitus.io.layouts.files import load_layout
 from habitus.io.limits import BASE_BYTES, MAX_GROWTH, Allowance, array_size, check_inflated
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import load_body
+from habitus.io.people import open_person
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.templates import load_template
+from habitus.io.rgbd.descriptions import read_description
+from habitus.io.scans import read_scan
 
 MOST = 1 << 30
 SLOWEST_S = 5.0
@@ -282,3 +286,20 @@ def test_inflating_on_probation_keeps_nothing():
     check_inflated(packed, 50_000_000, "it")
     with pytest.raises(HabitusError):
         check_inflated(packed, 49_000_000, "it")
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        *READERS.items(),
+        ("walk.c3d", read_captures),
+        ("markers.toml", load_layout),
+        ("fit.npz", open_person),
+        ("body.obj", read_mesh),
+        *((f"scan{ending}", read_scan) for ending in (".ply", ".glb", ".gltf")),
+        ("cameras.yaml", read_description),
+    ],
+)
+def test_pipes_and_devices_are_refused_before_they_are_read(tmp_path, name, read):
+    (tmp_path / name).symlink_to("/dev/null")
+    assert "a pipe or a device" in refused(read, tmp_path / name)

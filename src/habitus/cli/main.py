@@ -164,17 +164,24 @@ def _run(name: str, arguments: list[str], verbose: bool, stop: Stop) -> int:
             stop.begun = True
             return command.run(options) or 0
     except HabitusError as error:
-        if verbose:
-            import traceback
-
-            traceback.print_exc()
-        print(f"habitus: {error}", file=sys.stderr)
-        return 2
+        return _refused(error, verbose)
     except BaseException as error:
-        if not (stop.asked or isinstance(error, KeyboardInterrupt)):
-            raise
-        print(stop.line, file=sys.stderr)
-        return STOPPED
+        if stop.asked or isinstance(error, KeyboardInterrupt):
+            print(stop.line, file=sys.stderr)
+            return STOPPED
+        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
+            return _refused(HabitusError(f"{error}; check the path and its permissions"), verbose)
+        raise
+
+
+def _refused(error: HabitusError, verbose: bool) -> int:
+    """Print the error; called while it, or its cause, is handled. Returns the exit code."""
+    if verbose:
+        import traceback
+
+        traceback.print_exc()
+    print(f"habitus: {error}", file=sys.stderr)
+    return 2
 
 
 def _parsed(name: str, arguments: list[str]) -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import Allowance, array_size, check_present
+from habitus.io.limits import Allowance, array_size, check_present, open_file
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 _MAX_HEADER = 10_000
@@ -205,7 +205,7 @@ def open_archive(path: Path) -> Iterator[NpzArchive]:
     """The archive in a file. Raises OSError where it cannot be opened, HabitusError where it is
     none.
     """
-    with path.open("rb") as file:
+    with open_file(path) as file:
         yield NpzArchive(file)
 
 
@@ -214,7 +214,7 @@ def read_npy(path: Path) -> np.ndarray:
     none.
     """
     try:
-        with path.open("rb") as stream:
+        with open_file(path) as stream:
             header = mapped_header(stream, path)
             stream.seek(0)
             Allowance(path.stat().st_size).take(header.weight, header.dtype.itemsize, "its array")

@@ -18,6 +18,7 @@ from habitus.io.limits import (
     check_count,
     check_present,
     check_text,
+    read_file,
 )
 from habitus.io.names import inside
 from habitus.io.structured_text import read_json
@@ -32,7 +33,7 @@ _DECODED_AT_ONCE = "KHR_materials_pbrSpecularGlossiness"
 def check_gltf(path: Path) -> None:
     """Raise HabitusError where a .glb or .gltf claims more than a file of its size may."""
     stored = path.stat().st_size
-    content = path.read_bytes()
+    content = read_file(path)
     text, packed = _chunks(content) if path.suffix.lower() == ".glb" else (content, b"")
     check_text(len(text), "its JSON")
     try:
@@ -138,6 +139,6 @@ def _picture_file(
     buffer = document["buffers"][view["buffer"]].get("uri")
     if isinstance(buffer, str):
         _, mark, data = buffer.partition("base64,")
-        packed = base64.b64decode(data) if mark else (folder / inside(unquote(buffer))).read_bytes()
+        packed = base64.b64decode(data) if mark else read_file(folder / inside(unquote(buffer)))
     start = view.get("byteOffset", 0)
     return io.BytesIO(packed[start : start + view["byteLength"]])

@@ -7,8 +7,11 @@ Rules are relative to the bytes that are really there; where compressed, sparse 
 honestly grow, they may grow to a tenfold of the file and 128 MB more, all of one file together.
 """
 
+import errno
+import stat
 import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 from habitus.errors import HabitusError, shown
 
@@ -34,6 +37,24 @@ MAX_NAME_LENGTH = 200
 MAX_NODES = 4096  # of a scene in a glTF file
 MAX_IMAGE_PIXELS = 50_000_000  # of one image of a camera
 MAX_IMAGE_BYTES = 1 << 29  # of all images of a depth folder, or all pictures of a scan, unpacked
+
+
+def open_file(path: Path) -> BinaryIO:
+    """A file to be read from its beginning.
+
+    Raises OSError for pipes, devices and sockets, of which reading may never end, and as Python
+    does.
+    """
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "a pipe or a device, which may have no end")
+    return path.open("rb")
+
+
+def read_file(path: Path) -> bytes:
+    """The content of a file. Raises OSError as `open_file` does."""
+    with open_file(path) as file:
+        return file.read()
 
 
 class Allowance:

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, shown
 from habitus.io.archives import reason
-from habitus.io.limits import check_present
+from habitus.io.limits import check_present, open_file
 
 ENDINGS = (".ply", ".obj")
 _MAX_HEADER = 1 << 16
@@ -42,7 +42,7 @@ def read_mesh(path: str | Path) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarra
         )
     trimesh = load_trimesh()
     try:
-        with source.open("rb") as file:
+        with open_file(source) as file:
             if source.suffix.lower() == ".ply":
                 check_ply(file, source.stat().st_size)
                 content = io.BytesIO(file.read())

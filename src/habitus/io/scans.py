@@ -16,7 +16,7 @@ from habitus.errors import HabitusError
 from habitus.fit.points.scan import Scan
 from habitus.io.archives import reason
 from habitus.io.gltf_claims import check_gltf
-from habitus.io.limits import MAX_IMAGE_BYTES, Allowance
+from habitus.io.limits import MAX_IMAGE_BYTES, Allowance, open_file
 from habitus.io.meshes import check_obj, check_ply, load_trimesh
 from habitus.io.names import numeric_order
 from habitus.observe.light import linear_from_srgb
@@ -131,7 +131,7 @@ def _loaded(source: Path, ending: str) -> Any:
         check_gltf(source)
     if ending == ".gltf":  # it names other files
         return trimesh.load(str(source), file_type=ending[1:], process=False)
-    with source.open("rb") as file:
+    with open_file(source) as file:
         if ending == ".ply":
             check_ply(file, source.stat().st_size)
         if ending != ".obj":

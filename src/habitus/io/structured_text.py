@@ -21,6 +21,7 @@ from habitus.io.limits import (
     MAX_XML_ELEMENTS,
     check_count,
     check_text,
+    open_file,
 )
 
 _PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -35,8 +36,8 @@ def read_text_file(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
     Raises HabitusError for a longer one, OSError and UnicodeDecodeError as Python does.
     """
     check_text(path.stat().st_size, "the file", limit)
-    with path.open("rb") as file:
-        content = file.read(limit + 1)  # a pipe or a device has no size
+    with open_file(path) as file:
+        content = file.read(limit + 1)
     check_text(len(content), "the file", limit)
     return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 

@@ -20,6 +20,7 @@ from habitus.io.captures.people import SubjectTracks, find_people
 from habitus.io.captures.points import RawPoints
 from habitus.io.captures.qtm_tsv import parse_qtm_tsv
 from habitus.io.captures.trc import parse_trc
+from habitus.io.limits import read_file
 from habitus.io.names import shown_stem
 from habitus.parallel.blocks import blocks
 
@@ -162,7 +163,7 @@ def _content(path: Path) -> bytes:
             f"{path.name}: unknown kind of capture; expected one of {', '.join(PARSERS)}"
         )
     try:
-        return path.read_bytes()
+        return read_file(path)
     except FileNotFoundError:
         raise HabitusError(f"{path}: no such file; check the path") from None
     except (OSError, MemoryError, ValueError) as error:

@@ -19,6 +19,7 @@ from habitus.io.captures.tables import (
     number_table,
     read_text,
 )
+from habitus.io.limits import open_file
 
 _AXIS = re.compile(r"([XYZ])[ _]?\d*", re.IGNORECASE)
 _TIME = re.compile(r"(frame\W*)?(time|t\b|sec)", re.IGNORECASE)
@@ -204,7 +205,7 @@ def is_fit_export(path: Path) -> bool:
     if path.suffix.lower() != ".trc":
         return False
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             return FIT_EXPORT.encode() in file.readline(MAX_FIRST_LINE)
     except OSError:
         return False

@@ -22,7 +22,7 @@ from habitus.body.pose_features import find_pose_features, of_joints
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
-from habitus.io.limits import check_joints
+from habitus.io.limits import check_joints, read_file
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.details import (
     DETAILS,
@@ -87,7 +87,7 @@ def load_body(
     shipped = SHIPPED.get(str(path))
     source, name = (_shipped(shipped), str(path)) if shipped else (Path(path), Path(path).stem)
     try:
-        content = source.read_bytes()
+        content = read_file(source)
         model = _read_body(content, name, detail, joints or ("smpl" if shipped else None))
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error

@@ -17,6 +17,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.io.archives import NpzArchive
+from habitus.io.limits import open_file
 from habitus.io.models.arrays import ModelArrays
 
 DETAILS = ("coarse", "full")
@@ -225,7 +226,7 @@ def add_dynamics(source: str | os.PathLike[str], dynamics: Dynamics, target: Pat
     All else stays as it is, both levels of detail included; the dynamics are those of the full one.
     Blend shapes are kept in float32. Raises HabitusError where the file is of another mesh.
     """
-    with Path(source).open("rb") as file:
+    with open_file(Path(source)) as file:
         archive = NpzArchive(file)
         arrays = {
             name: archive.read(name) for name in archive.names if not name.startswith("dynamics")
@@ -242,7 +243,7 @@ def add_dynamics(source: str | os.PathLike[str], dynamics: Dynamics, target: Pat
 
 def has_levels(source: str | os.PathLike[str]) -> bool:
     """Whether a body's file is an ``.npz`` with two levels of detail."""
-    with Path(source).open("rb") as file:
+    with open_file(Path(source)) as file:
         if file.read(2) != b"PK":
             return False
         file.seek(0)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.io.archives import NpzArchive, checked_texts, read_npy
-from habitus.io.limits import Allowance, folder_bytes
+from habitus.io.limits import Allowance, folder_bytes, open_file
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.stores import h5_array, zarr_array
 from habitus.io.registrations.vertex_files import ScaledVertices, array_in_file, array_in_zip
@@ -196,7 +196,7 @@ def _known_of(path: Path) -> Callable[[str], KnownArrays]:
 
 
 def _known_in_npz(path: Path) -> dict[str, Any]:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         archive = NpzArchive(file)
         found: dict[str, Any] = {
             _key(name): archive.read(name)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.io.archives import NpzArchive, checked_texts, read_npy, reason
-from habitus.io.limits import MAX_NAME_LENGTH, Allowance, folder_bytes
+from habitus.io.limits import MAX_NAME_LENGTH, Allowance, folder_bytes, open_file
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.names import inside
 from habitus.io.registrations.known import KEYS, KnownArrays, checked
@@ -147,7 +147,7 @@ def _open_table(path: Path) -> Source:
 
 
 def _open_npz(path: Path) -> Source:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         archive = NpzArchive(file)
         _check_there(path, archive)
         arrays = {

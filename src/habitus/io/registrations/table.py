@@ -7,7 +7,7 @@ from pathlib import Path
 
 from habitus.errors import HabitusError, shown
 from habitus.io.captures.tables import read_text
-from habitus.io.limits import check_text
+from habitus.io.limits import check_text, read_file
 from habitus.io.names import plain_name
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.registrations import SETS, VERDICTS
@@ -41,7 +41,7 @@ def read_table(path: Path) -> dict[str, tuple[str, ...]]:
     """
     try:
         check_text(path.stat().st_size, str(path))
-        text = read_text(path.read_bytes(), str(path))
+        text = read_text(read_file(path), str(path))
     except OSError as error:
         raise HabitusError(
             f"{path}: {error.strerror or error}; expected a table of registrations"

@@ -13,7 +13,7 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.archives import NpzArchive
-from habitus.io.limits import MAX_TOML_BYTES, check_joints
+from habitus.io.limits import MAX_TOML_BYTES, check_joints, open_file
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.bodies import SHIPPED, load_body, named_vertices
@@ -121,14 +121,14 @@ def save_template(template: Template, path: str | Path) -> None:
 
 
 def _is_template(path: Path) -> bool:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         if file.read(2) != b"PK":
             return False
         return "vertices" in NpzArchive(file)
 
 
 def _from_npz(path: Path) -> Template:
-    with path.open("rb") as file:
+    with open_file(path) as file:
         arrays = ModelArrays(file)
         vertices = arrays.number("vertices", None, 3)
         check_joints(arrays["parents"].size)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.archives import NpzArchive, mapped_header
+from habitus.io.limits import open_file
 from habitus.io.meshes import read_mesh
 from habitus.mesh.registrations import Vertices
 
@@ -242,7 +243,7 @@ def array_in_file(path: Path) -> MappedVertices:
     """A ``.npy`` file, mapped. Raises HabitusError for pickled ones, OSError where there is
     none.
     """
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         header = mapped_header(stream, path)
     return MappedVertices(
         path, header.begins, header.dtype, header.shape, "F" if header.fortran else "C"

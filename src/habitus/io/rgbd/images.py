@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.archives import reason
-from habitus.io.limits import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, Allowance
+from habitus.io.limits import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, Allowance, read_file
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
 _KEPT_MODES = ("L", "RGB", "RGBA", "I", "I;16", "I;16B", "I;16L", "F")
@@ -48,7 +48,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
     try:
         # From memory, since a read of a damaged chunk's length then ends where the file does.
-        with Image.open(BytesIO(path.read_bytes())) as image:
+        with Image.open(BytesIO(read_file(path))) as image:
             if image.width * image.height > MAX_IMAGE_PIXELS:
                 raise HabitusError(
                     f"{image.width} x {image.height} pixels; expected a camera's image"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from habitus.errors import HabitusError, listed
-from habitus.io.limits import check_text
+from habitus.io.limits import check_text, read_file
 from habitus.io.names import inside, numeric_order
 from habitus.io.rgbd.descriptions import ENDINGS as DESCRIPTIONS
 from habitus.io.rgbd.images import ENDINGS as IMAGES
@@ -173,7 +173,7 @@ def _tum(folder: Path, descriptions: tuple[Path, ...]) -> FolderFiles:
 def _list(path: Path, folder: Path) -> list[tuple[float, Path]]:
     check_text(path.stat().st_size, str(path))
     found = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in read_file(path).decode("utf-8", errors="replace").splitlines():
         words = line.split()
         if not words or words[0].startswith("#"):
             continue

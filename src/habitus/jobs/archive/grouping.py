@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path, PurePosixPath
 
 from habitus.errors import HabitusError, shown
+from habitus.io.limits import read_file
 from habitus.io.names import plain_name
 from habitus.jobs.finding import MarkerSet
 
@@ -82,7 +83,7 @@ def _names(file: PurePosixPath) -> tuple[PurePosixPath, ...]:
 
 def _rows(path: Path) -> list[tuple[int, dict[str, str]]]:
     try:
-        text = path.read_text("utf-8-sig")
+        text = read_file(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise HabitusError(
             f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}); check the path"

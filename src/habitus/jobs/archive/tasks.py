@@ -20,6 +20,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.captures.trc import is_fit_export
 from habitus.io.layouts.draft import found_layout_text
+from habitus.io.limits import open_file
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
     ArchiveJob,
@@ -63,7 +64,7 @@ def work(job: ArchiveJob, task: Task) -> Done:
 def digest_of(path: Path) -> str:
     """Of a file's content."""
     digest = blake2b(digest_size=16)
-    with path.open("rb") as file:
+    with open_file(path) as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
