@@ -48,6 +48,45 @@ def test_an_index_of_other_files_is_not_even_unpickled(tmp_path, monkeypatch):
     assert cache._load_index() == {}
 
 
+@pytest.mark.parametrize("damaged", ["*.nbi", "*.nbc"])
+def test_a_damaged_cache_is_compiled_anew(damaged, tmp_path, monkeypatch):
+    name = f"kernel_of_{damaged[-3:]}"
+    (tmp_path / f"{name}.py").write_text("def kernel(x):\n    return x + 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    function = importlib.import_module(name).kernel
+    assert jit(function)(1.0) == 2.0
+    (file,) = (tmp_path / "__pycache__").glob(damaged)
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert jit(function)(1.0) == 2.0
+    again = jit(function)
+    assert again(1.0) == 2.0 and sum(again.stats.cache_hits.values()) == 1
+
+
+def test_kernels_run_where_no_cache_can_be_written(tmp_path, monkeypatch):
+    (tmp_path / "kernel_alone.py").write_text("def kernel(x):\n    return x + 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(
+        "numba.core.caching._CacheLocator.ensure_cache_path", raising(OSError("read-only"))
+    )
+    assert jit(importlib.import_module("kernel_alone").kernel)(1.0) == 2.0
+
+
+def test_a_full_disk_does_not_end_a_run_that_compiles(tmp_path, monkeypatch):
+    (tmp_path / "kernel_full.py").write_text("def kernel(x):\n    return x + 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    kernel = jit(importlib.import_module("kernel_full").kernel)
+    monkeypatch.setattr(kernel._cache._cache_file, "_save_data", raising(OSError("no space left")))
+    assert kernel(1.0) == 2.0
+
+
+def raising(error: Exception):
+    def fail(*_: object) -> None:
+        raise error
+
+    return fail
+
+
 def test_importing_compiles_nothing():
     import subprocess
     import sys

@@ -3,12 +3,14 @@ when first called.
 """
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.core.caching import FunctionCache
 
 HERE = Path(__file__).parents[1]
 FILES = (
@@ -74,23 +76,38 @@ class _Undisturbed(event.Listener):
 event.register("numba:compile", _Undisturbed())
 
 
+class _Cache(FunctionCache):
+    """numba's own, of which no fault ends the run: the function is compiled then, and a file that
+    is damaged begun anew.
+    """
+
+    @contextmanager
+    def _guard_against_spurious_io_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception:  # a damaged pickle may raise anything
+            with suppress(OSError):
+                self.flush()
+
+
 def jit(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """Compile `function` at its first call and keep the result on disk until one of `FILES`
     changes; of another package, until one of the ``*_kernels.py`` beside the function does.
 
     numba itself watches only the file of the function, not those of the functions that were
-    compiled into it. A wrapper for C, which nothing here calls, would take a tenth of the time.
+    compiled into it. Where no folder for caches can be written to, every process compiles. A
+    wrapper for C, which nothing here calls, would take a tenth of the time.
     """
     decorator: Any = njit
-    dispatcher = decorator(
-        cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
-    )(function)
-    cache_file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
-    if cache_file is not None and hasattr(cache_file, "_version"):
-        cache_file._version = (
-            cache_file._version,
-            _stamp(Path(function.__code__.co_filename)),
-        )  # compared before anything of an index is unpickled
+    dispatcher = decorator(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(
+        function
+    )
+    if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
+        with suppress(RuntimeError):
+            dispatcher._cache = cache = _Cache(function)
+            file = cache._cache_file
+            # compared before anything of an index is unpickled
+            file._version = (file._version, _stamp(Path(function.__code__.co_filename)))
     return dispatcher
 
 
