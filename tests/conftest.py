@@ -12,9 +12,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from jaxtyping import config, install_import_hook
-from shape_checks import checked_modules
+from shape_checks import begin_test, checked_modules, first_calls
 
 # Shapes in signatures are checked while tests run, in every module without compiled kernels.
 ROOMS = (
@@ -22,6 +23,7 @@ ROOMS = (
     *("residuals", "solve", "learn", "io", "report", "evaluate", "results", "export"),
 )
 LAB_ROOMS = ("population", "baselines")
+jaxtyping.jaxtyped = first_calls
 for package in (
     *(f"habitus.{room}" for room in ROOMS),
     *(f"habitus_lab.{room}" for room in LAB_ROOMS),
@@ -49,6 +51,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     rank = {here / name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: rank.get(item.path, len(rank)))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    begin_test()
 
 
 @pytest.hookimpl(wrapper=True)

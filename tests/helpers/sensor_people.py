@@ -21,7 +21,7 @@ QUICK_SCANS = replace(
     SCANS,
     offset_stages=SCANS.offset_stages[:1],
     search=replace(
-        SCANS.search, candidates=1, drawn_poses=0, headings=8, checked=40, kept=4, refined=2
+        SCANS.search, candidates=1, drawn_poses=0, headings=8, checked=60, kept=6, refined=2
     ),
     limbs=replace(
         SCANS.limbs, rounds=0, stages=tuple(replace(one, steps=2) for one in SCANS.limbs.stages)
