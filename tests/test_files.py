@@ -214,6 +214,12 @@ def test_the_next_run_tidies_what_is_beside_its_folder(killed_after_renames, tmp
     assert content(tmp_path) == {**results, **others_there, "out/notes.txt": "mine"}
 
 
+def test_a_link_to_itself_is_replaced(tmp_path):
+    (tmp_path / "walk").symlink_to("walk")
+    write(tmp_path / "walk", "new")
+    assert content(tmp_path) == {f"walk/{name}": "new" for name in OURS}
+
+
 def test_a_link_is_replaced_and_what_it_led_to_is_not_touched(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "page.html").write_text("theirs")

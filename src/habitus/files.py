@@ -150,7 +150,7 @@ def replaceable(path: str | os.PathLike[str]) -> Path:
             f"cannot write the folder {path}: a file of this name is there; move it away"
         )
     with suppress(FileNotFoundError):  # of a working folder that is gone
-        if Path.cwd().is_relative_to(target.resolve()):
+        if Path.cwd().is_relative_to(os.path.realpath(target)):
             raise HabitusError(
                 f"cannot replace {path}: it is the working folder; start the program from another "
                 "one"

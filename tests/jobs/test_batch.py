@@ -119,7 +119,9 @@ def test_files_that_are_given_are_one_subject_without_the_bad_ones(planted, subj
     assert subjects == [["one", "two"]]
 
 
-@pytest.mark.parametrize("fault", [ZeroDivisionError("oh"), HabitusError("two: no")])
+@pytest.mark.parametrize(
+    "fault", [ZeroDivisionError("oh"), HabitusError("two: no"), OSError(28, "No space left")]
+)
 def test_a_fit_that_breaks_off_costs_only_its_own_capture(
     fault, planted, subjects, tmp_path, monkeypatch
 ):

@@ -55,6 +55,12 @@ def test_files_that_differ_in_their_endings_get_folders_of_their_own(tmp_path):
     assert places(find_captures([data], tmp_path / "out")) == ["run", "walk_c3d", "walk_trc"]
 
 
+def test_results_may_go_where_a_link_leads_to_itself(tmp_path):
+    data = touched(tmp_path / "data", "walk.c3d", "deep/run.c3d")
+    (tmp_path / "out").symlink_to("out")
+    assert places(find_captures([data], tmp_path / "out")) == ["walk", "deep/run"]
+
+
 def test_two_folders_keep_their_names(tmp_path):
     data = touched(tmp_path, "a/walk.c3d", "b/walk.c3d", "walk.c3d")
     found = find_captures([data / "a", data / "b", data / "walk.c3d"], tmp_path / "out")

@@ -129,4 +129,7 @@ def test_another_capture_is_refused(real, shared, tmp_path):
         fill_capture(fit, shared / "mocap" / "85_12.c3d", tmp_path / "no.c3d")
     with pytest.raises(HabitusError, match="is the capture itself"):
         fill_capture(fit, path, path)
+    (tmp_path / "loop.c3d").symlink_to("loop.c3d")
+    with pytest.raises(HabitusError, match=r"loop\.c3d"):
+        fill_capture(fit, tmp_path / "loop.c3d", path)
     assert not (tmp_path / "no.c3d").exists()

@@ -57,6 +57,9 @@ class Outcome:
             for begin in (f"{where}: ", f"{self.source.name}: ", f"{self.name}: "):
                 text = text.removeprefix(begin)
             return f"{where}: {text}"
+        if isinstance(self.error, OSError):
+            text = self.error.strerror or shown(text, 200)
+            return f"{where}: {text}; check the path, its permissions and the disk"
         kind = f"{type(self.error).__name__}: {shown(text, 200)}"
         return (
             f"{where}: {kind}; this is a fault of habitus: report it, with what -v says of "

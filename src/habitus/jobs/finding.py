@@ -99,13 +99,15 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
 
 
 def _below(folder: Path, out: Path) -> Iterator[Path]:
-    out = out.resolve()
+    results = os.path.realpath(out)  # Path.resolve fails on links in a loop
     for root, inner, names in os.walk(folder):
         inner[:] = sorted(
-            x for x in inner if not x.startswith(".") and (Path(root) / x).resolve() != out
+            x
+            for x in inner
+            if not x.startswith(".") and os.path.realpath(Path(root) / x) != results
         )
-        results = {"body.npz"} if "metrics.json" in names else set()
-        for name in sorted(set(names) - results):
+        fitted = {"body.npz"} if "metrics.json" in names else set()
+        for name in sorted(set(names) - fitted):
             if Path(name).suffix.lower() in PARSERS and not name.startswith("."):
                 yield Path(root) / name
 

@@ -150,7 +150,11 @@ def fill_capture(
     """
     target = None if out is None else _writable(out)
     source = Path(capture)
-    if target is not None and target.exists() and target.resolve() == source.resolve():
+    if (
+        target is not None
+        and target.exists()
+        and os.path.realpath(target) == os.path.realpath(source)
+    ):
         raise HabitusError(
             f"{target}: is the capture itself, which stays as it is; choose another name with --out"
         )

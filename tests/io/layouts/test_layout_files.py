@@ -297,6 +297,12 @@ def test_a_file_that_extends_itself_is_refused(tmp_path):
         load_layout(tmp_path / "a.toml")
 
 
+def test_a_link_to_itself_is_refused(tmp_path):
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    with pytest.raises(HabitusError, match="cannot read layout file"):
+        load_layout(tmp_path / "loop.toml")
+
+
 def test_unknown_names_and_files(tmp_path):
     with pytest.raises(HabitusError, match="or one of: ais-mu"):
         (tmp_path / "odd.toml").write_text('name = "odd"\nextends = "nothing"\n')

@@ -19,6 +19,7 @@ from small_archive import NAMES, RECIPE, arrays, made, write, write_all
 from habitus.errors import HabitusError
 from habitus.io.captures.c3d_write import write_c3d
 from habitus.jobs.archive.manifest import open_manifest
+from habitus.jobs.archive.tasks import digest_of, reason_of
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +116,14 @@ def test_only_what_is_new_or_changed_is_fitted_and_what_is_broken_is_told(copied
     (captures / "bob" / "walk.c3d").unlink()
     again = made(captures, out)
     assert (again.fitted, again.kept, again.failed, again.subjects) == (0, 5, (), 1)
+
+
+def test_a_file_that_cannot_be_opened_is_no_fault_of_the_program(tmp_path):
+    path = tmp_path / "walk.c3d"
+    path.symlink_to("gone.c3d")
+    with pytest.raises(OSError) as caught:
+        digest_of(path)
+    assert reason_of(caught.value, path).startswith("No such file or directory; check")
 
 
 class Planned(Exception):

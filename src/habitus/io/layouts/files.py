@@ -212,7 +212,8 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
     again.
     """
     ending = path.suffix.lower()
-    if path.resolve() in extending:
+    place = Path(os.path.realpath(path))  # Path.resolve fails on links in a loop
+    if place in extending:
         raise HabitusError(f"layout file {path} extends itself; expected another layout")
     try:
         text = read_text_file(path, MAX_XML_BYTES if ending in XML_FORMS else MAX_LAYOUT_BYTES)
@@ -232,7 +233,7 @@ def _load_file(path: Path, extending: tuple[Path, ...]) -> MarkerLayout:
         return layout_of_labels(
             labels_in_lines(text), plain_name(path.stem), str(path), shipped_layouts()
         )
-    return parse_layout(text, str(path), partial(_base, path.parent, (*extending, path.resolve())))
+    return parse_layout(text, str(path), partial(_base, path.parent, (*extending, place)))
 
 
 def _of_tree(text: str, path: Path) -> MarkerLayout:

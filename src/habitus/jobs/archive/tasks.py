@@ -81,6 +81,10 @@ def reason_of(error: Exception, path: Path) -> str:
         return (
             "there was too little memory for it; give each process more, and the same command again"
         )
+    if isinstance(error, OSError):
+        return (
+            f"{error.strerror or shown(error, 200)}; check the path, its permissions and the disk"
+        )
     kind = f"{type(error).__name__}: {shown(error, 200)}"
     return (
         f"{kind}; this is a fault of habitus: report it, with what habitus mosh -v says of "
