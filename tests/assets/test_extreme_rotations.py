@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from habitus.body.hinges import pose_coefficients
 from habitus.body.joint_layouts import SMPLX
 from habitus.io.models.bodies import load_body
 from habitus.mesh.intersections import intersecting_pairs
@@ -42,11 +43,9 @@ TRAINED = {  # simulated to about this angle: flesh does move so far, or so much
     ("shoulder", "z", -60): (51, 0.2),
     ("shoulder", "z", 60): (49, 0.3),
 }
-EXTRAPOLATED = {  # hyperextension, legs crossed sideways, a lowered collar: beyond what was simulated
+EXTRAPOLATED = {  # a hip far back, legs crossed sideways, a lowered collar: beyond what was simulated
     ("hip", "x", 60): (54, 0.9),
     ("hip", "z", -60): (28, 0.9),
-    ("knee", "x", -60): (45, 0.4),
-    ("elbow", "y", 60): (42, 0.1),
     ("spine3", "x", -30): (43, 0.1),
     ("spine3", "z", -30): (28, 0.5),
     ("collar", "z", -30): (50, 0.8),
@@ -60,7 +59,7 @@ ROTATIONS = [
     for sign in (-1, 1)
     if name.startswith("left_") or axis == "x" or sign < 0  # of the trunk, one side stands for both
 ]
-UNTRAINED_TWISTS = [
+TWISTS = [
     (joint, axis, degrees)
     for joint, axis, angles in (
         ("elbow", "x", (60, 90)),
@@ -82,9 +81,11 @@ def posed(body, joint: str, axis: str, degrees: float) -> tuple[np.ndarray, floa
     """Vertices (V, 3) with one joint turned, and the longest offset of its blend shapes (mm)."""
     name = joint if joint in body.joint_names else f"left_{joint}"
     turn = np.radians(degrees) * np.eye(3)["xyz".index(axis)]
-    driver = body.pose_joints.index(body.joint_names.index(name))
-    blocks = body.posedirs[..., 9 * driver : 9 * driver + 9]
-    offsets = blocks @ (matrix_from_rotvec(turn) - np.eye(3)).ravel()
+    pose = np.zeros((body.num_joints, 3))
+    pose[body.joint_names.index(name)] = turn
+    driven = (body.features, body.hinges, 0, body.drivers)
+    known = pose_coefficients(*driven, pose, matrix_from_rotvec(pose), np.zeros(body.num_betas))
+    offsets = body.pose_directions @ known
     return np.asarray(body(pose={name: turn}).vertices), 1e3 * np.linalg.norm(offsets, axis=1).max()
 
 
@@ -109,17 +110,18 @@ def test_the_misses_are_rotations_that_were_measured() -> None:
         assert offset > LARGEST_OFFSET - 1 or change >= LARGEST_CHANGE, rotation
 
 
-@pytest.mark.parametrize(("joint", "axis", "degrees"), UNTRAINED_TWISTS)
-def test_twists_that_were_not_simulated_are_those_of_skinning(body, joint, axis, degrees) -> None:
+@pytest.mark.parametrize(("joint", "axis", "degrees"), TWISTS)
+def test_a_twist_tears_nothing(body, joint, axis, degrees) -> None:
     """No torn armpit: a twist of elbow, knee or ankle moves no flesh far, keeps the volume that
-    skinning keeps, and cuts hardly more skin.
+    skinning keeps, and cuts hardly more skin. Twists of elbows to 80 and of knees to 30 degrees are
+    simulated: they keep more volume than skinning does.
     """
     plain = replace(body, posedirs=None, pose_joints=None)
     vertices, longest = posed(body, joint, axis, degrees)
     turn = np.radians(degrees) * np.eye(3)["xyz".index(axis)]
     skinned = np.asarray(plain(pose={f"left_{joint}": turn}).vertices)
     far = abs(degrees) == 90
-    assert longest < (20 if far else 13)
+    assert longest < (30 if joint == "elbow" else 18)
     assert abs(litres(body, vertices) - litres(body, skinned)) < 0.15
     pairs, without = (len(intersecting_pairs(v, body.faces)) for v in (vertices, skinned))
     assert pairs <= without + (20 if far else 1)  # 86 to 142 were new at 90 degrees of the elbow

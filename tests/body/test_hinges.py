@@ -133,5 +133,7 @@ def test_hinges_that_do_not_fit_are_refused(body):
         replace(body, hinges=root)
     with pytest.raises(HabitusError, match="shape coefficients"):
         replace(body, shapedirs=body.shapedirs[..., :1], people_mean=None)
-    with pytest.raises(HabitusError, match="posedirs"):
-        replace(body, posedirs=None)
+    with pytest.raises(HabitusError, match="'rotations' and no shape_features"):
+        thirds = body.posedirs[..., : 3 * len(body.drivers)]
+        replace(body, posedirs=thirds, pose_features="angles")
+    assert replace(body, posedirs=None).hinges is None

@@ -279,8 +279,10 @@ class BodyArrays:
             )
         driven = (self.num_joints, self.num_betas, self.shape_features, self.pose_joints)
         check_pose_shapes(self.posedirs, self.features, *driven)
+        if self.posedirs is None:  # hinges add to them: they go together
+            object.__setattr__(self, "hinges", None)
         if self.hinges is not None:
-            if self.posedirs is None or self.pose_features != "rotations" or self.shape_features:
+            if self.pose_features != "rotations" or self.shape_features:
                 raise HabitusError(
                     "hinge channels need posedirs that are linear in R - I alone; expected "
                     "pose_features 'rotations' and no shape_features"

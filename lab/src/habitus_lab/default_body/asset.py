@@ -14,7 +14,7 @@ from .shape_space import ShapeSpace
 from .topology import Topology
 from .twist import TwistShapes
 
-VERSION = "2.2.0"
+VERSION = "2.3.0"
 LICENSE = "CC0-1.0"
 INFLUENCES = 4
 LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
