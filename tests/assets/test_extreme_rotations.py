@@ -121,7 +121,7 @@ def test_a_twist_tears_nothing(body, joint, axis, degrees) -> None:
     turn = np.radians(degrees) * np.eye(3)["xyz".index(axis)]
     skinned = np.asarray(plain(pose={f"left_{joint}": turn}).vertices)
     far = abs(degrees) == 90
-    assert longest < (30 if joint == "elbow" else 18)
+    assert longest < (30 if joint == "elbow" else 20)
     assert abs(litres(body, vertices) - litres(body, skinned)) < 0.15
     pairs, without = (len(intersecting_pairs(v, body.faces)) for v in (vertices, skinned))
     assert pairs <= without + (20 if far else 1)  # 86 to 142 were new at 90 degrees of the elbow
