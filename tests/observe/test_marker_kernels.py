@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hinged_body import KNEE, with_hinges
 from rigged_body import random_body, surface
 
 from habitus.errors import HabitusError
+from habitus.io.models.bodies import load_body
 from habitus.observe.marker_prediction import BATCH, BodyMarkers, marked_body, predict
 from habitus.observe.marker_rig import MarkerRig, marker_rig
 from habitus.observe.markers import MarkerAttachment, attach, marker_jacobian, predict_markers
@@ -110,6 +112,28 @@ def test_bodies_of_other_kinds_go_by_the_body(change):
     np.testing.assert_allclose(
         predict(marked, pose, trans), predict_markers(posed, attachment), atol=1e-13
     )
+
+
+@pytest.mark.parametrize("degrees", [40.0, 100.0, 140.0])
+def test_deep_folds_are_the_bodys(degrees):
+    """Markers on a real body's knee, with soft tissue that changes the betas."""
+    body = with_hinges(load_body("female"))
+    betas = np.array([1.0, -0.5, *np.zeros(body.num_betas - 2)])
+    near = np.flatnonzero(body.hinges.directions[body.faces].any((1, 2, 3, 4)))[::60]
+    rest = body.rest_vertices(betas)
+    triangles = body.faces[near]
+    attachment = attach(rest[triangles[:, 0]] + 0.01, rest, body.faces, triangles=triangles)
+    pose = np.zeros((3, body.num_joints, 3))
+    pose[:, body.joint_names.index(KNEE)] = [np.radians(degrees), 0.1, 0.0]
+    soft = np.random.default_rng(0).normal(size=(3, body.num_betas))
+    trans = np.zeros((3, 3))
+    rig = marked_body(body, betas, attachment)
+    assert isinstance(rig, MarkerRig)
+    exact = BodyMarkers(body, betas, attachment)
+    for change in (None, soft):
+        np.testing.assert_allclose(
+            predict(rig, pose, trans, change), exact.predict(pose, trans, change), atol=1e-9
+        )
 
 
 def test_soft_tissue_is_a_change_of_betas():

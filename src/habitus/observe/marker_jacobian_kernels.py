@@ -9,6 +9,7 @@ from habitus.kernels.jit import jit_inline
 from habitus.kernels.simd import load, spread
 from habitus.kernels.simd_linalg import (
     add3,
+    along3,
     cross3,
     dot3,
     load3,
@@ -21,7 +22,7 @@ from habitus.kernels.simd_linalg import (
     turn3,
     turn_back3,
 )
-from habitus.observe.marker_kernels import marker_frame
+from habitus.observe.marker_kernels import fold_change, marker_frame
 
 
 @jit_inline
@@ -182,18 +183,23 @@ def rest_slopes(rig, offsets, workspace, d, turned):
     x = spread3(0.0, 0.0, 0.0)
     y = spread3(0.0, 0.0, 0.0)
     z = spread3(0.0, 0.0, 0.0)
+    betas = offsets.state + 3 + 3 * len(rig.parents)
     if d >= 0:
         x = slope(rig.posedirs, d, 0, turned)
         y = slope(rig.posedirs, d, 1, turned)
         z = slope(rig.posedirs, d, 2, turned)
         for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
             h = rig.fold_channel[k]
-            fold = rig.folds[k]
+            fold = spread3(rig.folds[k, 0], rig.folds[k, 1], rig.folds[k, 2])
+            for b in range(rig.fold_shapes.shape[2]):
+                change = rig.fold_shapes[k]
+                beta = load(workspace, betas + b)
+                fold = add3(fold, along3(beta, change[0, b], change[1, b], change[2, b]))
             by = load(workspace, offsets.fold + 2 * h + 1)
             turns = scale3(by, slope(rig.hinge_rows, h, 0, turned))
-            x = add3(x, scale3(spread(fold[0]), turns))
-            y = add3(y, scale3(spread(fold[1]), turns))
-            z = add3(z, scale3(spread(fold[2]), turns))
+            x = add3(x, scale3(fold[0], turns))
+            y = add3(y, scale3(fold[1], turns))
+            z = add3(z, scale3(fold[2], turns))
     return x, y, z
 
 
@@ -283,6 +289,8 @@ def write_shape_jacobian(rig, offsets, workspace):
                     workspace, offsets.joint_by_shape + 3 * (rig.influence_joint[k] * count + b)
                 )
                 total = add3(total, scale3(spread(rig.influence_weight[k]), by_shape))
+            if b < rig.fold_shapes.shape[2]:
+                total = add3(total, turn3(blend, fold_change(rig, offsets, workspace, u, b)))
             store3(workspace, offsets.corner_by_shape + 3 * (u * count + b), total)
 
 

@@ -133,7 +133,22 @@ def shape_corners(rig, offsets, workspace, state):
                 weight = load(workspace, offsets.fold + 2 * rig.fold_channel[k])
                 fold = rig.folds[k]
                 rest = add3(rest, along3(weight, fold[0], fold[1], fold[2]))
+        for b in range(rig.fold_shapes.shape[2]):
+            change = fold_change(rig, offsets, workspace, u, b)
+            rest = add3(rest, scale3(load(workspace, betas + b), change))
         store3(workspace, offsets.rest + 3 * u, rest)
+
+
+@jit_inline
+def fold_change(rig, offsets, workspace, u, b):
+    """How the hinges move a corner per unit of beta b."""
+    total = spread3(0.0, 0.0, 0.0)
+    for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
+        for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
+            weight = load(workspace, offsets.fold + 2 * rig.fold_channel[k])
+            fold = rig.fold_shapes[k]
+            total = add3(total, along3(weight, fold[0, b], fold[1, b], fold[2, b]))
+    return total
 
 
 @jit_inline

@@ -145,7 +145,8 @@ def marked_body(
     if space == "shape":
         return rig
     corners, joints = soft_directions(body, space, np.unique(attachment.triangles))
-    return rig._replace(corner_shapedirs=corners, joint_shapedirs=joints)
+    folds = rig.corner_fold_shapes[..., : None if "shape" in SPACES[space] else 0]
+    return rig._replace(corner_shapedirs=corners, joint_shapedirs=joints, corner_fold_shapes=folds)
 
 
 def predict(

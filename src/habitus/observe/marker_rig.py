@@ -50,8 +50,9 @@ class MarkerRig(NamedTuple):
     coefficients: Float[np.ndarray, "M 3"]
     """(c_n, c_t, c_s) of each marker in its triangle's basis."""
     corner_folds: Float[np.ndarray, "U 3 C"]
-    """Offsets per weight of each of C hinge channels (`habitus.body.hinges`) of this person: soft
-    tissue does not change them."""
+    """Offsets per weight of each of C hinge channels (`habitus.body.hinges`) of this person."""
+    corner_fold_shapes: Float[np.ndarray, "U 3 C S"]
+    """How these change with the first S betas."""
     hinge_joint: Int[np.ndarray, " C"]
     hinge_rows: Float[np.ndarray, "C 9"]
     hinge_bias: Float[np.ndarray, " C"]
@@ -100,11 +101,13 @@ def marker_rig(
     posedirs = body.smpl_posedirs(corners, beside_hinges=True)
     hinges = body.hinges or NO_HINGES
     folds = np.zeros((len(corners), 3, 0))
+    fold_shapes = np.zeros((len(corners), 3, 0, 0))
     if body.hinges is not None:
         factors = np.zeros(1 + hinges.num_shapes)
         factors[0] = 1.0
         factors[1 : 1 + len(shape)] = shape[: hinges.num_shapes]
         folds = hinges.directions[corners] @ factors
+        fold_shapes = np.ascontiguousarray(hinges.directions[corners][..., 1 : 1 + len(shape)])
     return MarkerRig(
         parents=np.asarray(body.parents, dtype=np.int64),
         rest_joints=joints + joint_directions @ shape,
@@ -117,6 +120,7 @@ def marker_rig(
         triangles=np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.int64),
         coefficients=attachment.coefficients,
         corner_folds=np.ascontiguousarray(folds),
+        corner_fold_shapes=fold_shapes,
         hinge_joint=hinges.joint,
         hinge_rows=hinges.rows,
         hinge_bias=hinges.bias,
@@ -195,6 +199,7 @@ class SimdRig(NamedTuple):
     fold_start: Int[np.ndarray, " D1"]
     fold_channel: Int[np.ndarray, " E"]
     folds: Float[np.ndarray, "E 3"]
+    fold_shapes: Float[np.ndarray, "E 3 S"]
     hinge_joint: Int[np.ndarray, " C"]
     hinge_rows: Float[np.ndarray, "C 1 9"]
     hinge_bias: Float[np.ndarray, " C"]
@@ -274,7 +279,7 @@ def simd_rig(rig: MarkerRig, betas: int) -> SimdRig:
         influence_start=_starts(used.sum(axis=1)),
         influence_joint=rig.influences[used],
         influence_weight=rig.weights[used],
-        **_posedirs(rig),
+        **_posedirs(rig, betas),
         hinge_joint=rig.hinge_joint,
         hinge_rows=rig.hinge_rows[:, None],
         hinge_bias=rig.hinge_bias,
@@ -379,10 +384,11 @@ def _pairs(start: np.ndarray, block: np.ndarray, blocks: int) -> dict[str, np.nd
     return {"pair_start": _starts(counts), "pair_left": left[order], "pair_right": right[order]}
 
 
-def _posedirs(rig: MarkerRig) -> dict[str, np.ndarray]:
+def _posedirs(rig: MarkerRig, betas: int) -> dict[str, np.ndarray]:
     blocks = rig.corner_posedirs.reshape(len(rig.rest_corners), 3, -1, 9).transpose(0, 2, 1, 3)
     used = (blocks != 0).any(axis=(2, 3))
-    moved = (rig.corner_folds != 0).any(axis=1)
+    shapes = rig.corner_fold_shapes[..., :betas]
+    moved = (rig.corner_folds != 0).any(axis=1) | (shapes != 0).any(axis=(1, 3))
     corner, channel = np.nonzero(moved)
     used[corner, rig.hinge_joint[channel] - 1] = True
     number = np.cumsum(used).reshape(used.shape) - 1
@@ -395,6 +401,7 @@ def _posedirs(rig: MarkerRig) -> dict[str, np.ndarray]:
         "fold_start": _starts(np.bincount(shape, minlength=int(used.sum()))),
         "fold_channel": channel[order].astype(np.int64),
         "folds": np.ascontiguousarray(rig.corner_folds[corner, :, channel][order]),
+        "fold_shapes": np.ascontiguousarray(shapes[corner, :, channel][order]),
     }
 
 

@@ -26,6 +26,7 @@ FOLDED = {"posedirs": True, "drivers": (4, 2)}
     [
         *((kind, betas) for kind in KINDS for betas in (0, 4)),
         (FOLDED | {"hinge_shapes": 2}, 0),
+        (FOLDED | {"hinge_shapes": 2}, 4),
         (FOLDED | {"hinge_shapes": 0}, 4),
     ],
 )
