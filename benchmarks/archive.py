@@ -2,14 +2,16 @@
 been killed?
 
     python benchmarks/archive.py [--captures 722] [--folder DIR] [--json FILE] [--phases two one
-    killed] [--minimal]
+    killed] [--minimal] [--frames N] [--spoilt .05]
 
 The archive is made to look like CMU's: 722 captures of 39 subjects, 2 million frames at 120 Hz,
 lengths as uneven as its. A third of the subjects are real captures of ../shared/mocap (without
 them: none), cut, run to and fro to their length, and made a little larger or smaller; the others
 are other people's bodies in fitted real motions, seen through `virtual_markers` on cmu-41 (each
 marker 10 mm beside its place, noise, gaps). ``--captures N`` makes and measures the same share of
-everything; what that says of the whole is an extrapolation, and told as such.
+everything; what that says of the whole is an extrapolation, and told as such. ``--frames N`` makes
+captures of N frames each. ``--spoilt SHARE`` spoils a share of the files (empty, cut, random, text,
+zeros): exactly these must be listed as failed, each with a reason in one line.
 
 Runs with two processes and with one, as users run them; then one that is killed (SIGKILL) three
 times at random and goes on, whose results are held against the first's, number by number. Memory is
@@ -58,11 +60,13 @@ RANDOM_TIMES = {"stage_seconds", "frames_per_second"}
 # -- the archive -----------------------------------------------------------------------------------
 
 
-def make_archive(folder: Path, captures: int, seed: int = 0) -> int:
+def make_archive(folder: Path, captures: int, seed: int = 0, frames: int | None = None) -> int:
     """Write that many captures, a folder a subject, and tell how many frames they have."""
     rng = np.random.default_rng(seed)
     lengths = rng.lognormal(0.0, 0.9, captures)
     lengths = np.maximum(lengths / lengths.sum() * FRAMES * captures / WHOLE, 240).astype(int)
+    if frames is not None:
+        lengths[:] = frames
     subjects = max(2, round(SUBJECTS * captures / WHOLE))
     motions = list(_motions())
     real = [path for name in REAL if (path := CAPTURES / f"{name}.c3d").exists()]
@@ -83,6 +87,48 @@ def make_archive(folder: Path, captures: int, seed: int = 0) -> int:
                 where / f"{subject + 1:02d}_{k + 1:02d}.c3d",
             )
     return int(lengths.sum())
+
+
+def spoil(folder: Path, share: float, seed: int = 0) -> None:
+    """Spoil a share of the files of an archive, and list them beside its folder."""
+    rng = np.random.default_rng(seed)
+    paths = sorted(folder.rglob("*.c3d"))
+    chosen = rng.choice(len(paths), round(share * len(paths)), replace=False)
+    for k, path in enumerate(paths[i] for i in sorted(chosen)):
+        content = path.read_bytes()
+        ways = (
+            b"",
+            content[: rng.integers(1, len(content) // 2)],
+            rng.bytes(len(content)),
+            b"These markers were not exported.\n",
+            bytes(len(content)),
+        )
+        path.write_bytes(ways[k % len(ways)])
+    names = [paths[i].relative_to(folder).as_posix() for i in sorted(chosen)]
+    spoilt_names(folder).write_text(json.dumps(names), encoding="utf-8")
+
+
+def spoilt_names(folder: Path) -> Path:
+    """The list of an archive's spoilt files."""
+    return folder.with_suffix(".spoilt.json")
+
+
+def failures(folder: Path, out: Path) -> dict:
+    """Spoilt files that are not listed as failed with a reason, and sound ones that are."""
+    listed = spoilt_names(folder)
+    spoilt = set(json.loads(listed.read_text(encoding="utf-8"))) if listed.exists() else set()
+    query = "SELECT path, reason FROM {} WHERE state = 'failed'"
+    with sqlite3.connect(out / "archive.sqlite") as manifest:
+        rows = [
+            *manifest.execute(query.format("files")),
+            *manifest.execute(query.format("captures")),
+        ]
+    failed = {path for path, reason in rows if reason and "\n" not in reason}
+    return {
+        "spoilt": len(spoilt),
+        "spoilt_not_listed": sorted(spoilt - failed),
+        "sound_but_failed": sorted({path for path, _ in rows} - spoilt),
+    }
 
 
 def _motions() -> Iterator[BodyMotion]:
@@ -170,7 +216,7 @@ def run(folder: Path, out: Path, jobs: int, minimal: bool, kill_after: float | N
             _, alive = psutil.wait_procs(children, timeout=20)
             return {"left_behind": len(alive)}
         time.sleep(0.5)
-    if process.returncode:
+    if process.returncode not in (0, 1 if spoilt_names(folder).exists() else 0):
         raise SystemExit(
             f"habitus archive ended with {process.returncode}: {process.stderr.read()}"
         )
@@ -237,7 +283,11 @@ def measure(folder: Path, work: Path, phases: list[str], minimal: bool, seed: in
     """All runs that are asked for."""
     found: dict = {}
     if "two" in phases:
-        found["two"] = run(folder, work / "two", 2, minimal) | costs(work / "two")
+        found["two"] = (
+            run(folder, work / "two", 2, minimal)
+            | costs(work / "two")
+            | failures(folder, work / "two")
+        )
     if "one" in phases:
         found["one"] = run(folder, work / "one", 1, minimal) | {
             "differences": differences(work / "two", work / "one")
@@ -305,7 +355,9 @@ def show(found: dict, console: Console) -> None:
             f"goal {GOALS['minutes_on_two_cores']:.0f}); {two['s_a_capture']:.2f} s a capture, "
             f"{two['ms_a_frame']:.2f} ms a frame, {two['shape_cpu_s'] / two['shapes']:.1f} s a "
             "subject; "
-            f"verdicts {two['verdicts']}"
+            f"verdicts {two['verdicts']}; {two['spoilt']} spoilt files, not listed: "
+            f"{two['spoilt_not_listed'] or 'none'}, sound but failed: "
+            f"{two['sound_but_failed'] or 'none'}"
         )
 
 
@@ -313,6 +365,8 @@ def main() -> None:
     """Make the archive, run, show, write."""
     arguments = parser(__doc__)
     arguments.add_argument("--captures", type=int, default=WHOLE)
+    arguments.add_argument("--frames", type=int, help="of each capture")
+    arguments.add_argument("--spoilt", type=float, default=0.0, metavar="SHARE")
     arguments.add_argument(
         "--folder",
         type=Path,
@@ -331,7 +385,9 @@ def main() -> None:
         work = options.folder or Path(temporary)
         captures = work / "captures"
         if not captures.exists():
-            make_archive(captures, options.captures)
+            make_archive(captures, options.captures, frames=options.frames)
+            if options.spoilt:
+                spoil(captures, options.spoilt)
         known = {"machine": machine(), "captures": options.captures, "minimal": options.minimal}
         found = known | measure(captures, work, options.phases, options.minimal, options.seed)
         found["frames"] = found["two"]["frames"]

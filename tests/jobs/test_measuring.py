@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from synthetic import synthetic_body
 
 import habitus
 from habitus.errors import HabitusError
+from habitus.fit.from_measurements import ESTIMATE
 from habitus.io.models.bodies import save_body
 from habitus.jobs.estimates import body_from_measurements, save_estimate
 from habitus.jobs.measuring import measure_file
@@ -133,6 +135,15 @@ def test_sexes_and_ages_that_are_none():
         body_from_measurements(sex="other", height=1.7)
     with pytest.raises(HabitusError, match="knows of no ages"):
         body_from_measurements(body=synthetic_body("smpl", 200), age=7, height=1.2)
+
+
+def test_settings_say_how_rare_a_person_may_be():
+    settings = replace(ESTIMATE, max_sd=1.0)
+    with pytest.raises(HabitusError, match="standard deviations from the people"):
+        body_from_measurements(height=2.05, settings=settings)
+    assert body_from_measurements(height=2.05).measurements["height_m"] == pytest.approx(
+        2.05, abs=0.01
+    )
 
 
 def test_a_child_is_made_and_measured_again(tmp_path):

@@ -11,7 +11,13 @@ from habitus.body.model import BodyModel
 from habitus.body.surface_files import write_surface
 from habitus.errors import HabitusError
 from habitus.export.npz import shape_arrays, write_arrays
-from habitus.fit.from_measurements import BodyEstimate, Given, estimate_body
+from habitus.fit.from_measurements import (
+    ESTIMATE,
+    BodyEstimate,
+    EstimateSettings,
+    Given,
+    estimate_body,
+)
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 
@@ -23,6 +29,7 @@ def body_from_measurements(
     sex: str = "neutral",
     age: float | None = None,
     body: PathLike | BodyModel | None = None,
+    settings: EstimateSettings = ESTIMATE,
     **measurements: Given,
 ) -> BodyEstimate:
     """The likeliest person with some measurements: ``body_from_measurements(height=1.78, weight=80,
@@ -32,7 +39,8 @@ def body_from_measurements(
     names or short ones (height, weight, chest, waist, hip, inseam, …), each a number or (number,
     its standard deviation). sex: "female", "male" or "neutral" picks the shape space; ``body``
     another one. age in years, where the body has ages. The result knows its ``betas``,
-    ``measurements``, and the ``spread`` of what was not told. Raises HabitusError for names and
+    ``measurements``, and the ``spread`` of what was not given; ``settings`` holds tuning numbers.
+    Raises HabitusError for names and
     values that make no sense, and for people such as nobody is (1.78 m, 20 kg).
     """
     if sex not in SEXES:
@@ -44,8 +52,9 @@ def body_from_measurements(
             os.fspath(body) if body is not None else "default" if sex == "neutral" else sex
         )
     if age is None:
-        return estimate_body(model, measurements)
-    return replace(estimate_body(model.at_age(age), measurements), space=model.name, age=float(age))
+        return estimate_body(model, measurements, settings)
+    estimate = estimate_body(model.at_age(age), measurements, settings)
+    return replace(estimate, space=model.name, age=float(age))
 
 
 def save_estimate(estimate: BodyEstimate, path: PathLike) -> None:
