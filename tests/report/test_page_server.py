@@ -5,12 +5,16 @@ address, from another page or by another name of the machine; a browser that ope
 import http.client
 import subprocess
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from browser import FLAGS, chromium
+from injection import HOSTILE, TEXTS
 
 from habitus.errors import HabitusError
+from habitus.fit.verdict import Verdict
+from habitus.jobs.live_sinks import _text as live_text
 from habitus.report import page_server
 from habitus.report.page_server import PageServer, new_token, refusal
 
@@ -155,6 +159,32 @@ def test_a_browser_shows_the_scene_by_the_whole_address_only(page, tmp_path):
 
     assert SECRET in seen(server.address)
     assert SECRET not in seen(f"http://127.0.0.1:{server.port}/")
+
+
+def test_names_out_of_files_stay_text(tmp_path):
+    """viser puts HTML in markdown into the page; `markdown_text` keeps it text."""
+    server = PageServer(8795, "habitus test", new_token())
+    gui = server.viser.gui
+    verdict = Verdict("doubtful", TEXTS)
+    quality = SimpleNamespace(verdict=verdict, mean_mm=1.0, seen=3, labels=TEXTS)
+    with gui.add_folder(HOSTILE):
+        gui.add_markdown(live_text(HOSTILE, SimpleNamespace(seconds=1.0), quality))
+        gui.add_dropdown(HOSTILE, TEXTS)
+        gui.add_checkbox(HOSTILE, False)
+    server.viser.scene.add_label("/name", HOSTILE)
+    command = [
+        chromium(), *" ".join(FLAGS).split(), f"--user-data-dir={tmp_path / 'profile'}",
+        "--timeout=15000", "--virtual-time-budget=6000", "--dump-dom", server.address,
+    ]  # fmt: skip
+    seen = subprocess.run(command, capture_output=True, timeout=120, text=True).stdout
+    server.stop()
+    assert "&lt;b id=injected&gt;bold&lt;/b&gt;" in seen
+    root = seen[seen.index("<html") :].partition(">")[0]
+    assert (
+        "data-ran" not in root
+        and '<b id="injected"' not in seen
+        and 'href="javascript:' not in seen
+    )
 
 
 def test_a_viser_that_cannot_be_protected_is_not_served(monkeypatch):

@@ -15,7 +15,7 @@ from habitus.fit.markers.shape import Subject
 from habitus.io.streams.source import host_and_port
 from habitus.jobs.live import MakeSink, Now, Sink
 from habitus.report.live import NEEDED, Board, Shown, serve
-from habitus.report.page_server import new_token, page_address
+from habitus.report.page_server import markdown_text, new_token, page_address
 
 STATES: Mapping[str, int] = {"tracked": 1, "started": 1, "held": 0, "nobody": -1}
 _PORTS = {"vmc": VMC_PORT, "osc": OSC_PORT}
@@ -160,8 +160,8 @@ def _text(who: str, now: Now, quality: Quality) -> str:
     verdict = quality.verdict
     mean = quality.mean_mm
     said = (
-        f"**{verdict.level}**\n\n{who}\n\n{now.seconds:.1f} s, {quality.seen} of "
+        f"**{verdict.level}**\n\n{markdown_text(who)}\n\n{now.seconds:.1f} s, {quality.seen} of "
         f"{len(quality.labels)} markers"
     )
     said += "" if np.isnan(mean) else f", {mean:.1f} mm"
-    return "\n\n".join([said, *verdict.reasons])
+    return "\n\n".join([said, *map(markdown_text, verdict.reasons)])

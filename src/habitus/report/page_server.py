@@ -15,6 +15,7 @@ first. Where that function was not called, nothing is served.
 
 import hmac
 import logging
+import re
 import secrets
 import threading
 from collections.abc import Iterator
@@ -41,6 +42,13 @@ def new_token() -> str:
 def page_address(port: int, token: str) -> str:
     """Where the page is, for a browser on this machine."""
     return f"http://{HOST}:{port}/{token}/"
+
+
+def markdown_text(text: str) -> str:
+    """Markdown that shows a text as it is, on one line: names out of files may hold HTML, which
+    viser puts into the page unchanged.
+    """
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(text.split()))
 
 
 def refusal(host: str | None, origin: str | None, path: str, token: str) -> str | None:
