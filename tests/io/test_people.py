@@ -90,6 +90,24 @@ def test_missing_betas_are_zero_and_further_ones_must_be(tmp_path):
         read_shape(tmp_path / "many.npz")
 
 
+def test_betas_that_describe_no_body_are_refused(tmp_path):
+    np.savez(tmp_path / "huge.npz", betas=[1e4], surface_model_type="default")
+    with pytest.raises(HabitusError, match="betas reach 1e\\+04; expected a person's, within 100"):
+        read_shape(tmp_path / "huge.npz")
+
+
+def test_a_motion_without_betas_moves_the_mean_person_and_says_so(tmp_path):
+    motion = {"trans": np.zeros((3, 3)), "mocap_framerate": 60.0}
+    body = load_body("default")
+    motion["poses"] = np.zeros((3, 3 * body.num_joints))
+    np.savez(tmp_path / "bare.npz", body="default", **motion)
+    read = read_motion(tmp_path / "bare.npz")
+    assert not read.betas.any()
+    assert read.made[-1] == "its file has no betas: the mean person moves"
+    with pytest.raises(HabitusError, match="holds no betas; expected the betas of a person"):
+        read_shape(tmp_path / "bare.npz")
+
+
 def test_betas_are_put_on_no_other_body(folder):
     with pytest.raises(HabitusError, match="another person"):
         read_motion(folder / "motion.npz", "default")

@@ -105,6 +105,7 @@ def test_whom_a_motion_is_retargeted_to(real, tmp_path):
         (tmp_path / "tube.obj", "register"),
         ("nobody", "nobody to retarget"),
         ([1.0] * 25, "24"),
+        ("1e6,0", "within 100 standard deviations"),
     ):
         with pytest.raises(HabitusError, match=said):
             find_target(motion, wrong)

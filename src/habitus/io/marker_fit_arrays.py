@@ -16,6 +16,8 @@ from habitus.rotations import UP_AXES
 
 _MAX_RATE = 1e6  # Hz
 MAX_NUMBER = 1e6
+MAX_BETA = 100.0
+"""Standard deviations from the mean person; real people are within 6."""
 """Of radians, metres and coefficients: beyond it surfaces overflow or lose their millimetres."""
 _WITH_GAPS = ("markers_obs", "markers_sim", "markers_sim_pose_stage", "marker_weights")
 
@@ -140,8 +142,10 @@ def check_finite(name: str, array: np.ndarray) -> None:
     if at is not None:
         row = {"betas": "value", "markers_latent": "marker", "marker_noise": "marker"}
         raise ValueError(f"{name} are not finite at {row.get(name, 'frame')} {at}, counted from 0")
-    if array.size and not max(array.max(), -array.min()) <= MAX_NUMBER:
-        raise ValueError(f"{name} reach {max(array.max(), -array.min()):.3g}; expected a person's")
+    bound = MAX_BETA if name == "betas" else MAX_NUMBER
+    if array.size and not max(array.max(), -array.min()) <= bound:
+        largest = max(array.max(), -array.min())
+        raise ValueError(f"{name} reach {largest:.3g}; expected a person's, within {bound:g}")
 
 
 def _number(value: np.ndarray | None) -> float | None:

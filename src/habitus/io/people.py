@@ -336,6 +336,8 @@ def _shape(file: _PersonFile, body: BodyLike) -> BodyShape:
 
 def _shape_data(file: _PersonFile, model: BodyModel) -> BodyShape:
     arrays = file.arrays
+    if "body_betas" not in arrays:
+        file.require(("betas",), "the betas of a person")
     skin = _optional(arrays, "skin_offset")
     if skin is not None and skin.shape != (model.num_vertices,):
         raise HabitusError(
@@ -363,6 +365,8 @@ def _motion(file: _PersonFile, body: BodyLike) -> BodyMotion:
 def _motion_data(file: _PersonFile, body: BodyModel) -> BodyMotion:
     arrays = file.arrays
     made = tuple(map(str, np.atleast_1d(arrays.get("made", f"read from {file.source.name}"))))
+    if not {"betas", "body_betas", "character_vertices"} & set(arrays):
+        made += ("its file has no betas: the mean person moves",)
     if np.any(arrays.get("dmpls", 0)):
         made += ("its dmpls, soft tissue in a basis of SMPL's, were left out",)
     return BodyMotion(

@@ -17,6 +17,7 @@ from habitus.body.soft_tissue import exaggerated
 from habitus.errors import HabitusError, shown
 from habitus.export.motion import check_motion_path, export_motion
 from habitus.fit.retarget.recipe import RETARGET, Retargeting, RetargetSettings, retargeted
+from habitus.io.marker_fit_arrays import MAX_BETA
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
 from habitus.io.models.bodies import SHIPPED
@@ -58,10 +59,10 @@ def find_target(
 
 def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
     count = motion.body.num_betas
-    if given.ndim != 1 or len(given) > count or not np.isfinite(given).all():
+    if given.ndim != 1 or len(given) > count or not (np.abs(given) <= MAX_BETA).all():
         raise HabitusError(
-            f"betas of shape {given.shape}; expected up to {count} finite numbers of the fit's "
-            "space"
+            f"betas of shape {given.shape}; expected up to {count} numbers of the fit's space, "
+            f"within {MAX_BETA:g} standard deviations"
         )
     said = ", ".join(f"{value:g}" for value in given[:4]) + (", …" if len(given) > 4 else "")
     name = motion.body_name or motion.body.name
