@@ -9,7 +9,7 @@ lengths as uneven as its. A third of the subjects are real captures of ../shared
 them: none), cut, run to and fro to their length, and made a little larger or smaller; the others
 are other people's bodies in fitted real motions, seen through `virtual_markers` on cmu-41 (each
 marker 10 mm beside its place, noise, gaps). ``--captures N`` makes and measures the same share of
-everything; what that says of the whole is an extrapolation, and told as such. ``--frames N`` makes
+everything; what that says of the whole is an extrapolation, and labelled as such. ``--frames N`` makes
 captures of N frames each. ``--spoilt SHARE`` spoils a share of the files (empty, cut, random, text,
 zeros): exactly these must be listed as failed, each with a reason in one line.
 
@@ -221,12 +221,12 @@ def run(folder: Path, out: Path, jobs: int, minimal: bool, kill_after: float | N
             f"habitus archive ended with {process.returncode}: {process.stderr.read()}"
         )
     seconds = time.perf_counter() - began
-    told = {
+    row = {
         "seconds": seconds,
         "cpu_s": sum(cpu.values()),
         "cpu_s_of_each": sorted(cpu.values(), reverse=True),
     }
-    return told | {"memory_gb": most / 1e9, "largest_process_gb": each / 1e9}
+    return row | {"memory_gb": most / 1e9, "largest_process_gb": each / 1e9}
 
 
 def _tree(pid: int) -> list[psutil.Process]:

@@ -5,7 +5,8 @@ spawned or forked, also from a process whose threads have already worked?
 
 Fits of markers, a scan, two depth views, and markers and views together, of people made here. Each
 way runs all fits in a process of its own and reports a SHA-256 of every array of each result. A
-forked process that hangs is stopped after `--seconds`.
+forked process that hangs is stopped after `--seconds`; it sets PyTorch to one thread first, as
+docs/rendering.md asks for: PyTorch's own threads do not survive a fork.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 
 import numpy as np
+import torch
 from common import ROOT, parser, run, show_table, synthetic
 
 WAYS = {
@@ -29,7 +31,7 @@ WAYS = {
     "forked": {"OMP_NUM_THREADS": "2"},
     "forked after a fit": {"OMP_NUM_THREADS": "2"},
 }
-TIMES = {"stage_seconds", "frames_per_second", "seconds"}
+TIMES = {"stage_seconds", "frames_per_second", "seconds", "startup_seconds"}
 
 
 def fits() -> dict[str, Callable[[], object]]:
@@ -56,15 +58,15 @@ def fits() -> dict[str, Callable[[], object]]:
 
 def digest(result: object) -> dict[str, str]:
     """SHA-256 of each array and number of a result, by its path; times are left out."""
-    told: dict[str, str] = {}
+    values: dict[str, str] = {}
 
     def visit(path: str, value: object) -> None:
         if path.rpartition(".")[2] in TIMES:
             return
         if isinstance(value, np.ndarray):
-            told[path] = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]
+            values[path] = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]
         elif isinstance(value, float | int | str):
-            told[path] = repr(value)
+            values[path] = repr(value)
         elif isinstance(value, list | tuple):
             for k, each in enumerate(value):
                 visit(f"{path}[{k}]", each)
@@ -76,7 +78,7 @@ def digest(result: object) -> dict[str, str]:
                 visit(f"{path}.{field.name}", getattr(value, field.name))
 
     visit("", result)
-    return told
+    return values
 
 
 def digests() -> dict[str, dict[str, str]]:
@@ -91,7 +93,7 @@ def child(way: str, seconds: float) -> dict:
     if way == "forked after a fit":
         digests()
     context = multiprocessing.get_context("spawn" if way == "spawned" else "fork")
-    with context.Pool(1) as pool:
+    with context.Pool(1, torch.set_num_threads, (1,)) as pool:
         return pool.apply_async(digests).get(seconds)
 
 

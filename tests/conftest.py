@@ -5,11 +5,13 @@ Threads that wait for work by spinning, as OpenMP's and OpenBLAS' do, would keep
 from theirs.
 """
 
+import importlib
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # the libraries read these when they are loaded
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from functools import lru_cache
 from pathlib import Path
 
 import jaxtyping
@@ -29,6 +31,14 @@ for package in (
     *(f"habitus_lab.{room}" for room in LAB_ROOMS),
 ):
     install_import_hook(checked_modules(package), "shape_checks.shapes_only")
+
+# Bodies that come along are immutable: each worker reads them once.
+bodies = importlib.import_module("habitus.io.models.bodies")
+_read_body = bodies._read_body
+_read_once = lru_cache(maxsize=8)(_read_body)
+bodies._read_body = lambda content, name, *level: (
+    _read_once if name in bodies.SHIPPED else _read_body
+)(content, name, *level)
 
 # Begun first, so that no worker ends with one of them alone. The second compiles no kernels: the
 # other worker finds those of the first on disk.

@@ -243,13 +243,13 @@ def _linear(
     """The pose blend shapes that are linear in vec(R - I), a block each driving joint."""
     if body.posedirs is None:
         return []
-    posedirs = body.posedirs
-    if body.hinges is not None:
-        posedirs = body.hinges.without_linear(posedirs, body.drivers)
+    joints = len(body.drivers)
+    posedirs = body.pose_directions[..., : 9 * joints]  # hinges apart
+    any_moved = posedirs.any(1).reshape(-1, joints, 9).any(2)
     found = []
     for k, joint in enumerate(body.drivers):
         shapes = posedirs[..., 9 * k : 9 * k + 9]
-        moved = np.flatnonzero(shapes.any((1, 2)))
+        moved = np.flatnonzero(any_moved[:, k])
         terms = tuple(features(each, joint) for each in rotations)
         usual = None if sample is None else features(sample, joint)
         driven = Drivers.linear(np.eye(9))

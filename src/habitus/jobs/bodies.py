@@ -72,7 +72,7 @@ def with_fingers(
     A body with finger joints uses the markers on fingers. With ``joints`` "auto", a bundled body
     (``given`` by name) gets finger joints where a person has `MIN_FINGER_MARKERS` on one hand.
     """
-    by_name = joints == "auto" and str(given) in SHIPPED
+    by_name = joints == "auto" and not isinstance(given, BodyModel) and str(given) in SHIPPED
     if not any(person.left_fingers for person in people) or not (by_name or has_fingers(body)):
         return list(people), body
     fingered = [person_of(each.captures, each.layout_choice, fingers=True) for each in people]

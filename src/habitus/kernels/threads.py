@@ -3,6 +3,7 @@ child starts anew.
 """
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
@@ -21,7 +22,7 @@ def one_thread() -> Iterator[None]:
     """
     before = _MOST.set(1)
     try:
-        with _blas().limit(limits=1):
+        with one_core():
             yield
     finally:
         _MOST.reset(before)
@@ -83,6 +84,11 @@ def _pool(process: int, threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="habitus-render")
 
 
+def one_core() -> AbstractContextManager:
+    """Linear algebra and OpenMP within are on the thread that asks for them."""
+    return _blas().limit(limits=1)
+
+
 def one_blas_thread() -> AbstractContextManager:
     """Matrix products within are on the thread that asks for them: the threads are the caller's
     own.
@@ -90,7 +96,11 @@ def one_blas_thread() -> AbstractContextManager:
     return _blas().limit(limits=1, user_api="blas")
 
 
-@lru_cache(maxsize=1)
 def _blas() -> ThreadpoolController:
-    """Finding the libraries takes longer than posing a body."""
+    return _libraries("torch" in sys.modules, "scipy.linalg" in sys.modules)
+
+
+@lru_cache(maxsize=4)
+def _libraries(torch: bool, scipy: bool) -> ThreadpoolController:
+    """Those that are loaded with these packages: finding them takes longer than posing a body."""
     return ThreadpoolController()

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from habitus.errors import HabitusError, require_extra
+from habitus.kernels.threads import one_core
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -46,17 +45,12 @@ class Threads:
         self, function: Callable[[Any, Item], Result], shared: Any, items: Sequence[Item]
     ) -> Iterator[Result]:
         """Results in order; no more than a few are held at once."""
-        with threadpool_limits(limits=1):
+        with one_core():
             if self.count == 1:
                 yield from (function(shared, item) for item in items)
                 return
-            one_core = {
-                "initializer": threadpool_limits,
-                "initargs": (1,),
-            }  # OpenMP's limit is each thread's own
-            with ThreadPoolExecutor(
-                self.count, thread_name_prefix="habitus-learn", **one_core
-            ) as pool:
+            # one_core for each thread: OpenMP's limit is each thread's own
+            with ThreadPoolExecutor(self.count, "habitus-learn", initializer=one_core) as pool:
                 waiting = [
                     pool.submit(function, shared, item) for item in items[: self.count * self.ahead]
                 ]

@@ -39,10 +39,7 @@ def surface_rig(body: BodyModel) -> tuple[SurfaceRig, np.ndarray]:
     rows = np.full(moves.shape, -1)
     shapes = np.zeros((0, 27))
     if body.posedirs is not None:
-        posedirs = body.posedirs
-        if body.hinges is not None:
-            posedirs = body.hinges.without_linear(posedirs, body.drivers)
-        found = without_zeros(posedirs)
+        found = without_zeros(body.pose_directions[..., : body.posedirs.shape[-1]])
         vertex = np.repeat(np.arange(body.num_vertices), np.diff(found.start))
         rows[vertex, np.array(body.drivers)[found.driver]] = np.arange(len(found.driver))
         shapes = found.value

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -39,6 +38,7 @@ from habitus.fit.markers.sequence import WORST_FIRST, SequenceResult, fit_long
 from habitus.fit.markers.settings import MoshSettings, sequence_settings
 from habitus.fit.markers.shape import shape_stage
 from habitus.fit.markers.start import start_long
+from habitus.kernels.threads import one_blas_thread
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import MarkedBody, marked_body, predict
 from habitus.observe.markers import MarkerAttachment, attach, default_markers
@@ -131,7 +131,7 @@ def label_points(
         raise HabitusError(
             f"at most {most} points are there in any frame; expected at least {settings.min_points}"
         )
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         pieces = tracklets(clouds, settings.tracklets)
         frames = telling_frames(clouds, settings.seeds)
         placement = place(layout, body)

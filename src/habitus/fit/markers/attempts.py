@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -20,6 +19,7 @@ from habitus.fit.markers.settings import MoshSettings, RetrySettings
 from habitus.fit.markers.shape import Subject
 from habitus.fit.markers.suspects import Suspect
 from habitus.fit.verdict import FAILED, LEVELS
+from habitus.kernels.threads import one_blas_thread
 from habitus.markers.layouts import MarkerLayout
 from habitus.parallel.blocks import distances, mapped
 from habitus.types import Progress
@@ -55,7 +55,7 @@ class _Case:
 
     def attempt(self, words: str, **changes: object) -> _Attempt:
         settings = replace(self.settings, **changes)
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             (recording,), subject = known_subject(
                 self.body,
                 self.prior.for_joints(self.body.joint_names),

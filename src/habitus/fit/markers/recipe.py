@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
-from threadpoolctl import threadpool_limits
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
@@ -51,6 +50,7 @@ from habitus.fit.markers.suspects import (
     suspects,
     undo_swaps,
 )
+from habitus.kernels.threads import one_blas_thread
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import attach, default_markers
@@ -120,7 +120,7 @@ def iterate_fits(
     recordings, subject = known_subject(body, prior, layout, recordings, settings)
     for index, recording in enumerate(recordings):
         progress(recording.name, index / len(recordings))
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             fit = fit_recording(recording, subject, settings)
         yield fit
 
@@ -145,9 +145,7 @@ def known_subject(
     )
     recordings = [replace(r, observed=of_markers(r.observed, seen)) for r in recordings]
     recordings = _cleaned(recordings, layout, settings)
-    with threadpool_limits(
-        1, user_api="blas"
-    ):  # the matrices are small: more threads only wait for each other
+    with one_blas_thread():  # the matrices are small: more threads only wait for each other
         subject = fit_subject(body, prior, layout, recordings, settings)
     return recordings, subject
 
@@ -161,7 +159,7 @@ def fit_known(recording: Recording, subject: Subject, settings: MoshSettings) ->
     (recording,) = _cleaned(
         [without_outliers(recording, layout.labels, settings.outliers)], layout, settings
     )
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return fit_recording(recording, subject, settings)
 
 
