@@ -22,7 +22,8 @@ from shape_checks import begin_test, checked_modules, first_calls
 # Shapes in signatures are checked while tests run, in every module without compiled kernels.
 ROOMS = (
     *("rotations", "arrays", "mesh", "body", "markers", "observe", "render", "parallel"),
-    *("residuals", "solve", "learn", "io", "report", "evaluate", "results", "export"),
+    *("residuals", "solve", "fit", "learn", "io", "jobs", "report", "evaluate", "results"),
+    *("export",),
 )
 LAB_ROOMS = ("population", "baselines")
 jaxtyping.jaxtyped = first_calls

@@ -195,8 +195,7 @@ def rest_slopes(rig, offsets, workspace, d, turned):
                 change = rig.fold_shapes[k]
                 beta = load(workspace, betas + b)
                 fold = add3(fold, along3(beta, change[0, b], change[1, b], change[2, b]))
-            by = load(workspace, offsets.fold + 2 * h + 1)
-            turns = scale3(by, slope(rig.hinge_rows, h, 0, turned))
+            turns = load3(workspace, offsets.fold + 5 * h + 2)
             x = add3(x, scale3(fold[0], turns))
             y = add3(y, scale3(fold[1], turns))
             z = add3(z, scale3(fold[2], turns))
@@ -224,6 +223,16 @@ def plus_crossed(total, v, posedirs, d, k, c):
         total[1] + v[2] * x - v[0] * z,
         total[2] + v[0] * y - v[1] * x,
     )
+
+
+@jit_inline
+def write_hinge_turns(rig, offsets, workspace):
+    """How the weight of each hinge channel changes as its joint is turned from the left."""
+    for h in range(len(rig.hinge_joint)):
+        turned = load9(workspace, offsets.local + 9 * rig.hinge_joint[h])
+        by = load(workspace, offsets.fold + 5 * h + 1)
+        turns = scale3(by, slope(rig.hinge_rows, h, 0, turned))
+        store3(workspace, offsets.fold + 5 * h + 2, turns)
 
 
 @jit_inline

@@ -105,8 +105,8 @@ def weigh_hinges(rig, offsets, workspace):
         x = where_less(x, 0.0, 0.0, x)
         slope = where_less(x, 1.0, 2.0 * x, 0.0)
         x = where_less(x, 1.0, x, 1.0)
-        store(workspace, offsets.fold + 2 * h, x * x)
-        store(workspace, offsets.fold + 2 * h + 1, slope)
+        store(workspace, offsets.fold + 5 * h, x * x)
+        store(workspace, offsets.fold + 5 * h + 1, slope)
 
 
 @jit_inline
@@ -130,7 +130,7 @@ def shape_corners(rig, offsets, workspace, state):
                     rest, along3(change, posedirs[d, 0, e], posedirs[d, 1, e], posedirs[d, 2, e])
                 )
             for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
-                weight = load(workspace, offsets.fold + 2 * rig.fold_channel[k])
+                weight = load(workspace, offsets.fold + 5 * rig.fold_channel[k])
                 fold = rig.folds[k]
                 rest = add3(rest, along3(weight, fold[0], fold[1], fold[2]))
         for b in range(rig.fold_shapes.shape[2]):
@@ -145,7 +145,7 @@ def fold_change(rig, offsets, workspace, u, b):
     total = spread3(0.0, 0.0, 0.0)
     for d in range(rig.posedir_start[u], rig.posedir_start[u + 1]):
         for k in range(rig.fold_start[d], rig.fold_start[d + 1]):
-            weight = load(workspace, offsets.fold + 2 * rig.fold_channel[k])
+            weight = load(workspace, offsets.fold + 5 * rig.fold_channel[k])
             fold = rig.fold_shapes[k]
             total = add3(total, along3(weight, fold[0, b], fold[1, b], fold[2, b]))
     return total

@@ -256,6 +256,7 @@ class Offsets(NamedTuple):
     corner_by_shape: int
     blend: int
     fold: int
+    """Of each hinge channel its weight, the slope of that, and its derivatives by turns."""
     observed: int
     weight: int
     marker: int
@@ -427,7 +428,7 @@ def workspace_offsets(rig: SimdRig, slots: Slots | None = None) -> Offsets:
         "joint_by_shape": 3 * joints * betas,
         "corner_by_shape": 3 * corners * betas,
         "blend": 9 * corners,
-        "fold": 2 * len(rig.hinge_joint),
+        "fold": 5 * len(rig.hinge_joint),
         "observed": 3 * markers,
         "weight": markers,
         "marker": 3 * markers,

@@ -28,7 +28,11 @@ from habitus.kernels.simd_linalg import (
     sub3,
     turn_back3,
 )
-from habitus.observe.marker_jacobian_kernels import write_columns, write_shape_jacobian
+from habitus.observe.marker_jacobian_kernels import (
+    write_columns,
+    write_hinge_turns,
+    write_shape_jacobian,
+)
 from habitus.observe.marker_kernels import place_markers
 
 
@@ -84,6 +88,7 @@ def linearize(rig, slots, offsets, workspace, data):
     """
     place_markers(rig, offsets, workspace, offsets.state)
     write_shape_jacobian(rig, offsets, workspace)
+    write_hinge_turns(rig, offsets, workspace)
     clear(workspace, offsets.gradient, offsets.gradient + 3 * offsets.blocks)
     for r in range(offsets.blocks):
         clear(workspace, offsets.matrix + block_row(r, 0), offsets.matrix + block_row(r, 0) + 9)

@@ -337,7 +337,7 @@ def log_smoothness(
     edges: sparse.csr_array,
     albedo: Float[np.ndarray, " V"],
     settings: AppearanceSettings = APPEARANCE,
-) -> tuple[sparse.csr_array, Float[np.ndarray, " V"]]:
+) -> tuple[sparse.csc_array, Float[np.ndarray, " V"]]:
     """E_Q of one channel (T eq. 4.7), over log albedo: its Gauss-Newton matrix (V, V) and gradient
     (V,).
     """
