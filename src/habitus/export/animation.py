@@ -28,11 +28,12 @@ from habitus.export.correctives import (
     Morphs,
     check_correctives,
     features,
+    folds,
     morphs_of,
     principal,
     sampled_rotations,
+    softened,
 )
-from habitus.export.folds import folds, softened
 from habitus.parallel.blocks import every_nth_frame
 from habitus.rotations import up_rotation
 

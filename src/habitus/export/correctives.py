@@ -380,3 +380,88 @@ def _kept(morphs: Morphs, rows: np.ndarray, residual: float, worst: float | None
     names = tuple(morphs.names[k] for k in rows)
     weights = tuple(w[:, rows] for w in morphs.weights)
     return Morphs(morphs.shapes[rows], names, weights, morphs.drivers[rows], residual, worst)
+
+
+def folds(
+    body: BodyModel,
+    betas: Float[np.ndarray, " B"],
+    motions: Sequence[Float[np.ndarray, "_ J 3 3"]],
+    sample: Float[np.ndarray, "_ J 3 3"] | None,
+) -> list[Block]:
+    """A block for each joint with hinge channels, of a person: a blend shape a channel, called
+    after the angle where it begins, its coefficient the channel's weight.
+
+    They stand over ``posedirs`` that are `Hinges.without_linear`.
+    """
+    if body.hinges is None:
+        return []
+    person = body.hinges.for_person(betas)
+    found = []
+    for joint in np.unique(person.joint):
+        own = np.flatnonzero(person.joint == joint)
+        driven = Drivers(person.rows[own], person.bias[own], np.full(len(own), 2.0))
+        shapes = person.directions[:, :, own, 0]
+        moved = np.flatnonzero(shapes.any((1, 2)))
+        terms, usual = (
+            tuple(driven.weights(features(each, joint)[:, None]) for each in some)
+            for some in (motions, () if sample is None else (sample,))
+        )
+        ends = fold_names(driven.rows, driven.bias)
+        name = body.joint_names[joint]
+        found.append(Block(name, moved, shapes[moved], terms, ends, driven, *usual))
+    return found
+
+
+def softened(
+    body: BodyModel,
+    motions: Sequence[Float[np.ndarray, "_ J 3 3"]],
+    soft: Sequence[Float[np.ndarray, "_ B"]],
+) -> tuple[Float[np.ndarray, "V 3 n"], tuple[Float[np.ndarray, "_ n"], ...]]:
+    """What soft tissue adds to a shape moves vertices by ``shapedirs`` and by its folds' part that
+    is multiplied with betas: directions, and their coefficients, a motion each.
+    """
+    hinges = body.hinges
+    if hinges is None or not hinges.num_shapes:
+        return body.shapedirs, tuple(soft)
+    driven = Drivers(hinges.rows, hinges.bias, np.full(hinges.num_channels, 2.0))
+    terms = []
+    for rotations, change in zip(motions, soft, strict=True):
+        entries = (rotations[:, hinges.joint] - np.eye(3)).reshape(len(rotations), -1, 9)
+        products = driven.weights(entries)[..., None] * change[:, None, : hinges.num_shapes]
+        terms.append(np.concatenate([change, products.reshape(len(change), -1)], axis=1))
+    directions = hinges.directions[..., 1:].reshape(body.num_vertices, 3, -1)
+    return np.concatenate([body.shapedirs, directions], axis=2), tuple(terms)
+
+
+def fold_names(rows: Float[np.ndarray, "C 9"], bias: Float[np.ndarray, " C"]) -> tuple[str, ...]:
+    """``fold_135`` for each channel of a joint by the angle where it begins, in degrees; ``fold_1``
+    and on where two are alike.
+    """
+    angles = [round(beginning(*each)) for each in zip(rows, bias, strict=True)]
+    alike = len(set(angles)) < len(angles)
+    return tuple(f"fold_{k + 1 if alike else angle}" for k, angle in enumerate(angles))
+
+
+def beginning(row: Float[np.ndarray, " 9"], bias: float) -> float:
+    """The least angle (degrees) by which any rotation makes row . vec(R - I) as large as ``bias``;
+    180 where none does.
+
+    With a unit quaternion q, row . vec(R - I) - bias = q K q, and q_0 is the cosine of half the
+    angle. The most that q_0^2 can be where q K q >= 0 is, by duality, the least of the largest
+    eigenvalues of e_0 e_0^T + x K over x >= 0, which are convex in x.
+    """
+    m = row.reshape(3, 3)
+    k = np.zeros((4, 4))
+    k[0, 1:] = k[1:, 0] = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    k[1:, 1:] = m + m.T - 2 * np.trace(m) * np.eye(3)
+    k -= bias * np.eye(4)
+    first = np.diag([1.0, 0, 0, 0])
+    low, high = 0.0, 1e4 / np.abs(k).max()
+    for _ in range(100):
+        a, b = (2 * low + high) / 3, (low + 2 * high) / 3
+        if np.linalg.eigvalsh(first + a * k)[-1] < np.linalg.eigvalsh(first + b * k)[-1]:
+            high = b
+        else:
+            low = a
+    most = np.clip(np.linalg.eigvalsh(first + low * k)[-1], 0.0, 1.0)
+    return float(np.degrees(2 * np.arccos(np.sqrt(most))))

@@ -78,6 +78,7 @@ def test_the_digest_is_that_of_what_a_fit_depends_on(tmp_path):
 def test_another_file_is_one_clear_line(tmp_path):
     np.savez(tmp_path / "other.npz", betas=np.zeros(3))
     (tmp_path / "text.npz").write_text("x")
-    for name in ("other.npz", "text.npz", "none.npz"):
+    write_known(replace(known(load_layout("cmu-41")), seconds=-1e270), tmp_path / "time.npz")
+    for name in ("other.npz", "text.npz", "time.npz", "none.npz"):
         with pytest.raises(HabitusError, match="is no subject that habitus archive wrote"):
             read_known(tmp_path / name)

@@ -150,6 +150,8 @@ def _check_arrays(arrays: Mapping[str, np.ndarray]) -> None:
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise ValueError(f"{name} are not finite")
+    if arrays["seconds"] < 0:
+        raise ValueError(f"seconds are {arrays['seconds']}; expected none below 0")
 
 
 def _layout(record: Mapping[str, Any]) -> MarkerLayout:
