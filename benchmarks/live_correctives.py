@@ -17,9 +17,9 @@ import numpy as np
 from common import in_words, machine, parser
 
 import habitus
-from habitus.body.hinges import pose_coefficients
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
+from habitus.body.pose_features import pose_coefficients
 from habitus.body.prior import shipped_prior
 from habitus.export.animation import Animation, animate, one_sided
 from habitus.export.correctives import sampled_rotations

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from habitus.body.hinges import pose_coefficients
 from habitus.body.joint_layouts import SMPLX
+from habitus.body.pose_features import pose_coefficients
 from habitus.io.models.bodies import load_body
 from habitus.mesh.intersections import intersecting_pairs
 from habitus.rotations import matrix_from_rotvec

@@ -11,7 +11,7 @@ from hinged_body import KNEE, ROW, with_hinges
 from synthetic_fit import tube_body
 
 import habitus as hb
-from habitus.body.hinges import pose_coefficients
+from habitus.body.pose_features import pose_coefficients
 from habitus.export import correctives
 from habitus.io.models.bodies import save_body
 

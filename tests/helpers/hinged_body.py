@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from habitus.body.hinges import Hinges
+from habitus.body.pose_features import Hinges
 
 KNEE = "left_knee"
 ROW = np.array([0.0, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, -0.5])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 from rigged_body import random_body
 
-from habitus.body.hinges import Hinges
+from habitus.body.pose_features import Hinges
 from habitus.fit.markers.sequence import fit_sequence
 from habitus.fit.markers.settings import SequenceSettings
 from habitus.observe.marker_prediction import BodyMarkers, predict

@@ -2,7 +2,8 @@ import pytest
 import torch
 import trimesh
 
-from habitus.mesh.normals import face_normals, unit_sums, vertex_normals
+from habitus.mesh.array_normals import unit_sums
+from habitus.mesh.normals import face_normals, vertex_normals
 from habitus.rotations import matrix_from_rotvec
 
 

@@ -19,10 +19,11 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
 from habitus.body.dynamics import Dynamics
-from habitus.body.hinges import Hinges, check_hinges
 from habitus.body.kernels import LocalShapes, local_shapes
 from habitus.body.pose_features import (
+    Hinges,
     PoseFeatures,
+    check_hinges,
     check_pose_shapes,
     find_pose_features,
     of_joints,

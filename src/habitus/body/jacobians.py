@@ -29,8 +29,8 @@ from habitus.arrays import (
     unflatten,
 )
 from habitus.body.body_arrays import add_blend_shapes
-from habitus.body.hinges import ENTRIES, Hinges, pose_coefficients
 from habitus.body.model import BodyModel
+from habitus.body.pose_features import ENTRIES, Hinges, pose_coefficients
 from habitus.body.prepared import PreparedBody
 from habitus.body.skinning import (
     descends,

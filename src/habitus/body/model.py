@@ -37,7 +37,7 @@ class BodyModel(BodyArrays, Measured):
     numbers each, see `habitus.body.pose_features`; SMPL's "rotations" have k = 9), of
     ``pose_joints`` (P joints in that order; None: all but the root, as in SMPL) and in their
     products with each of the first s = ``shape_features`` shape coefficients: F is P k (1 + s),
-    block after block. ``hinges`` add what deep folds need besides (`habitus.body.hinges`).
+    block after block. ``hinges`` add what deep folds need besides (`habitus.body.pose_features`).
     ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index``
     and ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for
     SMPL); a weight of 0 fills up. ``expressiondirs`` move the face and nothing else, apart from

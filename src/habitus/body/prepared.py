@@ -13,9 +13,8 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
-from habitus.body.hinges import Hinges, pose_coefficients
 from habitus.body.kernels import joint_motions, posed_vertices
-from habitus.body.pose_features import PoseFeatures
+from habitus.body.pose_features import Hinges, PoseFeatures, pose_coefficients
 from habitus.body.skinning import skin, skinning_motions, world_motions
 from habitus.body.state import BodySurface
 from habitus.rotations import matrix_from_rotvec

@@ -143,7 +143,8 @@ class TrainOptions:
     """
     hinges: tuple[float, ...] = ()
     """Bends (degrees) where channels of knees and elbows begin, learned at the end for deep folds
-    that vec(R - I) cannot tell (`habitus.body.hinges`); the default body has 60, 90, 115 and 135.
+    that vec(R - I) cannot tell (`habitus.body.pose_features`); the default body has 60, 90, 115
+    and 135.
     """
     influences: int = 4
     """Most joints that move a vertex."""

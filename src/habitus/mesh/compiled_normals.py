@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from habitus.mesh import normal_kernels
-from habitus.mesh.normals import summed_at_corners, unit_sums
+from habitus.mesh.array_normals import summed_at_corners, unit_sums
 
 
 def is_compiled(vertices: Tensor, faces: Tensor) -> bool:

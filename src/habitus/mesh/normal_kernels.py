@@ -1,4 +1,4 @@
-"""Unit normals of vertices and their VJP, compiled; `normals.unit_sums` is the reference in
+"""Unit normals of vertices and their VJP, compiled; `array_normals.unit_sums` is the reference in
 array operations.
 
 Faces' normals are twice as long as their areas, so that their sum around a vertex is weighted by

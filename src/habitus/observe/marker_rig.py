@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from habitus.arrays import to_numpy
-from habitus.body.hinges import NO_HINGES
 from habitus.body.model import BodyModel
-from habitus.body.pose_features import check_driven_by_rotations
+from habitus.body.pose_features import NO_HINGES, check_driven_by_rotations
 from habitus.errors import HabitusError
 from habitus.observe.markers import MarkerAttachment
 from habitus.types import Array
@@ -50,7 +49,8 @@ class MarkerRig(NamedTuple):
     coefficients: Float[np.ndarray, "M 3"]
     """(c_n, c_t, c_s) of each marker in its triangle's basis."""
     corner_folds: Float[np.ndarray, "U 3 C"]
-    """Offsets per weight of each of C hinge channels (`habitus.body.hinges`) of this person."""
+    """Offsets per weight of each of C hinge channels of this person (`habitus.body.pose_features`).
+    """
     corner_fold_shapes: Float[np.ndarray, "U 3 C S"]
     """How these change with the first S betas."""
     hinge_joint: Int[np.ndarray, " C"]

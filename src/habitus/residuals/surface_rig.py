@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.hinges import ENTRIES, Hinges
 from habitus.body.kernels import without_zeros
 from habitus.body.model import BodyModel
+from habitus.body.pose_features import ENTRIES, Hinges
 from habitus.body.skinning import descends
 
 

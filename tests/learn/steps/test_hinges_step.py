@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_start import ALONE, BETAS, WARM, body_of, template_of
 
-from habitus.body.hinges import Hinges
+from habitus.body.pose_features import Hinges
 from habitus.errors import HabitusError
 from habitus.learn.options import SETTINGS, TrainOptions
 from habitus.learn.posing.hinge_rows import hinge_row

@@ -12,8 +12,8 @@ from jaxtyping import Int
 
 from habitus.body.body_arrays import Ages, BodyMesh
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
-from habitus.body.hinges import ENTRIES, Hinges
 from habitus.body.model import BodyModel
+from habitus.body.pose_features import ENTRIES, Hinges
 from habitus.errors import HabitusError
 from habitus.files import atomic_write
 from habitus.io.archives import NpzArchive

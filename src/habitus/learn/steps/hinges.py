@@ -1,4 +1,4 @@
-"""Hinge channels of joints that fold deeply, given everything else (`habitus.body.hinges`).
+"""Hinge channels of joints that fold deeply, given everything else (`habitus.body.pose_features`).
 
 A joint's blend shapes P and its channels' directions D are solved for together, at the vertices
 that the joint drives already, by linear least squares in posed space:
@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.hinges import ENTRIES, Hinges, pose_coefficients
 from habitus.body.model import BodyModel
-from habitus.body.pose_features import POSE_FEATURES
+from habitus.body.pose_features import ENTRIES, POSE_FEATURES, Hinges, pose_coefficients
 from habitus.errors import HabitusError
 from habitus.learn.estimate import Estimate, Problem, posed_targets
 from habitus.learn.options import TrainOptions
