@@ -46,8 +46,8 @@ class Drivers:
     """How joints drive K blend shapes, in every file and for every pose: a weight is (row . vec(R -
     I) - bias)^power, R its joint's rotation. No joint drives one whose row is zero.
 
-    ``power`` is 1 with a ``bias`` of 0, or 2 for folds (`habitus.body.pose_features`), where the base
-    is cut off at 0 and 1.
+    ``power`` is 1 with a ``bias`` of 0, or 2 for folds (`habitus.body.pose_features`), where the
+    base is cut off at 0 and 1.
     """
 
     rows: Float[np.ndarray, "K 9"]
