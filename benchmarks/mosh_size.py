@@ -2,11 +2,12 @@
 one solve.
 
     python benchmarks/mosh_size.py [--frames 10000 100000 1000000] [--capture 85_12.c3d]
-    [--no-agreement]
+    [--no-agreement] [--exports glb bvh]
 
 A real capture is played forward and backward until it is long enough, so that its motion never
 jumps, and written as a C3D file; the command is run on it as users run it, in a process of its own.
 Peak memory is what the operating system counted of that process, files that it had mapped included.
+With --exports, `habitus export` then writes the result in each of these formats, measured alike.
 Then real captures are solved in windows of 1,000 frames and of 2,000, and in one: the largest angle
 between any joint's rotations of the two, and between any two roots' places.
 """
@@ -110,29 +111,41 @@ def _parameter(group: int, name: str, kind: int, shape: tuple[int, ...], data: b
     )
 
 
-def command(capture: Capture, frames: int, folder: Path) -> dict:
-    """One run of `habitus mosh` on so many frames: seconds, peak memory, sizes of what it wrote."""
-    path = folder / f"tiled_{frames}.c3d"
-    out = folder / "out"
-    write_tiled(capture, frames, path)
-    line = [sys.executable, "-m", "habitus", "mosh", str(path), "--out", str(out), "--quiet"]
+def measured(*words: str) -> dict:
+    """One run of habitus: seconds, CPU seconds, peak memory."""
+    line = [sys.executable, "-m", "habitus", *words]
     began = time.perf_counter()
-    process = subprocess.Popen(line, cwd=ROOT)
+    process = subprocess.Popen(line, cwd=ROOT, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     seconds = time.perf_counter() - began
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise SystemExit(f"{' '.join(line)} ended with {process.returncode}")
+    return {
+        "seconds": seconds,
+        "cpu_seconds": usage.ru_utime + usage.ru_stime,
+        "peak_gb": usage.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e9,
+    }
+
+
+def command(capture: Capture, frames: int, folder: Path, exports: list[str]) -> dict:
+    """One run of `habitus mosh` on so many frames: seconds, peak memory, sizes of what it wrote;
+    the same of exports of its result.
+    """
+    path = folder / f"tiled_{frames}.c3d"
+    out = folder / "out"
+    write_tiled(capture, frames, path)
+    run = measured("mosh", str(path), "--out", str(out), "--quiet")
     path.unlink()
     written = out / path.stem
     numbers = json.loads((written / "metrics.json").read_text(encoding="utf-8"))
     return {
         "frames": frames,
         "markers": numbers["markers"],
-        "peak_gb": usage.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e9,
-        "seconds": seconds,
-        "ms_a_frame": 1e3 * seconds / frames,
-        "cpu_ms_a_frame": 1e3 * (usage.ru_utime + usage.ru_stime) / frames,
+        "peak_gb": run["peak_gb"],
+        "seconds": run["seconds"],
+        "ms_a_frame": 1e3 * run["seconds"] / frames,
+        "cpu_ms_a_frame": 1e3 * run["cpu_seconds"] / frames,
         "stage_seconds": numbers["stage_seconds"],
         "mean_error_mm": numbers["marker_error_mm"]["soft_tissue"]["mean"],
         "megabytes": {
@@ -140,7 +153,14 @@ def command(capture: Capture, frames: int, folder: Path) -> dict:
             for file in sorted(written.iterdir())
             if file.is_file()
         },
+        "exports": {ending: export(written, folder / f"exported.{ending}") for ending in exports},
     }
+
+
+def export(written: Path, to: Path) -> dict:
+    """The result of a fit as another file: seconds, peak memory, size."""
+    run = measured("export", str(written), str(to))
+    return run | {"megabytes": to.stat().st_size / 1e6}
 
 
 def agreement(capture: Capture) -> list[dict]:
@@ -222,6 +242,7 @@ def main() -> None:
     arguments.add_argument(
         "--folder", type=Path, default=None, help="where captures and results are put; kept then"
     )
+    arguments.add_argument("--exports", nargs="*", default=[], help="endings, such as glb")
     options = arguments.parse_args()
     where = machine()
     capture = habitus.read_capture(options.capture)
@@ -229,9 +250,16 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         for frames in options.frames:
-            runs.append(command(capture, frames, options.folder or Path(temporary)))
+            runs.append(
+                command(capture, frames, options.folder or Path(temporary), options.exports)
+            )
             print(
                 f"{frames:,} frames: {runs[-1]['seconds']:.0f} s, {runs[-1]['peak_gb']:.2f} GB",
+                *(
+                    f"{ending}: {each['seconds']:.0f} s, {each['peak_gb']:.2f} GB"
+                    for ending, each in runs[-1]["exports"].items()
+                ),
+                sep="; ",
                 flush=True,
             )
     if not options.no_agreement:

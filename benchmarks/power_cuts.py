@@ -282,7 +282,7 @@ def main() -> None:
     arguments.add_argument("--frames", type=int, default=60)
     arguments.add_argument("--hasty", action="store_true")
     arguments.add_argument("--seed", type=int, default=0)
-    arguments.add_argument("--only", nargs="+", choices=PROGRAMS, default=())
+    arguments.add_argument("--only", nargs="+", choices=("archive", *PROGRAMS), default=())
     arguments.add_argument("--out", type=Path)
     options = arguments.parse_args()
     where = machine()
@@ -295,6 +295,11 @@ def main() -> None:
         found["programs"] = before.get("programs", {})
         for name in options.only or PROGRAMS:
             (Path(folder) / name).mkdir()
+            if name == "archive":
+                work = Path(folder) / name
+                row = archive_kills(work, options.frames, options.kills, options.seed)
+                found["archive"] = {"command": command(), **row}
+                continue
             row = program_kills(name, Path(folder) / name, options.kills, options.seed)
             found["programs"][name] = {"command": command(), **row}
     print(json.dumps(found, indent=1))
