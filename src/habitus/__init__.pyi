@@ -1,5 +1,6 @@
 # What type checkers and editors see of the lazily loaded public face.
 
+from habitus.body.hands import hand_pose as hand_pose
 from habitus.body.model import BodyModel as BodyModel
 from habitus.body.soft_tissue import simulate_soft_tissue as simulate_soft_tissue
 from habitus.body.surface_files import write_surface as write_surface

@@ -5,7 +5,7 @@ looking at.
 
 One PNG a subject: form (four sides, face, hand, foot), expressions, components (each at -2 and +2
 standard deviations), people (24 random women, men and children), ages, poses, flesh (skinning alone
-beside the learned pose blend shapes).
+beside the learned pose blend shapes), hands.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import torch
 from PIL import Image
 
 from habitus import load_body
+from habitus.body.hands import HAND_POSES, hand_pose
 from habitus.body.model import BodyModel
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
@@ -308,6 +309,23 @@ def flesh(bodies: dict[str, BodyModel]) -> Image.Image:
     return grid(pictures, len(FOLDS))
 
 
+def hands(bodies: dict[str, BodyModel]) -> Image.Image:
+    """The hand poses of woman and man: palm, back, and the side of the thumb."""
+    pictures = []
+    for name in ("female", "male"):
+        body = bodies[name]
+        middle = 0.5 * (
+            _mark(body, posed(body, {}), "left_middle_tip")
+            + body.rest_joints()[body.joint_names.index("left_wrist")]
+        )
+        for yaw, pitch in ((0, -89), (0, 89), (0, 0)):
+            view = View(yaw, pitch, middle, 0.26, 240, 240)
+            for pose in HAND_POSES:
+                v = np.asarray(body(pose=hand_pose(body, pose)).vertices, float)
+                pictures.append(view.picture(v, np.asarray(body.faces), _colours(body)))
+    return grid(pictures, len(HAND_POSES))
+
+
 SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "form": form,
     "expressions": expressions,
@@ -316,6 +334,7 @@ SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "ages": ages,
     "poses": poses,
     "flesh": flesh,
+    "hands": hands,
 }
 
 
