@@ -159,7 +159,7 @@ def command(capture: Capture, frames: int, folder: Path, exports: list[str]) -> 
 
 def export(written: Path, to: Path) -> dict:
     """The result of a fit as another file: seconds, peak memory, size."""
-    run = measured("export", str(written), str(to))
+    run = measured("export", str(written), "--out", str(to))
     return run | {"megabytes": to.stat().st_size / 1e6}
 
 

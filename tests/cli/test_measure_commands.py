@@ -44,6 +44,7 @@ def test_rare_people_get_a_remark_and_impossible_ones_a_refusal(capsys):
     ("arguments", "words"),
     [
         (("body", "--also", "neck"), "--also neck: expected NAME=VALUE"),
+        (("body", "--also", "settings=3"), "'settings' is no measurement"),
         (("body", "--height", "178"), "give metres"),
         (("measure", "nowhere.npz"), "nowhere.npz"),
         (("measure", "default", "--out", "a.txt"), "expected a name in .json, .csv"),

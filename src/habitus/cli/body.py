@@ -56,6 +56,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
+    from habitus.fit.from_measurements import ESTIMATE
     from habitus.jobs.estimates import body_from_measurements, save_estimate
 
     console = console or screen()
@@ -63,7 +64,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
         name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None
     } | _also(options.also)
     estimate = body_from_measurements(
-        sex=options.sex, age=options.age, body=options.body, **measurements
+        sex=options.sex, age=options.age, body=options.body, settings=ESTIMATE, **measurements
     )
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "± sd", ""):
@@ -90,6 +91,8 @@ def _also(pairs: tuple[str, ...]) -> dict[str, float]:
     found = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
+        if name in ("sex", "age", "body", "settings"):
+            raise HabitusError(f"--also {pair}: {name!r} is no measurement")
         try:
             found[name] = float(value)
         except ValueError:

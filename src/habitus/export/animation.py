@@ -242,11 +242,12 @@ def _linear(
     sample: Float[np.ndarray, "S J 3 3"] | None,
 ) -> list[Block]:
     """The pose blend shapes that are linear in vec(R - I), a block each driving joint."""
-    if body.posedirs is None:
+    directions = body.pose_directions
+    if directions is None:
         return []
     joints = len(body.drivers)
-    posedirs = body.pose_directions[..., : 9 * joints]  # hinges apart
-    any_moved = posedirs.any(1).reshape(-1, joints, 9).any(2)
+    posedirs = directions[..., : 9 * joints]  # hinges apart
+    any_moved = np.any(posedirs, axis=1).reshape(-1, joints, 9).any(axis=2)
     found = []
     for k, joint in enumerate(body.drivers):
         shapes = posedirs[..., 9 * k : 9 * k + 9]

@@ -40,8 +40,8 @@ def body_from_measurements(
     its standard deviation). sex: "female", "male" or "neutral" picks the shape space; ``body``
     another one. age in years, where the body has ages. The result knows its ``betas``,
     ``measurements``, and the ``spread`` of what was not given; ``settings`` holds tuning numbers.
-    Raises HabitusError for names and
-    values that make no sense, and for people such as nobody is (1.78 m, 20 kg).
+    Raises HabitusError for names and values that make no sense, and for people such as nobody is
+    (1.78 m, 20 kg).
     """
     if sex not in SEXES:
         raise HabitusError(f"sex is {sex!r}; expected one of {', '.join(SEXES)}")

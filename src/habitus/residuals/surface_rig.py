@@ -38,8 +38,9 @@ def surface_rig(body: BodyModel) -> tuple[SurfaceRig, np.ndarray]:
     moves = own @ (descends(body.parents).T > 0.0)
     rows = np.full(moves.shape, -1)
     shapes = np.zeros((0, 27))
-    if body.posedirs is not None:
-        found = without_zeros(body.pose_directions[..., : body.posedirs.shape[-1]])
+    directions = body.pose_directions
+    if directions is not None:
+        found = without_zeros(directions[..., : 9 * len(body.drivers)])
         vertex = np.repeat(np.arange(body.num_vertices), np.diff(found.start))
         rows[vertex, np.array(body.drivers)[found.driver]] = np.arange(len(found.driver))
         shapes = found.value
