@@ -6,7 +6,7 @@ trials of one subject.
 
 SURVEY_FOLDER holds the two public tables of ANSUR II. Soldiers are held out five-fold: for each
 number of betas the machine is fitted to the others (`lab/src/habitus_lab/default_body/gender.py`) and judged on
-them: accuracy, expected calibration error (ten bins), and how often it says that it cannot tell.
+them: accuracy, expected calibration error (ten bins), and how often it leaves the sex undecided.
 The same with betas that a fit to markers would leave (``--error`` each), told so and not told so.
 Then pairs of captures of one subject are fitted with the neutral body, each by itself, and
 P(female) is printed with and without the spread of the betas that the markers leave.

@@ -140,7 +140,7 @@ def _row(
     cpu = time.process_time() - worked
     surfaces = fit.vertices()
     found = []
-    for place, (sight, surface) in enumerate(zip(fit.sights, surfaces, strict=True)):
+    for place, (sight, surface) in enumerate(zip(fit.prepared_views, surfaces, strict=True)):
         true = scene.surfaces[kept[place]] @ sight.turn.T + sight.shift
         found.append(float(np.linalg.norm(surface - true, axis=1).mean()))
     best = registered(body if case == "neutral" else _loaded("female" if female else "male"), rest)

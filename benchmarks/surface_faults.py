@@ -49,7 +49,7 @@ def depth_error(fit: RgbdFit, true: Scene, kind: str) -> float:
     """
     names = [view.name for view in true.capture.views]
     found = []
-    for sight, surface in zip(fit.sights, fit.vertices(), strict=True):
+    for sight, surface in zip(fit.prepared_views, fit.vertices(), strict=True):
         number = names.index(sight.view.name)
         truth = true.surfaces[number].copy()
         mirrored = kind == "one view mirrored" and number == len(names) - 1
@@ -78,7 +78,7 @@ def depth_row(kind: str, true: Scene, other: Scene) -> dict[str, Any]:
 
 def _same_names(fit: RgbdFit, true: Scene) -> bool:
     names = {view.name for view in true.capture.views}
-    return all(sight.view.name in names for sight in fit.sights)
+    return all(sight.view.name in names for sight in fit.prepared_views)
 
 
 def scan_row(kind: str, seed: int) -> dict[str, Any]:

@@ -132,9 +132,9 @@ def __getattr__(name: str) -> object:
 
     with TorchIsAnExtra(f"habitus.{name}"):
         module = import_module(_MODULES[name])
-    found = module if name in _WHOLE_MODULES else getattr(module, name)
-    globals()[name] = found
-    return found
+    value = module if name in _WHOLE_MODULES else getattr(module, name)
+    globals()[name] = value
+    return value
 
 
 class _PublicFace(type(sys)):

@@ -198,16 +198,16 @@ def tidy(folder: Path, ours: Collection[str] = (), name: str | None = None) -> N
     readable = folder.is_dir() and os.access(folder, os.R_OK)
     entries = list(folder.iterdir()) if readable else []
     for entry in entries:
-        found = _LEFT.fullmatch(entry.name)
-        if found is None or (name and not (found["name"] == name and entry.is_dir())):
+        temporary = _LEFT.fullmatch(entry.name)
+        if temporary is None or (name and not (temporary["name"] == name and entry.is_dir())):
             continue
         with suppress(OSError):
-            if found["kind"] == "old" and not os.path.lexists(folder / found["name"]):
-                os.rename(entry, folder / found["name"])
-            elif found["kind"] == "ready":
+            if temporary["kind"] == "old" and not os.path.lexists(folder / temporary["name"]):
+                os.rename(entry, folder / temporary["name"])
+            elif temporary["kind"] == "ready":
                 _place(entry, folder)
-            elif found["kind"] == "old":
-                _clear(entry, folder / found["name"], ours)
+            elif temporary["kind"] == "old":
+                _clear(entry, folder / temporary["name"], ours)
             elif entry.is_dir() and not entry.is_symlink():
                 shutil.rmtree(entry, ignore_errors=True)
             else:

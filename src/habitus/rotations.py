@@ -153,8 +153,8 @@ def quaternion_from_matrix(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "
         xp.stack([d - b, c + g, f + h, squares[..., 3]], -1),
     ]
     best = squares.argmax(-1)[..., None]
-    wanted = xp.broadcast_to(best[..., None], (*best.shape, 4))
-    chosen = take_along(xp.stack(rows, -2), wanted, -2)[..., 0, :]
+    index = xp.broadcast_to(best[..., None], (*best.shape, 4))
+    chosen = take_along(xp.stack(rows, -2), index, -2)[..., 0, :]
     return chosen / (2 * xp.sqrt(take_along(squares, best, -1)))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_fit import tube_body
 
-from habitus.body.gender import CANNOT_TELL, female_probability, said_of
+from habitus.body.gender import UNDECIDED, female_probability, said_of
 from habitus.io.models.bodies import load_body, save_body
 
 BODY = replace(tube_body(), female_direction=(np.array([2.0, -1.0, 0.5, 0.0, 1.0, 0.0]), 0.5))
@@ -38,7 +38,7 @@ def test_a_body_without_the_classifier_gives_none():
 
 def test_only_who_is_sure_says_something():
     assert [said_of(p) for p in (0.0, 0.19, 0.2, 0.5, 0.8, 0.81, 1.0)] == [
-        *("male", "male"), *(CANNOT_TELL,) * 3, *("female", "female"),
+        *("male", "male"), *(UNDECIDED,) * 3, *("female", "female"),
     ]  # fmt: skip
 
 

@@ -107,7 +107,7 @@ def _persons(folder: Path) -> list[Target]:
 
 
 def _archives(folder: Path) -> list[Target]:
-    from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped, read_known
+    from habitus.jobs.archive.items import FileContent, Fitted, Seen, Shaped, read_known
     from habitus.jobs.archive.manifest import FILE, open_manifest
     from habitus.jobs.finding import MarkerSet
 
@@ -130,8 +130,8 @@ def _archives(folder: Path) -> list[Target]:
     with open_manifest(place) as made:
         for k, name in enumerate(("one.c3d", "two.c3d", "no.c3d")):
             people = (Seen("Ann", 5, 100.0, markers),) if k < 2 else ()
-            held = Looked("digest", people, "" if people else "broken")
-            made.looked(name, (1, 2), held, [name[:3]][: len(people)])
+            held = FileContent("digest", people, "" if people else "broken")
+            made.record_file(name, (1, 2), held, [name[:3]][: len(people)])
         made.group({(name, ""): "Ann" for name in ("one.c3d", "two.c3d")})
         for row in made.captures():
             made.fitted(row, "key", Fitted({"frames": 5}, b"picture", 1.0))

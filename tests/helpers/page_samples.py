@@ -65,7 +65,7 @@ def depth_fit(text: str) -> tuple[SimpleNamespace, dict]:
     measured = body.measure(np.zeros(body.num_betas))
     fit = SimpleNamespace(
         capture_name=text, body_name=text, body=body, betas=np.zeros(body.num_betas), pose=pose,
-        trans=np.array([[0, 0, 3.0]]), sights=[sight], evidence=SimpleNamespace(views=[seen]),
+        trans=np.array([[0, 0, 3.0]]), prepared_views=[sight], evidence=SimpleNamespace(views=[seen]),
         appearance=None, skin=None, warnings=(text,), measurements=measured,
         vertices=lambda view=None: vertices if view is not None else vertices[None],
     )  # fmt: skip

@@ -58,7 +58,7 @@ def test_what_was_found_is_fitted_written_and_fits_again(capture, found, tmp_pat
     assert "layout.toml" in (tmp_path / "walk" / "report.html").read_text("utf-8")
     again = hb.Mosh(layout=file, soft_tissue="none", settings=HASTY).fit(capture, person())
     np.testing.assert_allclose(again.pose, fit.pose, atol=1e-9)
-    assert again.found_layout == "" and again.doubts == ()
+    assert again.discovered_layout == "" and again.doubts == ()
 
 
 def test_what_is_not_decided_makes_a_fit_doubtful_and_is_kept_with_it(capture, found, tmp_path):

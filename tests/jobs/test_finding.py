@@ -13,7 +13,7 @@ from habitus.errors import HabitusError
 from habitus.export.trc import write_trc
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.captures.trc import is_fit_export
-from habitus.jobs.finding import Found, MarkerSet, find_captures, grouped
+from habitus.jobs.finding import CaptureFile, MarkerSet, find_captures, grouped
 
 
 def touched(folder: Path, *names: str) -> Path:
@@ -23,7 +23,7 @@ def touched(folder: Path, *names: str) -> Path:
     return folder
 
 
-def places(found: list[Found]) -> list[str]:
+def places(found: list[CaptureFile]) -> list[str]:
     return [str(one.place / one.name) for one in found]
 
 
@@ -94,7 +94,7 @@ def test_real_captures_are_grouped_by_who_wears_which_markers(shared):
     )
     worn = [
         (
-            Found(mocap / f"{name}.c3d", Path(), name, False),
+            CaptureFile(mocap / f"{name}.c3d", Path(), name, False),
             MarkerSet.of(read_capture(mocap / f"{name}.c3d")),
         )
         for name in names.split()
@@ -149,7 +149,9 @@ def test_a_pose_that_is_held_tells_nothing_of_a_person():
 
 def test_a_file_of_several_people_and_captures_of_other_folders_stay_alone(tmp_path):
     one = rigid()
-    found = [Found(tmp_path / name, Path(), name, False) for name in ("a/1", "a/2", "b/3", "a/4")]
+    found = [
+        CaptureFile(tmp_path / name, Path(), name, False) for name in ("a/1", "a/2", "b/3", "a/4")
+    ]
     groups = grouped(list(zip(found, (one, None, one, one), strict=True)))
     assert [[f.name for f in group] for group in groups] == [["a/1", "a/4"], ["a/2"], ["b/3"]]
 

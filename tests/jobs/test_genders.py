@@ -38,7 +38,7 @@ def test_auto_takes_the_sex_that_it_is_sure_of_and_says_so():
     )
     probability = fit.female_probability
     assert probability is not None and probability < 0.5
-    assert fit.gender == {"cannot tell": "neutral"}.get(said_of(probability), "male")
+    assert fit.gender == {"undecided": "neutral"}.get(said_of(probability), "male")
     assert fit.body.name == {"neutral": "default"}.get(fit.gender, fit.gender)
     assert sum("sex auto" in warning for warning in fit.warnings) == 1
 

@@ -67,7 +67,7 @@ def test_views_alone_are_what_fit_rgbd_makes_of_them():
     )
     same(fit, expected, "betas")
     # The same surface, in the frame of the camera rather than the recipe's upright world.
-    view = found.sights[0]
+    view = found.prepared_views[0]
     surface = np.asarray(body()(expected.betas, expected.pose[0], expected.trans[0]).vertices)
     np.testing.assert_allclose(fit.vertices(0) @ view.turn.T + view.shift, surface, atol=1e-9)
 

@@ -60,9 +60,9 @@ class BodyMesh:
             np.concatenate([np.delete(self.quads, corner, axis=1) for corner in range(4)]), size
         )
         order = np.argsort(thirds, kind="stable")
-        wanted = numbered(faces, size)
-        place = np.minimum(np.searchsorted(thirds[order], wanted), len(thirds) - 1)
-        if not np.array_equal(thirds[order][place], wanted):
+        edges = numbered(faces, size)
+        place = np.minimum(np.searchsorted(thirds[order], edges), len(thirds) - 1)
+        if not np.array_equal(thirds[order][place], edges):
             return None
         quad = order[place] % len(self.quads)
         if (np.bincount(quad, minlength=len(self.quads)) != 2).any():

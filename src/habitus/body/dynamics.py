@@ -148,13 +148,13 @@ def free_run(
     state = np.zeros(2 * count)
     if start is not None:
         state[:] = np.ravel(start)
-    found = np.empty_like(pushes)
+    states = np.empty_like(pushes)
     for t, push in enumerate(pushes):
         now = step @ state + push
-        found[t] = now
+        states[t] = now
         state[count:] = state[:count]
         state[:count] = now
-    return found
+    return states
 
 
 _BLOCK = 4096  # frames worked on together
@@ -199,10 +199,10 @@ def motion_controls(
         before = min(first, 1)
         after = min(len(pose) - last, 1)  # neighbours, dropped again
         some = slice(first - before, last + after)
-        found = CONTROLS[kind].of(
+        controls = CONTROLS[kind].of(
             _skeletons(rest_joints, parents, pose[some], trans[some]), joints, rate_hz
         )
-        blocks.append(found[before : before + last - first])
+        blocks.append(controls[before : before + last - first])
     return np.concatenate(blocks)
 
 

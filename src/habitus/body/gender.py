@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from habitus.body.model import BodyModel
 
-CANNOT_TELL = "cannot tell"
+UNDECIDED = "undecided"
 SURE = 0.8
 """Less than this, of either sex, says nothing."""
 BETA_ERROR = 0.5
@@ -40,7 +40,7 @@ def female_probability(
 
 
 def said_of(probability: float) -> str:
-    """ "female" or "male" where it is sure enough, else "cannot tell"."""
+    """ "female" or "male" where it is sure enough, else "undecided"."""
     if probability > SURE:
         return "female"
-    return "male" if probability < 1.0 - SURE else CANNOT_TELL
+    return "male" if probability < 1.0 - SURE else UNDECIDED

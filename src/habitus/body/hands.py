@@ -81,19 +81,19 @@ def hand_pose(
     if strange := [side for side in sides if side not in SIDES]:
         raise HabitusError(f"side is {strange[0]!r}; expected left or right")
     rest = dict(zip(body.joint_names, np.asarray(body.rest_joints()), strict=True))
-    wanted = [f"{side}_{name}{k}" for side in sides for name in (*FINGERS, "thumb") for k in (1, 3)]
-    if missing := [name for name in (*wanted, *(f"{s}_wrist" for s in sides)) if name not in rest]:
+    needed = [f"{side}_{name}{k}" for side in sides for name in (*FINGERS, "thumb") for k in (1, 3)]
+    if missing := [name for name in (*needed, *(f"{s}_wrist" for s in sides)) if name not in rest]:
         raise HabitusError(
             f"{body.name} has no joint {missing[0]!r}; expected a body with fingers, such as "
             'load_body("default", joints="smplh")'
         )
-    found: dict[str, np.ndarray] = {}
+    rotations: dict[str, np.ndarray] = {}
     for side in sides:
-        found |= {
+        rotations |= {
             f"{side}_{joint}": amount * turn
             for joint, turn in _hand(body, rest, side, pose).items()
         }
-    return found
+    return rotations
 
 
 def _hand(
@@ -101,7 +101,7 @@ def _hand(
 ) -> dict[str, np.ndarray]:
     """Rotation vectors of the joints of one hand."""
     palm = _palm(rest, side)
-    found = {}
+    rotations = {}
     for finger, spread in zip(FINGERS, pose.spread, strict=True):
         bones = _bones(body, rest, side, finger)
         along = _unit(bones[0] + bones[1])
@@ -110,14 +110,14 @@ def _hand(
         thumbward = np.radians(spread) * (palm if side == "left" else -palm)
         turns = [Rotation.from_rotvec(angle * axis) for angle in flexion]
         turns[0] = Rotation.from_rotvec(thumbward) * turns[0]
-        found |= {f"{finger}{k + 1}": turn.as_rotvec() for k, turn in enumerate(turns)}
+        rotations |= {f"{finger}{k + 1}": turn.as_rotvec() for k, turn in enumerate(turns)}
     bones = _bones(body, rest, side, "thumb")
     across = rest[f"{side}_pinky1"] - rest[f"{side}_thumb2"]
     axis = _unit(np.cross(bones[1], across))
     away = _unit(np.cross(bones[0], palm))
     turns = [Rotation.from_rotvec(np.radians(angle) * axis) for angle in pose.thumb]
     turns[0] = Rotation.from_rotvec(np.radians(pose.abduction) * away) * turns[0]
-    return found | {f"thumb{k + 1}": turn.as_rotvec() for k, turn in enumerate(turns)}
+    return rotations | {f"thumb{k + 1}": turn.as_rotvec() for k, turn in enumerate(turns)}
 
 
 def _palm(rest: Mapping[str, np.ndarray], side: str) -> Float[np.ndarray, "3"]:

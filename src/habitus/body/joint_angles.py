@@ -60,20 +60,20 @@ def joint_angles(
     when straight. What a body has no joints for is left out.
     """
     chains = Chains(body, np.asarray(pose, np.float64))
-    found: dict[str, dict[str, np.ndarray]] = {}
+    angles: dict[str, dict[str, np.ndarray]] = {}
     for turn in _TURNS:
         for side in _SIDES if turn.joint.startswith("*") else ("",):
             rotation = chains.between(_sided(turn.base, side), _sided(turn.joint, side))
             if rotation is not None:
                 sign = -turn.sign if turn.mirrored and side == "right" else turn.sign
-                found.setdefault(turn.name, {})[side] = (
+                angles.setdefault(turn.name, {})[side] = (
                     sign * _split(rotation)[:, _PARTS[turn.part]]
                 )
     rest = dict(zip(body.joint_names, body.rest_joints(np.asarray(betas, np.float64)), strict=True))
     for side in _SIDES:
         for name, angle in _arm(chains, rest, side).items():
-            found.setdefault(name, {})[side] = angle
-    return found
+            angles.setdefault(name, {})[side] = angle
+    return angles
 
 
 class Chains:

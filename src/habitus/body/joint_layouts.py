@@ -105,7 +105,7 @@ def find_layout(parents: tuple[int, ...]) -> JointLayout | None:
     return next((layout for layout in LAYOUTS.values() if layout.parents == parents), None)
 
 
-STANDS_AT = {"left_hand": "left_middle1", "right_hand": "right_middle1"}
+SAME_PLACE = {"left_hand": "left_middle1", "right_hand": "right_middle1"}
 """Joints of a set that stand where a finer skeleton has another."""
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -133,7 +133,7 @@ def fold(joint_names: tuple[str, ...], parents: tuple[int, ...], joints: str, bo
         raise HabitusError(f"joints are {joints!r}; expected one of {', '.join(LAYOUTS)}")
     layout = LAYOUTS[joints]
     places = {name: k for k, name in enumerate(joint_names)}
-    stands = [places.get(name, places.get(STANDS_AT.get(name, ""))) for name in layout.joint_names]
+    stands = [places.get(name, places.get(SAME_PLACE.get(name, ""))) for name in layout.joint_names]
     missing = [
         name for name, place in zip(layout.joint_names, stands, strict=True) if place is None
     ]
@@ -145,8 +145,8 @@ def fold(joint_names: tuple[str, ...], parents: tuple[int, ...], joints: str, bo
     carries: list[int] = []
     for name, parent in zip(joint_names, parents, strict=True):
         carrier = name if name in layout.joint_names else _hand_of_finger(name)
-        found = carrier in layout.joint_names
-        carries.append(layout.joint_names.index(carrier) if found else carries[parent])
+        has_carrier = carrier in layout.joint_names
+        carries.append(layout.joint_names.index(carrier) if has_carrier else carries[parent])
     kept = {places[name]: k for k, name in enumerate(layout.joint_names) if name in places}
     return Fold(layout, tuple(stands), tuple(carries), kept)  # pyright: ignore[reportArgumentType]
 

@@ -91,15 +91,15 @@ def keypoints(
     joints = {name: surface.joints[..., k, :] for k, name in enumerate(joint_names)}
     points = []
     for name in CONVENTIONS[convention]:
-        found = []
+        located = []
         for place in _PLACES.get(name, (name,)):
             if place not in joints and place not in landmarks:
                 raise HabitusError(
                     f"{body} has neither a joint nor a landmark {place!r}, where {convention} has "
                     f"{name}"
                 )
-            found.append(
+            located.append(
                 joints[place] if place in joints else surface.vertices[..., landmarks[place], :]
             )
-        points.append(sum(found[1:], found[0]) / len(found))
+        points.append(sum(located[1:], located[0]) / len(located))
     return namespace(surface.vertices).stack(points, -2)

@@ -148,8 +148,8 @@ def measure(
     closed, ``inseam_m`` where the body knows its mirror image, heights and lengths between
     landmarks where it has these. ``kit`` is `lay_out(body)`, where the caller keeps it.
     """
-    found = measure_many(body, to_numpy(rest_vertices, np.float64)[None], kit)
-    return {name: float(values[0]) for name, values in found.items()}
+    measured = measure_many(body, to_numpy(rest_vertices, np.float64)[None], kit)
+    return {name: float(values[0]) for name, values in measured.items()}
 
 
 def measure_many(
@@ -163,27 +163,27 @@ def measure_many(
     places = _places(body, rest_vertices)
     height = vertices[..., 1]
     sole = height.min(axis=-1)
-    found = {"height_m": np.ptp(height, axis=-1)}
+    measured = {"height_m": np.ptp(height, axis=-1)}
     if kit.closed:
-        found["mass_kg"] = DENSITY * volume(vertices, body.faces)
+        measured["mass_kg"] = DENSITY * volume(vertices, body.faces)
     if len(kit.midline):
-        found["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
-        found["sitting_height_m"] = SEAT * (found["height_m"] - found["inseam_m"])
-    found |= {
+        measured["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
+        measured["sitting_height_m"] = SEAT * (measured["height_m"] - measured["inseam_m"])
+    measured |= {
         n: _sides(lambda p: places[p][:, 1] - sole, places, mark) for n, mark in _HEIGHTS.items()
     }
-    found["arm_span_m"] = np.ptp(vertices[..., 0], axis=-1)
-    found |= {
+    measured["arm_span_m"] = np.ptp(vertices[..., 0], axis=-1)
+    measured |= {
         n: _sides(lambda a, b: _apart(places, a, b), places, *ends)
         for n, ends in _DISTANCES.items()
     }
     arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
-    found["upper_arm_length_m"] = None if arms is None else ACROMION * arms
-    found |= _of_feet(kit, vertices) | _around(kit, vertices)
+    measured["upper_arm_length_m"] = None if arms is None else ACROMION * arms
+    measured |= _of_feet(kit, vertices) | _around(kit, vertices)
     if kit.standing is not None:
         joints = np.stack([places[name] for name in body.joint_names], axis=1)
-        found |= kit.standing.measure(vertices, joints, sole)
-    return {name: values for name, values in found.items() if values is not None}
+        measured |= kit.standing.measure(vertices, joints, sole)
+    return {name: values for name, values in measured.items() if values is not None}
 
 
 def volume(
@@ -240,28 +240,28 @@ def _apart(places: Mapping[str, np.ndarray], a: str, b: str) -> np.ndarray:
 
 def _around(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
     """Circumferences, and the breadths and depths of the same rings."""
-    found = {}
+    girths = {}
     spans = {}
     for tape in kit.tapes:
-        found[f"{tape.name}_circumference_m"] = np.mean(
+        girths[f"{tape.name}_circumference_m"] = np.mean(
             [ring.length(vertices) for ring in tape.rings], axis=0
         )
         for span, rings in tape.spans:
             spans[span.name] = np.mean(
                 [ring.extent(vertices, np.array(span.direction)) for ring in rings], axis=0
             )
-    return spans | found
+    return spans | girths
 
 
 def _of_feet(kit: MeasuringKit, vertices: np.ndarray) -> dict[str, np.ndarray]:
     """Extents along and across each foot's long axis, which is level."""
-    found: dict[str, list[np.ndarray]] = {"foot_length_m": [], "foot_breadth_m": []}
+    sizes: dict[str, list[np.ndarray]] = {"foot_length_m": [], "foot_breadth_m": []}
     for foot, ball, axis in kit.feet:
         if len(foot) and ball.any():
-            found["foot_length_m"].append(np.ptp(vertices[:, foot] @ axis, axis=-1))
+            sizes["foot_length_m"].append(np.ptp(vertices[:, foot] @ axis, axis=-1))
             across = np.cross(np.array([0.0, 1.0, 0.0]), axis)
-            found["foot_breadth_m"].append(np.ptp(vertices[:, foot[ball]] @ across, axis=-1))
-    return {name: np.mean(sides, axis=0) for name, sides in found.items() if sides}
+            sizes["foot_breadth_m"].append(np.ptp(vertices[:, foot[ball]] @ across, axis=-1))
+    return {name: np.mean(sides, axis=0) for name, sides in sizes.items() if sides}
 
 
 def _foot(
@@ -282,8 +282,8 @@ def _foot(
 
 def _carried(body: MeasurableBody, names: list[str]) -> np.ndarray:
     """Which vertices are carried mostly by joints of these names."""
-    wanted = [k for k, name in enumerate(body.joint_names) if name in names]
-    return body.skinning_weights[:, wanted].sum(1) > 0.5
+    chosen = [k for k, name in enumerate(body.joint_names) if name in names]
+    return body.skinning_weights[:, chosen].sum(1) > 0.5
 
 
 def is_closed(faces: Int[np.ndarray, "T 3"]) -> bool:

@@ -62,8 +62,8 @@ class BodyModel(BodyArrays, Measured):
         """The body of the full level of detail; None where there is none, or where this is no
         longer the same body.
         """
-        found = None if self.finer is None else self.finer()
-        return found if found is not None and in_step(self, found, self.full_vertices) else None
+        finer = None if self.finer is None else self.finer()
+        return finer if finer is not None and in_step(self, finer, self.full_vertices) else None
 
     def with_betas(self, count: int) -> "BodyModel":
         """The same body with its first ``count`` shape directions only (they are sorted by

@@ -66,10 +66,10 @@ class Moving:
             if isinstance(frames, Sequence)
             else frames
         ]
-        found = np.concatenate(
+        posed = np.concatenate(
             [getattr(part, what) for part in self.surfaces(np.atleast_1d(rows), vertices)]
         )
-        return found[0] if np.ndim(rows) == 0 else found
+        return posed[0] if np.ndim(rows) == 0 else posed
 
     @property
     def finest_body(self) -> BodyModel:

@@ -249,21 +249,21 @@ def of_joints(
     posedirs: Float[np.ndarray, "N 3 F"],
     per_joint: int,
     drivers: tuple[int, ...],
-    wanted: tuple[int, ...],
+    chosen: tuple[int, ...],
     shape_features: int = 0,
 ) -> Float[np.ndarray, "N 3 G"]:
     """The same pose blend shapes for other driving joints: zeros for joints that had none, left out
     for others' own.
     """
-    if drivers == wanted:
+    if drivers == chosen:
         return posedirs
     blocks = posedirs.reshape(*posedirs.shape[:2], 1 + shape_features, len(drivers), per_joint)
-    found = np.zeros((*blocks.shape[:3], len(wanted), per_joint), posedirs.dtype)
-    both = [(wanted.index(joint), k) for k, joint in enumerate(drivers) if joint in wanted]
+    columns = np.zeros((*blocks.shape[:3], len(chosen), per_joint), posedirs.dtype)
+    both = [(chosen.index(joint), k) for k, joint in enumerate(drivers) if joint in chosen]
     if both:
         there, here = map(list, zip(*both, strict=True))
-        found[..., there, :] = blocks[..., here, :]
-    return found.reshape(*posedirs.shape[:2], -1)
+        columns[..., there, :] = blocks[..., here, :]
+    return columns.reshape(*posedirs.shape[:2], -1)
 
 
 ENTRIES = 9

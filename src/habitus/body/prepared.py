@@ -274,7 +274,7 @@ def posed_surface(
     vertices = posed_vertices(base, together, bases, motions, places, index, value, skinning, local)
     posed += places[:, None]
     return tuple(
-        _in_kind(found.reshape(*batch, found.shape[1], 3), kind) for found in (vertices, posed)
+        _in_kind(points.reshape(*batch, points.shape[1], 3), kind) for points in (vertices, posed)
     )  # pyright: ignore
 
 

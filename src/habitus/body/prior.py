@@ -31,12 +31,12 @@ class PosePrior:
         """The prior of a body with ``joint_names`` (root first, left out of it); unknown joints
         independent at rest.
         """
-        wanted = tuple(joint_names[1:])
-        mean = np.zeros(3 * len(wanted))
-        covariance = np.eye(3 * len(wanted)) * UNKNOWN_JOINT_SD**2
+        joints = tuple(joint_names[1:])
+        mean = np.zeros(3 * len(joints))
+        covariance = np.eye(3 * len(joints)) * UNKNOWN_JOINT_SD**2
         known = [
             (k, self.joint_names.index(name))
-            for k, name in enumerate(wanted)
+            for k, name in enumerate(joints)
             if name in self.joint_names
         ]
         if known:
@@ -46,7 +46,7 @@ class PosePrior:
             )
             mean[here] = self.mean[there]
             covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
-        return PosePrior(wanted, mean, covariance)
+        return PosePrior(joints, mean, covariance)
 
     @property
     def precision(self) -> Float[np.ndarray, "n n"]:

@@ -43,7 +43,7 @@ def turned_by(body: BodyArrays, vertices: Float[np.ndarray, "V 3"]) -> float:
     body at rest.
     """
     joints = body.joint_regressor @ vertices
-    found = 0.0
+    largest = 0.0
     for child, parent in enumerate(body.parents):
         name = body.joint_names[child]
         if parent < 0 or not name.endswith(
@@ -53,8 +53,8 @@ def turned_by(body: BodyArrays, vertices: Float[np.ndarray, "V 3"]) -> float:
         a = joints[child] - joints[parent]
         b = body.joint_template[child] - body.joint_template[parent]
         cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
-        found = max(found, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    return found
+        largest = max(largest, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return largest
 
 
 TURNED = np.deg2rad(30.0)

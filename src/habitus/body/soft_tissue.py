@@ -49,10 +49,12 @@ def simulate_soft_tissue(
     controls = resampled(
         controls_of(body, dynamics, shape, poses, places, rate), rate, regressor.rate_hz
     )
-    found = free_run(history, np.clip(controls, -regressor.limits, regressor.limits) @ drive.T)
-    if len(found) != len(poses) or rate != regressor.rate_hz:
-        found = at_frames(found, np.arange(len(poses)) * (regressor.rate_hz / rate))
-    return kind.array(strength * found)
+    coefficients = free_run(
+        history, np.clip(controls, -regressor.limits, regressor.limits) @ drive.T
+    )
+    if len(coefficients) != len(poses) or rate != regressor.rate_hz:
+        coefficients = at_frames(coefficients, np.arange(len(poses)) * (regressor.rate_hz / rate))
+    return kind.array(strength * coefficients)
 
 
 def controls_of(
@@ -94,10 +96,10 @@ def _check(
         "pose": (pose.shape, (len(pose), body.num_joints, 3)),
         "trans": (trans.shape, (len(pose), 3)),
     }
-    for name, (found, expected) in shapes.items():
-        if found != expected:
+    for name, (shape, expected) in shapes.items():
+        if shape != expected:
             raise HabitusError(
-                f"{name} has shape {found}; expected {expected} for {body.name}: frames of one "
+                f"{name} has shape {shape}; expected {expected} for {body.name}: frames of one "
                 "person"
             )
     if not (np.isfinite(pose).all() and np.isfinite(trans).all() and np.isfinite(betas).all()):
@@ -132,12 +134,12 @@ def exaggerated(motion: BodyMotion, factor: float) -> BodyMotion:
             f"{motion.capture_name}: holds no soft tissue to exaggerate; fit with it (leave out "
             "--soft-tissue none)"
         )
-    said = f"soft tissue {factor:g} times as far from its mean as it was found (exaggerated)"
+    note = f"soft tissue {factor:g} times as far from its mean as it was found (exaggerated)"
     return replace(
         motion,
         soft_tissue=_scaled(motion.soft_tissue, factor),
         dynamics=_scaled(motion.dynamics, factor),
-        made=(*motion.made, said),
+        made=(*motion.made, note),
     )
 
 

@@ -257,8 +257,8 @@ def _plane(
         start, end, share = tape.otherwise
         tape = replace(tape, start=start, end=end, share=share)
     named = [end for end in tape.across or () if isinstance(end, str)]
-    wanted = [tape.start, tape.end, *named]
-    names = [name.replace("left_", side) if side else name for name in wanted]
+    landmarks = [tape.start, tape.end, *named]
+    names = [name.replace("left_", side) if side else name for name in landmarks]
     if not set(names) <= places.keys():
         return None
     start, end, *way = (places[name] for name in names)
@@ -304,22 +304,22 @@ class Standing:
         """Shoulders, chest and hips (m) of rest surfaces whose soles are at ``sole`` (N,)."""
         posed = self.prepared.carried(vertices[:, self.vertices], joints, self.pose)
         at = {name: posed[:, k] for name, k in self.marks.items()}
-        found = {}
+        lengths = {}
         if len(at) == len(_MARKS):
-            found["shoulder_height_m"] = (
+            lengths["shoulder_height_m"] = (
                 0.5 * (at["left_acromion"] + at["right_acromion"])[:, 1] - sole
             )
-            found["biacromial_breadth_m"] = np.linalg.norm(
+            lengths["biacromial_breadth_m"] = np.linalg.norm(
                 at["left_acromion"] - at["right_acromion"], axis=-1
             )
         for name, ring in self.tapes.items():
-            found[f"{name}_circumference_m"] = ring.length(posed)
-            found[f"{name}_breadth_m"] = ring.extent(posed, np.array([1.0, 0.0, 0.0]))
-            found[f"{name}_depth_m"] = ring.extent(posed, np.array([0.0, 0.0, 1.0]))
+            lengths[f"{name}_circumference_m"] = ring.length(posed)
+            lengths[f"{name}_breadth_m"] = ring.extent(posed, np.array([1.0, 0.0, 0.0]))
+            lengths[f"{name}_depth_m"] = ring.extent(posed, np.array([0.0, 0.0, 1.0]))
         for name, part in (("shoulder_breadth_m", self.shoulders), ("hip_breadth_m", self.hips)):
             if part.stop > part.start:
-                found[name] = np.ptp(posed[:, part, 0], axis=-1)
-        return found
+                lengths[name] = np.ptp(posed[:, part, 0], axis=-1)
+        return lengths
 
 
 def stand(
@@ -400,13 +400,13 @@ def _shoulders(
     template: np.ndarray, places: Mapping[str, np.ndarray], upper_arms: np.ndarray
 ) -> np.ndarray:
     """Vertices of both deltoids."""
-    found = np.zeros(len(template), bool)
+    on_shoulders = np.zeros(len(template), bool)
     for side in ("left_", "right_"):
         start = places[f"{side}shoulder"]
         end = places[f"{side}elbow"]
         beyond = (template - start) @ (end - start) > 0
-        found |= upper_arms & beyond & (np.linalg.norm(template - start, axis=1) < _SHOULDER)
-    return np.flatnonzero(found)
+        on_shoulders |= upper_arms & beyond & (np.linalg.norm(template - start, axis=1) < _SHOULDER)
+    return np.flatnonzero(on_shoulders)
 
 
 def _hips(template: np.ndarray, places: Mapping[str, np.ndarray], arms: np.ndarray) -> np.ndarray:

@@ -88,16 +88,16 @@ def run(options: Body, console: "Console | None" = None) -> None:
 
 
 def _also(pairs: tuple[str, ...]) -> dict[str, float]:
-    found = {}
+    values = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
         if name in ("sex", "age", "body", "settings"):
             raise HabitusError(f"--also {pair}: {name!r} is no measurement")
         try:
-            found[name] = float(value)
+            values[name] = float(value)
         except ValueError:
             raise HabitusError(f"--also {pair}: expected NAME=VALUE, such as neck=0.38") from None
-    return found
+    return values
 
 
 def left(options: Body) -> str:

@@ -55,7 +55,7 @@ def run(options: Compare, console: "Console | None" = None) -> None:
     from habitus.jobs.comparing import compare
 
     console = console or screen()
-    found = compare(
+    comparison = compare(
         options.a,
         options.b,
         out=options.out,
@@ -64,17 +64,17 @@ def run(options: Compare, console: "Console | None" = None) -> None:
         offset=options.offset,
         align=options.align,
     )
-    for letter, name in zip("AB", found.names, strict=True):
+    for letter, name in zip("AB", comparison.names, strict=True):
         say(console, f"{letter}: {name}")
-    for note in found.notes:
+    for note in comparison.notes:
         say(console, note, "note")
     table = Table(box=None, pad_edge=False)
     for heading in ("", "mean", "95 % below", "most"):
         table.add_column(heading, justify="right" if heading else "left", no_wrap=True)
-    for row in found.rows():
+    for row in comparison.rows():
         table.add_row(*row)
     console.print(table)
-    for moment in found.numbers["worst_moments"][:3]:
+    for moment in comparison.numbers["worst_moments"][:3]:
         joint = plain(moment["worst_joint"]).replace("_", " ")
         say(
             console,

@@ -69,7 +69,7 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
         return
     with compilation_notice(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
-        found = evaluate(
+        evaluation = evaluate(
             models,
             dataset,
             options.out,
@@ -77,7 +77,7 @@ def run(options: Evaluate, console: "Console | None" = None) -> None:
             workers=options.shared_by,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    console.print(summary(found))
+    console.print(summary(evaluation))
     say(console, f"results are in {options.out}")
 
 
@@ -86,7 +86,7 @@ def _run_known(options: Evaluate, console: "Console", models: list[str], dataset
 
     with compilation_notice(options.quiet), progress_bar(console, _SPEED_OVER) as bar:
         task = bar.add_task("read", total=1.0)
-        found = evaluate_known(
+        evaluation = evaluate_known(
             models,
             dataset,
             options.out,
@@ -94,20 +94,21 @@ def _run_known(options: Evaluate, console: "Console", models: list[str], dataset
             workers=options.shared_by,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    console.print(known_table(found))
+    console.print(known_table(evaluation))
     say(console, f"results are in {options.out}")
 
 
-def known_table(found: "KnownEvaluation") -> "Table":
+def known_table(evaluation: "KnownEvaluation") -> "Table":
     """A row a model and group of people: errors, and how much of plain LBS's is gone."""
     from rich.table import Table
 
     table = Table(
-        title=f"vertex error in known poses and shapes, mm, {found.registrations} registrations"
+        title="vertex error in known poses and shapes, mm, "
+        f"{evaluation.registrations} registrations"
     )
     for heading in ("model", "people", "mean", "rms", "p95", "less than plain LBS"):
         table.add_column(heading, justify="left" if heading in ("model", "people") else "right")
-    for name, groups in found.models.items():
+    for name, groups in evaluation.models.items():
         for who, numbers in groups.items():
             cells = [f"{1e3 * numbers[key]:.2f}" for key in ("mean", "rms", "p95")]
             table.add_row(plain(name), who, *cells, f"{100 * numbers['removed']:.0f} %")
@@ -119,28 +120,28 @@ def left(options: Evaluate) -> str:
     return f"nothing was written to {options.out}"
 
 
-def summary(found: "Evaluation") -> "Table":
+def summary(evaluation: "Evaluation") -> "Table":
     """One row a model: mean errors with as many shape coefficients as all have."""
     from rich.table import Table
 
-    lead = "" if found.shown is None else f", {found.shown} shape coefficients"
+    lead = "" if evaluation.shown is None else f", {evaluation.shown} shape coefficients"
     table = Table(title=f"mean absolute vertex error, mm{lead}")
-    kinds = ["noisy", "noise-free"] if found.clean is not None else [""]
+    kinds = ["noisy", "noise-free"] if evaluation.clean is not None else [""]
     for heading in (
         "model",
         *(f"{what} {kind}".strip() for what in ("model gen.", "pose gen.") for kind in kinds),
     ):
         table.add_column(heading, justify="left" if heading == "model" else "right")
-    for entry in found.models:
-        cells = [text for curve in (entry.shape, entry.pose) for text in _errors(found, curve)]
+    for entry in evaluation.models:
+        cells = [text for curve in (entry.shape, entry.pose) for text in _errors(evaluation, curve)]
         table.add_row(plain(entry.name), *cells)
     return table
 
 
-def _errors(found: "Evaluation", curve: "Generalisation | None") -> list[str]:
-    columns = 2 if found.clean is not None else 1
+def _errors(evaluation: "Evaluation", curve: "Generalisation | None") -> list[str]:
+    columns = 2 if evaluation.clean is not None else 1
     if curve is None:
         return ["–"] * columns
-    k = -1 if found.shown is None else curve.counts.index(found.shown)
+    k = -1 if evaluation.shown is None else curve.counts.index(evaluation.shown)
     means = [curve.means] if curve.clean_means is None else [curve.means, curve.clean_means]
     return [f"{1e3 * each[k]:.2f}" for each in means]

@@ -44,13 +44,13 @@ def run(options: Exaggerate, console: "Console | None" = None) -> None:
     from habitus.jobs.motions import exaggerate
 
     console = console or screen()
-    found = exaggerate(options.source, options.factor, body=options.body, out=options.out)
+    exaggerated = exaggerate(options.source, options.factor, body=options.body, out=options.out)
     if options.factor > USUAL:
         say(console, f"above {USUAL:g} bodies often look unnatural", "note")
-    moved = 1e3 * skin_motion(found)
+    moved = 1e3 * skin_motion(exaggerated)
     say(
         console,
-        f"{found.num_frames} frames; soft tissue moves the skin by {moved:.1f} mm (RMS), "
+        f"{exaggerated.num_frames} frames; soft tissue moves the skin by {moved:.1f} mm (RMS), "
         f"{plain(options.out)}",
     )
 

@@ -60,7 +60,7 @@ def run(options: Export, console: "Console | None" = None) -> None:
     from habitus.jobs.exporting import export_file
 
     console = console or screen()
-    found = export_file(
+    exported = export_file(
         options.source,
         options.out,
         body=options.body,
@@ -70,23 +70,33 @@ def run(options: Export, console: "Console | None" = None) -> None:
         frame=options.frame,
         npz_style=options.npz_style,
     )
-    if found.morphs or found.worst:
-        worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "less than 0.01 mm"
-        other = f", up to {1e3 * found.elsewhere:.2g} mm in other poses" if found.elsewhere else ""
+    if exported.morphs or exported.worst:
+        worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"
+        other = (
+            f", up to {1e3 * exported.elsewhere:.2g} mm in other poses"
+            if exported.elsewhere
+            else ""
+        )
         say(
             console,
-            f"{found.morphs} blend shapes; what they leave out: {worst} at the worst vertex{other}",
+            f"{exported.morphs} blend shapes; what they leave out: {worst} at the worst vertex"
+            f"{other}",
             "note",
         )
-    if found.drivers is not None:
+    if exported.drivers is not None:
         say(
             console,
-            f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}",
+            "how bones drive them in any pose (for Unity, Maya, Unreal): "
+            f"{plain(exported.drivers)}",
             "note",
         )
-    size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
-    what = "one mesh" if found.frames == 1 else f"{found.frames} frames at {found.rate_hz:g} Hz"
-    say(console, f"{what}{size}: {plain(found.path)}")
+    size = f", {exported.path.stat().st_size / 1e6:.1f} MB" if exported.path.is_file() else ""
+    what = (
+        "one mesh"
+        if exported.frames == 1
+        else f"{exported.frames} frames at {exported.rate_hz:g} Hz"
+    )
+    say(console, f"{what}{size}: {plain(exported.path)}")
 
 
 def left(options: Export) -> str:

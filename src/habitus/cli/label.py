@@ -43,15 +43,15 @@ def run(options: Label, console: "Console | None" = None) -> None:
 
     console = console or screen(options.quiet)
     with compilation_notice(options.quiet):
-        found = label(options.capture, options.out, options=options)
-    for warning in found.source.warnings:
+        labelled = label(options.capture, options.out, options=options)
+    for warning in labelled.source.warnings:
         say(console, warning, "warning:")
     by = (
-        f"like {found.report['like']}"
-        if "like" in found.report
-        else f"layout {found.report['layout']}"
+        f"like {labelled.report['like']}"
+        if "like" in labelled.report
+        else f"layout {labelled.report['layout']}"
     )
-    say(console, f"{found.source.name}, {by}: {found.summary}")
+    say(console, f"{labelled.source.name}, {by}: {labelled.summary}")
     say(console, f"wrote {options.out}")
 
 

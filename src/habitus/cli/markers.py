@@ -64,7 +64,7 @@ def run(options: Markers, console: "Console | None" = None) -> None:
     from habitus.jobs.virtual_markers import virtual_markers
 
     faults = _faults(options)
-    found = virtual_markers(
+    virtual = virtual_markers(
         options.source,
         options.layout,
         faults=faults,
@@ -72,11 +72,11 @@ def run(options: Markers, console: "Console | None" = None) -> None:
         body=options.body,
         out=options.out,
     )
-    frames, markers = found.markers.shape[:2]
-    say(console, found.warnings[0], "note")
+    frames, markers = virtual.markers.shape[:2]
+    say(console, virtual.warnings[0], "note")
     say(
         console,
-        f"{frames} frames of {markers} virtual markers at {found.rate_hz:g} Hz, "
+        f"{frames} frames of {markers} virtual markers at {virtual.rate_hz:g} Hz, "
         f"{plain(options.out)}",
     )
 
@@ -104,10 +104,10 @@ def _fill(options: Markers, console: "Console") -> None:
             "--missing out"
         )
     assert options.fill is not None
-    found = fill_capture(options.source, options.fill, options.out, body=options.body)
-    for line in _unfilled(found):
+    result = fill_capture(options.source, options.fill, options.out, body=options.body)
+    for line in _unfilled(result):
         say(console, line, "note")
-    filled = int(found.filling.filled.sum())
+    filled = int(result.filling.filled.sum())
     say(
         console,
         f"{filled} samples filled, {plain(options.out)}; every gap is in "
@@ -115,9 +115,9 @@ def _fill(options: Markers, console: "Console") -> None:
     )
 
 
-def _unfilled(found: "FilledCapture") -> list[str]:
+def _unfilled(filled: "FilledCapture") -> list[str]:
     """What was not filled, a line a marker and reason."""
-    gaps = found.filling.gaps
+    gaps = filled.filling.gaps
     counts = Counter((gap.label, gap.why) for gap in gaps if gap.why)
     whole = Counter(gap.label for gap in gaps)
     return [

@@ -46,23 +46,23 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     from habitus.jobs.measuring import measure_file
 
     console = console or screen()
-    found = measure_file(options.source, options.body)
+    measured = measure_file(options.source, options.body)
     table = Table(box=None, pad_edge=False)
     for heading in ("measurement", "value", "what", "ISO"):
         table.add_column(
             heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what"
         )
-    for name, value in found.values.items():
-        said = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
-        table.add_row(name, said, DEFINITIONS[name].says, DEFINITIONS[name].iso)
+    for name, value in measured.values.items():
+        text = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
+        table.add_row(name, text, DEFINITIONS[name].says, DEFINITIONS[name].iso)
     console.print(table)
-    for note in found.notes:
+    for note in measured.notes:
         say(console, note, "note")
     if options.out is not None:
-        found.save(options.out)
+        measured.save(options.out)
         say(console, f"wrote {plain(options.out)}")
     if options.picture is not None:
-        found.draw(options.picture)
+        measured.draw(options.picture)
         say(console, f"drew {plain(options.picture)}")
 
 

@@ -46,20 +46,20 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
     from habitus.jobs.motions import retarget
 
     console = console or screen()
-    found = retarget(options.source, options.target, body=options.body, out=options.out)
-    slip, below = ([1e3 * value for value in each] for each in (found.slip, found.below))
-    say(console, f"legs are {found.scale:.2f} times as long, and so is the way", "note")
-    if found.standing:
+    retargeted = retarget(options.source, options.target, body=options.body, out=options.out)
+    slip, below = ([1e3 * value for value in each] for each in (retargeted.slip, retargeted.below))
+    say(console, f"legs are {retargeted.scale:.2f} times as long, and so is the way", "note")
+    if retargeted.standing:
         say(
             console,
-            f"feet stand for {found.standing:.1f} s and move there by {slip[2]:.0f} mm/s "
+            f"feet stand for {retargeted.standing:.1f} s and move there by {slip[2]:.0f} mm/s "
             f"(source {slip[0]:.0f}, without keeping them {slip[1]:.0f})",
             "note",
         )
     say(console, f"lowest point {below[2]:.0f} mm from the ground (source {below[0]:.0f})", "note")
     say(
         console,
-        f"{found.motion.num_frames} frames of {plain(found.motion.body_name)}, "
+        f"{retargeted.motion.num_frames} frames of {plain(retargeted.motion.body_name)}, "
         f"{plain(options.out)}",
     )
 

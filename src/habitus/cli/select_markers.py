@@ -46,17 +46,21 @@ def run(options: SelectMarkers, console: "Console | None" = None) -> None:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
-        found = select_markers(options=options, out=options.out, progress=progress)
-    for count, error in sorted(found.errors.items()):
-        if count in (found.start, *options.keep) or count % 10 == 0 or count == min(found.errors):
+        selection = select_markers(options=options, out=options.out, progress=progress)
+    for count, error in sorted(selection.errors.items()):
+        if (
+            count in (selection.start, *options.keep)
+            or count % 10 == 0
+            or count == min(selection.errors)
+        ):
             say(
                 console,
                 f"{count:4d} markers: {1e3 * error:6.1f} "
-                f"mm{' (start)' if count == found.start else ''}",
+                f"mm{' (start)' if count == selection.start else ''}",
             )
     say(
         console,
-        f"{len(found.pool.candidates.labels)} candidates, error of the {found.goal}, "
+        f"{len(selection.pool.candidates.labels)} candidates, error of the {selection.goal}, "
         f"{plain(options.out)}",
     )
 

@@ -69,7 +69,7 @@ def run(options: Train, console: "Console | None" = None) -> None:
         def on_step(model: str, record: "Record") -> None:
             say(console, energy_line(model, record))
 
-        found = train(
+        trainings = train(
             options.datasets,
             options.out,
             options=options,
@@ -79,7 +79,7 @@ def run(options: Train, console: "Console | None" = None) -> None:
             on_step=on_step,
             on_warning=on_warning,
         )
-    console.print(summary(found))
+    console.print(summary(trainings))
     say(console, f"results are in {options.out}")
 
 
@@ -103,7 +103,7 @@ def energy_line(model: str, record: "Record") -> str:
     )
 
 
-def summary(found: "list[Training]") -> "Table":
+def summary(trainings: "list[Training]") -> "Table":
     """One row a model."""
     from rich.table import Table
 
@@ -120,7 +120,7 @@ def summary(found: "list[Training]") -> "Table":
         table.add_column(
             heading, justify="left" if heading == "model" else "right", no_wrap=heading == "model"
         )
-    for one in found:
+    for one in trainings:
         for name, trained in {"model": one.trained, **one.baselines}.items():
             first = trained.history[0].energy
             last = trained.history[-1].energy

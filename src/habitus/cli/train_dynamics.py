@@ -53,16 +53,16 @@ def run(options: TrainDynamics, console: "Console | None" = None) -> None:
     console = console or screen(options.quiet)
     with compilation_notice(options.quiet), progress_bar(console) as bar:
         task = bar.add_task("open", total=1.0)
-        found = train_dynamics(
+        training = train_dynamics(
             options.datasets,
             options.out,
             options=options,
             workers=options.workers,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    console.print(learned(found))
-    if found.errors:
-        console.print(errors(found))
+    console.print(learned(training))
+    if training.errors:
+        console.print(errors(training))
     say(console, f"results are in {options.out}")
 
 
@@ -71,11 +71,11 @@ def left(options: TrainDynamics) -> str:
     return f"nothing was written to {options.out}"
 
 
-def learned(found: "DynamicsTraining") -> "Table":
+def learned(training: "DynamicsTraining") -> "Table":
     """One row a component, and how the mean person's flesh swings."""
     from rich.table import Table
 
-    numbers = found.numbers()
+    numbers = training.numbers()
     chosen = numbers["chosen"]
     table = Table(
         title=f"dynamics from {numbers['frames']:,} frames at {numbers['rate_hz']:g} Hz; running "
@@ -100,7 +100,7 @@ def learned(found: "DynamicsTraining") -> "Table":
     return table
 
 
-def errors(found: "DynamicsTraining") -> "Table":
+def errors(training: "DynamicsTraining") -> "Table":
     """One row a sequence that was kept out."""
     from rich.table import Table
 
@@ -110,7 +110,7 @@ def errors(found: "DynamicsTraining") -> "Table":
     )
     for heading in ("sequence", "place, mm", "velocity, mm/s", "acceleration, m/s²"):
         table.add_column(heading, justify="left" if heading == "sequence" else "right")
-    for one in found.errors:
+    for one in training.errors:
         cells = [" · ".join(f"{value:.1f}" for value in column) for column in one.errors.T]
         table.add_row(plain(one.name), *cells)
     return table

@@ -91,8 +91,8 @@ def model_generalisation(
     used = _counts(model, counts)
     _check(registrations, clean)
     shared = _Shared(model, registrations, clean, used)
-    found = list(workers.map(_free_shape, shared, range(len(registrations))))
-    return _gathered("model", model, used, registrations, np.arange(len(registrations)), found)
+    fits = list(workers.map(_free_shape, shared, range(len(registrations))))
+    return _gathered("model", model, used, registrations, np.arange(len(registrations)), fits)
 
 
 def pose_generalisation(
@@ -131,8 +131,8 @@ def pose_generalisation(
         )
     sources = tuple(first[subject] for subject in registrations.subject)
     shared = _Shared(model, registrations, clean, fitted.counts, fitted, sources)
-    found = list(workers.map(_fixed_shape, shared, others))
-    return _gathered("pose", model, fitted.counts, registrations, np.array(others), found)
+    fits = list(workers.map(_fixed_shape, shared, others))
+    return _gathered("pose", model, fitted.counts, registrations, np.array(others), fits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,14 +222,14 @@ def _gathered(
     counts: tuple[int, ...],
     given: Registrations,
     rows: Int[np.ndarray, " N"],
-    found: Sequence[_Fits],
+    fits: Sequence[_Fits],
 ) -> Generalisation:
     registrations = given.take(rows)
     largest = counts[-1]
-    cleans = [each.clean for each in found if each.clean is not None]
-    weights = np.stack([each.weight for each in found])
+    cleans = [each.clean for each in fits if each.clean is not None]
+    weights = np.stack([each.weight for each in fits])
     betas = [
-        [np.pad(fit.betas, (0, largest - len(fit.betas))) for fit in each.fits] for each in found
+        [np.pad(fit.betas, (0, largest - len(fit.betas))) for fit in each.fits] for each in fits
     ]
     return Generalisation(
         measure=measure,
@@ -237,13 +237,13 @@ def _gathered(
         counts=counts,
         registrations=registrations.name,
         subjects=registrations.subject,
-        errors=_over_vertices([each.distances for each in found], weights),
-        per_vertex=_over_registrations([each.distances for each in found], weights),
-        seconds=np.array([each.seconds for each in found]).T,
+        errors=_over_vertices([each.distances for each in fits], weights),
+        per_vertex=_over_registrations([each.distances for each in fits], weights),
+        seconds=np.array([each.seconds for each in fits]).T,
         rows=rows,
         betas=np.swapaxes(np.array(betas), 0, 1),
-        pose=np.stack([[fit.pose for fit in each.fits] for each in found], 1),
-        trans=np.stack([[fit.trans for fit in each.fits] for each in found], 1),
+        pose=np.stack([[fit.pose for fit in each.fits] for each in fits], 1),
+        trans=np.stack([[fit.trans for fit in each.fits] for each in fits], 1),
         clean_errors=_over_vertices(cleans, weights) if cleans else None,
         clean_per_vertex=_over_registrations(cleans, weights) if cleans else None,
     )

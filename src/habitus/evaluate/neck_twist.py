@@ -67,13 +67,13 @@ def twist_joints(joint_names: Sequence[str], parents: Sequence[int]) -> tuple[in
     without either.
     """
     words = [name.lower() for name in joint_names]
-    for wanted in ("neck", "head"):
-        found = [k for k, word in enumerate(words) if wanted in word and parents[k] >= 0]
-        if found:
+    for part in ("neck", "head"):
+        joints = [k for k, word in enumerate(words) if part in word and parents[k] >= 0]
+        if joints:
             heads = [
-                k for k, word in enumerate(words) if "head" in word and parents[k] == found[-1]
+                k for k, word in enumerate(words) if "head" in word and parents[k] == joints[-1]
             ]
-            return (*found, *heads[:1])
+            return (*joints, *heads[:1])
     return ()
 
 
@@ -190,10 +190,10 @@ def _shares(body: BodyModel, joints: tuple[int, ...]) -> Float[np.ndarray, "V j"
 
 
 def _joints(body: BodyModel) -> tuple[int, ...]:
-    found = twist_joints(body.joint_names, body.parents)
-    if not found:
+    joints = twist_joints(body.joint_names, body.parents)
+    if not joints:
         raise HabitusError(
             f"{body.name} has no joint called neck or head; its joints: "
             f"{', '.join(body.joint_names)}"
         )
-    return found
+    return joints

@@ -148,9 +148,13 @@ class PosableBody(FittedToSurfaces):
         count = len(betas) if by_betas else 0
         for first in range(0, self.body.num_vertices, BLOCK):
             ids = np.arange(first, min(first + BLOCK, self.body.num_vertices))
-            found = surface_jacobian(self.body, betas, pose, vertices=ids)
-            parts = [found.vertices_betas[..., :count], flatten(found.vertices_pose, -2)]
-            yield slice(first, first + len(ids)), found.surface.vertices, np.concatenate(parts, -1)
+            jacobian = surface_jacobian(self.body, betas, pose, vertices=ids)
+            parts = [jacobian.vertices_betas[..., :count], flatten(jacobian.vertices_pose, -2)]
+            yield (
+                slice(first, first + len(ids)),
+                jacobian.surface.vertices,
+                np.concatenate(parts, -1),
+            )
 
     def forward(self, num_betas: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         """The function (betas, pose) -> vertices with that many coefficients; with 0 the mean shape

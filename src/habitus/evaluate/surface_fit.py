@@ -167,13 +167,13 @@ def start_pose(
     covariance = (w.T @ products).reshape(-1, 3, 3) - means[0][:, :, None] * means[1][:, None, :]
     u, s, vh = np.linalg.svd(covariance)
     side = np.where(np.linalg.det(u @ vh) < 0.0, -1.0, 1.0)
-    told = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
+    determined = s[:, 1] + side * s[:, 2] > 1e-6 * np.maximum(s[:, 0], 1e-12)
     u[:, :, 2] *= side[:, None]
     world = u @ vh
     local = np.empty((len(w.T), 3, 3))
     for j, parent in enumerate(parents):
         above = world[parent] if parent >= 0 else np.eye(3)
-        world[j] = world[j] if told[j] else above
+        world[j] = world[j] if determined[j] else above
         local[j] = above.T @ world[j]
     return rotvec_from_matrix(local)
 

@@ -220,20 +220,20 @@ def _blocks(
     tissue; dynamics.
     """
     rotations = [motion.rotations for motion in motions]
-    found = _linear(body, rotations, sample) + folds(body, betas, rotations, sample)
+    blocks = _linear(body, rotations, sample) + folds(body, betas, rotations, sample)
     everyone = np.arange(len(body.v_template))
     if any(motion.soft is not None for motion in motions):
         soft = _or_still(motions, "soft", body.num_betas)
         shapes, weights = softened(body, rotations, soft)
-        found.append(Block("soft_tissue", everyone, shapes, weights))
+        blocks.append(Block("soft_tissue", everyone, shapes, weights))
     if any(motion.dynamics is not None for motion in motions):
         directions = dynamics_of(body).directions
-        found.append(
+        blocks.append(
             Block(
                 "dynamics", everyone, directions, _or_still(motions, "dynamics", body.num_dynamics)
             )
         )
-    return found
+    return blocks
 
 
 def _linear(
@@ -248,7 +248,7 @@ def _linear(
     joints = len(body.drivers)
     posedirs = directions[..., : 9 * joints]  # hinges apart
     any_moved = np.any(posedirs, axis=1).reshape(-1, joints, 9).any(axis=2)
-    found = []
+    blocks = []
     for k, joint in enumerate(body.drivers):
         shapes = posedirs[..., 9 * k : 9 * k + 9]
         moved = np.flatnonzero(any_moved[:, k])
@@ -256,15 +256,15 @@ def _linear(
         usual = None if sample is None else features(sample, joint)
         driven = Drivers.linear(np.eye(9))
         name = body.joint_names[joint]
-        found.append(Block(name, moved, shapes[moved], terms, ENTRIES, driven, usual))
-    return found
+        blocks.append(Block(name, moved, shapes[moved], terms, ENTRIES, driven, usual))
+    return blocks
 
 
 def _or_still(motions: list[_Motion], name: str, count: int) -> tuple[np.ndarray, ...]:
-    found = (getattr(motion, name) for motion in motions)
+    arrays = (getattr(motion, name) for motion in motions)
     return tuple(
         np.zeros((len(m.trans), count)) if values is None else np.asarray(values, np.float64)
-        for m, values in zip(motions, found, strict=True)
+        for m, values in zip(motions, arrays, strict=True)
     )
 
 

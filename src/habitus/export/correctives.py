@@ -155,16 +155,16 @@ def check_correctives(text: str) -> tuple[str, int]:
     )
 
 
-def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wanted: str) -> Morphs:
+def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], mode: str) -> Morphs:
     """The morphs that a file is given for motions of so many ``frames``.
 
-    wanted: "none"; "all", each of the blend shapes that joints drive as it is; "auto", the fewest
+    mode: "none"; "all", each of the blend shapes that joints drive as it is; "auto", the fewest
     directions that leave no vertex further away than `WORST`, each of what one joint drives;
     "live:96", so many directions of what joints drive, those that poses of people need most, the
     same for every motion of the body; "pca:16", so many principal directions of all together. Soft
     tissue comes in principal directions. Folds come as they are, beside the 96 of "live:96".
     """
-    kind, count = check_correctives(wanted)
+    kind, count = check_correctives(mode)
     blocks = [block for block in blocks if block.shapes.any()]
     if not blocks:
         return Morphs(
@@ -184,7 +184,7 @@ def morphs_of(blocks: Sequence[Block], vertices: int, frames: Sequence[int], wan
     return _fewest(together, 0.0 if kind == "all" else WORST)
 
 
-def principal(blocks: Sequence[Block], vertices: int, most: int, tolerance: float) -> Morphs:
+def principal(blocks: Sequence[Block], vertices: int, max_count: int, tolerance: float) -> Morphs:
     """Principal directions of all blocks together: the fewest whose RMS residual is below
     ``tolerance`` (m), or `most`.
 
@@ -203,14 +203,14 @@ def principal(blocks: Sequence[Block], vertices: int, most: int, tolerance: floa
     left = np.sqrt(
         np.append(np.cumsum(values[::-1])[::-1], 0.0) / (vertices * sum(map(len, terms)))
     )
-    kept = int(min(most, np.argmax(left <= max(tolerance, 1e-9)), len(values)))
-    found = Morphs(
+    kept = int(min(max_count, np.argmax(left <= max(tolerance, 1e-9)), len(values)))
+    morphs = Morphs(
         np.moveaxis(shapes, -1, 0),
         _numbered(name, len(values)),
         tuple(weights),
         Drivers.linear(np.zeros((len(values), 9))),
     )
-    return _kept(found, np.arange(kept), float(left[kept]))
+    return _kept(morphs, np.arange(kept), float(left[kept]))
 
 
 def _family(block: Block) -> str:
@@ -297,8 +297,8 @@ def _most_needed(blocks: Sequence[Block], vertices: int, count: int) -> Morphs:
     left = np.setdiff1d(np.arange(len(order)), rows)
     poses = np.zeros((len(usual[0]) if usual else 0, len(order)))
     poses[:, whole.drivers.live] = np.hstack(usual) if usual else 0.0
-    found = _kept(whole, rows, *_worst(whole, left))
-    return replace(found, elsewhere=_worst(whole, left, poses)[1])
+    kept = _kept(whole, rows, *_worst(whole, left))
+    return replace(kept, elsewhere=_worst(whole, left, poses)[1])
 
 
 def furthest(row: Float[np.ndarray, " 9"]) -> float:
@@ -396,7 +396,7 @@ def folds(
     if body.hinges is None:
         return []
     person = body.hinges.for_person(betas)
-    found = []
+    blocks = []
     for joint in np.unique(person.joint):
         own = np.flatnonzero(person.joint == joint)
         driven = Drivers(person.rows[own], person.bias[own], np.full(len(own), 2.0))
@@ -408,8 +408,8 @@ def folds(
         )
         ends = fold_names(driven.rows, driven.bias)
         name = body.joint_names[joint]
-        found.append(Block(name, moved, shapes[moved], terms, ends, driven, *usual))
-    return found
+        blocks.append(Block(name, moved, shapes[moved], terms, ends, driven, *usual))
+    return blocks
 
 
 def softened(

@@ -52,13 +52,13 @@ def write_mot(fit: "Moving", path: str | os.PathLike[str]) -> tuple[str, ...]:
         "inDegrees=yes",
         "",
     )
-    told = f"Motion of {shown(fit.capture_name)}; units are metres and degrees"
+    note = f"Motion of {shown(fit.capture_name)}; units are metres and degrees"
     line = "\t".join(["%.6f"] * columns.shape[1]) + "\n"
     with (
         atomic_write(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
-        file.write("\n".join([*head, told, "endheader", "\t".join(["time", *table]), ""]))
+        file.write("\n".join([*head, note, "endheader", "\t".join(["time", *table]), ""]))
         file.writelines(line % tuple(row) for row in columns.tolist())
     return tuple(table)
 
@@ -80,26 +80,26 @@ def coordinates(fit: "Moving") -> dict[str, Float[np.ndarray, " T"]]:
     chains = Chains(body, pose)
     world = Rotation.from_matrix(up_rotation(fit.up_axis))
     root = body.joint_names.index("pelvis")
-    found = _ball(
+    angles = _ball(
         ("pelvis_tilt", "pelvis_list", "pelvis_rotation"),
         world * Rotation.from_rotvec(pose[:, root]),
         None,
     )
     place = fit.joints()[:, root] @ up_rotation(fit.up_axis).T
-    found |= dict(zip(("pelvis_tx", "pelvis_ty", "pelvis_tz"), place.T, strict=True))
+    angles |= dict(zip(("pelvis_tx", "pelvis_ty", "pelvis_tz"), place.T, strict=True))
     bent = joint_angles(body, np.asarray(fit.betas, np.float64), pose).get("elbow flexion", {})
     for side, end in (("right", "r"), ("left", "l")):
-        found |= _limbs(chains, side, end)
+        angles |= _limbs(chains, side, end)
         if side in bent:
-            found[f"elbow_flex_{end}"] = bent[side]
+            angles[f"elbow_flex_{end}"] = bent[side]
     back = chains.between("pelvis", "spine3")
     if back is not None:
-        found |= _ball(("lumbar_extension", "lumbar_bending", "lumbar_rotation"), back, 1.0)
-    return found
+        angles |= _ball(("lumbar_extension", "lumbar_bending", "lumbar_rotation"), back, 1.0)
+    return angles
 
 
 def _limbs(chains: Chains, side: str, end: str) -> dict[str, np.ndarray]:
-    found: dict[str, np.ndarray] = {}
+    angles: dict[str, np.ndarray] = {}
     mirrored = 1.0 if side == "right" else -1.0
     for base, joint, names in _BALLS.values():
         turn = chains.between(
@@ -109,12 +109,12 @@ def _limbs(chains: Chains, side: str, end: str) -> dict[str, np.ndarray]:
             continue
         if joint == "shoulder":  # the model's arm hangs where the body's points sideways
             turn = turn * Rotation.from_euler("z", -90.0 * mirrored, degrees=True)
-        found |= _ball(tuple(f"{name}_{end}" for name in names), turn, mirrored)
+        angles |= _ball(tuple(f"{name}_{end}" for name in names), turn, mirrored)
     for name, (base, joint, sign) in _HINGES.items():
         turn = chains.between(f"{side}_{base}", f"{side}_{joint}")
         if turn is not None:
-            found[f"{name}_{end}"] = sign * _split(turn, left=True)[:, 0]
-    return found
+            angles[f"{name}_{end}"] = sign * _split(turn, left=True)[:, 0]
+    return angles
 
 
 def _ball(names: tuple[str, ...], turn: Rotation, mirrored: float | None) -> dict[str, np.ndarray]:

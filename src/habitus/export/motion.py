@@ -29,7 +29,7 @@ from habitus.rotations import up_rotation
 
 
 @dataclass(frozen=True)
-class Wanted:
+class WriteOptions:
     """What a file shall show of a motion: its blend shapes, its level of detail, of a still one
     which frame, and of an npz which style.
     """
@@ -71,8 +71,8 @@ def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
     write_arrays(path, arrays)
 
 
-def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:
-    if wanted.npz_style == "amass":
+def _npz(moving: Moving, path: Path, options: WriteOptions) -> None:
+    if options.npz_style == "amass":
         write_amass(moving, path)
         return
     write_npz(moving, path) if isinstance(moving, MarkerFit) else write_motion(
@@ -80,15 +80,15 @@ def _npz(moving: Moving, path: Path, wanted: Wanted) -> None:
     )
 
 
-def _still(moving: Moving, path: Path, wanted: Wanted) -> None:
+def _still(moving: Moving, path: Path, options: WriteOptions) -> None:
     """One surface, +y up: of a frame, or the person at rest."""
-    body = body_at(moving, wanted.detail)
-    if wanted.frame is None:
+    body = body_at(moving, options.detail)
+    if options.frame is None:
         write_surface(body(moving.betas), path)
         return
-    if not 0 <= wanted.frame < len(moving.pose):
-        raise HabitusError(f"frame is {wanted.frame}; expected 0 to {len(moving.pose) - 1}")
-    surface = next(moving.surfaces([wanted.frame], body=body))
+    if not 0 <= options.frame < len(moving.pose):
+        raise HabitusError(f"frame is {options.frame}; expected 0 to {len(moving.pose) - 1}")
+    surface = next(moving.surfaces([options.frame], body=body))
     turned = surface.vertices[0] @ up_rotation(moving.up_axis).T
     write_surface(replace(surface, vertices=turned, joints=surface.joints[0]), path)
 
@@ -99,7 +99,7 @@ def _meshed(writer: Callable[..., Animation]) -> "_Writer":
     )
 
 
-_Writer = Callable[[Moving, Path, Wanted], object]
+_Writer = Callable[[Moving, Path, WriteOptions], object]
 _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".npz": (_npz, "AMASS's names"),
     ".glb": (_meshed(write_glb), "animated mesh"),
@@ -150,19 +150,19 @@ def export_motion(
         raise HabitusError(f"{target.name}: npz_style is for a name that ends in .npz")
     _check_finite(motion)
     moving = at_rate(motion, fps)
-    found = _WRITERS[target.suffix.lower()][0](
-        moving, target, Wanted(correctives, detail, frame, npz_style)
+    written = _WRITERS[target.suffix.lower()][0](
+        moving, target, WriteOptions(correctives, detail, frame, npz_style)
     )
     frames = 1 if _WRITERS[target.suffix.lower()][0] is _still else len(moving.pose)
     exported = Exported(target, frames, float(moving.rate_hz))
-    if not isinstance(found, Animation):
+    if not isinstance(written, Animation):
         return exported
     return replace(
         exported,
-        morphs=len(found.morphs),
-        worst=found.morph_worst,
-        drivers=write_drivers(found, target),
-        elsewhere=found.morph_elsewhere,
+        morphs=len(written.morphs),
+        worst=written.morph_worst,
+        drivers=write_drivers(written, target),
+        elsewhere=written.morph_elsewhere,
     )
 
 

@@ -109,9 +109,9 @@ class VmcPoses:
         """The datagrams of a frame. state: 1 followed, 0 carried on, -1 nobody, of whom no bones
         are told.
         """
-        told = (1, 3, 0, int(state > 0))  # loaded, calibrated, in normal mode, tracked
+        flags = (1, 3, 0, int(state > 0))  # loaded, calibrated, in normal mode, tracked
         if state < 0:
-            return self._silent.filled([seconds], told)
+            return self._silent.filled([seconds], flags)
         turns = quaternion_from_rotvec(pose[self._bones])
         turns[0] = quaternion_multiply(self._upright, turns[0])
         quaternions = _xyzw(turns) * np.array([1.0, -1.0, -1.0, 1.0])
@@ -119,7 +119,7 @@ class VmcPoses:
         places[0] = _mirrored(self._turn @ (self._rest[self._bones[0]] + trans))
         bones = np.concatenate([places, quaternions], axis=1)
         return self._bundles.filled(
-            np.concatenate([[seconds, 0, 0, 0, 0, 0, 0, 1], bones.ravel()]), told
+            np.concatenate([[seconds, 0, 0, 0, 0, 0, 0, 1], bones.ravel()]), flags
         )
 
 

@@ -16,8 +16,8 @@ def seams_of(body: BodyModel) -> Seams:
     """The body's own vertices and faces, doubled at seams where it has texture coordinates that fit
     its faces.
     """
-    if body.mesh is not None and (found := texture_seams(body.faces, body.mesh)) is not None:
-        return found
+    if body.mesh is not None and (seams := texture_seams(body.faces, body.mesh)) is not None:
+        return seams
     extras = _coordinates(body.extras, len(body.faces))
     return (
         Seams(np.arange(body.num_vertices), body.faces)

@@ -93,18 +93,18 @@ def estimate_body(
         name: float(values[0])
         for name, values in body.measure_people(np.zeros((1, body.num_betas))).items()
     }
-    wanted = _read(measurements, mean, settings.precision)
+    targets = _read(measurements, mean, settings.precision)
     every = list(mean)
-    names = list(wanted)
+    names = list(targets)
     rows = [every.index(name) for name in names]
-    values, noise = np.array([*wanted.values()]).reshape(-1, 2).T
+    values, noise = np.array([*targets.values()]).reshape(-1, 2).T
     betas, status = _likeliest(body, rows, values, noise, settings)
-    found, slopes = _linear(body, betas, settings.difference)
+    measured, slopes = _linear(body, betas, settings.difference)
     energy = float(
-        np.sum((betas - _typical(body)) ** 2) + np.sum(((values - found[rows]) / noise) ** 2)
+        np.sum((betas - _typical(body)) ** 2) + np.sum(((values - measured[rows]) / noise) ** 2)
     )
     if (rare := _as_sd(energy, len(names))) > settings.max_sd:
-        said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in wanted.items())
+        said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in targets.items())
         raise HabitusError(
             f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, "
             "where nobody is; "
@@ -116,7 +116,7 @@ def estimate_body(
         body,
         betas,
         0.5 * (covariance + covariance.T),
-        dict(zip(every, found.tolist(), strict=True)),
+        dict(zip(every, measured.tolist(), strict=True)),
         dict(zip(every, spread.tolist(), strict=True)),
         dict(zip(names, values.tolist(), strict=True)),
         rare,
@@ -129,10 +129,10 @@ def _read(
     measurements: Mapping[str, Given], mean: Mapping[str, float], precision: float
 ) -> dict[str, tuple[float, float]]:
     """Each measurement's full name, value and standard deviation."""
-    found: dict[str, tuple[float, float]] = {}
-    for said, given in measurements.items():
-        name = find_measurement(said, mean)
-        if name in found:
+    targets: dict[str, tuple[float, float]] = {}
+    for spelling, given in measurements.items():
+        name = find_measurement(spelling, mean)
+        if name in targets:
             raise HabitusError(f"{name} is given twice; give it once")
         pair = np.array(
             given if isinstance(given, tuple) else (given, np.nan), dtype=np.float64
@@ -141,15 +141,15 @@ def _read(
         sd = precision * value if np.isnan(sd) else sd
         if not (np.isfinite(value) and value > 0 and sd > 0):
             raise HabitusError(
-                f"{said} is {given!r}; expected a number above 0, or such a number and its sd"
+                f"{spelling} is {given!r}; expected a number above 0, or such a number and its sd"
             )
         if not 0.1 < value / mean[name] < 10:
             unit = "kilograms" if name.endswith("_kg") else "metres"
             raise HabitusError(
-                f"{said} is {value:g}; people have about {mean[name]:.3g}: give {unit}"
+                f"{spelling} is {value:g}; people have about {mean[name]:.3g}: give {unit}"
             )
-        found[name] = float(value), float(sd)
-    return found
+        targets[name] = float(value), float(sd)
+    return targets
 
 
 def _likeliest(
@@ -167,7 +167,7 @@ def _likeliest(
     def too_far(iteration: int, now: dict[str, np.ndarray], cost: float) -> bool:
         return bool(np.linalg.norm(now["betas"]) > 3 * settings.max_sd)
 
-    found = minimize(
+    solution = minimize(
         measurement_terms(body, rows, values, noise, settings.difference),
         {"betas": mean},
         "dogleg",
@@ -176,7 +176,7 @@ def _likeliest(
         tolerances=Tolerances(step=settings.tolerance),
         callback=too_far,
     )
-    return found.values["betas"], found.status
+    return solution.values["betas"], solution.status
 
 
 def measurement_terms(

@@ -117,14 +117,14 @@ def seen(
     where the fit found those of the other side, mirrored to this one; zeros where there is none.
     """
     keys = label_keys(whole)
-    found = []
+    samples = []
     twins = np.zeros_like(offsets) if twins is None else twins
     for marker, offset, twin in zip(layout.markers, offsets, twins, strict=True):
         name = next((label for label in (*marker.aliases[:1], marker.label) if label in keys), None)
         if marker.landmarks and name is not None and np.isfinite(offset).all():
             here = tuple(mirrored(marker, offset).tolist())
             other = tuple(mirrored(marker, twin).tolist())
-            found.append(
+            samples.append(
                 Seen(
                     person,
                     sideless(marker.place),
@@ -134,7 +134,7 @@ def seen(
                     other if twin.any() else None,
                 )
             )
-    return found
+    return samples
 
 
 @dataclass(frozen=True)
@@ -242,11 +242,11 @@ def _robustly(
     their trust.
     """
     variances = Variances()
-    found = list(groups)
+    kept = list(groups)
     for _ in range(settings.rounds):
-        variances = _likeliest(found, variances, settings)
-        found = [_trusted(group, variances, settings.freedom) for group in found]
-    return found, variances
+        variances = _likeliest(kept, variances, settings)
+        kept = [_trusted(group, variances, settings.freedom) for group in kept]
+    return kept, variances
 
 
 def _likeliest(

@@ -49,9 +49,9 @@ from habitus.fit.starts import (
     ScanStart,
     ViewPixels,
     ViewStart,
-    most_markers,
-    own_scans,
-    own_views,
+    max_visible_markers,
+    separate_scans,
+    separate_views,
     shared_scans,
     shared_views,
     start_markers,
@@ -156,7 +156,7 @@ def start(
     scans = start_scans(body, prior, data, settings)
     views = start_views(body, data, settings)
     betas = None if scans is None else scans.betas
-    if betas is None and views is not None and most_markers(data) < settings.enough_markers:
+    if betas is None and views is not None and max_visible_markers(data) < settings.enough_markers:
         betas = views.betas
     markers = None
     if data.captures:
@@ -182,9 +182,9 @@ def start(
         solver=PointSolver.of(body),
         poses=_pose_names(markers, views, scans, len(data.captures)),
         markers=markers,
-        views=(*own_views(views, frames, settings), *shared_views(data, markers, settings)),
+        views=(*separate_views(views, frames, settings), *shared_views(data, markers, settings)),
         scans=(
-            *own_scans(data, scans, frames + own, settings),
+            *separate_scans(data, scans, frames + own, settings),
             *shared_scans(data, markers, settings),
         ),
         field=SkinField.of(body, settings.depth) if surfaces and settings.skin_steps else None,
@@ -392,21 +392,21 @@ def residuals(
 ) -> dict[str, Float[np.ndarray, " n"]]:
     """Distances (m) by sensor; those of pixels and points from the skin with its offset."""
     body = problem.body
-    found: dict[str, np.ndarray] = {}
+    by_term: dict[str, np.ndarray] = {}
     if problem.markers is not None:
         rest = body.rest_vertices(state["betas"])
         rig = marked_body(body, state["betas"], attach(state["latent_markers"], rest, body.faces))
         count = len(problem.markers.frames)
         predicted = predict(rig, state["pose"][:count], state["trans"][:count])
         off = np.linalg.norm(predicted - problem.markers.observed, axis=2)
-        found["markers"] = off[np.isfinite(off)]
+        by_term["markers"] = off[np.isfinite(off)]
     whole = BodyState(state["betas"], state["pose"], state["trans"])
     for k, each in enumerate(problem.views):
         depth = Depth(problem.solver, each.data.view.camera, each.data.view.depth, each.mask)
-        found[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets, offset)
+        by_term[f"depth {k}"] = distances_to(body, whole[each.row], depth.targets, offset)
     for k, scan in enumerate(problem.scans):
-        found[f"scan {k}"] = distances_to(body, whole[scan.row], scan.points, offset)
-    return found
+        by_term[f"scan {k}"] = distances_to(body, whole[scan.row], scan.points, offset)
+    return by_term
 
 
 def distances_to(

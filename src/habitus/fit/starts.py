@@ -103,7 +103,7 @@ def start_markers(
     )
 
 
-def most_markers(data: SensorData) -> int:
+def max_visible_markers(data: SensorData) -> int:
     """Labelled markers of the fullest frame of all captures."""
     counts = [np.isfinite(each.recording.observed[..., 0]).sum(axis=1) for each in data.captures]
     return int(max((count.max(initial=0) for count in counts), default=0))
@@ -162,7 +162,9 @@ class ViewStart:
 
 def start_views(body: BodyModel, data: SensorData, settings: FitSettings) -> ViewStart | None:
     """All views with a pose of their own, fitted together; None without such."""
-    own = [replace(each, view=each.view.in_own_frame()) for each in data.views if each.at is None]
+    own = [
+        replace(each, view=each.view.in_camera_frame()) for each in data.views if each.at is None
+    ]
     if not own:
         return None
     from habitus.fit.points.depth import fit_state  # needs PyTorch, as views do
@@ -170,15 +172,15 @@ def start_views(body: BodyModel, data: SensorData, settings: FitSettings) -> Vie
 
     capture = RgbdCapture("views", tuple(each.view for each in own)).without("colour")
     # One step with skin offsets is enough for a start: the joint fit has its own.
-    found = fit_state(capture, body, replace(settings.depth, skin_steps=1))
+    fit = fit_state(capture, body, replace(settings.depth, skin_steps=1))
     moved = [
-        into_frame(body, found.state[k : k + 1], view.turn, view.shift)
-        for k, view in enumerate(found.sights)
+        into_frame(body, fit.state[k : k + 1], view.turn, view.shift)
+        for k, view in enumerate(fit.prepared_views)
     ]
     pose, trans = (np.stack(part) for part in zip(*moved, strict=True))
-    masks = tuple(view.mask for view in found.sights)
-    noise = tuple(view.noise for view in found.sights)
-    return ViewStart(found.state.betas, pose, trans, tuple(own), masks, noise)
+    masks = tuple(view.mask for view in fit.prepared_views)
+    noise = tuple(view.noise for view in fit.prepared_views)
+    return ViewStart(fit.state.betas, pose, trans, tuple(own), masks, noise)
 
 
 def into_frame(
@@ -218,7 +220,9 @@ class ScanPoints:
     row: int
 
 
-def own_views(start: ViewStart | None, first: int, settings: FitSettings) -> tuple[ViewPixels, ...]:
+def separate_views(
+    start: ViewStart | None, first: int, settings: FitSettings
+) -> tuple[ViewPixels, ...]:
     """Views with poses of their own, the rows of the state from ``first`` on."""
     if start is None:
         return ()
@@ -239,10 +243,10 @@ def shared_views(
         return ()
     from habitus.fit.points.prepared_views import segment  # needs PyTorch, as views do
 
-    found = [segment(each.view) for each in views]
+    segments = [segment(each.view) for each in views]
     return tuple(
         ViewPixels(each, part.mask, _view_noise(each, part.noise, settings), _row(markers, each))
-        for each, part in zip(views, found, strict=True)
+        for each, part in zip(views, segments, strict=True)
     )
 
 
@@ -252,7 +256,7 @@ def _view_noise(data: ViewData, measured: float | None, settings: FitSettings) -
     return known[0] if known else settings.depth.noise
 
 
-def own_scans(
+def separate_scans(
     data: SensorData, start: ScanStart | None, first: int, settings: FitSettings
 ) -> tuple[ScanPoints, ...]:
     """Scans with poses of their own, the rows of the state from ``first`` on."""
@@ -272,7 +276,7 @@ def shared_scans(
 ) -> tuple[ScanPoints, ...]:
     """Scans of captures' frames: some points, and their normals where any point outward."""
     last = settings.scans.stages[-1]
-    found = []
+    scans = []
     for each in data.scans:
         if each.at is None or markers is None:
             continue
@@ -283,8 +287,8 @@ def shared_scans(
         some = np.random.default_rng(settings.seed).permutation(len(scan.points))[: last.points]
         chosen = None if normals is None else np.asarray(normals)[some]
         noise = each.noise or last.noise
-        found.append(ScanPoints(scan.points[some], chosen, noise, _row(markers, each)))
-    return tuple(found)
+        scans.append(ScanPoints(scan.points[some], chosen, noise, _row(markers, each)))
+    return tuple(scans)
 
 
 def _row(markers: MarkerStart, data: ViewData | ScanData) -> int:

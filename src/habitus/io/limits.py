@@ -102,13 +102,14 @@ def check_table(rows: int, width: int, cells: int, name: str) -> None:
         )
 
 
-def check_text(size: int, name: str, most: int = MAX_TEXT_BYTES) -> None:
+def check_text(size: int, name: str, max_bytes: int = MAX_TEXT_BYTES) -> None:
     """Raise HabitusError where a text file is longer than any that a person or a program would
     write.
     """
-    if size > most:
+    if size > max_bytes:
         raise HabitusError(
-            f"{name}: {_size(size)} of text; expected at most {_size(most)}; is it another file?"
+            f"{name}: {_size(size)} of text; expected at most {_size(max_bytes)}; is it another "
+            "file?"
         )
 
 
@@ -138,15 +139,15 @@ def array_size(shape: tuple[int, ...]) -> int:
     return count
 
 
-def check_inflated(packed: bytes, most: int, what: str, wbits: int = 15) -> None:
+def check_inflated(packed: bytes, max_bytes: int, what: str, wbits: int = 15) -> None:
     """Inflate deflated bytes piece by piece, keeping nothing; raise HabitusError where they grow
-    beyond ``most``.
+    beyond ``max_bytes``.
     """
     machine = zlib.decompressobj(wbits)
     total = 0
     while packed and not machine.eof:
         total += len(machine.decompress(packed, 1 << 20))
-        check_present(total, most, f"a packed piece of {what}")
+        check_present(total, max_bytes, f"a packed piece of {what}")
         packed = machine.unconsumed_tail
 
 

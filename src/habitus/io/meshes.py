@@ -109,10 +109,10 @@ def check_obj(file: BinaryIO, size: int) -> None:
     """An OBJ's faces name vertices by their numbers, and each vertex has a line in the file."""
     text = file.read().replace(b"\r\n", b"\n").replace(b"\\\n", b"")
     file.seek(0)
-    found = re.search(rb"(?m)^[^\S\n]*f[^\n]*?([0-9]{%d,})" % (len(str(size)) + 1), text)
-    if found:
+    number = re.search(rb"(?m)^[^\S\n]*f[^\n]*?([0-9]{%d,})" % (len(str(size)) + 1), text)
+    if number:
         raise HabitusError(
-            f"a face names vertex {shown(found[1].decode())} of a file of {size} bytes; export it "
+            f"a face names vertex {shown(number[1].decode())} of a file of {size} bytes; export it "
             "again"
         )
 

@@ -164,10 +164,10 @@ def scans_in(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
 
     Raises HabitusError for a folder without scans.
     """
-    found = []
+    scans = []
     for path in map(Path, paths):
         if not path.is_dir():
-            found.append(path)
+            scans.append(path)
             continue
         inside = sorted(
             (one for one in path.iterdir() if one.suffix.lower() in ENDINGS),
@@ -175,8 +175,8 @@ def scans_in(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
         )
         if not inside:
             raise HabitusError(f"{path}: no scans in it; expected files in {', '.join(ENDINGS)}")
-        found += inside
-    return found
+        scans += inside
+    return scans
 
 
 def _scan(source: Path, loaded: Any) -> Scan:

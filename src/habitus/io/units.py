@@ -92,15 +92,15 @@ def find_unit(
             f"{span}, which is no size of a body in any unit; the file's unit is kept",
         )
     unit = min(fitting, key=lambda unit: abs(np.log(size * METRES[unit] / _USUAL_M)))
-    found = f"the markers span {size * METRES[unit]:.2f} m in {unit}"
+    finding = f"the markers span {size * METRES[unit]:.2f} m in {unit}"
     if claimed:
         return (
             unit,
             f"the file says {claimed}, which makes a body of {size * METRES[claimed]:.3g} m: "
-            f"{found}, which is used",
+            f"{finding}, which is used",
         )
     named = f"no unit that is known ({claim!r})" if claim else "no unit of length"
-    return unit, f"the file names {named}: {found}, which is used"
+    return unit, f"the file names {named}: {finding}, which is used"
 
 
 def _whole_body(labels: Sequence[str]) -> bool:
@@ -175,7 +175,7 @@ def body_up(
 
 
 def _heights(points: np.ndarray) -> list[_Heights]:
-    found = []
+    heights = []
     for i in range(3):
         values = points[..., i]
         seen = np.isfinite(values)
@@ -184,12 +184,12 @@ def _heights(points: np.ndarray) -> list[_Heights]:
         reach = float(np.median(high - low)) if len(points) else 0.0
         for sign, floor in (("+", low), ("-", -high)):
             share = float(((floor > -0.1) & (floor < 0.25)).mean()) if len(points) else 0.0
-            found.append(
+            heights.append(
                 _Heights(
                     f"{sign}{'xyz'[i]}", share, float(floor.std()) if len(points) else 0.0, reach
                 )
             )
-    return found
+    return heights
 
 
 def _up_of_body(spine: np.ndarray, heights: dict[str, _Heights]) -> str | None:

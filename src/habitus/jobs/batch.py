@@ -16,7 +16,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.names import file_name
 from habitus.jobs.bodies import with_fingers
-from habitus.jobs.finding import EXPORTED, SURE, Found, MarkerSet, find_captures, grouped
+from habitus.jobs.finding import EXPORTED, SURE, CaptureFile, MarkerSet, find_captures, grouped
 from habitus.jobs.mosh import Mosh
 from habitus.jobs.options import silent
 from habitus.jobs.results import capture_folders, save_fit
@@ -25,7 +25,7 @@ from habitus.report import write_index
 from habitus.results.save import MARKER_FILES
 from habitus.types import PathLike, Progress
 
-_Files = Mapping[Found, tuple[Capture, ...]]
+_Files = Mapping[CaptureFile, tuple[Capture, ...]]
 
 
 @dataclass(frozen=True)
@@ -130,12 +130,12 @@ class _Batch:
     out: Path
     progress: Progress
 
-    def run(self, files: Sequence[Found]) -> Iterator[Outcome]:
+    def run(self, files: Sequence[CaptureFile]) -> Iterator[Outcome]:
         """What becomes of each, group after group."""
         given = [file for file in files if file.given]
         if given:
             yield from self._group(given)
-        marker_sets: list[tuple[Found, MarkerSet | None]] = []
+        marker_sets: list[tuple[CaptureFile, MarkerSet | None]] = []
         for file in files:
             if file.exported:
                 yield Outcome(file.path, file.name, error=HabitusError(EXPORTED), left_out=True)
@@ -153,13 +153,13 @@ class _Batch:
         for group in grouped(marker_sets):
             yield from self._group(group)
 
-    def _marker_set(self, file: Found) -> MarkerSet | None:
+    def _marker_set(self, file: CaptureFile) -> MarkerSet | None:
         """None for a file of several people, which is fitted by itself."""
         captures = self.recipe.read(file.path)
         return MarkerSet.of(captures[0]) if len(captures) == 1 else None
 
-    def _group(self, group: Sequence[Found]) -> Iterator[Outcome]:
-        files: dict[Found, tuple[Capture, ...]] = {}
+    def _group(self, group: Sequence[CaptureFile]) -> Iterator[Outcome]:
+        files: dict[CaptureFile, tuple[Capture, ...]] = {}
         began = time.perf_counter()
         for file in group:
             self.progress("read", 0.0)
@@ -210,7 +210,7 @@ class _Batch:
         return people, capture_folders(place, captures, len(people) > 1)
 
     def _apart(self, files: _Files, seconds: float, error: Exception) -> Iterator[Outcome]:
-        bad: dict[Found, Exception] = {}
+        bad: dict[CaptureFile, Exception] = {}
         for file, captures in files.items():
             try:
                 self._people({file: captures})
@@ -221,7 +221,7 @@ class _Batch:
         for some in [rest] if bad else [{file: captures} for file, captures in rest.items()]:
             yield from self._fitted(some, seconds * len(some) / len(files))
 
-    def _saved(self, file: Found, fit: MarkerFit, folder: Path) -> Outcome:
+    def _saved(self, file: CaptureFile, fit: MarkerFit, folder: Path) -> Outcome:
         try:
             save_fit(fit, folder, self.recipe.obj, self.recipe.npz_style)
             numbers = json.loads((folder / "metrics.json").read_text("utf-8"))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from habitus.body.gender import CANNOT_TELL, SURE, said_of
+from habitus.body.gender import SURE, UNDECIDED, said_of
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
@@ -55,11 +55,11 @@ def loaded(body: PathLike | BodyModel, joints: str = "auto", age: float | None =
     """The body itself, or the one of this name or file, with these joints, at an age in years.
     Raises HabitusError.
     """
-    wanted = None if joints == "auto" else joints
+    joint_set = None if joints == "auto" else joints
     if not isinstance(body, BodyModel):
-        model = load_body(os.fspath(body), joints=wanted)
+        model = load_body(os.fspath(body), joints=joint_set)
     else:
-        model = body if wanted is None else body.with_joints(wanted)
+        model = body if joint_set is None else body.with_joints(joint_set)
     return at_age(model, age)
 
 
@@ -188,9 +188,9 @@ def _estimated_sex(body: BodyModel, person: Person, settings: MoshSettings) -> P
         note = f"sex auto: {why}, so the neutral model was kept"
         return PersonBody(body, "neutral", notes=(note,))
     sex = said_of(probability)
-    if sex == CANNOT_TELL:
+    if sex == UNDECIDED:
         note = (
-            f"sex auto: cannot tell (P(female) {probability:.2f}, sure from {SURE:g} on): "
+            f"sex auto: undecided (P(female) {probability:.2f}, sure from {SURE:g} on): "
             "the neutral model was kept"
         )
         return PersonBody(body, "neutral", probability, (note,))

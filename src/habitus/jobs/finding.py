@@ -50,7 +50,7 @@ GROUPING = GroupingSettings()
 
 
 @dataclass(frozen=True)
-class Found:
+class CaptureFile:
     """A file that may be a capture; results go to ``place``, relative to the folder for all, and
     are called ``name``.
 
@@ -65,7 +65,7 @@ class Found:
     exported: bool = False
 
 
-def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
+def find_captures(paths: Sequence[Path], out: Path) -> list[CaptureFile]:
     """Files as they are given, and every capture below the folders among them, in order of their
     names.
 
@@ -78,7 +78,7 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
         if path.is_dir():
             start = Path(file_name(path.resolve().name)) if len(folders) > 1 else Path()
             below = [
-                Found(
+                CaptureFile(
                     file,
                     start / _safe(file.parent.relative_to(path)),
                     "",
@@ -94,7 +94,7 @@ def find_captures(paths: Sequence[Path], out: Path) -> list[Found]:
                 )
             captures += below
         else:
-            captures.append(Found(path, Path(), "", True))
+            captures.append(CaptureFile(path, Path(), "", True))
     return _named(captures)
 
 
@@ -116,7 +116,7 @@ def _safe(relative: Path) -> Path:
     return Path(*(file_name(part) for part in relative.parts))
 
 
-def _named(captures: Sequence[Found]) -> list[Found]:
+def _named(captures: Sequence[CaptureFile]) -> list[CaptureFile]:
     """With the names of their results: those of one folder that differ in their endings have these
     in their names.
     """
@@ -219,11 +219,11 @@ def _median(values: Float[np.ndarray, "T M M"]) -> Float[np.ndarray, "M M"]:
     return np.where(count > 0, middle, np.nan)
 
 
-def grouped(captures: Sequence[tuple[Found, MarkerSet | None]]) -> list[list[Found]]:
+def grouped(captures: Sequence[tuple[CaptureFile, MarkerSet | None]]) -> list[list[CaptureFile]]:
     """Captures of one folder, of one recorded subject and with the same markers, together; each
     other one alone.
     """
-    groups: dict[Path, list[tuple[MarkerSet | None, list[Found]]]] = defaultdict(list)
+    groups: dict[Path, list[tuple[MarkerSet | None, list[CaptureFile]]]] = defaultdict(list)
     for capture, seen in captures:
         here = groups[capture.path.parent]
         for first, members in here:

@@ -127,13 +127,13 @@ def label(
         first = only(clouds, people_on_ground(clouds, pieces, people, settings.people) == 0)
     chosen, known, names, how = _reference(model, first, options.layout, options.like, settings)
     if people == 1:
-        found: Named = label_points(model, prior_of(model), chosen, clouds, known, settings)
+        named: Named = label_points(model, prior_of(model), chosen, clouds, known, settings)
     else:
-        found = label_people(model, prior_of(model), chosen, clouds, people, settings)
+        named = label_people(model, prior_of(model), chosen, clouds, people, settings)
         names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
     notes = _alike(chosen) if options.like is None else ()
     source = replace(source, warnings=(*source.warnings, *notes))
-    result = _labelled(source, clouds, names, found, options.min_confidence, how)
+    result = _labelled(source, clouds, names, named, options.min_confidence, how)
     if out is not None:
         result.save(out, None if isinstance(capture, Capture) else capture)
     return result
@@ -235,17 +235,17 @@ def _labelled(
     source: UnlabelledCapture,
     clouds: Clouds,
     names: tuple[str, ...],
-    found: Named,
+    labels: Named,
     sure: float,
     how: dict[str, Any],
 ) -> LabelledCapture:
     """Points under their names, those less sure than asked for without."""
-    named = np.where(found.confidence >= sure, found.label, -1)
+    named = np.where(labels.confidence >= sure, labels.label, -1)
     markers = clouds.labelled(named, len(names))
     confidence = np.full(markers.shape[:2], np.nan)
-    confidence[clouds.frame[named >= 0], named[named >= 0]] = found.confidence[named >= 0]
-    others = packed(clouds, found.tracklet, named < 0)
-    report = _report(source, clouds, names, found, named, how)
+    confidence[clouds.frame[named >= 0], named[named >= 0]] = labels.confidence[named >= 0]
+    others = packed(clouds, labels.tracklet, named < 0)
+    report = _report(source, clouds, names, labels, named, how)
     return LabelledCapture(source, names, markers, confidence, others, report)
 
 
@@ -253,12 +253,12 @@ def _report(
     source: UnlabelledCapture,
     clouds: Clouds,
     names: tuple[str, ...],
-    found: Named,
+    labels: Named,
     named: np.ndarray,
     how: dict[str, Any],
 ) -> dict[str, Any]:
     known: Bool[np.ndarray, " P"] = named >= 0
-    doubtful = known & (found.confidence < DOUBTFUL)
+    doubtful = known & (labels.confidence < DOUBTFUL)
     frames = np.bincount(named[known], minlength=len(names))
     count = max(1, len(named))
     worst = sorted(
@@ -276,31 +276,31 @@ def _report(
         "points": len(named),
         "summary": said,
         "warnings": list(source.warnings),
-        "convergence": found.convergence._asdict(),
+        "convergence": labels.convergence._asdict(),
         "labels": {
             name: {
                 "frames": int(frames[i]),
-                "confidence": round(float(found.confidence[named == i].mean()), 3)
+                "confidence": round(float(labels.confidence[named == i].mean()), 3)
                 if frames[i]
                 else None,
-                "label_margin": round(float(found.sure[i]), 3),
+                "label_margin": round(float(labels.sure[i]), 3),
             }
             for i, name in enumerate(names)
         },
-        "tracklets": _pieces(clouds, names, found, named),
+        "tracklets": _pieces(clouds, names, labels, named),
     }
 
 
 def _pieces(
-    clouds: Clouds, names: Sequence[str], found: Named, named: np.ndarray
+    clouds: Clouds, names: Sequence[str], labels: Named, named: np.ndarray
 ) -> list[dict[str, Any]]:
     """Each run of a tracklet under one label: its frames, label and confidence."""
-    order = np.lexsort((clouds.frame, named, found.tracklet))
-    keys = np.stack([found.tracklet[order], named[order]])
+    order = np.lexsort((clouds.frame, named, labels.tracklet))
+    keys = np.stack([labels.tracklet[order], named[order]])
     first = np.flatnonzero((np.diff(keys, axis=1, prepend=-2) != 0).any(axis=0))
     last = np.append(first[1:], len(order)) - 1
     means = (
-        np.add.reduceat(found.confidence[order], first) / (last - first + 1) if len(order) else []
+        np.add.reduceat(labels.confidence[order], first) / (last - first + 1) if len(order) else []
     )
     return [
         {

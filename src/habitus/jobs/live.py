@@ -174,14 +174,14 @@ class Follower:
         self._wiring, gone, new = rewired(self._followed.wiring, self._known, heading.labels)
         labels = self._followed.known.layout.labels
         left = int((self._wiring.columns >= 0).sum())
-        said = (
+        text = (
             f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers "
             "are left"
         )
-        said += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
-        said += f"; not used, as their places are not known: {listed(new)}" if new else ""
-        said += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
-        self._note(said, "warning:")
+        text += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
+        text += f"; not used, as their places are not known: {listed(new)}" if new else ""
+        text += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
+        self._note(text, "warning:")
 
     def _note(self, text: str, mark: str) -> None:
         self._say(text, mark)
@@ -202,12 +202,12 @@ def status(follower: Follower, trouble: str) -> str:
     quality = follower.quality
     verdict = follower.quality.verdict
     took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
-    said = (
+    text = (
         f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  "
         f"{quality.mean_mm:.1f} mm"
     )
-    said += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
-    return f"{said}  {trouble}" if trouble else said
+    text += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
+    return f"{text}  {trouble}" if trouble else text
 
 
 class Record:

@@ -159,9 +159,9 @@ def _who(known: Subject) -> str:
 def _text(who: str, now: Now, quality: Quality) -> str:
     verdict = quality.verdict
     mean = quality.mean_mm
-    said = (
+    text = (
         f"**{verdict.level}**\n\n{markdown_text(who)}\n\n{now.seconds:.1f} s, {quality.seen} of "
         f"{len(quality.labels)} markers"
     )
-    said += "" if np.isnan(mean) else f", {mean:.1f} mm"
-    return "\n\n".join([said, *map(markdown_text, verdict.reasons)])
+    text += "" if np.isnan(mean) else f", {mean:.1f} mm"
+    return "\n\n".join([text, *map(markdown_text, verdict.reasons)])

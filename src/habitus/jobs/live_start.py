@@ -242,9 +242,9 @@ def _rate(gathered: Sequence[Frame], given: float | None, stride: int) -> float:
     """Frames a second: as is said, else as they come; 0 where that is not known yet."""
     if not gathered:
         return 0.0
-    said = given or gathered[-1].heading.rate_hz
-    if said:
-        return said / stride
+    rate = given or gathered[-1].heading.rate_hz
+    if rate:
+        return rate / stride
     span = gathered[-1].arrived - gathered[0].arrived
     return (len(gathered) - 1) / span if span > 1.0 else 0.0
 

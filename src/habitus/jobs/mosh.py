@@ -32,7 +32,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import SOFT_SPACE, MoshSettings
 from habitus.fit.markers.solution import HeldOut
 from habitus.io.captures.read import Capture, read_captures
-from habitus.io.layouts.draft import found_layout_text
+from habitus.io.layouts.draft import discovered_layout_text
 from habitus.io.layouts.files import load_placements
 from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
@@ -194,7 +194,7 @@ class Mosh(MoshOptions):
                 layout = (
                     ""
                     if person.discovery is None
-                    else found_layout_text(person.discovery, capture.name)
+                    else discovered_layout_text(person.discovery, capture.name)
                 )
                 yield (
                     capture,
@@ -203,7 +203,7 @@ class Mosh(MoshOptions):
                             fit,
                             stage_seconds={"read": share, **fit.stage_seconds},
                             startup_seconds=startup,
-                            found_layout=layout,
+                            discovered_layout=layout,
                             warnings=(*fit.warnings, *notes),
                         )
                     ),
@@ -410,12 +410,12 @@ def check_placements(
             "hold-out-every K"
         )
     have = {normalised(label) for capture in others for label in capture.labels}
-    wanted = tuple(labels) or whole.layout.labels
-    lacking = [label for label in wanted if normalised(label) not in have]
-    if len(lacking) == len(wanted):
+    required = tuple(labels) or whole.layout.labels
+    lacking = [label for label in required if normalised(label) not in have]
+    if len(lacking) == len(required):
         names = listed(tuple(capture.name for capture in others))
         raise HabitusError(
-            f"placements-from: {names} has none of the held-out labels {listed(wanted)}; "
+            f"placements-from: {names} has none of the held-out labels {listed(required)}; "
             "expected the same"
         )
     notes = [f"placements-from: no placement there for {listed(lacking)}"] if lacking else []
@@ -439,11 +439,11 @@ def _hidden(capture: Capture, labels: Sequence[str]) -> Capture:
 
 def _seen(capture: Capture, labels: Sequence[str]) -> np.ndarray:
     """(T, H, 3) the markers of some labels, NaN where the capture lacks one."""
-    found = np.full((len(capture.markers), len(labels), 3), np.nan)
+    markers = np.full((len(capture.markers), len(labels), 3), np.nan)
     for k, name in enumerate(labels):
         if name in capture.labels:
-            found[:, k] = capture.markers[:, capture.labels.index(name)]
-    return found
+            markers[:, k] = capture.markers[:, capture.labels.index(name)]
+    return markers
 
 
 def _errors(fit: MarkerFit, labels: tuple[str, ...], observed: np.ndarray) -> HeldOut:

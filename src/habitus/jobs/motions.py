@@ -64,9 +64,9 @@ def _betas(motion: BodyMotion, given: np.ndarray) -> Target:
             f"betas of shape {given.shape}; expected up to {count} numbers of the fit's space, "
             f"within {MAX_BETA:g} standard deviations"
         )
-    said = ", ".join(f"{value:g}" for value in given[:4]) + (", …" if len(given) > 4 else "")
+    text = ", ".join(f"{value:g}" for value in given[:4]) + (", …" if len(given) > 4 else "")
     name = motion.body_name or motion.body.name
-    return motion.body, np.pad(given, (0, count - len(given))), f"{name} with betas {said}"
+    return motion.body, np.pad(given, (0, count - len(given))), f"{name} with betas {text}"
 
 
 def _of_file(motion: BodyMotion, text: str) -> Target:

@@ -65,9 +65,9 @@ def find_layout(start: int | PathLike) -> MarkerLayout:
     HabitusError.
     """
     text = str(start)
-    found = load_layout(f"mosh-{text}" if text.isdigit() else text)
-    return found.restricted_to(
-        tuple(marker.label for marker in found.markers if not marker.optional)
+    layout = load_layout(f"mosh-{text}" if text.isdigit() else text)
+    return layout.restricted_to(
+        tuple(marker.label for marker in layout.markers if not marker.optional)
     )
 
 
@@ -219,14 +219,14 @@ class Selection:
         """The set of at most so many markers. Raises HabitusError where the path has none as
         small.
         """
-        found = [
+        markers = [
             step
             for step in (*self.removed, *self.added)
             if self.pool.candidates.count(step.groups) <= count
         ]
-        if not found:
+        if not markers:
             raise HabitusError(f"no set of {count} markers; the smallest has {min(self.errors)}")
-        best = max(found, key=lambda step: len(step.groups))
+        best = max(markers, key=lambda step: len(step.groups))
         chosen = sorted(k for group in best.groups for k in self.pool.candidates.groups[group])
         said = (
             f"Chosen for the error of the {self.goal} ({self.region}), expected "
@@ -267,25 +267,31 @@ def select_markers(
     model = loaded(options.body)
     prior = prior_of(model)
     settings = options.settings or SELECTION
-    found = find_pool(model, pool, find_layout(start), pairs, settings)
+    selected = find_pool(model, pool, find_layout(start), pairs, settings)
     tell("people", 0.0)
     others = [load_body(name) for name in ("female", "male")] if _shares_mesh(model) else [model]
     drawn = held_out_people(others, prior, options.people, options.seed, settings)
     vertices = np.unique(np.linspace(0, model.num_vertices - 1, settings.sample).astype(int))
     known = best_states(model, prior, drawn, vertices, settings.noise)
     problem = linearised(
-        model, prior, known, found.candidates, goal, region, settings.noise, settings.free
+        model, prior, known, selected.candidates, goal, region, settings.noise, settings.free
     )
     with open_workers(workers) as shared:
-        least = min(len(found.start), max(1, -(-options.min_markers // (2 if pairs else 1))))
+        least = min(len(selected.start), max(1, -(-options.min_markers // (2 if pairs else 1))))
         removed = _reported(
-            removals(problem, found.start, least, shared), "remove", len(found.start) - least, tell
+            removals(problem, selected.start, least, shared),
+            "remove",
+            len(selected.start) - least,
+            tell,
         )
-        most = len(found.candidates.groups)
+        most = len(selected.candidates.groups)
         added = _reported(
-            additions(problem, found.start, most, shared), "add", most - len(found.start), tell
+            additions(problem, selected.start, most, shared),
+            "add",
+            most - len(selected.start),
+            tell,
         )
-    selection = Selection(model, found, goal, region, removed, added, settings.noise)
+    selection = Selection(model, selected, goal, region, removed, added, settings.noise)
     if out is not None:
         _write(selection, Path(out), options.keep)
     return selection
@@ -303,47 +309,49 @@ def _shares_mesh(body: BodyModel) -> bool:
     return body.name in SHIPPED and body.age is None
 
 
-def _write(found: Selection, folder: Path, keep: Sequence[int]) -> None:
-    layouts = {f"markers-{count}.toml": found.layout(count) for count in keep}
+def _write(selection: Selection, folder: Path, keep: Sequence[int]) -> None:
+    layouts = {f"markers-{count}.toml": selection.layout(count) for count in keep}
     best = 20
-    kinds = _kinds(found, best)
+    kinds = _kinds(selection, best)
     names = [name.format(count=best) for name in KINDS]
     with whole_folder(folder, (*FILES, *layouts)) as partial:
-        write_text(partial / "selection.json", json.dumps(_numbers(found), indent=1) + "\n")
+        write_text(partial / "selection.json", json.dumps(_numbers(selection), indent=1) + "\n")
         write_text(
             partial / "curve.svg",
-            curve_picture(found.errors, found.start, f"{found.goal}, {found.region}"),
+            curve_picture(
+                selection.errors, selection.start, f"{selection.goal}, {selection.region}"
+            ),
         )
-        picture = marker_picture(found.body, found.pool.candidates.vertices, kinds, names)
+        picture = marker_picture(selection.body, selection.pool.candidates.vertices, kinds, names)
         write_text(partial / "markers.svg", picture)
         for name, layout in layouts.items():
             save_layout(layout, partial / name)
 
 
-def _kinds(found: Selection, best: int) -> list[int]:
+def _kinds(selection: Selection, best: int) -> list[int]:
     """0 for the markers of the start, 1 for the first that were added, 2 for the others."""
-    groups = found.pool.candidates.groups
-    kinds = np.full(len(found.pool.candidates.labels), 2)
-    more = [step.group for step in found.added[1:] if step.group is not None]
+    groups = selection.pool.candidates.groups
+    kinds = np.full(len(selection.pool.candidates.labels), 2)
+    more = [step.group for step in selection.added[1:] if step.group is not None]
     for group in more:
         if (kinds == 1).sum() < best:
             kinds[list(groups[group])] = 1
-    for group in found.added[0].groups:
+    for group in selection.added[0].groups:
         kinds[list(groups[group])] = 0
     return kinds.tolist()
 
 
-def _numbers(found: Selection) -> dict[str, object]:
+def _numbers(selection: Selection) -> dict[str, object]:
     """The path as JSON has it: which labels go and come, and the error at each number of
     markers.
     """
-    labels = found.pool.candidates.labels
-    groups = found.pool.candidates.groups
+    labels = selection.pool.candidates.labels
+    groups = selection.pool.candidates.groups
 
     def as_json(steps: Sequence[Step]) -> list[dict[str, object]]:
         return [
             {
-                "markers": found.pool.candidates.count(step.groups),
+                "markers": selection.pool.candidates.count(step.groups),
                 "changed": [] if step.group is None else [labels[k] for k in groups[step.group]],
                 "error_mm": round(1e3 * step.error, 3),
             }
@@ -351,13 +359,13 @@ def _numbers(found: Selection) -> dict[str, object]:
         ]
 
     return {
-        "goal": found.goal,
-        "region": found.region,
+        "goal": selection.goal,
+        "region": selection.region,
         "candidates": list(labels),
-        "start": [labels[k] for group in found.added[0].groups for k in groups[group]],
-        "marker_noise_mm": round(1e3 * found.noise, 2),
-        "removed": as_json(found.removed),
-        "added": as_json(found.added),
+        "start": [labels[k] for group in selection.added[0].groups for k in groups[group]],
+        "marker_noise_mm": round(1e3 * selection.noise, 2),
+        "removed": as_json(selection.removed),
+        "added": as_json(selection.added),
     }
 
 
@@ -384,14 +392,14 @@ def select_poses(
         )
     model = loaded(options.body)
     prior = prior_of(model)
-    found = find_layout(layout)
+    markers = find_layout(layout)
     settings = options.settings or SELECTION
     poses = _candidate_poses(model, prior, candidates, seed, settings.min_ankle_offset)
     with open_workers(workers) as shared:
         choice = choose_poses(
             model,
             prior,
-            place(found, model),
+            place(markers, model),
             poses,
             count,
             settings=settings,
@@ -400,7 +408,7 @@ def select_poses(
         )
     chosen = poses[list(choice.poses)]
     if out is not None:
-        _write_poses(model, chosen, choice, found, Path(out))
+        _write_poses(model, chosen, choice, markers, Path(out))
     return choice, chosen
 
 

@@ -381,7 +381,7 @@ def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFi
     from habitus.observe.depth_views import RgbdCapture
 
     read = [each.read() for each in sensors]
-    views = tuple(view.in_own_frame() for each in read for view in each.views)
+    views = tuple(view.in_camera_frame() for each in read for view in each.views)
     notes = tuple(note for each in read for note in each.notes)
     result = fit_rgbd(
         RgbdCapture(read[0].name, views, notes), fit.body, settings=fit.settings.depth
@@ -389,7 +389,7 @@ def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFi
     state = BodyState(result.betas, result.pose, result.trans)
     moved = [
         into_frame(result.body, state[k : k + 1], each.turn, each.shift)
-        for k, each in enumerate(result.sights)
+        for k, each in enumerate(result.prepared_views)
     ]
     pose, trans = (np.stack(part) for part in zip(*moved, strict=True))
     return PersonFit(
@@ -402,7 +402,7 @@ def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFi
         costs=result.costs,
         residuals={
             f"depth {k}": distances_to(result.body, state[k], each.points[each.mask])
-            for k, each in enumerate(result.sights)
+            for k, each in enumerate(result.prepared_views)
         },
         verdicts={"depth": result.verdict},
         seconds=result.stage_seconds,

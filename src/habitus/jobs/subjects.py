@@ -97,7 +97,7 @@ def _people(files: Sequence[Sequence[Capture]], subject: str | None) -> list[lis
 
 def person_of(
     captures: Sequence[Capture],
-    wanted: LayoutChoice,
+    choice: LayoutChoice,
     fingers: bool = False,
     notes: Sequence[str] = (),
     doubts: tuple[str, ...] = (),
@@ -107,7 +107,7 @@ def person_of(
 
     notes, doubts: what each recording is told besides.
     """
-    matches = _checked(captures, wanted, fingers)
+    matches = _checked(captures, choice, fingers)
     union = _union(matches)
     recordings = []
     for capture, match in zip(captures, matches, strict=True):
@@ -127,7 +127,7 @@ def person_of(
     left = dict.fromkeys(
         label for match in matches for label, why in match.left_out.items() if why == ON_A_FINGER
     )
-    return Person(tuple(captures), wanted, union, tuple(recordings), fingers, tuple(left))
+    return Person(tuple(captures), choice, union, tuple(recordings), fingers, tuple(left))
 
 
 @dataclass(frozen=True)
@@ -302,10 +302,10 @@ def _exchanged(plain: MarkerLayout, checked: MarkerLayout) -> Iterator[tuple[str
 
 
 def _checked(
-    captures: Sequence[Capture], wanted: LayoutChoice, fingers: bool = False
+    captures: Sequence[Capture], choice: LayoutChoice, fingers: bool = False
 ) -> Sequence[LayoutMatch]:
     """The captures matched by labels and geometry, judged together."""
-    layouts = _given(wanted, fingers)
+    layouts = _given(choice, fingers)
     try:
         return match_layouts(
             [(capture.labels, capture.markers) for capture in captures], layouts=layouts
@@ -314,13 +314,13 @@ def _checked(
         raise HabitusError(f"{', '.join(capture.name for capture in captures)}: {error}") from error
 
 
-def _given(wanted: LayoutChoice, fingers: bool = False) -> list[MarkerLayout] | None:
-    if isinstance(wanted, MarkerLayout):
-        layouts = [wanted]
-    elif not isinstance(wanted, str | os.PathLike):
-        layouts = list(wanted)
-    elif os.fspath(wanted) != "auto":
-        layouts = [load_layout(wanted)]
+def _given(choice: LayoutChoice, fingers: bool = False) -> list[MarkerLayout] | None:
+    if isinstance(choice, MarkerLayout):
+        layouts = [choice]
+    elif not isinstance(choice, str | os.PathLike):
+        layouts = list(choice)
+    elif os.fspath(choice) != "auto":
+        layouts = [load_layout(choice)]
     elif not fingers:
         return None
     else:

@@ -82,11 +82,11 @@ def open_training_data(
         data = data.take(np.flatnonzero(~data.failed))
     if sex == "all":
         return data, warnings
-    wanted = ("female", "male") if sex == "each" else (sex,)
-    known = data.where(sex=wanted)
+    sexes = ("female", "male") if sex == "each" else (sex,)
+    known = data.where(sex=sexes)
     if not len(known):
         raise HabitusError(
-            f"no registration is said to be {' or '.join(wanted)}; tell their sex, or train --sex "
+            f"no registration is said to be {' or '.join(sexes)}; tell their sex, or train --sex "
             "all"
         )
     unknown = len(data.where(sex=""))

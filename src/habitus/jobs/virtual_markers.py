@@ -272,15 +272,15 @@ _LOOKED_AT = 40
 
 
 def same_columns(
-    wanted: Float[np.ndarray, "T M 3"], tracks: Float[np.ndarray, "T N 3"]
+    targets: Float[np.ndarray, "T M 3"], tracks: Float[np.ndarray, "T N 3"]
 ) -> Int[np.ndarray, " M"]:
-    """For each marker ``wanted`` the column of ``tracks`` that holds every sample of it, NaN where
+    """For each marker ``targets`` the column of ``tracks`` that holds every sample of it, NaN where
     missing; else -1.
 
     ``tracks`` may hold more samples. Of several equal columns it is the first.
     """
     return np.array(
-        [_column(wanted[:, marker], tracks) for marker in range(wanted.shape[1])], dtype=np.int64
+        [_column(targets[:, marker], tracks) for marker in range(targets.shape[1])], dtype=np.int64
     )
 
 

@@ -136,5 +136,5 @@ def _stamp(own: Path) -> tuple:
     files = [HERE / name for name in FILES]
     if HERE not in own.parents:
         files += sorted(own.parent.glob("*_kernels.py"))
-    found = (path.stat() for path in files if path.exists())
-    return tuple((entry.st_mtime_ns, entry.st_size) for entry in found)
+    stats = (path.stat() for path in files if path.exists())
+    return tuple((entry.st_mtime_ns, entry.st_size) for entry in stats)

@@ -193,10 +193,10 @@ def mislabelled(
 
 
 def _distance(
-    gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"], most: float
+    gaps: Float[np.ndarray, "n L"], spread: Float[np.ndarray, " L"], limit: float
 ) -> Float[np.ndarray, " n"]:
-    """The mean gap in spreads, none of them counting for more than ``most``."""
-    return np.minimum(gaps / spread, most).mean(axis=1)
+    """The mean gap in spreads, none of them counting for more than ``limit``."""
+    return np.minimum(gaps / spread, limit).mean(axis=1)
 
 
 def _medians(

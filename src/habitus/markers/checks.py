@@ -160,10 +160,10 @@ def wands(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
         if shank is None:
             continue
         on_wand = shank[1] > _WAND
-        for found, skin in ((shank, 0.014), (thigh, 0.026)):
-            if found is None:
+        for bone, skin in ((shank, 0.014), (thigh, 0.026)):
+            if bone is None:
                 continue
-            marker, offset = found
+            marker, offset = bone
             distance, spread = (
                 (max(0.02, offset - skin), 0.015) if on_wand else (Marker.distance, 0.003)
             )
@@ -280,7 +280,7 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
     Left and right differ by up to 0.4 of the segment in real laboratories, so the middle is a poor
     guess.
     """
-    found = []
+    corrections = []
     for column, marker in enumerate(layout.markers):
         side, _, name = (marker.landmark or "").partition("_")
         if side in SIDES and name in _SEGMENTS and marker.place_spread >= FREE:
@@ -289,20 +289,25 @@ def free_places(scene: Scene, layout: MarkerLayout) -> Iterator[Correction]:
             measured = _beside(scene.markers[:, column], *ends)
             if measured is not None and 0.03 < (share := (measured[0] - skip) / (1 - skip)) < 0.97:
                 place = (f"{side}_{first}", f"{side}_{second}", round(share, 2))
-                found.append(marker.measured_at(landmark=None, between=place, place_spread=FREE))
-    if found:
+                corrections.append(
+                    marker.measured_at(landmark=None, between=place, place_spread=FREE)
+                )
+    if corrections:
         text = ", ".join(
-            f"{marker.label} {marker.between[2]:.0%}" for marker in found if marker.between
+            f"{marker.label} {marker.between[2]:.0%}" for marker in corrections if marker.between
         )
         yield Correction(
-            "places along limbs", f"measured along their limbs: {text}", tuple(found), quiet=True
+            "places along limbs",
+            f"measured along their limbs: {text}",
+            tuple(corrections),
+            quiet=True,
         )
 
 
 def _first_known(scene: Scene, side: str, groups: tuple[tuple[str, ...], ...]) -> Points | None:
     """Middle of the first group of places of which there are markers."""
-    found = (scene.middle(*(f"{side}_{name}" for name in group)) for group in groups)
-    return next((points for points in found if points is not None), None)
+    middles = (scene.middle(*(f"{side}_{name}" for name in group)) for group in groups)
+    return next((points for points in middles if points is not None), None)
 
 
 _SHOULDER = (("acromion",), ("shoulder_front", "shoulder_back"))

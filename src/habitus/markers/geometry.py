@@ -61,8 +61,8 @@ class Scene:
         """(T, 3) middle of the markers that there are at these landmarks, or None if there are
         none.
         """
-        found = [self.markers[:, self.columns[name]] for name in names if name in self.columns]
-        return np.mean(found, axis=0) if found else None
+        points = [self.markers[:, self.columns[name]] for name in names if name in self.columns]
+        return np.mean(points, axis=0) if points else None
 
 
 def _role(marker: Marker) -> str | None:
@@ -97,8 +97,8 @@ def trunk_left(scene: Scene) -> Points | None:
         (scene.at(f"right_{name}"), scene.at(f"left_{name}"))
         for name in ("asis", "psis", "acromion", "shoulder_back")
     ]
-    found = [direction for pair in pairs if (direction := toward(*pair)) is not None]
-    return unit(np.mean(found, axis=0)) if found else None
+    directions = [direction for pair in pairs if (direction := toward(*pair)) is not None]
+    return unit(np.mean(directions, axis=0)) if directions else None
 
 
 def trunk_up(scene: Scene) -> Points | None:

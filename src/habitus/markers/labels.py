@@ -55,8 +55,8 @@ def spellings(label: str) -> tuple[str, ...]:
 @lru_cache(maxsize=1 << 16)
 def fragment_of(label: str) -> str | None:
     """The label whose second fragment this is (``RBAC-1`` -> ``RBAC``), or None."""
-    found = _FRAGMENT.match(label.strip())
-    return found[1] if found else None
+    fragment = _FRAGMENT.match(label.strip())
+    return fragment[1] if fragment else None
 
 
 def without_shared(labels: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:
@@ -142,9 +142,9 @@ def place_of(label: str) -> Place | None:
     part counts.
     """
     for part in label.removesuffix("_study").split("__"):
-        found = _place(re.sub(r"[^A-Z0-9]", "", re.sub("^(CGM|IOR|CAST)_", "", part.upper())))
-        if found:
-            return found
+        place = _place(re.sub(r"[^A-Z0-9]", "", re.sub("^(CGM|IOR|CAST)_", "", part.upper())))
+        if place:
+            return place
     return None
 
 

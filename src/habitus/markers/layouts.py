@@ -213,10 +213,10 @@ def _shifted(marker: Marker, vertex: int, body: PlacedBody) -> int:
     if marker.shift is None:
         return vertex
     template = np.asarray(body.v_template)
-    away = np.sum((template - (template[vertex] + marker.shift)) ** 2, axis=1)
+    squared_distances = np.sum((template - (template[vertex] + marker.shift)) ** 2, axis=1)
     if abs(template[vertex, 0]) < MIDLINE and abs(marker.shift[0]) < MIDLINE:
-        away[np.abs(template[:, 0]) > MIDLINE] = np.inf
-    return int(np.argmin(away))
+        squared_distances[np.abs(template[:, 0]) > MIDLINE] = np.inf
+    return int(np.argmin(squared_distances))
 
 
 def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:
@@ -227,10 +227,10 @@ def _vertex(marker: Marker, body: PlacedBody, own_ids: bool) -> int:
         template = np.asarray(body.v_template)
         a = template[int(body.landmarks[first])]
         b = template[int(body.landmarks[second])]
-        away = np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)
+        squared_distances = np.sum((template - ((1.0 - share) * a + share * b)) ** 2, axis=1)
         if max(abs(a[0]), abs(b[0])) < MIDLINE:  # what lies between them lies on it too
-            away[np.abs(template[:, 0]) > MIDLINE] = np.inf
-        return int(np.argmin(away))
+            squared_distances[np.abs(template[:, 0]) > MIDLINE] = np.inf
+        return int(np.argmin(squared_distances))
     assert marker.landmark is not None
     return int(body.landmarks[marker.landmark])
 
@@ -268,15 +268,20 @@ def place_in_words(body: PlacedBody, vertex: int) -> Marker:
     if len(names) < 2:
         return Marker("", vertex=int(vertex))
     points = template[[int(body.landmarks[name]) for name in names]]
-    away = np.linalg.norm(points - template[vertex], axis=1)
-    nearest = int(np.argmin(away))
-    if away[nearest] <= AT:
+    distances = np.linalg.norm(points - template[vertex], axis=1)
+    nearest = int(np.argmin(distances))
+    if distances[nearest] <= AT:
         return Marker("", landmark=names[nearest])
-    found = [Marker("", landmark=names[nearest]), *_between(names, points, template[vertex])]
-    unique = MarkerLayout("", tuple(Marker(str(k), **_place(one)) for k, one in enumerate(found)))
+    nearest_words = [
+        Marker("", landmark=names[nearest]),
+        *_between(names, points, template[vertex]),
+    ]
+    unique = MarkerLayout(
+        "", tuple(Marker(str(k), **_place(one)) for k, one in enumerate(nearest_words))
+    )
     off = np.linalg.norm(template[unique.vertices(body)] - template[vertex], axis=1)
-    far = np.array([0.0, *(_apart(one, body) for one in found[1:])])
-    return found[int(np.argmin(off + _LENGTH * far))]
+    far = np.array([0.0, *(_apart(one, body) for one in nearest_words[1:])])
+    return nearest_words[int(np.argmin(off + _LENGTH * far))]
 
 
 def _between(

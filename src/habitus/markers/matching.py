@@ -104,19 +104,19 @@ def explain(labels: Sequence[str], layout: MarkerLayout) -> _Explained:
     """How well one layout explains the labels: which column is which marker, and a score to rank
     layouts by.
     """
-    found = assigned(labels, layout)
+    assigned_labels = assigned(labels, layout)
     known = {normalised(label) for label in layout.left_out}
     named = [label for label in labels if not known & set(spellings(label))]
     core = [marker.label for marker in layout.markers if not marker.optional]
-    present = {marker.label for marker, _ in found.values()}
-    own = {marker.label for marker, quality in found.values() if quality == 1.0}
+    present = {marker.label for marker, _ in assigned_labels.values()}
+    own = {marker.label for marker, quality in assigned_labels.values() if quality == 1.0}
     complete = sum(label in present for label in core) / max(1, len(core))
     special = [label in own for label in layout.fingerprint]
     marked = sum(special) / len(special) if special else complete
-    explained = sum(quality for _, quality in found.values()) / max(1, len(named))
+    explained = sum(quality for _, quality in assigned_labels.values()) / max(1, len(named))
     return _Explained(
         layout,
-        found,
+        assigned_labels,
         explained + 0.5 * complete + 0.5 * marked,
         0.4 + 0.4 * marked + 0.2 * complete,
     )
@@ -204,18 +204,18 @@ def _interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _
     rivals = ranked[1:]
     left_out = _left_out(labels, best)
     extras, doubts = _extras(labels, best, rivals, left_out)
-    found = {column: marker for column, (marker, _) in best.markers.items()} | extras
-    return _Meaning(best, rivals, found, left_out, doubts)
+    markers = {column: marker for column, (marker, _) in best.markers.items()} | extras
+    return _Meaning(best, rivals, markers, left_out, doubts)
 
 
 def _left_out(labels: Sequence[str], best: _Explained) -> dict[str, str]:
     reasons = {normalised(label): why for label, why in best.layout.left_out.items()}
-    found = {}
+    left_out = {}
     for column, label in enumerate(labels):
         why = next((reasons[form] for form in spellings(label) if form in reasons), None)
         if why is not None and column not in best.markers:
-            found[label] = why
-    return found
+            left_out[label] = why
+    return left_out
 
 
 def _extras(
@@ -308,15 +308,15 @@ def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: floa
 
 def _as_match(labels: Sequence[str], meaning: _Meaning, confidence: float) -> LayoutMatch:
     best = meaning.best
-    found = meaning.markers
+    markers = meaning.markers
     left_out = {**meaning.left_out, **meaning.doubts}
-    columns = sorted(found)
+    columns = sorted(markers)
     used = tuple(
-        replace(found[c], label=labels[c], aliases=(found[c].label, *found[c].aliases))
+        replace(markers[c], label=labels[c], aliases=(markers[c].label, *markers[c].aliases))
         for c in columns
     )
     present = {marker.label for marker, _ in best.markers.values()}
-    unmatched = tuple(label for column, label in enumerate(labels) if column not in found)
+    unmatched = tuple(label for column, label in enumerate(labels) if column not in markers)
     borrowed = [labels[column] for column in columns if column not in best.markers]
     warnings = []
     if meaning.shared:

@@ -87,8 +87,13 @@ class PlacementPrior:
             for m, offset in zip(known.markers, offsets, strict=True)
             if np.linalg.norm(offset) < FAR
         ]
-        found = {(sideless(m.place), keys[m.label]): mirrored(m, offset) for m, offset in near}
-        twins = [found.get((sideless(m.place), keys[m.label]), np.zeros(3)) for m in layout.markers]
+        mirrored_offsets = {
+            (sideless(m.place), keys[m.label]): mirrored(m, offset) for m, offset in near
+        }
+        twins = [
+            mirrored_offsets.get((sideless(m.place), keys[m.label]), np.zeros(3))
+            for m in layout.markers
+        ]
         expected_places = [
             self.alike[is_free(m)] * mirrored(m, twin)
             for m, twin in zip(layout.markers, twins, strict=True)

@@ -27,10 +27,10 @@ def unit_sums(
     """`vertex_normals` in array operations: the reference of `normal_kernels`."""
     xp = namespace(vertices)
     if which is not None:
-        wanted = np.zeros(vertices.shape[-2], dtype=bool)
-        wanted[which] = True
+        chosen = np.zeros(vertices.shape[-2], dtype=bool)
+        chosen[which] = True
         numbers = to_numpy(faces)
-        faces = numbers[wanted[numbers].any(1)]
+        faces = numbers[chosen[numbers].any(1)]
     total = summed_at_corners(face_normals(vertices, faces), faces, vertices)
     total = total if which is None else total[..., which, :]
     squared = (total * total).sum(-1)[..., None]

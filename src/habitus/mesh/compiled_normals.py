@@ -34,9 +34,9 @@ class _VertexNormals(torch.autograd.Function):
     @staticmethod
     def forward(vertices: Tensor, faces: Tensor) -> Tensor:
         points = _array(vertices)
-        found = np.empty(points.shape, points.dtype)
-        normal_kernels.normalize(_totals(points, faces), _tiny(points), found)
-        return torch.from_numpy(found)
+        normals = np.empty(points.shape, points.dtype)
+        normal_kernels.normalize(_totals(points, faces), _tiny(points), normals)
+        return torch.from_numpy(normals)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
@@ -51,12 +51,12 @@ class _VertexNormals(torch.autograd.Function):
                 0
             ], None
         points = _array(vertices)
-        found = np.zeros(points.shape, points.dtype)
+        gradient = np.zeros(points.shape, points.dtype)
         totals = _totals(points, faces)
         normal_kernels.vertex_normals_vjp(
-            points, _array(faces), totals, _tiny(points), _array(cotangent), found
+            points, _array(faces), totals, _tiny(points), _array(cotangent), gradient
         )
-        return torch.from_numpy(found), None
+        return torch.from_numpy(gradient), None
 
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor, _: Any) -> Tensor:

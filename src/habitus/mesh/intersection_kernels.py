@@ -12,7 +12,7 @@ def cutting_pairs(corners, low, high, faces, face, key):
 
     face (M,) are triangles in the order of the cells, key (M,), in which they lie.
     """
-    found = np.empty((256, 2), np.int64)
+    pairs = np.empty((256, 2), np.int64)
     begin = size = 0
     while begin < len(face):
         end = begin + 1
@@ -25,12 +25,12 @@ def cutting_pairs(corners, low, high, faces, face, key):
                 if a == b or not _boxes_meet(low, high, a, b) or _share(faces, a, b):
                     continue
                 if _triangles_cut(corners[a], corners[b]):
-                    if size == len(found):
-                        found = np.concatenate((found, np.empty_like(found)))
-                    found[size, 0], found[size, 1] = a, b
+                    if size == len(pairs):
+                        pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                    pairs[size, 0], pairs[size, 1] = a, b
                     size += 1
         begin = end
-    return found[:size]
+    return pairs[:size]
 
 
 @jit_inline

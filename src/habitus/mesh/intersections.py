@@ -22,10 +22,10 @@ def intersecting_pairs(
     face, cell = _cells(first, last)
     key = cell[:, 0] * PRIMES[0] ^ cell[:, 1] * PRIMES[1] ^ cell[:, 2] * PRIMES[2]
     order = np.argsort(key, kind="stable")
-    found = cutting_pairs(
+    pairs = cutting_pairs(
         corners, low, high, np.ascontiguousarray(faces, dtype=np.int64), face[order], key[order]
     )
-    return np.unique(found, axis=0)
+    return np.unique(pairs, axis=0)
 
 
 def _cells(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

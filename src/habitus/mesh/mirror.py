@@ -205,9 +205,9 @@ def _by_name(names: Sequence[str]) -> Int[np.ndarray, " J"]:
     place = {name: joint for joint, name in enumerate(names)}
     partner = np.arange(len(names))
     for joint, name in enumerate(names):
-        found = [place[other] for other in _other_side(name) if other in place]
-        if found:
-            partner[joint] = found[0]
+        partners = [place[other] for other in _other_side(name) if other in place]
+        if partners:
+            partner[joint] = partners[0]
     off = [names[joint] for joint in range(len(names)) if partner[partner[joint]] != joint]
     off += [
         name
@@ -225,9 +225,9 @@ def _other_side(name: str) -> list[str]:
     """What a joint's partner may be called."""
     others = []
     for mark in _MARKS:
-        found = re.search(mark, name)
-        if found:
-            others.append(name[: found.start(1)] + _swapped(found.group(1)) + name[found.end(1) :])
+        match = re.search(mark, name)
+        if match:
+            others.append(name[: match.start(1)] + _swapped(match.group(1)) + name[match.end(1) :])
     return others
 
 

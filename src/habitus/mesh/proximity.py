@@ -81,10 +81,12 @@ def closest_points(
     from habitus.mesh.closest_kernels import find_closest
 
     given = (np.ascontiguousarray(each, dtype=np.float64) for each in (points, vertices))
-    found = np.empty(len(points), dtype=np.int64)
+    triangles = np.empty(len(points), dtype=np.int64)
     closest = np.empty((len(points), 3))
-    find_closest(*given, np.ascontiguousarray(faces, dtype=np.int64), float(same), found, closest)
-    return found, closest
+    find_closest(
+        *given, np.ascontiguousarray(faces, dtype=np.int64), float(same), triangles, closest
+    )
+    return triangles, closest
 
 
 @dataclass(frozen=True)

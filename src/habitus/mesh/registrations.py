@@ -170,9 +170,9 @@ class Registrations:
         read or copied.
         """
         kept = np.ones(len(self), dtype=bool)
-        for words, wanted in ((self.set, set), (self.sex, sex), (self.subject, subject)):
-            if wanted is not None:
-                these = {wanted} if isinstance(wanted, str) else frozenset(wanted)
+        for words, chosen in ((self.set, set), (self.sex, sex), (self.subject, subject)):
+            if chosen is not None:
+                these = {chosen} if isinstance(chosen, str) else frozenset(chosen)
                 kept &= np.array([word in these for word in words], dtype=bool)
         return self.take(np.flatnonzero(kept))
 

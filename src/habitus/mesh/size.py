@@ -109,9 +109,9 @@ class Ruler:
         a point.
         """
         spread = np.linalg.svd(self._scatter(self._centred), compute_uv=False)
-        told = np.zeros(self.template.num_joints, dtype=bool)
-        told[self._parts[2]] = spread[:, 1] > _FLAT * spread[:, 0]
-        return tuple(told.tolist())
+        determined = np.zeros(self.template.num_joints, dtype=bool)
+        determined[self._parts[2]] = spread[:, 1] > _FLAT * spread[:, 0]
+        return tuple(determined.tolist())
 
     @cached_property
     def _above(self) -> Int[np.ndarray, " J"]:
@@ -214,8 +214,8 @@ class Ruler:
         world[joints] = np.where(
             (count >= min(_LEAST, len(order)))[:, None, None] | here.all(), u @ vt, np.nan
         )
-        told = np.array([self.rigid[joint] for joint in joints])
-        mirrored = float((sign[told] < 0).mean()) if told.any() else 0.0
+        determined = np.array([self.rigid[joint] for joint in joints])
+        mirrored = float((sign[determined] < 0).mean()) if determined.any() else 0.0
         return (
             world[self._above].transpose(0, 2, 1) @ world,
             mirrored,

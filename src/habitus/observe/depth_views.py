@@ -76,8 +76,8 @@ class DepthView:
         """
         rows, columns = np.mgrid[: self.camera.height, : self.camera.width]
         pixels = np.stack([columns + 0.5, rows + 0.5], -1).reshape(-1, 2)
-        found = self.camera.rays(torch.from_numpy(pixels).to(self.camera.focal_length.dtype))
-        return found.numpy().reshape(self.camera.height, self.camera.width, 3)
+        rays = self.camera.rays(torch.from_numpy(pixels).to(self.camera.focal_length.dtype))
+        return rays.numpy().reshape(self.camera.height, self.camera.width, 3)
 
     def points(self) -> Float[np.ndarray, "H W 3"]:
         """The points (m) that depth shows, in the sensor's frame; zero where nothing was
@@ -85,7 +85,7 @@ class DepthView:
         """
         return np.nan_to_num(self.rays) * self.depth[..., None]
 
-    def in_own_frame(self) -> "DepthView":
+    def in_camera_frame(self) -> "DepthView":
         """The same view with its depth camera at the origin: what it saw is in the sensor's frame.
 
         A calibrated camera, with a rotation and translation from a world, takes its colour camera

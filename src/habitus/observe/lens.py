@@ -79,10 +79,10 @@ def undistorted(
         wrong = trial_wrong.where(better, wrong)
         size = torch.where(better, 1.0, size / 2)
     tolerance = 100 * torch.finfo(wanted.dtype).eps * (1 + wanted.norm(dim=-1, keepdim=True))
-    found = wrong.norm(dim=-1, keepdim=True) < tolerance
-    plane = plane.where(found, 0.0)
+    converged = wrong.norm(dim=-1, keepdim=True) < tolerance
+    plane = plane.where(converged, 0.0)
     plane = plane - _newton_step(plane, distorted(plane, distortion) - target, k)
-    return plane.where(found, math.nan)
+    return plane.where(converged, math.nan)
 
 
 def first_turn(distortion: Float[Tensor, "*camera 8"]) -> Float[Tensor, "*camera"]:

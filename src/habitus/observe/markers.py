@@ -257,16 +257,16 @@ def _corner_jacobian(
     """Corners (F, N, 3) and their derivatives to betas, and dynamics, (F, N, 3, B + D) and pose (F,
     N, 3, 3 J).
     """
-    found = surface_jacobian(
+    jacobian = surface_jacobian(
         body, betas, pose, trans, vertices=triangles.ravel(), dynamics=dynamics
     )
-    by_pose = np.asarray(found.vertices_pose)
-    by_betas = np.asarray(found.vertices_betas)
-    if found.vertices_dynamics is not None:
-        by_betas = np.concatenate([by_betas, found.vertices_dynamics], axis=-1)
+    by_pose = np.asarray(jacobian.vertices_pose)
+    by_betas = np.asarray(jacobian.vertices_betas)
+    if jacobian.vertices_dynamics is not None:
+        by_betas = np.concatenate([by_betas, jacobian.vertices_dynamics], axis=-1)
     frames = (len(by_pose), *by_betas.shape[-3:])
     return (
-        np.asarray(found.surface.vertices),
+        np.asarray(jacobian.surface.vertices),
         np.broadcast_to(by_betas, frames),
         by_pose.reshape(*by_pose.shape[:3], -1),
     )

@@ -155,10 +155,10 @@ def recorded(
     markers: Float[np.ndarray, "T M 3"], faults: Faults, rng: np.random.Generator
 ) -> Float[np.ndarray, "T M 3"]:
     """The same with noise on every sample, and gaps (NaN)."""
-    found = (
+    recorded = (
         markers + rng.normal(scale=faults.noise, size=markers.shape)
         if faults.noise
         else markers.copy()
     )
-    found[lost_samples(found.shape[:2], faults, rng)] = np.nan
-    return found
+    recorded[lost_samples(recorded.shape[:2], faults, rng)] = np.nan
+    return recorded

@@ -103,10 +103,10 @@ def mapped(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarr
         return function(*arrays)
     out = None
     for part in blocks(frames):
-        found = function(*(array[part] for array in arrays))
+        result = function(*(array[part] for array in arrays))
         if out is None:
-            out = empty_array((frames, *found.shape[1:]), found.dtype)
-        out[part] = found
+            out = empty_array((frames, *result.shape[1:]), result.dtype)
+        out[part] = result
         drop_pages(out, *arrays)
     assert out is not None
     return out
@@ -192,9 +192,9 @@ def with_columns(
 
 
 def _read_columns(array: np.ndarray, chosen: Sequence[int]) -> list[np.ndarray]:
-    found = [np.empty((len(array), *array.shape[2:]), array.dtype) for _ in chosen]
+    columns = [np.empty((len(array), *array.shape[2:]), array.dtype) for _ in chosen]
     for part in blocks(len(array)):
-        for k, column in zip(chosen, found, strict=True):
+        for k, column in zip(chosen, columns, strict=True):
             column[part] = array[part, k]
         drop_pages(array)
-    return found
+    return columns

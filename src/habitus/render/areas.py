@@ -53,9 +53,9 @@ def find_areas(
         parts[chunk] = _areas_of((on_screen, tiles, ids, inverse, pixels), begin, end, crossing)
 
     run_chunks(work, len(pixels), least=256, pieces=4)
-    found = [part for chunk in sorted(parts) for part in parts[chunk]]
+    merged = [part for chunk in sorted(parts) for part in parts[chunk]]
     return FoundAreas(
-        *(np.concatenate(field) for field in zip(*found, strict=True))
+        *(np.concatenate(field) for field in zip(*merged, strict=True))
     ), crossing.reshape(ids.shape)
 
 
@@ -68,11 +68,11 @@ def _areas_of(
     parts = []
     while True:
         size = max(ROWS, longest + 1)
-        found = FoundAreas(
+        areas = FoundAreas(
             np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size), np.empty((size, 2))
         )
-        begin, count = area_kernels.find_areas(*where, begin, end, room, found, crossing)
-        parts.append(FoundAreas(*(field[:count] for field in found)))
+        begin, count = area_kernels.find_areas(*where, begin, end, room, areas, crossing)
+        parts.append(FoundAreas(*(field[:count] for field in areas)))
         if begin >= end:
             return parts
 
@@ -94,11 +94,11 @@ def _room(count: int) -> AreaRoom:
     )
 
 
-def parted(found: FoundFragments, screen: Float[np.ndarray, "V 3"]) -> FoundFragments:
+def parted(fragments: FoundFragments, screen: Float[np.ndarray, "V 3"]) -> FoundFragments:
     """Fragments in `PARTS` each: what lies beside an edge may change within a pixel."""
-    numbers = FoundFragments(*(np.repeat(field, PARTS, 0) for field in found))
+    numbers = FoundFragments(*(np.repeat(field, PARTS, 0) for field in fragments))
     low, high = numbers.span.T
-    part = np.tile(np.arange(PARTS), len(found.pixel)) / PARTS
+    part = np.tile(np.arange(PARTS), len(fragments.pixel)) / PARTS
     low, high = low + part * (high - low), low + (part + 1.0 / PARTS) * (high - low)
     middle = 0.5 * (low + high)[:, None]
     place = (1.0 - middle) * screen[numbers.tail, :2] + middle * screen[numbers.head, :2]
@@ -106,7 +106,7 @@ def parted(found: FoundFragments, screen: Float[np.ndarray, "V 3"]) -> FoundFrag
 
 
 def with_areas(
-    found: FoundFragments, sides: FragmentSides, areas: FoundAreas, ids: Int[np.ndarray, "H W"]
+    fragments: FoundFragments, sides: FragmentSides, areas: FoundAreas, ids: Int[np.ndarray, "H W"]
 ) -> tuple[np.ndarray, ...]:
     """The fields of `EdgeFragments`: edges that only move, their weights 0, and areas that only
     weigh.
@@ -119,8 +119,8 @@ def with_areas(
     nowhere = np.zeros(len(areas.pixel), np.int64)
     none = np.zeros(len(areas.pixel))
     centre = np.stack([column, row], 1) + 0.5
-    start, end = found.span.T
-    edge = (*found[:5], start, end, found.outward, np.zeros_like(found.weight), *sides)
+    start, end = fragments.span.T
+    edge = (*fragments[:5], start, end, fragments.outward, np.zeros_like(fragments.weight), *sides)
     at_centre = ids.reshape(-1)[areas.pixel].astype(np.int64)
     area = (
         areas.pixel,

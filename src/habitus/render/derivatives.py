@@ -135,20 +135,20 @@ def image_vjp(
 
     run_chunks(work, len(ids), least)
     sums = to_screen.sum(0), to_values.sum(0), to_behind.sum(0), to_weight
-    found = [
+    gradients = [
         torch.from_numpy(array).to(like.dtype)
         for array, like in zip(sums, tensors[:4], strict=True)
     ]
-    return found[0], found[1], found[2] if to_background else None, found[3]
+    return gradients[0], gradients[1], gradients[2] if to_background else None, gradients[3]
 
 
 def fragment_weights_vjp(screen: Tensor, cotangent: Tensor, fragments: EdgeFragments) -> Tensor:
     """The cotangent of the screen from that of edge fragments' weights."""
     names = ("tail", "head", "start", "end", "outward")
     lists = tuple(as_array(getattr(fragments, name)) for name in names)
-    found = np.zeros(screen.shape, as_array(screen).dtype)
-    image_kernels.fragment_weights_vjp(as_array(screen), lists, as_array(cotangent), found)
-    return torch.from_numpy(found)
+    gradient = np.zeros(screen.shape, as_array(screen).dtype)
+    image_kernels.fragment_weights_vjp(as_array(screen), lists, as_array(cotangent), gradient)
+    return torch.from_numpy(gradient)
 
 
 def barycentrics_vjp(*tensors: Tensor, exact: bool) -> Tensor:

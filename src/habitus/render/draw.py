@@ -71,23 +71,23 @@ def draw(
 
 def _checked_vertices(vertices: Any, camera: Camera) -> Tensor:
     """Vertices as a tensor; HabitusError: another shape or type, a batch of none."""
-    found = real_numbers("vertices", vertices, camera.focal_length)
+    converted = real_numbers("vertices", vertices, camera.focal_length)
     if (
-        found.ndim < 2
-        or found.shape[-1] != 3
+        converted.ndim < 2
+        or converted.shape[-1] != 3
         or (isinstance(vertices, Tensor) and vertices.dtype not in KERNEL_TYPES)
     ):
-        kind = getattr(vertices, "dtype", found.dtype)
+        kind = getattr(vertices, "dtype", converted.dtype)
         raise HabitusError(
-            f"vertices are {tuple(found.shape)} {kind}; expected (*batch, V, 3) of float32 or "
+            f"vertices are {tuple(converted.shape)} {kind}; expected (*batch, V, 3) of float32 or "
             "float64"
         )
-    for name, batch in (("vertices", found.shape[:-2]), ("cameras", camera.batch_shape)):
+    for name, batch in (("vertices", converted.shape[:-2]), ("cameras", camera.batch_shape)):
         if 0 in batch:
             raise HabitusError(
                 f"{name} are a batch of {tuple(batch)}; expected at least one to draw"
             )
-    return found
+    return converted
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +162,8 @@ class Frames:
         with its own rank.
         """
         parts = [_each(value, rank, self.shape) for value, rank in arguments]
-        found = [take(frame, *(part[k] for part in parts)) for k, frame in enumerate(self.frames)]
-        return torch.stack(found).unflatten(0, self.shape) if found else torch.zeros(self.shape)
+        images = [take(frame, *(part[k] for part in parts)) for k, frame in enumerate(self.frames)]
+        return torch.stack(images).unflatten(0, self.shape) if images else torch.zeros(self.shape)
 
 
 def _each(value: Any, rank: int, shape: torch.Size) -> list[Any]:

@@ -183,10 +183,10 @@ class Frame:
         drawn; else 0.
         """
         image = self.screen.new_zeros(self.height * self.width, 3)
-        found = image.index_copy(
+        weights = image.index_copy(
             0, self.visibility.pixels, self.samples[: len(self.visibility.pixels)]
         )
-        return found.unflatten(0, (self.height, self.width))
+        return weights.unflatten(0, (self.height, self.width))
 
     def at_samples(self, values: Shaped[Tensor, "V C"] | Numbers) -> Float[Tensor, "N C"]:
         """Values of vertices, interpolated at the samples: linear on triangles in space."""
@@ -219,24 +219,24 @@ class Frame:
 
     def compose(
         self,
-        found: Shaped[Tensor, "N C"] | Numbers,
+        values: Shaped[Tensor, "N C"] | Numbers,
         background: Shaped[Tensor, "*size C"] | Numbers = 0.0,
     ) -> Float[Tensor, "H W C"]:
         """The image of any values at `samples`: what every image ends with, and where shading of
         one's own goes.
         """
-        found = real_numbers("values at samples", found, self.screen)
+        values = real_numbers("values at samples", values, self.screen)
         count = len(self.visibility.faces)
         centres = len(self.visibility.pixels)
-        if found.ndim != 2 or len(found) not in (
+        if values.ndim != 2 or len(values) not in (
             (count,) if self.mode in AVERAGED else (count, centres)
         ):
             raise HabitusError(
-                f"values at samples are {tuple(found.shape)}; expected ({count}, channels), as "
+                f"values at samples are {tuple(values.shape)}; expected ({count}, channels), as "
                 "at_samples"
             )
-        behind = _background(background, self.height, self.width, found)
-        return self._finished(operators.compose(found, behind, *self._mixing(found)))
+        behind = _background(background, self.height, self.width, values)
+        return self._finished(operators.compose(values, behind, *self._mixing(values)))
 
     def _drawn(self, values: Tensor, background: Numbers, are_depths: bool = False) -> Tensor:
         """The image of values of the vertices of `screen`."""
@@ -305,16 +305,16 @@ class Frame:
         corners, corner_uv = self._corner_values(uv, uv_faces)
         at = operators.interpolate(corner_uv, corners, self.visibility.faces, self.samples)
         size = None if len(texture.sizes) == 1 else self._footprint(texture, corner_uv, corners)
-        found = texture.sample(at, size)
+        values = texture.sample(at, size)
         if brightness is None:
-            return self.compose(found, background)
+            return self.compose(values, background)
         light = self.at_samples(brightness)
-        if 1 not in (light.shape[1], found.shape[1]) and light.shape[1] != found.shape[1]:
+        if 1 not in (light.shape[1], values.shape[1]) and light.shape[1] != values.shape[1]:
             raise HabitusError(
-                f"brightness has {light.shape[1]} channels; expected 1 or {found.shape[1]}, the "
+                f"brightness has {light.shape[1]} channels; expected 1 or {values.shape[1]}, the "
                 "texture's"
             )
-        return self.compose(found * light, background)
+        return self.compose(values * light, background)
 
     def check_uv(self, uv: Tensor, uv_faces: Tensor | None) -> None:
         """HabitusError if texture coordinates do not fit the mesh."""
@@ -396,10 +396,10 @@ class Frame:
         """Unit normals of vertices, interpolated and made unit again; 0 where there is no
         surface.
         """
-        found = self.at_samples(normals)
-        if found.shape[1] != 3:
-            raise HabitusError(f"normals have {found.shape[1]} numbers a vertex; expected 3")
-        return self.compose(torch.nn.functional.normalize(found, dim=-1))
+        directions = self.at_samples(normals)
+        if directions.shape[1] != 3:
+            raise HabitusError(f"normals have {directions.shape[1]} numbers a vertex; expected 3")
+        return self.compose(torch.nn.functional.normalize(directions, dim=-1))
 
 
 def _background(background: Numbers, height: int, width: int, like: Tensor) -> Tensor:

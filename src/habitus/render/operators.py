@@ -71,8 +71,8 @@ def image(
     if values.device.type != "cpu":
         corners = faces[visibility.faces]
         shares = reference.barycentrics(screen, corners, visibility.points, visibility.exact)
-        found = reference.interpolate(values, corners, shares)
-        return reference.compose(found, background, weights, visibility)
+        colours = reference.interpolate(values, corners, shares)
+        return reference.compose(colours, background, weights, visibility)
     return _Image.apply(screen, values, background, weights, faces, visibility, are_depths)
 
 

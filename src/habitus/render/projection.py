@@ -188,8 +188,8 @@ def _vjp(points: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
         ]
     )
     to_rotation = left_jacobian(numbers[2]).T @ axis
-    found = to_focal, to_middle, to_rotation, to_shift, to_lens
+    gradients = to_focal, to_middle, to_rotation, to_shift, to_lens
     cotangents = (
-        torch.from_numpy(array).to(like.dtype) for array, like in zip(found, given, strict=True)
+        torch.from_numpy(array).to(like.dtype) for array, like in zip(gradients, given, strict=True)
     )
     return torch.from_numpy(to_points), *cotangents

@@ -224,18 +224,18 @@ def find_fragments(
         tiles = _tiles_around(on_screen, bounds, chosen, width, height)
     else:
         tiles = list_all_faces(on_screen.facing, bounds, width, height)
-    found = _cut(on_screen, tiles, chosen)
+    fragments = _cut(on_screen, tiles, chosen)
     if inverse is not None:
-        return _fragments_of_areas(on_screen, tiles, found, ids, inverse)
-    group = np.append(np.flatnonzero(np.diff(found.pixel, prepend=-1)), len(found.pixel))
-    sides = _room_for_sides(found)
+        return _fragments_of_areas(on_screen, tiles, fragments, ids, inverse)
+    group = np.append(np.flatnonzero(np.diff(fragments.pixel, prepend=-1)), len(fragments.pixel))
+    sides = _room_for_sides(fragments)
 
     def work(_: int, begin: int, end: int) -> None:
-        edge_kernels.find_sample_points(on_screen, tiles, ids, group, found, begin, end, sides)
+        edge_kernels.find_sample_points(on_screen, tiles, ids, group, fragments, begin, end, sides)
 
     run_chunks(work, len(group) - 1, least=FRAGMENTS, pieces=2)
-    start, end = np.ascontiguousarray(found.span.T)
-    numbers = (*found[:5], start, end, found.outward, found.weight, *sides)
+    start, end = np.ascontiguousarray(fragments.span.T)
+    numbers = (*fragments[:5], start, end, fragments.outward, fragments.weight, *sides)
     return EdgeFragments(*(torch.from_numpy(values) for values in numbers))
 
 
@@ -292,9 +292,9 @@ def _tiles_around(
     extent = math.sqrt(width * height / max(len(on_screen.faces), 1))
     side = min(TILE, max(LEAST_TILE, 2 ** round(math.log2(3.0 * extent))))
     shape = (width, height, side)
-    wanted = np.zeros(count_tiles(width, height, side), bool)
-    tile_kernels.mark_tiles(on_screen.screen, chosen, *shape, wanted)
-    return list_faces(on_screen.facing, bounds, shape, wanted)
+    marked = np.zeros(count_tiles(width, height, side), bool)
+    tile_kernels.mark_tiles(on_screen.screen, chosen, *shape, marked)
+    return list_faces(on_screen.facing, bounds, shape, marked)
 
 
 def _cut(on_screen: ScreenFaces, tiles: Tiles, chosen: ChosenEdges) -> FoundFragments:

@@ -119,8 +119,8 @@ class Texture:
         repeat = self.wrap[0] == "repeat", self.wrap[1] == "repeat"
         arguments = self.texels, uv.to(self.texels.dtype), level, self.sizes, repeat
         on_cpu = self.texels.device.type == "cpu"
-        found = _Sample.apply(*arguments) if on_cpu else reference_textures.sample(*arguments)
-        return found.to(torch.promote_types(uv.dtype, self.texels.dtype))
+        values = _Sample.apply(*arguments) if on_cpu else reference_textures.sample(*arguments)
+        return values.to(torch.promote_types(uv.dtype, self.texels.dtype))
 
     def _level(self, uv: Tensor, footprint: Tensor | None) -> Tensor:
         if footprint is None or len(self.sizes) == 1:

@@ -46,9 +46,9 @@ def outside(function: Callable[..., Result], *tensors: Tensor) -> Result:
     if not is_transformed():
         with torch.no_grad():
             return function(*plain)
-    found: list[Result] = []
-    _Outside.apply(lambda *plain: found.append(function(*plain)), *plain)
-    return found[0]
+    results: list[Result] = []
+    _Outside.apply(lambda *plain: results.append(function(*plain)), *plain)
+    return results[0]
 
 
 def is_transformed() -> bool:
@@ -100,7 +100,7 @@ def real_numbers(name: str, given: Any, like: Tensor) -> Tensor:
     """
     plain = not isinstance(given, Tensor | np.ndarray | np.generic)
     try:
-        found = (
+        converted = (
             torch.as_tensor(given, dtype=like.dtype, device=like.device)
             if plain
             else torch.as_tensor(given)
@@ -109,13 +109,17 @@ def real_numbers(name: str, given: Any, like: Tensor) -> Tensor:
         raise HabitusError(
             f"{name} is of type {type(given).__name__}; expected real numbers"
         ) from None
-    if found.dtype.is_complex:
-        raise HabitusError(f"{name} is {tuple(found.shape)} {found.dtype}; expected real numbers")
-    if isinstance(given, Tensor) and found.device != like.device:
+    if converted.dtype.is_complex:
         raise HabitusError(
-            f"{name} is on {found.device}, the drawing on {like.device}; move one with .to"
+            f"{name} is {tuple(converted.shape)} {converted.dtype}; expected real numbers"
         )
-    return found.to(like.device, found.dtype if found.dtype in KERNEL_TYPES else like.dtype)
+    if isinstance(given, Tensor) and converted.device != like.device:
+        raise HabitusError(
+            f"{name} is on {converted.device}, the drawing on {like.device}; move one with .to"
+        )
+    return converted.to(
+        like.device, converted.dtype if converted.dtype in KERNEL_TYPES else like.dtype
+    )
 
 
 def of_one_type(*tensors: Tensor) -> tuple[Tensor, ...]:

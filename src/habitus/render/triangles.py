@@ -75,10 +75,10 @@ class Triangles:
         """Triangles of sound faces (F, 3) between vertices that are welded where `weld` (V,) has
         the same vertex.
         """
-        found = [
+        welded = [
             torch.from_numpy(array).to(device) for array in (faces, *_edges(faces, weld), weld)
         ]
-        return cls(found[0], len(weld), *found[1:])
+        return cls(welded[0], len(weld), *welded[1:])
 
     @cached_property
     def edge_pair(self) -> Int[Tensor, "E 2"]:

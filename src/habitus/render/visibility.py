@@ -128,7 +128,7 @@ def _list_samples(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """The samples of pixels, and behind them those beside fragments; see `Visibility`."""
     if ids.device.type == "cpu":
-        pixels, faces, points = (torch.from_numpy(found) for found in list_pixels(ids.numpy()))
+        pixels, faces, points = (torch.from_numpy(array) for array in list_pixels(ids.numpy()))
     else:
         pixels, faces, points = list_pixels_reference(ids)
     if fragments is None:

@@ -233,44 +233,44 @@ def view_pictures(fit: "RgbdFit") -> list[ViewPictures]:
     triangles = Triangles.of(fit.body.faces, num_vertices=fit.body.num_vertices)
     surfaces = fit.vertices()
     return [
-        ViewPictures(sight.view.name, _of_view(sight, surface, triangles, fit.appearance))
-        for sight, surface in zip(fit.sights, surfaces, strict=True)
+        ViewPictures(view.view.name, _of_view(view, surface, triangles, fit.appearance))
+        for view, surface in zip(fit.prepared_views, surfaces, strict=True)
     ]
 
 
 def _of_view(
-    sight: PreparedView,
+    view: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     appearance: Appearance | None,
 ) -> dict[str, Picture]:
-    box = _around(sight.mask)
-    frame = draw(sight.camera, torch.from_numpy(vertices), triangles, boundary="none")
+    box = _around(view.mask)
+    frame = draw(view.camera, torch.from_numpy(vertices), triangles, boundary="none")
     model = frame.depth().numpy()
-    person = sight.mask & (sight.view.depth > 0)
+    person = view.mask & (view.view.depth > 0)
     pictures = {
-        "Depth observed": _relief(sight.camera, np.where(person, sight.view.depth, np.inf))[box],
-        "Depth of the body": _relief(sight.camera, model)[box],
-        "Difference of depth": _depth_difference(sight, model, person)[box],
+        "Depth observed": _relief(view.camera, np.where(person, view.view.depth, np.inf))[box],
+        "Depth of the body": _relief(view.camera, model)[box],
+        "Difference of depth": _depth_difference(view, model, person)[box],
     }
-    if appearance is None or sight.colour_camera is None or sight.view.colour is None:
+    if appearance is None or view.colour_camera is None or view.view.colour is None:
         return pictures
-    return pictures | _colour_pictures(sight, vertices, triangles, appearance)
+    return pictures | _colour_pictures(view, vertices, triangles, appearance)
 
 
 def _colour_pictures(
-    sight: PreparedView,
+    view: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     appearance: Appearance,
 ) -> dict[str, Picture]:
-    assert sight.colour_camera is not None and sight.view.colour is not None
-    camera = moved(sight.colour_camera, appearance.shift.shift)
-    observed = sight.view.colour
+    assert view.colour_camera is not None and view.view.colour is not None
+    camera = moved(view.colour_camera, appearance.shift.shift)
+    observed = view.view.colour
     normals = vertex_normals(vertices, triangles.faces.numpy())
     shade = (harmonics(normals) @ appearance.light).clip(0.0)
     frame = draw(camera, torch.from_numpy(vertices), triangles)
-    empty = sight.view.background_colour
+    empty = view.view.background_colour
     behind = to_linear(observed if empty is None else empty)
 
     def image(values: np.ndarray, background: object) -> np.ndarray:
@@ -339,14 +339,14 @@ def _smoothed(depth: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def _depth_difference(
-    sight: PreparedView, model: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"]
+    view: PreparedView, model: Float[np.ndarray, "H W"], person: Bool[np.ndarray, "H W"]
 ) -> Picture:
     """Observed depth less the body's: red where the person is closer, blue where farther, grey
     where only one of the two is there.
     """
     body = np.isfinite(model)
     both = person & body
-    difference = np.where(both, 1e3 * (sight.view.depth - np.where(both, model, 0.0)), 0.0)
+    difference = np.where(both, 1e3 * (view.view.depth - np.where(both, model, 0.0)), 0.0)
     picture = _ramp_picture(difference, MAX_DEPTH_ERROR_MM, DEPTH_RAMP, -MAX_DEPTH_ERROR_MM)
     picture[person & ~both] = 120
     picture[body & ~person] = 190

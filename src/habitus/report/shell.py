@@ -259,8 +259,8 @@ def solution_card(
     """The solver's status and the final cost of each term of the energy, and other ``rows`` between
     them. ``names`` are the terms' names in words, ``stages`` the words for prefixes of the terms.
     """
-    found = [("Status", STATUSES.get(status, status))] if status else []
-    table = numbers_table([*found, *rows])
+    cells = [("Status", STATUSES.get(status, status))] if status else []
+    table = numbers_table([*cells, *rows])
     terms = [(_term(key, names, stages), f"{value:,.4g}") for key, value in costs.items()]
     sums = f"<h3>Cost of each term</h3><p class='lead'>{COSTS_LEAD}</p>{numbers_table(terms)}"
     return card("Solution", table + (sums if terms else ""))

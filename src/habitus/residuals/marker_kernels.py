@@ -37,7 +37,7 @@ from habitus.observe.marker_kernels import place_markers
 
 
 @jit_inline
-def own_cost(rig, offsets, workspace, data, state):
+def frame_cost(rig, offsets, workspace, data, state):
     """f of the states in rows `state`, one lane each."""
     place_markers(rig, offsets, workspace, state)
     total = spread(0.0)

@@ -404,12 +404,12 @@ def _surface_points(
 ) -> _Moved:
     used, corner = np.unique(body.faces[observations.face], return_inverse=True)
     corner = corner.reshape(-1, 3)
-    found = surface_jacobian(body, betas, pose, trans, vertices=used)
+    jacobian = surface_jacobian(body, betas, pose, trans, vertices=used)
     share = observations.barycentric
     return (
-        np.einsum("pk,pkc->pc", share, found.surface.vertices[corner]),
-        np.einsum("pk,pkcb->pcb", share, found.vertices_betas[corner]),
-        np.einsum("pk,pkcje->pcje", share, found.vertices_pose[corner]),
+        np.einsum("pk,pkc->pc", share, jacobian.surface.vertices[corner]),
+        np.einsum("pk,pkcb->pcb", share, jacobian.vertices_betas[corner]),
+        np.einsum("pk,pkcje->pcje", share, jacobian.vertices_pose[corner]),
     )
 
 
@@ -482,9 +482,9 @@ def _named(
     matrix = np.zeros((len(sets), size, size))
     for k, points_of_frame in enumerate(sets):
         for points in points_of_frame:
-            found = solver.at(betas, poses[k], places[k], points)
-            gradient[k] += found.gradient
-            matrix[k] += found.matrix
+            equations = solver.at(betas, poses[k], places[k], points)
+            gradient[k] += equations.gradient
+            matrix[k] += equations.matrix
     part = {"betas": slice(head), "trans": slice(head, head + 3), "pose": slice(head + 3, size)}
     pairs = [("trans", "trans"), ("trans", "pose"), ("pose", "pose")]
     pairs += [("trans", "betas"), ("pose", "betas")]

@@ -33,17 +33,17 @@ def data(
 
     def residual(betas, latent_markers, pose, trans):
         def jacobians():
-            found = markers.jacobian(betas, latent_markers, pose, trans)
+            jacobian = markers.jacobian(betas, latent_markers, pose, trans)
             frames, count = weights.shape
             own = {
-                "pose": (root[..., None] * found.by_pose).reshape(frames, 3 * count, -1),
+                "pose": (root[..., None] * jacobian.by_pose).reshape(frames, 3 * count, -1),
                 "trans": (root[..., None] * np.eye(3)).reshape(frames, 3 * count, 3),
             }
             along_markers = np.tile(np.arange(count), frames)
-            by_latent = (root[..., None] * found.by_latent).reshape(-1, 3, 3)
+            by_latent = (root[..., None] * jacobian.by_latent).reshape(-1, 3, 3)
             shape = (3 * frames * count, 3 * count)
             return {
-                "betas": (root[..., None] * found.by_betas).reshape(3 * frames * count, -1),
+                "betas": (root[..., None] * jacobian.by_betas).reshape(3 * frames * count, -1),
                 "latent_markers": bsr_array(
                     (by_latent, along_markers, np.arange(len(by_latent) + 1)), shape=shape
                 ),

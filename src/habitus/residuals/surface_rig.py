@@ -40,10 +40,10 @@ def surface_rig(body: BodyModel) -> tuple[SurfaceRig, np.ndarray]:
     shapes = np.zeros((0, 27))
     directions = body.pose_directions
     if directions is not None:
-        found = without_zeros(directions[..., : 9 * len(body.drivers)])
-        vertex = np.repeat(np.arange(body.num_vertices), np.diff(found.start))
-        rows[vertex, np.array(body.drivers)[found.driver]] = np.arange(len(found.driver))
-        shapes = found.value
+        blends = without_zeros(directions[..., : 9 * len(body.drivers)])
+        vertex = np.repeat(np.arange(body.num_vertices), np.diff(blends.start))
+        rows[vertex, np.array(body.drivers)[blends.driver]] = np.arange(len(blends.driver))
+        shapes = blends.value
         moves = moves | (rows >= 0)
     vertex, joint = np.nonzero(moves)
     entries = [vertex, joint, rows[moves], joint]

@@ -88,15 +88,15 @@ def _view(view: ViewEvidence) -> dict[str, Any]:
 
 
 def _appearance(fit: RgbdFit) -> dict[str, Any] | None:
-    found = fit.appearance
-    if found is None:
+    appearance = fit.appearance
+    if appearance is None:
         return None
     return {
-        "colour_residual": found.residual,
-        "observed_fraction": float((found.seen > 0).mean()),
-        "colour_camera_shift_mm": (1e3 * found.shift.shift).tolist(),
-        "silhouette_overlap": found.shift.overlap,
-        "light": found.light.tolist(),
+        "colour_residual": appearance.residual,
+        "observed_fraction": float((appearance.seen > 0).mean()),
+        "colour_camera_shift_mm": (1e3 * appearance.shift.shift).tolist(),
+        "silhouette_overlap": appearance.shift.overlap,
+        "light": appearance.light.tolist(),
     }
 
 
@@ -109,7 +109,9 @@ def _depth_arrays(fit: RgbdFit) -> dict[str, np.ndarray]:
     arrays = motion_arrays(fit) | {
         "made": np.array([f"fitted to {len(fit.pose)} depth views of {fit.capture_name}"]),
         "view_names": np.array([view.name for view in fit.evidence.views]),
-        "T_world_sensor": np.stack([_rigid(sight.turn, sight.shift) for sight in fit.sights]),
+        "T_world_sensor": np.stack(
+            [_rigid(prepared.turn, prepared.shift) for prepared in fit.prepared_views]
+        ),
     }
     if fit.skin is not None:
         arrays["skin_offset"] = fit.skin.astype(np.float32)
@@ -133,11 +135,11 @@ def _baked_skin(fit: RgbdFit) -> Skin | None:
     """The texture of the person's skin; None without colour images."""
     if fit.appearance is None:
         return None
-    image = fit.sights[0].view.colour
+    image = fit.prepared_views[0].view.colour
     height = 0 if image is None else len(image)
     size = next(size for least, size in TEXTURE_SIZES.items() if height >= least)
     state = BodyState(fit.betas, fit.pose, fit.trans)
-    return bake(fit.body, state, fit.sights, fit.appearance, size, fit.skin)
+    return bake(fit.body, state, fit.prepared_views, fit.appearance, size, fit.skin)
 
 
 def _write_depth_glb(fit: RgbdFit, skin: Skin | None, path: Path) -> None:

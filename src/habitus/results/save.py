@@ -317,8 +317,8 @@ def save_markers(
         (write_amass if npz_style == "amass" else write_npz)(fit, partial / "body.npz")
         if obj:
             write_obj_sequence(fit, partial / "obj")
-        if fit.found_layout:
-            write_text(partial / "layout.toml", fit.found_layout)
+        if fit.discovered_layout:
+            write_text(partial / "layout.toml", fit.discovered_layout)
         numbers = marker_metrics(fit)
         if page is not None and not minimal:
             written = {"body.glb", METRICS} | {path.name for path in partial.iterdir()}

@@ -67,12 +67,12 @@ def alternate(
     began = time.perf_counter()
     steps = Levenberg() if steps is None else steps
     history: list[float] = []
-    found: Minimized | None = None
+    solved: Minimized | None = None
     state = start
     for stage in stages:
         for k in range(stage.steps):
             values = state if isinstance(state, Mapping) else vars(state)
-            found = minimize(
+            solved = minimize(
                 terms_at({n: v for n, v in values.items() if v is not None}, stage, k),
                 state,
                 steps,
@@ -85,25 +85,25 @@ def alternate(
                 blocks=[name for name in blocks if name not in stage.fixed],
                 stretch=False,
             )
-            state = found.state
-            history.append(found.history[0])
-            if callback is not None and callback(len(history), state, found.cost):
-                found = replace(found, status="stopped")
-            if found.status in ("stopped", "not finite"):
-                return _ended(found, history, began)
-            if found.cost == found.history[0] and found.status == "iterations":
-                found = replace(found, status="stalled")
-            if stage.until is not None and found.status == "converged":
+            state = solved.state
+            history.append(solved.history[0])
+            if callback is not None and callback(len(history), state, solved.cost):
+                solved = replace(solved, status="stopped")
+            if solved.status in ("stopped", "not finite"):
+                return _ended(solved, history, began)
+            if solved.cost == solved.history[0] and solved.status == "iterations":
+                solved = replace(solved, status="stalled")
+            if stage.until is not None and solved.status == "converged":
                 break
-    if found is None:
+    if solved is None:
         raise ValueError("the stages have no steps; expected at least one")
-    return _ended(found, history, began)
+    return _ended(solved, history, began)
 
 
-def _ended(found: Minimized, history: list[float], began: float) -> Minimized:
+def _ended(solved: Minimized, history: list[float], began: float) -> Minimized:
     return replace(
-        found,
+        solved,
         iterations=len(history),
-        history=(*history, found.cost),
+        history=(*history, solved.cost),
         seconds=time.perf_counter() - began,
     )

@@ -62,8 +62,8 @@ def arrow_problem(
     layout = _layout(objective, blocked)
 
     def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
-        found = objective.evaluate(x)
-        return total_cost(found), lambda: _normal_equations(objective, how, layout, x, found)
+        outcomes = objective.evaluate(x)
+        return total_cost(outcomes), lambda: _normal_equations(objective, how, layout, x, outcomes)
 
     return evaluate
 
@@ -101,7 +101,7 @@ def _end(places: dict[str, slice]) -> int:
 
 
 def _normal_equations(
-    objective: Objective, how: Differentiation, layout: _Layout, x: np.ndarray, found: list
+    objective: Objective, how: Differentiation, layout: _Layout, x: np.ndarray, outcomes: list
 ) -> tuple[Float[np.ndarray, " n"], ArrowMatrix]:
     (head, width), count = layout.size, layout.count
     shared = np.zeros((head, head))
@@ -109,7 +109,7 @@ def _normal_equations(
     blocks = np.zeros((count, width, width))
     gradient = np.zeros(len(x))
     arrow = ArrowMatrix(shared, border, blocks, layout.order)
-    for term, outcome in found:
+    for term, outcome in outcomes:
         if outcome.quadratic is not None:
             slopes, curvatures = quadratic_parts(objective, term, outcome)
             for name, slope in slopes.items():

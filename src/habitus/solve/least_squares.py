@@ -147,7 +147,7 @@ class Steps(Protocol):
         """The step (N,) to try from here; scale (N,) holds the norms of the Jacobian's columns."""
         ...
 
-    def update(self, taken: bool, ratio: float, length: float) -> None:
+    def update(self, accepted: bool, ratio: float, length: float) -> None:
         """ratio: actual over predicted decrease of the cost, 0 for a refused step; length: of the
         step, scaled.
         """
@@ -194,24 +194,28 @@ def descend(
         cost, derivatives = _cost_at(problem, here.x + step)
         predicted = here.predicted_decrease(step)
         cost_decrease = here.cost - cost
-        taken = bool(
+        step_accepted = bool(
             np.isfinite(cost) and cost_decrease > 0.0 and cost_decrease >= ACCEPT * predicted
         )
-        if stretch and limit is None and taken and cost_decrease > STRETCH * predicted:
+        if stretch and limit is None and step_accepted and cost_decrease > STRETCH * predicted:
             step, cost, derivatives = _stretched(problem, here.x, step, cost, derivatives)
             cost_decrease = here.cost - cost
         length = float(np.linalg.norm(scale * step))
         size = float(np.linalg.norm(scale * here.x))
-        last = taken and accepted + 1 == max_accepted
+        last = step_accepted and accepted + 1 == max_accepted
         if last:
             trial = replace(here, x=here.x + step, cost=cost)
         else:
-            trial = _linearized(here.x + step, cost, derivatives) if taken else here
-        taken = taken and trial.finite
-        status = verdict(tolerances, here, predicted, cost_decrease, length, size, taken)
-        steps.update(taken, cost_decrease / predicted if taken and predicted > 0.0 else 0.0, length)
-        accepted += taken
-        if taken:
+            trial = _linearized(here.x + step, cost, derivatives) if step_accepted else here
+        step_accepted = step_accepted and trial.finite
+        status = verdict(tolerances, here, predicted, cost_decrease, length, size, step_accepted)
+        steps.update(
+            step_accepted,
+            cost_decrease / predicted if step_accepted and predicted > 0.0 else 0.0,
+            length,
+        )
+        accepted += step_accepted
+        if step_accepted:
             here = trial
             scale = np.maximum(scale, column_scale(trial.diagonal))
         history.append(here.cost)
@@ -280,13 +284,13 @@ def verdict(
     cost_decrease: float,
     length: float,
     size: float,
-    taken: bool,
+    accepted: bool,
 ) -> str:
     """Status after a step of scaled `length`, x being of scaled `size`; "iterations" means go
     on.
     """
     small = length <= tolerances.step * (size + tolerances.step)
-    if taken:
+    if accepted:
         quiet = max(predicted, cost_decrease) <= tolerances.cost * here.cost
         return "converged" if small or quiet or here.cost == cost_decrease else "iterations"
     if predicted <= tolerances.cost * here.cost:
@@ -332,7 +336,7 @@ class Dogleg:
             self._newton = solve_damped(here, np.zeros(len(here.x)))
         return _dogleg_step(here, self._newton, scale, self.radius)
 
-    def update(self, taken: bool, ratio: float, length: float) -> None:
+    def update(self, accepted: bool, ratio: float, length: float) -> None:
         """Algorithm 4.1: shrink after a poor prediction, grow after a good one that met the
         boundary.
         """
@@ -340,7 +344,7 @@ class Dogleg:
             self.radius = 0.25 * length
         elif ratio > 0.75 and length > 0.99 * self.radius:
             self.radius = max(2.0 * self.radius, length)
-        if taken:
+        if accepted:
             self._newton = None
 
 
@@ -361,9 +365,9 @@ class Levenberg:
         """The step that minimises the quadratic model plus the damping."""
         return solve_damped(here, self.damping * scale**2)
 
-    def update(self, taken: bool, ratio: float, length: float) -> None:
+    def update(self, accepted: bool, ratio: float, length: float) -> None:
         """Less damping after a good prediction, more and more of it while steps are refused."""
-        if taken:
+        if accepted:
             self.damping = self.damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
             self.growth = 2.0
         else:

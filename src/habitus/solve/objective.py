@@ -37,10 +37,10 @@ class Objective:
         terms = []
         outcomes = []
         for term in read_terms(objective, weights or {}, unknowns.names):
-            found = term(values)
-            count = 1 if found.residual.ndim == 0 else len(found.value)
-            terms.append(replace(term, count=count, explicit=found.explicit, is_cost=found.is_cost))
-            outcomes.append(found)
+            bound = term(values)
+            count = 1 if bound.residual.ndim == 0 else len(bound.value)
+            terms.append(replace(term, count=count, explicit=bound.explicit, is_cost=bound.is_cost))
+            outcomes.append(bound)
         made = cls(unknowns, tuple(terms))
         made._remember(
             unknowns.vector, [pair for pair in zip(terms, outcomes, strict=True) if pair[0].weight]
@@ -54,35 +54,37 @@ class Objective:
 
     def evaluate(self, x: Float[np.ndarray, " N"]) -> list[tuple[BoundTerm, Outcome]]:
         """Each active term with what it gives at x; the two latest answers are kept."""
-        found = self._recent.get(x.tobytes())
-        if found is None:
+        outcomes = self._recent.get(x.tobytes())
+        if outcomes is None:
             values = self.unknowns.values(x)
-            found = [(term, term(values)) for term in self.active]
-        self._remember(x, found)
-        return found
+            outcomes = [(term, term(values)) for term in self.active]
+        self._remember(x, outcomes)
+        return outcomes
 
-    def _remember(self, x: Float[np.ndarray, " N"], found: list[tuple[BoundTerm, Outcome]]) -> None:
+    def _remember(
+        self, x: Float[np.ndarray, " N"], outcomes: list[tuple[BoundTerm, Outcome]]
+    ) -> None:
         self._recent.pop(x.tobytes(), None)
-        self._recent[x.tobytes()] = found
+        self._recent[x.tobytes()] = outcomes
         while len(self._recent) > 2:
             del self._recent[next(iter(self._recent))]
 
     def costs(self, x: Float[np.ndarray, " N"]) -> dict[str, float]:
         """The weighted cost of each term."""
-        found = {
+        costs = {
             term.name: term.weight * float(as_numpy(outcome.cost))
             for term, outcome in self.evaluate(x)
         }
-        return {term.name: found.get(term.name, 0.0) for term in self.terms}
+        return {term.name: costs.get(term.name, 0.0) for term in self.terms}
 
     def free(self, term: BoundTerm) -> tuple[str, ...]:
         """The free unknowns that a term takes."""
         return tuple(name for name in term.takes if name in self.unknowns.start)
 
 
-def total_cost(found: Collection[tuple[BoundTerm, Outcome]]) -> float:
+def total_cost(outcomes: Collection[tuple[BoundTerm, Outcome]]) -> float:
     """Weighted sum of the costs."""
-    return sum(term.weight * float(as_numpy(outcome.cost)) for term, outcome in found)
+    return sum(term.weight * float(as_numpy(outcome.cost)) for term, outcome in outcomes)
 
 
 Block = Any
@@ -138,8 +140,8 @@ def least_squares_problem(
     """
 
     def evaluate(x: np.ndarray) -> tuple[float, Derivatives]:
-        found = objective.evaluate(x)
-        return total_cost(found), lambda: _normal_equations(objective, how, x, found)
+        outcomes = objective.evaluate(x)
+        return total_cost(outcomes), lambda: _normal_equations(objective, how, x, outcomes)
 
     return evaluate
 
@@ -197,7 +199,7 @@ def _normal_equations(
     objective: Objective,
     how: Differentiation,
     x: np.ndarray,
-    found: list[tuple[BoundTerm, Outcome]],
+    outcomes: list[tuple[BoundTerm, Outcome]],
 ) -> tuple[np.ndarray, Matrix]:
     """Gradient and matrix; products of blocks are summed, and only one term's Jacobian is alive at
     a time.
@@ -209,7 +211,7 @@ def _normal_equations(
     def add(a: str, b: str, product: Any) -> None:
         products[a, b] = products[a, b] + product if (a, b) in products else product
 
-    for term, outcome in found:
+    for term, outcome in outcomes:
         if outcome.quadratic is not None:
             slopes, curvatures = quadratic_parts(objective, term, outcome)
             for name, slope in slopes.items():

@@ -143,12 +143,12 @@ class Level(LevelFrames):
         self.moved = np.full(len(frames), np.inf)
         self.relaxations = np.ones(len(frames))
 
-    def solve(self, most: int) -> tuple[str, list[float]]:
+    def solve(self, max_sweeps: int) -> tuple[str, list[float]]:
         """Sweep until every frame rests; status and the total cost after each sweep."""
         history = [float(np.sum(self.costs)) + self.coupling_cost()]
         tolerance = self.options.tolerance
         quiet = False
-        for _ in range(most):
+        for _ in range(max_sweeps):
             active = self._active(REST * tolerance)
             if quiet or not active.any():
                 break
@@ -267,12 +267,12 @@ class DenseVisits:
             along = -np.sum(gradient * newton, axis=1)
             spent = damping * np.sum(newton**2, axis=1)
             size = np.sqrt(np.mean(newton[:, level.measured] ** 2, axis=1)) * undamped(along, spent)
-        taken = change < NOISE * costs
-        level.states[block] = np.where(taken[:, None], here + steps, here)
-        level.costs[block] = np.where(taken, trial, costs)
-        level.cost_decrease[block] = np.where(taken, -change, 0.0)
+        accepted = change < NOISE * costs
+        level.states[block] = np.where(accepted[:, None], here + steps, here)
+        level.costs[block] = np.where(accepted, trial, costs)
+        level.cost_decrease[block] = np.where(accepted, -change, 0.0)
         level.moved[block] = np.nan_to_num(size)
-        level.damping[block] = next_damping(damping, taken, ratio)
+        level.damping[block] = next_damping(damping, accepted, ratio)
 
 
 def coupling(level: LevelFrames, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -293,12 +293,12 @@ def undamped(along: np.ndarray, spent: np.ndarray) -> np.ndarray:
     return along / np.maximum(along - spent, 1e-6 * along)
 
 
-def next_damping(damping: np.ndarray, taken: np.ndarray, ratio: np.ndarray) -> np.ndarray:
+def next_damping(damping: np.ndarray, accepted: np.ndarray, ratio: np.ndarray) -> np.ndarray:
     """Levenberg damping after a step: a good prediction lowers it, a refused step raises it."""
     lower = np.where(
         damping > 1e-2, damping * np.where(ratio > 0.75, 0.1, np.where(ratio > 0.25, 0.5, 2.0)), 0.0
     )
-    return np.where(taken, lower, np.clip(8.0 * damping, 10.0, 1e12))
+    return np.where(accepted, lower, np.clip(8.0 * damping, 10.0, 1e12))
 
 
 def _damped_steps(gradient: np.ndarray, matrix: np.ndarray, added: np.ndarray) -> np.ndarray:
@@ -443,7 +443,7 @@ def _start_between(
     damping[new] = np.maximum(damping[left], damping[right])
 
 
-def second_chances(level: Level, most: int) -> None:
+def second_chances(level: Level, max_trials: int) -> None:
     """Solve doubtful frames of a level again from the states of their neighbours, and keep what is
     cheaper.
     """
@@ -454,17 +454,17 @@ def second_chances(level: Level, most: int) -> None:
             doubtful = doubtful[(doubtful + side >= 0) & (doubtful + side < len(level.costs))]
             doubtful = doubtful[level.costs[doubtful + side] < level.costs[doubtful]]
             if len(doubtful):
-                improved |= _retry(level, doubtful, level.states[doubtful + side], most)
+                improved |= _retry(level, doubtful, level.states[doubtful + side], max_trials)
         if not improved:
             return
 
 
-def _retry(level: Level, chosen: np.ndarray, starts: np.ndarray, most: int) -> bool:
+def _retry(level: Level, chosen: np.ndarray, starts: np.ndarray, max_trials: int) -> bool:
     """Solve the chosen frames from other starts; whether that helped any."""
     states = level.states.copy()
     costs = level.costs.copy()
     level.begin_again(chosen, starts)
-    level.solve(most)
+    level.solve(max_trials)
     worse = ~(level.costs < costs)
     level.states[worse], level.costs[worse] = states[worse], costs[worse]
     return bool((level.costs[chosen] < 0.9 * costs[chosen]).any())

@@ -270,10 +270,10 @@ def _takes(name: str, function: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     loose = {
         each.name for each in parameters if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD)
     }
-    wanted = [
+    required = [
         each.name for each in parameters if each.default is each.empty and each.name not in loose
     ]
-    missing = [each for each in wanted if each not in named.intersection(names)]
+    missing = [each for each in required if each not in named.intersection(names)]
     if missing:
         raise HabitusError(
             f"the term {name!r} asks for {', '.join(map(repr, missing))}; free are "

@@ -157,19 +157,19 @@ class Unknowns:
         """All values in kind: arrays or tensors of the start's dtypes, fixed ones as they were
         given.
         """
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for name, part in self._arrays(x).items():
             like = self.start[name]
-            found[name] = like.new_tensor(part) if is_tensor(like) else part.astype(like.dtype)
-        return {name: found.get(name, self.fixed.get(name)) for name in self.names}
+            values[name] = like.new_tensor(part) if is_tensor(like) else part.astype(like.dtype)
+        return {name: values.get(name, self.fixed.get(name)) for name in self.names}
 
 
 def _named(given: Any) -> dict[str, Any]:
     if isinstance(given, Mapping):
         return dict(given)
     if is_dataclass(given) and not isinstance(given, type):
-        found = {field.name: getattr(given, field.name) for field in fields(given)}
-        return {name: value for name, value in found.items() if value is not None}
+        values = {field.name: getattr(given, field.name) for field in fields(given)}
+        return {name: value for name, value in values.items() if value is not None}
     raise HabitusError(
         f"free is a {type(given).__name__}; expected a mapping of names to start tensors, or a "
         "dataclass of them"

@@ -40,7 +40,7 @@ def named(planted, attachment, observed, rate_hz=RATE_HZ) -> set[str]:
     prior = planted.prior.for_joints(planted.body.joint_names)
     lam = sequence_settings(MoshSettings(), warm=True)
     found = find_drifts(planted.body, attachment, rig, observed, scales, rate_hz, prior, truth, lam)
-    assert all(0.03 < drift.way < 0.09 for drift in found)
+    assert all(0.03 < drift.distance < 0.09 for drift in found)
     return {planted.layout.labels[drift.marker] for drift in found}
 
 

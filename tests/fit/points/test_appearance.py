@@ -71,11 +71,11 @@ def test_the_terms_of_a_channel_have_the_derivatives_that_small_steps_show():
 def test_outlines_bring_a_moved_colour_camera_back_as_far_as_the_calibration_lets_them():
     body, scene = small_scene()
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
-    sights = [PreparedView.of(view, segment(view)) for view in scene.capture.views]
-    surfaces = [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, sights, strict=True)]
-    true = find_shift(sights, surfaces, triangles)
+    prepared_views = [PreparedView.of(view, segment(view)) for view in scene.capture.views]
+    surfaces = [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, prepared_views, strict=True)]
+    true = find_shift(prepared_views, surfaces, triangles)
     off = np.array([0.006, -0.004, 0.0])
-    wrong = [replace(s, colour_camera=moved(s.colour_camera, off)) for s in sights]
+    wrong = [replace(s, colour_camera=moved(s.colour_camera, off)) for s in prepared_views]
     found = find_shift(wrong, surfaces, triangles)
     back = (found.shift - true.shift)[:2] / -off[:2]
     assert (back > 0.002).all() and (back < 1.0).all()

@@ -44,13 +44,15 @@ def skinned(state: BodyState, field: SkinField) -> SkinnedState:
 
 def test_colour_brings_the_surface_nearer(plain):
     body, scene, found = plain
-    energy = DepthEnergy.of(body, found.sights, replace(RgbdSettings(), colour_levels=(4, 2, 2)))
+    energy = DepthEnergy.of(
+        body, found.prepared_views, replace(RgbdSettings(), colour_levels=(4, 2, 2))
+    )
     off = SkinField.of(body, energy.settings)
     begun = skinned(found.state, off)
     looks = Look.of(found.appearance)
     fit, after, _ = energy.with_colour(begun, looks, found.state.pose, off)
     true = np.stack(
-        [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.sights, strict=True)]
+        [t @ s.turn.T + s.shift for t, s in zip(scene.surfaces, found.prepared_views, strict=True)]
     )
     before, after = (
         np.linalg.norm(energy.surfaces(one) - true, axis=-1).mean() for one in (begun, after)
@@ -63,7 +65,7 @@ def test_colour_brings_the_surface_nearer(plain):
 def test_the_colour_of_one_view_is_looked_at_and_moves_nothing(plain):
     body, _, found = plain
     alone = BodyState(found.state.betas, found.state.pose[:1], found.state.trans[:1])
-    energy = DepthEnergy.of(body, found.sights[:1], RgbdSettings())
+    energy = DepthEnergy.of(body, found.prepared_views[:1], RgbdSettings())
     off = SkinField.of(body, RgbdSettings())
     begun = energy.with_skin(skinned(alone, off), alone.pose, off)
     fit, after, appearance = _with_colour(energy, begun, alone.pose, off)

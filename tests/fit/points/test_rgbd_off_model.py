@@ -165,7 +165,7 @@ def fitted(body):
 
 def test_a_start_with_other_arms_comes_home(fitted):
     scene, found = fitted
-    for k, sight in enumerate(found.sights):
+    for k, sight in enumerate(found.prepared_views):
         true = scene.surfaces[k] @ sight.turn.T + sight.shift
         assert np.linalg.norm(found.seen[k] - true, axis=1).mean() < 0.02
     assert np.abs(found.skin).max() < 0.02 and found.skin.std() > 2e-4
@@ -173,13 +173,13 @@ def test_a_start_with_other_arms_comes_home(fitted):
 
 def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
     scene, found = fitted
-    energy = DepthEnergy.of(body, found.sights, SETTINGS)
+    energy = DepthEnergy.of(body, found.prepared_views, SETTINGS)
     state = found.state
     pose = found.state.pose.copy()
     arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
     pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]
     again, _ = limbs_tried_again(energy, replace(state, pose=pose), pose)
-    true = scene.surfaces[1] @ found.sights[1].turn.T + found.sights[1].shift
+    true = scene.surfaces[1] @ found.prepared_views[1].turn.T + found.prepared_views[1].shift
     before, after = (energy.surfaces(one)[1] for one in (replace(state, pose=pose), again))
     away = [np.linalg.norm(surface - true, axis=1).mean() for surface in (before, after)]
     assert away[0] > 0.07 and away[1] < 0.03
@@ -187,7 +187,7 @@ def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
 
 def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
     _, found = fitted
-    energy = DepthEnergy.of(body, found.sights[1:], SETTINGS)
+    energy = DepthEnergy.of(body, found.prepared_views[1:], SETTINGS)
     alone = BodyState(found.state.betas, found.state.pose[1:], found.state.trans[1:])
     same, means = limbs_tried_again(energy, alone, alone.pose)
     assert same is alone and means is alone.pose
@@ -207,6 +207,6 @@ def test_a_person_cut_out_of_the_background_is_fitted_by_depth_alone():
     search = replace(SETTINGS.search, turns=(0.0,), arms=((45.0, 0.0, 0.0),))
     few = replace(SETTINGS, skin_steps=1, search=search)
     found = fit_state(replace(scene.capture, views=tuple(views)), body, few)
-    assert not any(view.on_floor for view in found.sights)
+    assert not any(view.on_floor for view in found.prepared_views)
     assert set(found.terms) == {"depth", "shape", "pose", "skin"}
     assert found.terms["depth"] > 0.0 and np.isfinite(sum(found.terms.values()))

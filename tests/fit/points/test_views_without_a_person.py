@@ -53,8 +53,8 @@ def test_no_person_in_any_view_is_refused_in_one_line():
 def test_a_body_that_is_drawn_in_no_pixel_of_a_view_is_legal(lost):
     """It has neither depth nor outline there, with skin offsets and without."""
     body, scene = small_scene()
-    sights = [PreparedView.of(view, segment(view)) for view in scene.capture.views]
-    energy = DepthEnergy.of(body, sights, RgbdSettings())
+    prepared_views = [PreparedView.of(view, segment(view)) for view in scene.capture.views]
+    energy = DepthEnergy.of(body, prepared_views, RgbdSettings())
     pose = np.zeros((2, body.num_joints, 3))
     trans = np.tile([0.0, 1.0, 0.0], (2, 1))
     trans[lost, 2] = 50.0

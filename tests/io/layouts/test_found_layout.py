@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.fit.discover.result import Discovery
-from habitus.io.layouts.draft import found_layout_text
+from habitus.io.layouts.draft import discovered_layout_text
 from habitus.io.layouts.files import load_layout
 from habitus.io.layouts.toml import parse_layout
 from habitus.io.names import plain_name
@@ -39,7 +39,7 @@ def test_what_is_written_is_read_back(found, capture):
         "discovered", tuple(Marker(k, **v) for k, v in found.items()), num_vertices=99
     )
     mates = {label: tuple(found)[:2] for label in found}
-    text = found_layout_text(
+    text = discovered_layout_text(
         Discovery(layout, {"GONE": "never seen"}, ("Left\nor right?",), companions=mates), capture
     )
     read = parse_layout(text, "found.toml", load_layout)

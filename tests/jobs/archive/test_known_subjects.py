@@ -54,7 +54,11 @@ def test_what_is_written_is_read(tmp_path):
         np.testing.assert_array_equal(
             found.shape.attachment.coefficients, given.shape.attachment.coefficients
         )
-        assert (found.exchanged, found.misplaced, found.found_layout) == (((1, 2),), (0,), "name")
+        assert (found.exchanged, found.misplaced, found.discovered_layout) == (
+            ((1, 2),),
+            (0,),
+            "name",
+        )
         assert (
             found.shape.costs == given.shape.costs
             and write_known(found, tmp_path / "again.npz") == digest

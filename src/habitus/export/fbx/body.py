@@ -75,12 +75,12 @@ def add_skin(
         Node("PoseNode", (), [Node("Node", (number,)), Node("Matrix", (bind,))])
         for number, bind in posed
     ]
-    told = [
+    header = [
         Node("Type", ("BindPose",)),
         Node("Version", (100,)),
         Node("NbPoseNodes", (len(posed),)),
     ]
-    objects.add("Pose", "bind", "BindPose", [*told, *pose])
+    objects.add("Pose", "bind", "BindPose", [*header, *pose])
 
 
 def add_channels(objects: Objects, animation: Animation, geometry: np.int64) -> list[np.int64]:
@@ -152,7 +152,7 @@ def _geometry_nodes(animation: Animation) -> list[Node]:
 
 def _layer(name: str, called: str, mapping: str, reference: str, *values: Node) -> Node:
     version = 102 if name in ("LayerElementNormal", "LayerElementSmoothing") else 101
-    told = (
+    texts = (
         ("Name", called),
         ("MappingInformationType", mapping),
         ("ReferenceInformationType", reference),
@@ -160,7 +160,7 @@ def _layer(name: str, called: str, mapping: str, reference: str, *values: Node) 
     return Node(
         name,
         (0,),
-        [Node("Version", (version,)), *(Node(key, (text,)) for key, text in told), *values],
+        [Node("Version", (version,)), *(Node(key, (text,)) for key, text in texts), *values],
     )
 
 

@@ -21,7 +21,7 @@ def describe(
     body: BodyModel,
     labels: Sequence[str],
     frames: Float[np.ndarray, "F M 3"],
-    found: Seated,
+    seated: Seated,
     skin: Skin,
     margin: float | None,
     known: Mapping[str, Marker],
@@ -31,9 +31,9 @@ def describe(
     """Step 4: the layout in words, and what is not decided."""
     template = np.asarray(body.v_template, dtype=float)
     words = settings.description
-    sure = within(found, skin, template, words.reach)
+    sure = within(seated, skin, template, words.reach)
     undecided = margin is not None and margin < settings.decided
-    across = template[found.vertices, 0]
+    across = template[seated.vertices, 0]
     markers = tuple(
         replace(
             place_in_words(body, int(vertex)),
@@ -43,9 +43,9 @@ def describe(
             place_spread=words.place_spread,
             confidence=round(float(confidence) * (0.5 if undecided else 1.0), 2),
         )
-        for label, vertex, confidence in zip(labels, found.vertices, sure, strict=True)
+        for label, vertex, confidence in zip(labels, seated.vertices, sure, strict=True)
     )
-    mean = float(np.nanmean(found.errors))
+    mean = float(np.nanmean(seated.errors))
     groups = {
         label: tuple(labels[k] for k in group)
         for label, group in zip(labels, companions(frames, words), strict=True)
@@ -57,7 +57,7 @@ def describe(
         *_contradicted(named, undecided),
         *_poor(mean, words.poor),
     )
-    notes = tuple(_notes(body, labels, found, known, left_out, 2 * words.reach))
+    notes = tuple(_notes(body, labels, seated, known, left_out, 2 * words.reach))
     layout = MarkerLayout("discovered", markers, "Found by fitting", num_vertices=len(template))
     return Discovery(layout, left_out, doubts, notes, groups, margin, 1e3 * mean)
 
@@ -97,7 +97,7 @@ def _poor(mean: float, limit: float) -> list[str]:
 def _notes(
     body: BodyModel,
     labels: Sequence[str],
-    found: Seated,
+    seated: Seated,
     known: Mapping[str, Marker],
     left_out: Mapping[str, str],
     far: float,
@@ -107,14 +107,14 @@ def _notes(
         yield "labels left out: " + listed(
             [f"{label} ({why})" for label, why in left_out.items()], 4, "; "
         )
-    for label, vertex in zip(labels, found.vertices, strict=True):
+    for label, vertex in zip(labels, seated.vertices, strict=True):
         if label in known:
             usual = MarkerLayout("known", (replace(known[label], label=label),)).vertices(body)[0]
-            away = float(np.linalg.norm(template[usual] - template[vertex]))
-            if away > far:
+            distance = float(np.linalg.norm(template[usual] - template[vertex]))
+            if distance > far:
                 yield (
-                    f"{label} usually means {known[label].place}; it was found {100 * away:.0f} "
-                    "cm from there"
+                    f"{label} usually means {known[label].place}; it was found "
+                    f"{100 * distance:.0f} cm from there"
                 )
 
 
@@ -127,18 +127,18 @@ def companions(
     count = markers.shape[1]
     spread = np.full((count, count), np.inf)
     for column in range(count):
-        apart = np.linalg.norm(markers - markers[:, column : column + 1], axis=2)
-        seen = np.isfinite(apart).sum(axis=0)
+        distances = np.linalg.norm(markers - markers[:, column : column + 1], axis=2)
+        seen = np.isfinite(distances).sum(axis=0)
         some = seen >= 3
-        spread[column, some] = np.nanstd(apart[:, some], axis=0)
+        spread[column, some] = np.nanstd(distances[:, some], axis=0)
     np.fill_diagonal(spread, np.inf)
-    found = []
+    groups = []
     for row in spread:
         known = row[np.isfinite(row)]
         moved = len(known) > 0 and float(np.median(known)) > settings.moved
         order = np.argsort(row, kind="stable")[: settings.companions]
-        found.append(tuple(int(k) for k in order if row[k] < settings.rigid) if moved else ())
-    return found
+        groups.append(tuple(int(k) for k in order if row[k] < settings.rigid) if moved else ())
+    return groups
 
 
 _WORDS = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("L", "R"), ("l", "r"))

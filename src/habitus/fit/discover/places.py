@@ -83,15 +83,15 @@ def within(
     seated: Seated, skin: Skin, template: Float[np.ndarray, "V 3"], reach: float
 ) -> Float[np.ndarray, " M"]:
     """How likely each label sits within ``reach`` metres of the place that was found (M,)."""
-    away = np.linalg.norm(skin.points[None] - template[seated.vertices][:, None], axis=2)
-    return np.sum(seated.posterior * (away < reach), axis=1)
+    distances = np.linalg.norm(skin.points[None] - template[seated.vertices][:, None], axis=2)
+    return np.sum(seated.posterior * (distances < reach), axis=1)
 
 
-def off_body(seated: Seated, most: float) -> Bool[np.ndarray, " M"]:
-    """Labels that lie further than ``most`` metres from where they would sit, at the median of the
-    frames.
+def off_body(seated: Seated, max_distance: float) -> Bool[np.ndarray, " M"]:
+    """Labels that lie further than ``max_distance`` metres from where they would sit, at the
+    median of the frames.
     """
     errors = np.where(np.isfinite(seated.errors), seated.errors, np.inf)
     count = np.isfinite(seated.errors).sum(axis=0)
     middle = np.sort(errors, axis=0)[np.maximum(count - 1, 0) // 2, np.arange(errors.shape[1])]
-    return middle > most
+    return middle > max_distance

@@ -78,10 +78,8 @@ def discover(
     usually = known_places(body, coarse, labels, known, settings.skin)
     readings = _readings(body, prior, coarse, frames, usually, progress, settings)
     before = popular + known_places(body, fine, labels, known, settings.skin)
-    found, margin = _decided(
-        body, prior, labels, fine, frames, readings, before, progress, settings
-    )
-    off = off_body(found, settings.off_body)
+    best, margin = _decided(body, prior, labels, fine, frames, readings, before, progress, settings)
+    off = off_body(best, settings.off_body)
     if off.any() and (~off).sum() >= settings.min_labels:
         unseen |= {
             x: "lies off the body: no marker on the skin"
@@ -90,15 +88,15 @@ def discover(
         }
         labels = [x for x, away in zip(labels, off, strict=True) if not away]
         frames = frames[:, ~off]
-        shape = found.shape
+        shape = best.shape
         start = (
             shape.betas,
             shape.pose,
             shape.trans,
             popular + known_places(body, fine, labels, known, settings.skin),
         )
-        found = seated(body, fine, frames, prior, *start, settings.place_spreads, settings)
-    return describe(body, labels, frames, found, fine, margin, known or {}, unseen, settings)
+        best = seated(body, fine, frames, prior, *start, settings.place_spreads, settings)
+    return describe(body, labels, frames, best, fine, margin, known or {}, unseen, settings)
 
 
 def _readings(
@@ -112,7 +110,7 @@ def _readings(
 ) -> list[_Reading]:
     """Steps 1 and 2: candidates, the cheapest first."""
     stature = float(np.ptp(np.asarray(body.v_template)[:, 1]))
-    found = []
+    readings = []
     for index, share in enumerate(settings.heights):
         progress("discover: bodies", 0.7 * index / len(settings.heights))
         betas = betas_of_height(body, share * stature)
@@ -127,8 +125,8 @@ def _readings(
             / np.maximum(joint.posterior.sum(axis=2, keepdims=True), 1e-6)
         )
         each = zip(joint.cost, joint.pose, joint.trans, places, strict=True)
-        found += [_Reading(float(cost), betas, *rest) for cost, *rest in each]
-    return sorted(found, key=lambda one: one.cost)
+        readings += [_Reading(float(cost), betas, *rest) for cost, *rest in each]
+    return sorted(readings, key=lambda one: one.cost)
 
 
 def _decided(
@@ -191,12 +189,12 @@ def _cheaper(
     words = settings.description
     sides = named_sides(labels, words)
     across = np.asarray(body.v_template)[:, 0]
-    said = [agreement(sides, across[one.vertices], words) for one in (best, other)]
+    agreements = [agreement(sides, across[one.vertices], words) for one in (best, other)]
     if (
         margin < settings.decided
-        and said[0] is not None
-        and said[1] is not None
-        and said[1] > said[0]
+        and agreements[0] is not None
+        and agreements[1] is not None
+        and agreements[1] > agreements[0]
     ):
         return other, margin
     return best, margin

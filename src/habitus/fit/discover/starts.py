@@ -108,7 +108,7 @@ def posed(
     lam = SequenceSettings(data=settings.data / firmness, acceleration=0.0, options=options)
     n, f, k = weight.shape
     start = (pose.reshape(n * f, -1, 3), trans.reshape(n * f, 3))
-    found = fit_sequence(
+    solution = fit_sequence(
         rig,
         target.reshape(n * f, k, 3),
         weight.reshape(n * f, k),
@@ -118,9 +118,9 @@ def posed(
         settings=lam,
     )
     return (
-        found.pose.reshape(pose.shape),
-        found.trans.reshape(trans.shape),
-        found.frame_costs.reshape(n, f),
+        solution.pose.reshape(pose.shape),
+        solution.trans.reshape(trans.shape),
+        solution.frame_costs.reshape(n, f),
     )
 
 
@@ -192,17 +192,17 @@ def bodies_of_single_frames(
     )
     pose[:, 0] = np.tile(directions, (len(_POSES), 1))
     around = np.median(places_of(rig, pose[:, None], np.zeros((len(pose), 1, 3)))[:, 0], axis=1)
-    found = []
+    bodies = []
     for frame in _widest(observed, settings.start_frames):
         here = observed[frame : frame + 1]
         trans = np.nanmedian(here[0], axis=0) - around
-        found.append(
+        bodies.append(
             settled(
                 rig, here, prior, pose[:, None], trans[:, None], settings.single, known, settings
             )
         )
     fields = (
-        np.concatenate([getattr(each, name) for each in found]) for name in Bodies.__annotations__
+        np.concatenate([getattr(each, name) for each in bodies]) for name in Bodies.__annotations__
     )
     kept = _that_differ(Bodies(*fields), skin, settings)
     about = turned(body, kept, skin)

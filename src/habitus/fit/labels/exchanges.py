@@ -68,12 +68,12 @@ def _columns(
     clouds: Clouds, label: np.ndarray, frames: np.ndarray, count: int
 ) -> Int[np.ndarray, "F M"]:
     """The point of each label in some frames, -1 for none."""
-    found = np.full((len(frames), count), -1)
+    columns = np.full((len(frames), count), -1)
     for row, t in enumerate(frames):
         points = np.arange(int(clouds.start[t]), int(clouds.start[t + 1]))
         points = points[label[points] >= 0]
-        found[row, label[points]] = points
-    return found
+        columns[row, label[points]] = points
+    return columns
 
 
 def _changes(

@@ -300,9 +300,9 @@ def assign_frames(costs, start, gates, label):
 
 
 @jit
-def squared_distances(points, start, predicted, most, out):
+def squared_distances(points, start, predicted, limit, out):
     """Squared distance (P, M) of each point from each predicted marker (T, M, 3) of its frame, at
-    most ``most``.
+    most ``limit``.
     """
     for t in range(len(start) - 1):
         for j in range(start[t], start[t + 1]):
@@ -311,4 +311,4 @@ def squared_distances(points, start, predicted, most, out):
                 for c in range(3):
                     off = predicted[t, i, c] - points[j, c]
                     total += off * off
-                out[j, i] = min(total, most)
+                out[j, i] = min(total, limit)

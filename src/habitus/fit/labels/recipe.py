@@ -126,10 +126,11 @@ def label_points(
     HabitusError where no frame holds enough points.
     """
     prior = prior.for_joints(body.joint_names)
-    most = int(np.diff(clouds.start).max(initial=0))
-    if most < settings.min_points:
+    max_points = int(np.diff(clouds.start).max(initial=0))
+    if max_points < settings.min_points:
         raise HabitusError(
-            f"at most {most} points are there in any frame; expected at least {settings.min_points}"
+            f"at most {max_points} points are there in any frame; expected at least "
+            f"{settings.min_points}"
         )
     with one_blas_thread():
         pieces = tracklets(clouds, settings.tracklets)
@@ -284,7 +285,7 @@ def _voted(
         squared = distances(clouds, predict(rig, result.pose, result.trans), settings.votes)
         label = assign(averaged(squared, pieces), clouds, np.full(len(pieces), gate**2))
         state = result.pose[looked], result.trans[looked]
-        weights = np.full(count, settings.own_weight)
+        weights = np.full(count, settings.unlabelled_weight)
         label, sure = resolve_exchanges(
             rig, prior, clouds, pieces, label, looked, state, weights, settings.exchanges
         )

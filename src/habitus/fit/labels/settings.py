@@ -142,7 +142,7 @@ class LabelSettings:
     """In the fullest frame."""
     place_weight: float = 800.0
     """Per m^2, of markers at the layout's places, whose spread is 2 cm and more."""
-    own_weight: float = 2500.0
+    unlabelled_weight: float = 2500.0
     """Per m^2, of markers at places that were estimated: 1/(2 cm)^2."""
     tracklets: TrackletSettings = field(default_factory=TrackletSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)

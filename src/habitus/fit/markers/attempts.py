@@ -74,8 +74,8 @@ class _Case:
 
     def leaving_out(self, labels: Sequence[str]) -> _Attempt:
         rest = self._only([label for label in self.layout.labels if label not in labels])
-        found = rest.attempt(f"{len(labels)} labels left out")
-        return replace(found, fit=replace(found.fit, left_out=tuple(labels)))
+        attempt = rest.attempt(f"{len(labels)} labels left out")
+        return replace(attempt, fit=replace(attempt.fit, left_out=tuple(labels)))
 
     def with_suspects(self, fit: MarkerFit) -> MarkerFit:
         """The fit that names the labels that were left out for it as suspects, with a warning."""
@@ -83,10 +83,12 @@ class _Case:
             return fit
         frames = np.isfinite(self.recording.observed[..., 0]).sum(axis=0).tolist()
         seen = dict(zip(self.layout.labels, frames, strict=True))
-        found = (Suspect(label, "left out: nothing fits it", seen[label]) for label in fit.left_out)
+        left_out = (
+            Suspect(label, "left out: nothing fits it", seen[label]) for label in fit.left_out
+        )
         others = (s for s in fit.suspects if s.label not in fit.left_out)
         warning = f"left out because nothing fits them: {', '.join(fit.left_out)}"
-        return replace(fit, suspects=(*others, *found), warnings=(*fit.warnings, warning))
+        return replace(fit, suspects=(*others, *left_out), warnings=(*fit.warnings, warning))
 
     def fitting(self, attempt: _Attempt, labels: Sequence[str]) -> tuple[str, ...]:
         """Which of the labels that were left out lie where the layout puts them on the body found
@@ -165,11 +167,11 @@ def _try_again(fit: MarkerFit, case: _Case, several: bool) -> MarkerFit:
         return fit
     best = min(attempts, key=lambda attempt: _rank(attempt.fit))
     better = _rank(best.fit) < _rank(fit)
-    said = ", ".join(f"{each.words} ({_mean_mm(each.fit):.0f} mm)" for each in attempts)
+    tried = ", ".join(f"{each.words} ({_mean_mm(each.fit):.0f} mm)" for each in attempts)
     kept = f"that with {best.words} is kept" if better else "the first is kept"
     alone = ", fitted apart from the other captures" if several and better else ""
     text = (
-        f"A first attempt failed ({_mean_mm(fit):.0f} mm); it was tried again with {said}: "
+        f"A first attempt failed ({_mean_mm(fit):.0f} mm); it was tried again with {tried}: "
         f"{kept}{alone}."
     )
     return replace(case.with_suspects(best.whole() if better else fit), tried=(text,))
@@ -182,10 +184,10 @@ def _attempts(case: _Case, fit: MarkerFit) -> Iterator[_Attempt]:
     retry = case.settings.retry
     gone = worst_labels(fit, retry)
     if 0 < len(gone) <= retry.max_left_out * len(case.layout):
-        found = case.leaving_out(gone)
-        yield found
-        rest = tuple(label for label in gone if label not in case.fitting(found, gone))
-        more = tuple(label for label in worst_labels(found.fit, retry) if label not in rest)
+        attempt = case.leaving_out(gone)
+        yield attempt
+        rest = tuple(label for label in gone if label not in case.fitting(attempt, gone))
+        more = tuple(label for label in worst_labels(attempt.fit, retry) if label not in rest)
         wrong = (*rest, *more)
         if 0 < len(wrong) <= retry.max_left_out * len(case.layout) and set(wrong) != set(gone):
             yield case.leaving_out(wrong)

@@ -29,7 +29,7 @@ class Drift(NamedTuple):
     """A marker's column, and how far (m) it slid over its limb."""
 
     marker: int
-    way: float
+    distance: float
 
 
 def find_drifts(
@@ -57,14 +57,14 @@ def find_drifts(
     trans = posed.trans[some]
     markers = np.ascontiguousarray(observed[some])
     limbs = limb_of(body, attachment)
-    apart = replace(settings, acceleration=0.0)
+    uncoupled = replace(settings, acceleration=0.0)
 
     def trends_without(left_out: list[int]) -> tuple[np.ndarray, np.ndarray]:
         weights = np.ones(markers.shape[:2])
         weights[:, left_out] = 0.0
-        found = fit_sequence(rig, markers, weights, scale, prior, pose, trans, apart)
-        off = markers - predict(rig, found.pose, found.trans)
-        in_limb = np.einsum("tmji,tmj->tmi", limb_axes(body, found.pose)[:, limbs], off)
+        solution = fit_sequence(rig, markers, weights, scale, prior, pose, trans, uncoupled)
+        off = markers - predict(rig, solution.pose, solution.trans)
+        in_limb = np.einsum("tmji,tmj->tmi", limb_axes(body, solution.pose)[:, limbs], off)
         return trends(in_limb, limits, large_residual)
 
     return _one_by_one(trends_without, len(limbs), limits)
@@ -78,11 +78,11 @@ def _one_by_one(
     """Leave the most likely marker out; its trend then tells whether it slides or was pulled by one
     that does.
     """
-    found: list[Drift] = []
+    drifts: list[Drift] = []
     cleared = np.zeros(count, dtype=bool)
     way, steady = trends_without([])
     for _ in range(limits.max_candidates):
-        out = [drift.marker for drift in found]
+        out = [drift.marker for drift in drifts]
         open_to_doubt = np.where((steady > 0.5 * limits.min_standard_errors) & ~cleared, way, 0.0)
         open_to_doubt[out] = 0.0
         worst = int(np.argmax(open_to_doubt))
@@ -98,12 +98,12 @@ def _one_by_one(
             )
             and sure[worst] > limits.min_standard_errors
         ):
-            found.append(Drift(worst, float(alone[worst])))
+            drifts.append(Drift(worst, float(alone[worst])))
             way = alone
             steady = sure
         else:
             cleared[worst] = True
-    return tuple(sorted(found, key=lambda drift: -drift.way))
+    return tuple(sorted(drifts, key=lambda drift: -drift.distance))
 
 
 def trends(

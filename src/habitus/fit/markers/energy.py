@@ -178,8 +178,8 @@ def data(
 
     def residual(pose, trans, soft_tissue):
         def jacobians():
-            found = marked.jacobian(pose, trans, soft_tissue)
-            by = {"pose": found.by_pose, "trans": np.eye(3), "soft_tissue": found.by_betas}
+            jacobian = marked.jacobian(pose, trans, soft_tissue)
+            by = {"pose": jacobian.by_pose, "trans": np.eye(3), "soft_tissue": jacobian.by_betas}
             rows = 3 * observed.shape[1]
             return {
                 name: diagonal((root[..., None] * each).reshape(frames, rows, -1))

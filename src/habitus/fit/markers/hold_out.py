@@ -49,9 +49,9 @@ def expected_offsets(
         tuple(label for label in fit.labels if label in held.others.labels)
     )
     placement = place(known, fit.body)
-    found = fit.latent_markers[[fit.labels.index(label) for label in known.labels]]
+    placed = fit.latent_markers[[fit.labels.index(label) for label in known.labels]]
     start = default_markers(fit.body, fit.betas, placement.vertices, placement.distance)
-    return prior.expected(known, found - start, held.layout)
+    return prior.expected(known, placed - start, held.layout)
 
 
 def held_out_errors(

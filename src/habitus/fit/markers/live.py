@@ -131,10 +131,10 @@ class Tracker:
             self._solver = None
         if self._solver is None:
             return self._begin(observed, seen)
-        found = self._solver.step(observed)
+        solved = self._solver.step(observed)
         if self._blind:
-            return self._frame(found, observed, "held")
-        frame = self._frame(found, observed, "tracked")
+            return self._frame(solved, observed, "held")
+        frame = self._frame(solved, observed, "tracked")
         self._astray = (
             self._astray + 1
             if 2 * np.count_nonzero(frame.distances > self._settings.live.astray) > seen
@@ -169,17 +169,17 @@ class Tracker:
     def _restarted(self, observed: np.ndarray, frame: LiveFrame) -> LiveFrame:
         """The better one of the track and a new beginning."""
         other = self._started(observed)
-        found = other.step(observed)
-        if found.cost > self._settings.live.better * frame.cost:
+        solved = other.step(observed)
+        if solved.cost > self._settings.live.better * frame.cost:
             return frame
         self._solver = other
         self._astray = 0
-        return self._frame(found, observed, "started")
+        return self._frame(solved, observed, "started")
 
-    def _frame(self, found: CausalFrame, observed: np.ndarray, state: State) -> LiveFrame:
+    def _frame(self, solved: CausalFrame, observed: np.ndarray, state: State) -> LiveFrame:
         assert self._solver is not None
         distances = np.sqrt(np.square(self._solver.markers() - observed).sum(axis=1))
-        return LiveFrame(found.pose, found.trans, found.cost, state, distances)
+        return LiveFrame(solved.pose, solved.trans, solved.cost, state, distances)
 
     def _started(self, observed: np.ndarray) -> CausalSolver:
         rig = self._subject.rig
@@ -227,10 +227,10 @@ class Quality:
         """Of the distances between markers and body over the last second, NaN where there are
         none.
         """
-        found = self._distances()
+        distances = self._distances()
         return (
-            1e3 * float(found[np.isfinite(found)].mean())
-            if np.isfinite(found).any()
+            1e3 * float(distances[np.isfinite(distances)].mean())
+            if np.isfinite(distances).any()
             else float("nan")
         )
 
@@ -270,11 +270,11 @@ class Quality:
         return Reason(level, "live missing", {"share": share})
 
 
-def _medians(found: np.ndarray) -> np.ndarray:
+def _medians(distances: np.ndarray) -> np.ndarray:
     """(N,) of each marker that is seen, 0 elsewhere."""
-    out = np.zeros(found.shape[1])
-    seen = np.isfinite(found).any(axis=0)
-    out[seen] = np.nanmedian(found[:, seen], axis=0)
+    out = np.zeros(distances.shape[1])
+    seen = np.isfinite(distances).any(axis=0)
+    out[seen] = np.nanmedian(distances[:, seen], axis=0)
     return out
 
 

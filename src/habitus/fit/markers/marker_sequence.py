@@ -236,20 +236,20 @@ class DenseSequence(DenseVisits, MarkerSequence):
     ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]]:
         """Own cost (F,), gradient (F, N) and Gauss-Newton matrix (F, N, N)."""
         parts = [slice(first, first + BATCH) for first in range(0, len(frames), BATCH)]
-        found = [self._linearize(frames[part], states[part]) for part in parts]
-        costs, gradients, matrices = (np.concatenate(each) for each in zip(*found, strict=True))
+        blocks = [self._linearize(frames[part], states[part]) for part in parts]
+        costs, gradients, matrices = (np.concatenate(each) for each in zip(*blocks, strict=True))
         return costs, gradients, matrices
 
     def _linearize(
         self, frames: np.ndarray, states: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pose, trans, soft_tissue = self.unpack(states)
-        found = self.marked.jacobian(pose, trans, soft_tissue)
-        residual = found.markers - self.data.observed[frames]
+        derivatives = self.marked.jacobian(pose, trans, soft_tissue)
+        residual = derivatives.markers - self.data.observed[frames]
         share = 1.0 / (1.0 + np.sum(residual**2, axis=2) * self.data.inverse_squared_scales)
         jacobian = np.zeros((*residual.shape, states.shape[1]))
-        jacobian[..., :3], jacobian[..., 3 : self.pose_end] = np.eye(3), found.by_pose
-        jacobian[..., self.pose_end : self.pose_end + self.betas] = found.by_betas[
+        jacobian[..., :3], jacobian[..., 3 : self.pose_end] = np.eye(3), derivatives.by_pose
+        jacobian[..., self.pose_end : self.pose_end + self.betas] = derivatives.by_betas[
             ..., : self.betas
         ]
         half = np.sqrt(self.data.weight * share**2 * self.data.weights[frames])[..., None]

@@ -245,13 +245,13 @@ def fit_recording(recording: Recording, subject: Subject, settings: MoshSettings
     """Pose stage and soft-tissue stage of one capture, as `known_subject` returned it."""
     observed = exchange(recording.observed, subject.exchanged)
     began = time.perf_counter()
-    found = _pose_stage(subject, observed, recording.rate_hz, settings)
+    posed = _pose_stage(subject, observed, recording.rate_hz, settings)
     pose_seconds = time.perf_counter() - began
     began = time.perf_counter()
-    soft = _soft_tissue_stage(subject, found, settings) if settings.soft_tissue else None
+    soft = _soft_tissue_stage(subject, posed, settings) if settings.soft_tissue else None
     soft_seconds = time.perf_counter() - began if soft else None
     seconds = {"shape": subject.seconds, "pose": pose_seconds, "soft_tissue": soft_seconds}
-    return assemble(recording, subject, found, soft, seconds, settings)
+    return assemble(recording, subject, posed, soft, seconds, settings)
 
 
 def _pose_stage(
@@ -357,7 +357,7 @@ def _first_poses(
 
 
 def _soft_tissue_stage(
-    subject: Subject, found: PoseStage, settings: MoshSettings
+    subject: Subject, posed: PoseStage, settings: MoshSettings
 ) -> SequenceResult:
     """Soft tissue that changes in time, with E_Delta (MoSh eq. 10), begun from the pose stage.
 
@@ -366,13 +366,13 @@ def _soft_tissue_stage(
     """
     body = subject.body
     soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
-    still = np.zeros((len(found.observed), soft.num_betas))
+    still = np.zeros((len(posed.observed), soft.num_betas))
     lam = sequence_settings(settings, warm=True)
-    given = (found.result.pose, found.result.trans, lam, still)
+    given = (posed.result.pose, posed.result.trans, lam, still)
     return fit_long(
         soft,
-        *found.targets,
-        found.scale,
+        *posed.targets,
+        posed.scale,
         subject.prior,
         *given,
         longest=settings.longest,
@@ -383,7 +383,7 @@ def _soft_tissue_stage(
 def assemble(
     recording: Recording,
     subject: Subject,
-    found: PoseStage,
+    pose_stage: PoseStage,
     soft: SequenceResult | None,
     seconds: Mapping[str, float | None],
     settings: MoshSettings,
@@ -391,8 +391,8 @@ def assemble(
     """The fit of one capture, put together from what its stages found."""
     body = subject.body
     layout = subject.layout
-    posed = found.result
-    observed = found.observed
+    posed = pose_stage.result
+    observed = pose_stage.observed
     final = soft or posed
     predicted = predict(subject.rig, posed.pose, posed.trans)
     off = mapped(np.subtract, observed, predicted)
@@ -435,9 +435,9 @@ def assemble(
             *suspects(
                 layout.labels,
                 off,
-                found.scale,
-                [*always, *found.swaps],
-                found.drifts,
+                pose_stage.scale,
+                [*always, *pose_stage.swaps],
+                pose_stage.drifts,
                 settings.suspects,
             ),
         ),

@@ -48,11 +48,13 @@ class Recording:
 
 def check_recordings(recordings: Sequence[Recording]) -> None:
     """HabitusError where no frame holds enough markers to fit a body to."""
-    most = max((int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0)
-    if most < FEWEST_MARKERS:
+    most_visible = max(
+        (int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0
+    )
+    if most_visible < FEWEST_MARKERS:
         raise HabitusError(
-            f"{', '.join(r.name for r in recordings)}: at most {most} known markers are visible "
-            "in any frame; "
+            f"{', '.join(r.name for r in recordings)}: at most {most_visible} known markers are "
+            "visible in any frame; "
             f"expected at least {FEWEST_MARKERS}; check the labels with `habitus layout check`"
         )
 
@@ -140,7 +142,7 @@ def without_outliers(
     if not frames.any():
         return recording
     reason = "further away than anybody reaches; left out there"
-    found = tuple(
+    outliers = tuple(
         Suspect(x, reason, count) for x, count in zip(labels, frames.tolist(), strict=True) if count
     )
     warning = (
@@ -150,7 +152,7 @@ def without_outliers(
     return replace(
         recording,
         observed=mapped(lambda away, part: np.where(away[..., None], np.nan, part), far, observed),
-        suspects=(*recording.suspects, *found),
+        suspects=(*recording.suspects, *outliers),
         warnings=(*recording.warnings, warning),
     )
 

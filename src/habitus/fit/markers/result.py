@@ -63,7 +63,7 @@ def segment_spread(
     noise = np.nan_to_num(np.asarray(fit.marker_noise, np.float64), nan=settings.place)
     rows, owners = _probes(fit.body, settings)
     precision = _precision(prior.for_joints(fit.body.joint_names).precision, settings.root_sd)
-    found = np.zeros((len(patterns), fit.body.num_joints))
+    spread = np.zeros((len(patterns), fit.body.num_joints))
     for start in range(0, len(patterns), _BATCH):
         part = slice(start, start + _BATCH)
         markers, probes = _moved(fit, fit.pose[frames[part]], fit.trans[frames[part]], rows)
@@ -72,8 +72,8 @@ def segment_spread(
         left = np.linalg.solve(known, probes.swapaxes(1, 2))
         square = np.sum(probes * left.swapaxes(1, 2), axis=2).reshape(len(known), -1, 3).sum(2)
         for joint in np.unique(owners):
-            found[part, joint] = np.sqrt(square[:, owners == joint].mean(1))
-    return found[which.reshape(-1)]
+            spread[part, joint] = np.sqrt(square[:, owners == joint].mean(1))
+    return spread[which.reshape(-1)]
 
 
 def _trusted(fit: MarkerSolution, edges: np.ndarray, min_weight: float) -> Bool[np.ndarray, "F M"]:
@@ -81,11 +81,11 @@ def _trusted(fit: MarkerSolution, edges: np.ndarray, min_weight: float) -> Bool[
     spans = zip(edges, [*edges[1:], len(fit.pose)], strict=True)
     weights = fit.marker_weights
     observed = fit.observed_markers
-    found = []
+    trusted = []
     for a, b in spans:
-        found.append(((weights[a:b] >= min_weight) & np.isfinite(observed[a:b, :, 0])).any(0))
+        trusted.append(((weights[a:b] >= min_weight) & np.isfinite(observed[a:b, :, 0])).any(0))
         drop_pages(weights, observed)
-    return np.array(found, bool)
+    return np.array(trusted, bool)
 
 
 def _moved(

@@ -135,11 +135,11 @@ def windows(
     ]
 
 
-def _cut(bad: np.ndarray, wanted: int, first: int, settings: WindowSettings) -> int:
-    """The latest place up to ``wanted`` around which the fewest frames lack markers."""
+def _cut(bad: np.ndarray, count: int, first: int, settings: WindowSettings) -> int:
+    """The latest place up to ``count`` around which the fewest frames lack markers."""
     overlap = settings.overlap
-    lowest = max(first, wanted - settings.search_steps * settings.grid)
-    places = np.arange(wanted, lowest - 1, -settings.grid)
+    lowest = max(first, count - settings.search_steps * settings.grid)
+    places = np.arange(count, lowest - 1, -settings.grid)
     missing = bad[np.minimum(places + overlap, len(bad) - 1)] - bad[np.maximum(places - overlap, 0)]
     return int(places[np.argmin(missing)])
 

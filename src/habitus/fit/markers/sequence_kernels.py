@@ -17,7 +17,7 @@ from habitus.kernels.jit import jit, jit_inline
 from habitus.kernels.simd import LANES, load, spread, store, where_less
 from habitus.kernels.simd_cholesky import factor, solve_factored
 from habitus.kernels.simd_linalg import block_row
-from habitus.residuals.marker_kernels import linearize, own_cost
+from habitus.residuals.marker_kernels import frame_cost, linearize
 from habitus.solve.sequence import FLOOR, NOISE
 
 
@@ -75,7 +75,7 @@ def costs(rig, offsets, workspace, data, frames, states, out):
         for k in range(LANES):
             group[k] = min(first + k, len(frames) - 1)
         gather(rig, offsets, workspace, data, frames, states, group)
-        store(workspace, offsets.step, own_cost(rig, offsets, workspace, data, offsets.state))
+        store(workspace, offsets.step, frame_cost(rig, offsets, workspace, data, offsets.state))
         for k in range(LANES):
             out[group[k]] = workspace[offsets.step, k]
 
@@ -155,7 +155,7 @@ def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end
         spent = spent + damping * newton * newton
         if 3 <= n < measured_end:
             moved = moved + newton * newton
-    trial = own_cost(rig, offsets, workspace, data, offsets.trial)
+    trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
     store(workspace, offsets.gradient, change + trial - cost)
     store(workspace, offsets.gradient + 1, predicted)
     least = 1e-6 * along

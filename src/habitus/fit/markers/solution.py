@@ -91,7 +91,7 @@ class MarkerSolution(Moving):
     ``displaced`` how far each latent marker sits from the layout's place, in the layout's spreads;
     ``tried`` says in sentences what was done when a first attempt failed, ``left_out`` which labels
     were left out for it, ``doubts`` what was not decided where markers' places were found by
-    fitting; ``found_layout`` is the layout so found, as a TOML file's text.
+    fitting; ``discovered_layout`` is the layout so found, as a TOML file's text.
     ``held_out_known_placement``: errors of held-out markers at the places that other captures have
     them at. ``status`` and ``shape_status`` say how the last stage and the shape stage ended.
     ``gender`` is the body's model; where it was chosen by itself, ``female_probability`` is what a
@@ -137,7 +137,7 @@ class MarkerSolution(Moving):
     tried: tuple[str, ...] = ()
     dynamics: Float[np.ndarray, "T D"] | None = None
     doubts: tuple[str, ...] = ()
-    found_layout: str = ""
+    discovered_layout: str = ""
     held_out_known_placement: HeldOut | None = None
 
     @property

@@ -81,8 +81,8 @@ def start_frames(
         pose = np.repeat(plain_pose(joint_names, angles)[None], len(observed), axis=0)
         pose, trans = align_root(rig, pose, observed, trunk)
         for firmness in settings.pose_weights:
-            apart = SequenceSettings(pose=firmness, acceleration=0.0, options=rough)
-            result = fit_sequence(rig, observed, None, None, prior, pose, trans, apart)
+            uncoupled = SequenceSettings(pose=firmness, acceleration=0.0, options=rough)
+            result = fit_sequence(rig, observed, None, None, prior, pose, trans, uncoupled)
             pose = result.pose
             trans = result.trans
         tries.append(result)
@@ -145,8 +145,8 @@ def start_long(
     pose = empty_array((len(observed), rig.num_joints, 3))
     trans = empty_array((len(observed), 3))
     for window in parts:
-        found = start_sequence(rig, known_poses, joint_names, observed[window.solved], settings)
-        pose[window.kept], trans[window.kept] = (each[window.inside] for each in found)
+        states = start_sequence(rig, known_poses, joint_names, observed[window.solved], settings)
+        pose[window.kept], trans[window.kept] = (each[window.inside] for each in states)
         drop_pages(pose, trans, observed)
     return pose, trans
 
@@ -174,13 +174,13 @@ def _bank(known_poses: np.ndarray, joint_names: tuple[str, ...]) -> np.ndarray:
     )
 
 
-def _nearest_of(frames: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+def _nearest_of(frames: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """For each wanted frame the nearest of ``frames`` (sorted); itself where there are none."""
     if not len(frames):
-        return wanted
-    after = np.clip(np.searchsorted(frames, wanted), 1, max(1, len(frames) - 1)) % len(frames)
+        return targets
+    after = np.clip(np.searchsorted(frames, targets), 1, max(1, len(frames) - 1)) % len(frames)
     before = frames[after - 1]
-    return np.where(wanted - before <= frames[after] - wanted, before, frames[after])
+    return np.where(targets - before <= frames[after] - targets, before, frames[after])
 
 
 def _misfit(

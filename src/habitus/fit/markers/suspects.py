@@ -71,19 +71,19 @@ def find_swaps(
     apart than ``swap_distance`` are not examined.
     """
     mean = by_column(lambda places: np.nanmedian(places, axis=0), predicted)
-    apart = np.linalg.norm(mean[:, None] - mean[None], axis=2)
-    first, second = np.nonzero(np.triu(apart < settings.swap_distance, 1))
+    distances = np.linalg.norm(mean[:, None] - mean[None], axis=2)
+    first, second = np.nonzero(np.triu(distances < settings.swap_distance, 1))
     better = empty_array((len(observed), len(first)), bool)
     counts = np.zeros(len(first), dtype=np.int64)
     for part in blocks(len(observed), _BLOCK):
         better[part] = _crossed(observed[part], predicted[part], first, second, settings)
         counts += better[part].sum(axis=0)
         drop_pages(better, observed, predicted)
-    found = [
+    pairs = [
         (int(first[k]), int(second[k]), better[:, k].copy())
         for k in np.flatnonzero(counts >= settings.min_frames)
     ]
-    return _disjoint(sorted(found, key=lambda swap: -int(swap[2].sum())))
+    return _disjoint(sorted(pairs, key=lambda swap: -int(swap[2].sum())))
 
 
 def _crossed(
@@ -150,11 +150,11 @@ def suspects(
     """What looks wrong, from residuals (T, M, 3) in metres, the robust scales (M,), pairs put back
     (`find_swaps`), and markers that slide, with how far (m).
     """
-    found = put_back(labels, swaps)
+    swapped = put_back(labels, swaps)
     distance = lengths(off)
     for marker, way in drifts:
         reason = f"drift: slid {1e3 * way:.0f} mm over the skin through the capture"
-        found.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
+        swapped.append(Suspect(labels[marker], reason, int(np.isfinite(distance[:, marker]).sum())))
     sliding = {marker for marker, _ in drifts}
     for k, (label, away, size) in enumerate(
         zip(labels, columns(off), columns(distance), strict=True)
@@ -164,8 +164,8 @@ def suspects(
         bad = _beyond_doubt(away, size, rejected & seen, settings)
         if k in sliding or bad.sum() < max(settings.min_frames, settings.min_share * seen.sum()):
             continue
-        found.append(Suspect(label, _reason(size, bad, seen, settings), int(bad.sum())))
-    return tuple(found)
+        swapped.append(Suspect(label, _reason(size, bad, seen, settings), int(bad.sum())))
+    return tuple(swapped)
 
 
 def _beyond_doubt(
@@ -325,7 +325,7 @@ def _crossings(jumps: list[_Jump], settings: FlipSettings) -> list[tuple[_Jump, 
 
 
 def _jumps(observed: np.ndarray, settings: FlipSettings) -> list[_Jump]:
-    found = []
+    jumps = []
     for marker, column in enumerate(columns(observed)):
         frames = np.flatnonzero(np.isfinite(column[:, 0]))
         if len(frames) < 4:
@@ -338,8 +338,8 @@ def _jumps(observed: np.ndarray, settings: FlipSettings) -> list[_Jump]:
         off = np.linalg.norm(places[2:] - expected, axis=1)
         at = np.flatnonzero((off > settings.jump) & (steps[1:] <= settings.max_gap))
         rows = zip(frames[at + 2].tolist(), places[at + 2], expected[at], speed[at], strict=True)
-        found += [_Jump(marker, *row) for row in rows]
-    return found
+        jumps += [_Jump(marker, *row) for row in rows]
+    return jumps
 
 
 def _relative_misfit(first: _Jump, second: _Jump) -> float:

@@ -46,24 +46,24 @@ class ColourShift:
 
 
 def person_in_colour(
-    sight: PreparedView, settings: AppearanceSettings = APPEARANCE
+    prepared: PreparedView, settings: AppearanceSettings = APPEARANCE
 ) -> Bool[np.ndarray, "h w"] | None:
     """Pixels of the colour image that differ from the empty room's; None without that."""
-    view = sight.view
+    view = prepared.view
     if view.colour is None or view.background_colour is None:
         return None
     difference = np.abs(view.colour.astype(np.float32) - view.background_colour).max(-1)
     smooth = gaussian_filter(difference, 1.0)
     usual = settings.difference_medians * float(np.median(smooth))
-    found = binary_opening(smooth > max(settings.min_difference, usual))
-    pieces, count = cast(tuple[np.ndarray, int], label(found))
+    changed = binary_opening(smooth > max(settings.min_difference, usual))
+    pieces, count = cast(tuple[np.ndarray, int], label(changed))
     sizes = np.bincount(pieces.ravel(), minlength=count + 1)
     sizes[0] = 0
-    return pieces == sizes.argmax() if count else found
+    return pieces == sizes.argmax() if count else changed
 
 
 def find_shift(
-    sights: list[PreparedView],
+    views: list[PreparedView],
     vertices: list[Float[np.ndarray, "V 3"]],
     triangles: Triangles,
     settings: AppearanceSettings = APPEARANCE,
@@ -73,11 +73,11 @@ def find_shift(
     "outline"      1/2 c sum |G * (drawn - observed)|^2,    c = ``outline``, G a Gaussian
     "calibration"  1/2 |shift|^2 / camera_shift_sd^2
     """
-    seen = [person_in_colour(sight, settings) for sight in sights]
+    seen = [person_in_colour(view, settings) for view in views]
     pairs = [
-        (sight.colour_camera, mask, surface)
-        for sight, mask, surface in zip(sights, seen, vertices, strict=True)
-        if sight.colour_camera is not None and mask is not None and mask.any()
+        (view.colour_camera, mask, surface)
+        for view, mask, surface in zip(views, seen, vertices, strict=True)
+        if view.colour_camera is not None and mask is not None and mask.any()
     ]
     if not pairs:
         return ColourShift(np.zeros(3), None)
@@ -98,7 +98,7 @@ def find_shift(
     def calibration(shift: np.ndarray) -> tuple[np.ndarray, Any]:
         return shift, {"shift": np.eye(3)}
 
-    found = minimize(
+    solution = minimize(
         {
             "outline": Term(difference, settings.outline),
             "calibration": Term(calibration, settings.camera_shift_sd**-2.0),
@@ -109,11 +109,11 @@ def find_shift(
         tolerances=Tolerances(cost=1e-4),
         stretch=False,
     )
-    shift = found.values["shift"]
+    shift = solution.values["shift"]
     overlap = min(each.overlap for each in outlines(shift))
     largest = settings.max_shift_sds * settings.camera_shift_sd
     wrong = overlap < settings.min_overlap or np.linalg.norm(shift) > largest
-    return ColourShift(np.zeros(3) if wrong else shift, overlap, found.status)
+    return ColourShift(np.zeros(3) if wrong else shift, overlap, solution.status)
 
 
 def moved(camera: Camera, shift: Float[np.ndarray, " 3"]) -> Camera:
@@ -196,7 +196,7 @@ class Samples:
 
 
 def find_appearance(
-    sights: Sequence[PreparedView],
+    views: Sequence[PreparedView],
     vertices: Float[np.ndarray, "K V 3"],
     faces: Int[np.ndarray, "F 3"],
     shift: ColourShift | None = None,
@@ -206,17 +206,17 @@ def find_appearance(
 
     shift: of the colour camera, where it is known; else the outlines tell it.
     """
-    with_colour = [k for k, sight in enumerate(sights) if sight.colour_camera is not None]
+    with_colour = [k for k, view in enumerate(views) if view.colour_camera is not None]
     if not with_colour:
         return None
-    some = [sights[k] for k in with_colour]
+    some = [views[k] for k in with_colour]
     surfaces = [vertices[k] for k in with_colour]
     triangles = Triangles.of(faces, num_vertices=vertices.shape[1])
     shift = shift or find_shift(some, surfaces, triangles, settings)
     samples = joined(
         [
-            sample(sight, surface, triangles, shift.shift, settings)
-            for sight, surface in zip(some, surfaces, strict=True)
+            sample(view, surface, triangles, shift.shift, settings)
+            for view, surface in zip(some, surfaces, strict=True)
         ]
     )
     if len(samples.vertex) < settings.min_samples:
@@ -239,8 +239,8 @@ def solve_appearance(
     usual = np.zeros(9)
     usual[0] = 1.0 / white
     mean = samples.colour.mean(1)
-    found = _solved(samples, mean, usual, settings.light_sd, edges, settings.grey_steps, settings)
-    grey = found.values["light"]
+    solved = _solved(samples, mean, usual, settings.light_sd, edges, settings.grey_steps, settings)
+    grey = solved.values["light"]
     channels = [
         _solved(samples, each, grey, settings.tint_sd, edges, settings.channel_steps, settings)
         for each in samples.colour.T
@@ -327,10 +327,10 @@ def _lit(
     samples: Samples, colour: Float[np.ndarray, " N"], light: Float[np.ndarray, " 9"], count: int
 ) -> Float[np.ndarray, " V"]:
     """Albedo of each vertex by its own samples alone; the usual one where there are none."""
-    found = colour / (samples.harmonics @ light).clip(0.1)
+    albedo = colour / (samples.harmonics @ light).clip(0.1)
     weight = np.bincount(samples.vertex, samples.weight, count)
-    mean = np.bincount(samples.vertex, samples.weight * found, count) / np.maximum(weight, 1e-9)
-    return np.where(weight > 0, mean, np.median(found)).clip(0.005, 1.5)
+    mean = np.bincount(samples.vertex, samples.weight * albedo, count) / np.maximum(weight, 1e-9)
+    return np.where(weight > 0, mean, np.median(albedo)).clip(0.005, 1.5)
 
 
 def log_smoothness(
@@ -382,7 +382,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
 
 
 def sample(
-    sight: PreparedView,
+    view: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     shift: Float[np.ndarray, " 3"],
@@ -390,10 +390,10 @@ def sample(
 ) -> Samples:
     """The vertices that a view's colour camera sees well, and their colours."""
     normals = vertex_normals(vertices, triangles.faces.numpy())
-    assert sight.colour_camera is not None
-    camera = moved(sight.colour_camera, shift)
+    assert view.colour_camera is not None
+    camera = moved(view.colour_camera, shift)
     colour, weight = look_up(
-        sight, camera, vertices, normals, depth_of(camera, vertices, triangles), settings
+        view, camera, vertices, normals, depth_of(camera, vertices, triangles), settings
     )
     rows = np.flatnonzero(weight > 0)
     shade = harmonics(torch.from_numpy(normals[rows])).numpy()
@@ -408,7 +408,7 @@ def depth_of(
 
 
 def look_up(
-    sight: PreparedView,
+    prepared: PreparedView,
     camera: Camera,
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
@@ -422,7 +422,7 @@ def look_up(
     not trusted.
     """
     pixels, z = (
-        found.numpy() for found in camera.project(torch.from_numpy(np.ascontiguousarray(points)))
+        array.numpy() for array in camera.project(torch.from_numpy(np.ascontiguousarray(points)))
     )
     view = points - eye_of(camera)
     view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
@@ -433,8 +433,8 @@ def look_up(
     solid = np.asarray(binary_erosion(np.isfinite(depth), iterations=3), dtype=bool)
     shown = inside & solid[tuple(cell)] & (z < depth[tuple(cell)] + settings.hidden)
     shown &= cosine > settings.min_cosine
-    assert sight.view.colour is not None
-    linear = to_linear(sight.view.colour)
+    assert prepared.view.colour is not None
+    linear = to_linear(prepared.view.colour)
     colour = np.stack(
         [map_coordinates(linear[..., c], np.where(inside, at, 0.0), order=1) for c in range(3)], 1
     )

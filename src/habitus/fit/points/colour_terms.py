@@ -104,7 +104,7 @@ def colour_equations(
             for k, view in enumerate(views)
             if view is not None
         ]
-        own, slope, found = _channel(
+        own, slope, curvature = _channel(
             rows, look.albedo[:, c], edges, np.append(np.arange(size - 30), tail), settings
         )
         certain = settings.colour / np.array(looks.light_sd)[ORDERS] ** 2
@@ -112,7 +112,7 @@ def colour_equations(
         slope[light] += certain * (look.light[:, c] - WHITE)
         matrix = matrix + own
         gradient = gradient + slope
-        solved.append(found)
+        solved.append(curvature)
     last = size - 3 + np.arange(3)
     matrix[last, last] += 1.0 / looks.camera_shift_sd**2
     gradient[last] += look.shift / looks.camera_shift_sd**2

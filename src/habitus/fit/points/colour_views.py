@@ -54,7 +54,7 @@ class ColourLevel:
 
     @staticmethod
     def of(
-        sight: PreparedView,
+        prepared: PreparedView,
         vertices: Float[np.ndarray, "V 3"],
         shift: Float[np.ndarray, " 3"],
         factor: int,
@@ -64,12 +64,12 @@ class ColourLevel:
         empty room.
         """
         if (
-            sight.colour_camera is None
-            or sight.view.colour is None
-            or sight.view.background_colour is None
+            prepared.colour_camera is None
+            or prepared.view.colour is None
+            or prepared.view.background_colour is None
         ):
             return None
-        camera = moved(sight.colour_camera, shift)
+        camera = moved(prepared.colour_camera, shift)
         pixels = camera.project(torch.from_numpy(vertices))[0].numpy()
         size = np.array([camera.width, camera.height])
         low = np.clip(np.floor(pixels.min(0)) - settings.margin, 0, size - factor).astype(int)
@@ -83,9 +83,10 @@ class ColourLevel:
             principal_point=(camera.principal_point - torch.from_numpy(low.astype(float))) / factor,
         )
         seen, room = (
-            to_linear(image[part]) for image in (sight.view.colour, sight.view.background_colour)
+            to_linear(image[part])
+            for image in (prepared.view.colour, prepared.view.background_colour)
         )
-        usable = (sight.view.colour[part].max(-1) < settings.saturated)[..., None].astype(float)
+        usable = (prepared.view.colour[part].max(-1) < settings.saturated)[..., None].astype(float)
         least = _means(usable, factor)[..., 0] > 1.0 - 1e-9
         return ColourLevel(
             small, factor, _means(seen, factor), _means(room, factor), least.astype(float)
@@ -108,10 +109,10 @@ class Look:
     shift: Float[np.ndarray, " 3"]
 
     @staticmethod
-    def of(found: Appearance, settings: AppearanceSettings = APPEARANCE) -> "Look":
+    def of(appearance: Appearance, settings: AppearanceSettings = APPEARANCE) -> "Look":
         """The look of light and albedo as they were found."""
-        albedo = found.albedo.clip(settings.min_albedo, settings.max_albedo)
-        return Look(albedo, found.light, found.shift.shift)
+        albedo = appearance.albedo.clip(settings.min_albedo, settings.max_albedo)
+        return Look(albedo, appearance.light, appearance.shift.shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,11 +144,12 @@ class Moving:
         body: BodyModel, state: BodyState, k: int, field: SkinField, skin: Float[np.ndarray, " C"]
     ) -> "Moving":
         """That of view k; the numbers of the skin offsets (C,) are the last of the P."""
-        found = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
-        vertices = np.ascontiguousarray(found.surface.vertices)
+        appearance = surface_jacobian(body, state.betas, state.pose[k], state.trans[k])
+        vertices = np.ascontiguousarray(appearance.surface.vertices)
         count = body.num_vertices
         by_betas, by_pose = (
-            part.reshape(3 * count, -1) for part in (found.vertices_betas, found.vertices_pose)
+            part.reshape(3 * count, -1)
+            for part in (appearance.vertices_betas, appearance.vertices_pose)
         )
         normals = vertex_normals(vertices, body.faces)
         vertices = field.seen(vertices, skin)
@@ -218,9 +220,9 @@ def view_rows(
     slope = harmonics_slope(torch.from_numpy(moving.normals)).numpy()
     points = torch.from_numpy(moving.vertices)
     room = torch.from_numpy(level.room)
-    found = image_jacobian(frame, torch.from_numpy(values), room)
-    by_vertices = found.to_vertices(level.camera, points)
-    shown = found.values.tocsr()
+    image_rows = image_jacobian(frame, torch.from_numpy(values), room)
+    by_vertices = image_rows.to_vertices(level.camera, points)
+    shown = image_rows.values.tocsr()
     pixels = np.flatnonzero(np.diff(shown.indptr))
     shown = shown[pixels]
     inner = ~rim_pixels(frame, level, moving, looks.rim_cosine)[pixels]

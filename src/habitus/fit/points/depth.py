@@ -40,7 +40,7 @@ class ViewsFit:
     state: BodyState
     skin: Float[np.ndarray, " V"]
     seen: Float[np.ndarray, "K V 3"]
-    sights: tuple[PreparedView, ...]
+    prepared_views: tuple[PreparedView, ...]
     appearance: Appearance | None
     costs: tuple[float, ...]
     terms: Mapping[str, float]
@@ -88,12 +88,12 @@ def _fitted(
     given: Float[np.ndarray, "K J 3"] | None,
 ) -> ViewsFit:
     clock = [time.perf_counter()]
-    sights, kept, notes = _prepared(capture, settings)
+    views, kept, notes = _prepared(capture, settings)
     turns = tuple(turns[k] for k in kept)
     given = None if given is None else np.asarray(given)[kept]
     clock.append(time.perf_counter())
     first = next(iter(bodies))
-    energy = DepthEnergy.of(bodies[first], sights, settings)
+    energy = DepthEnergy.of(bodies[first], views, settings)
     start, means, misfits = find_start(energy, turns, given)
     clock.append(time.perf_counter())
     rivals = [
@@ -120,7 +120,7 @@ def _fitted(
         state=skinned.body,
         skin=field.offset(skinned.skin),
         seen=field.seen(energy.surfaces(skinned), skinned.skin),
-        sights=energy.views,
+        prepared_views=energy.views,
         appearance=shown,
         costs=history if ended is settled else (*history, *ended.history),
         terms=dict(ended.costs),
@@ -139,21 +139,21 @@ def _prepared(
 
     Raises HabitusError where no view shows a person.
     """
-    found: list[PreparedView] = []
+    prepared: list[PreparedView] = []
     kept: list[int] = []
     errors: list[HabitusError] = []
-    for k, view in enumerate(each.in_own_frame() for each in capture.views):
+    for k, view in enumerate(each.in_camera_frame() for each in capture.views):
         try:
-            found.append(
+            prepared.append(
                 PreparedView.of(view, segment(view, settings.segmentation), settings.segmentation)
             )
             kept.append(k)
         except HabitusError as error:
             errors.append(error)
-    if not found:
+    if not prepared:
         more = f" ({len(errors)} views are alike)" if len(errors) > 1 else ""
         raise HabitusError(f"{errors[0]}{more}")
-    return found, kept, tuple(f"a view was left out: {error}" for error in errors)
+    return prepared, kept, tuple(f"a view was left out: {error}" for error in errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +176,8 @@ def _rival(
 
 
 def _coarse(name: str, energy: DepthEnergy, state: BodyState, means: np.ndarray) -> _Coarse:
-    found = energy.minimized(state, means, energy.settings.stages[:-1])
-    return _Coarse(name, energy, found.state, found.history)
+    coarse = energy.minimized(state, means, energy.settings.stages[:-1])
+    return _Coarse(name, energy, coarse.state, coarse.history)
 
 
 def _chosen(rivals: list[_Coarse], margin: float) -> _Coarse | None:
@@ -210,10 +210,10 @@ def _with_colour(
     few = len(views) < 2 or not energy.settings.colour_levels
     if few or shown is None or shown.shift.overlap is None:
         return settled, state, shown
-    found, state, seen_look = energy.with_colour(state, Look.of(shown, looks), means, field)
-    shift = ColourShift(seen_look.shift, shown.shift.overlap)
+    minimized, state, look = energy.with_colour(state, Look.of(shown, looks), means, field)
+    shift = ColourShift(look.shift, shown.shift.overlap)
     seen = field.seen(energy.surfaces(state), state.skin)
-    return found, state, find_appearance(views, seen, faces, shift, looks)
+    return minimized, state, find_appearance(views, seen, faces, shift, looks)
 
 
 def fit_views(
@@ -232,59 +232,64 @@ def fit_views(
     women's and men's. name, gender: of the body where there is but one. Raises HabitusError as
     `fit_state`.
     """
-    found = fit_state(capture, bodies, settings, turns, start)
+    fit = fit_state(capture, bodies, settings, turns, start)
     began = time.perf_counter()
-    evidence = gather(found.body, found.state, found.sights, settings, found.seen, found.skin)
-    state = found.state
-    told = ()
+    evidence = gather(fit.body, fit.state, fit.prepared_views, settings, fit.seen, fit.skin)
+    state = fit.state
+    sex_note = ()
     if not isinstance(bodies, BodyModel):
-        name = gender = found.kind
-        told = (_who(found),)
+        name = gender = fit.kind
+        sex_note = (_who(fit),)
     return RgbdFit(
         capture_name=capture.name,
-        body_name=name or found.body.name,
-        body=found.body,
+        body_name=name or fit.body.name,
+        body=fit.body,
         betas=state.betas,
         pose=state.pose,
         trans=state.trans,
-        sights=found.sights,
+        prepared_views=fit.prepared_views,
         evidence=evidence,
-        appearance=found.appearance,
-        costs=found.terms,
-        stage_seconds={**found.seconds, "judge": time.perf_counter() - began},
+        appearance=fit.appearance,
+        costs=fit.terms,
+        stage_seconds={**fit.seconds, "judge": time.perf_counter() - began},
         settings=asdict(settings),
-        warnings=(*capture.notes, *found.notes, *told, *_lost(found.sights, found.appearance)),
+        warnings=(
+            *capture.notes,
+            *fit.notes,
+            *sex_note,
+            *_lost(fit.prepared_views, fit.appearance),
+        ),
         gender=gender,
-        skin=found.skin,
-        status=found.status,
+        skin=fit.skin,
+        status=fit.status,
     )
 
 
-def _who(found: ViewsFit) -> str:
+def _who(fit: ViewsFit) -> str:
     """Which body was taken, and why."""
-    if found.kind not in found.tried:
+    if fit.kind not in fit.tried:
         return (
             "women's and men's bodies explain the views alike: the neutral one was kept; "
             "--body female or male tells"
         )
     return (
-        f"the {found.kind} body explains the views best; --body neutral, female or male "
+        f"the {fit.kind} body explains the views best; --body neutral, female or male "
         "chooses another"
     )
 
 
-def _lost(sights: tuple[PreparedView, ...], appearance: Appearance | None) -> tuple[str, ...]:
+def _lost(views: tuple[PreparedView, ...], appearance: Appearance | None) -> tuple[str, ...]:
     """What was not there, and what that costs."""
     notes = []
-    if len(sights) == 1:
+    if len(views) == 1:
         notes.append("one view: girths rest on the shape space more than with two")
-    by_planes = [s.view.name or "the view" for s in sights if s.segmentation == "planes"]
+    by_planes = [s.view.name or "the view" for s in views if s.segmentation == "planes"]
     if by_planes:
         notes.append(
             f"{', '.join(by_planes)}: no background image and no mask; the person was segmented "
             "by distance from floor and walls"
         )
-    if not any(sight.on_floor for sight in sights):
+    if not any(view.on_floor for view in views):
         notes.append("no floor was found: height rests on what is seen, and up is the camera's")
     if appearance is None:
         notes.append("no colour: light, albedo and texture were left out")

@@ -68,8 +68,8 @@ def match(
     settings: RgbdSettings,
 ) -> Matching:
     """E_D of one view and its outline, at the model as it is."""
-    found = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
-    rows, target = found
+    correspondences = (_nearest if stage.matching == "nearest" else _same_pixel)(grid, drawn)
+    rows, target = correspondences
     normal = drawn.normals[rows]
     point = drawn.points[rows]
     view = point - grid.eye

@@ -108,8 +108,8 @@ class DepthEnergy:
         def terms_at(values: dict[str, Any], stage: DepthStage, step: int) -> dict[str, Term]:
             scale = float(np.linspace(*stage.scales, stage.steps)[step])
             now = BodyState(**values)
-            found = self.observations(self.surfaces(now), grids[stage.stride], stage, scale)
-            return {**self.points_terms(now, found), **priors}
+            observations = self.observations(self.surfaces(now), grids[stage.stride], stage, scale)
+            return {**self.points_terms(now, observations), **priors}
 
         return alternate(
             terms_at,
@@ -170,15 +170,15 @@ class DepthEnergy:
             "light": np.ascontiguousarray(look.light.T),
             "shift": look.shift,
         }
-        found = alternate(
+        solved = alternate(
             terms_at,
             start,
             [Stage(len(levels), max_step=self.settings.max_step)],
             steps=Levenberg(self.settings.damping),
         )
         assert last is not None
-        ended = SkinnedState(**{name: found.state[name] for name in names})
-        return found, ended, last.look_at(found.state)
+        ended = SkinnedState(**{name: solved.state[name] for name in names})
+        return solved, ended, last.look_at(solved.state)
 
     def priors(self, means: Float[np.ndarray, "K J 3"]) -> dict[str, Term]:
         """E_S about people's mean, and E_P about a pose for each view; the root is free."""
@@ -202,15 +202,15 @@ class DepthEnergy:
         scale: float,
     ) -> list[dict[str, PointObservations]]:
         """Of each view the correspondences of its pixels on surfaces, by the term's name."""
-        found = []
+        observations = []
         for view, grid, surface in zip(self.views, grids, seen, strict=True):
             noise = self.settings.noise if view.noise is None else view.noise
             drawn = look(grid, surface, self.triangles)
             here = dict(match(grid, drawn, stage, scale, noise, self.settings).matches)
             if self.pads is not None and view.on_floor and stage.moves == "all":
                 here["floor"] = self.pads.on_floor(surface, self.body, self.settings)
-            found.append(here)
-        return found
+            observations.append(here)
+        return observations
 
     def points_terms(
         self, state: BodyState, views: Sequence[Mapping[str, PointObservations]]
@@ -233,17 +233,17 @@ class DepthEnergy:
         models = self.surfaces(state)
         seen = field.seen(models, state.skin)
         energy = replace(self, settings=settings)
-        found = energy.observations(seen, self.grids(stage.stride), stage, stage.scales[-1])
+        observations = energy.observations(seen, self.grids(stage.stride), stage, stage.scales[-1])
         depth = [
             SkinPlanes.of(field, state.body, k, state.skin, view["depth"], models[k], seen[k])
-            for k, view in enumerate(found)
+            for k, view in enumerate(observations)
         ]
         rest = [
             {
                 **{name: points for name, points in view.items() if name != "depth"},
                 "outline": moved_back(view["outline"], models[k], seen[k], self.body),
             }
-            for k, view in enumerate(found)
+            for k, view in enumerate(observations)
         ]
         count = len(state.skin)
         return {

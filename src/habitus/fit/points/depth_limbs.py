@@ -148,10 +148,10 @@ def _turned(
     """A pose of another view, turned as this view has it and by so many degrees more about the
     upright.
     """
-    found = pose.copy()
+    turned = pose.copy()
     more = matrix_from_rotvec(np.array([0.0, np.deg2rad(degrees), 0.0]))
-    found[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
-    return found
+    turned[0] = rotvec_from_matrix(more @ matrix_from_rotvec(own[0]))
+    return turned
 
 
 def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]) -> Tried:

@@ -92,7 +92,7 @@ class Evidence:
 def gather(
     body: BodyModel,
     state: BodyState,
-    sights: Sequence[PreparedView],
+    prepared: Sequence[PreparedView],
     settings: RgbdSettings,
     surfaces: Float[np.ndarray, "K V 3"],
     skin: Float[np.ndarray, " V"],
@@ -103,15 +103,15 @@ def gather(
     triangles = Triangles.of(body.faces, num_vertices=body.num_vertices)
     views = tuple(
         _of_view(
-            sight,
+            view,
             surface,
             triangles,
             state.pose[k, 0],
             settings,
         )
-        for k, (sight, surface) in enumerate(zip(sights, surfaces, strict=True))
+        for k, (view, surface) in enumerate(zip(prepared, surfaces, strict=True))
     )
-    whole = [sight for sight in sights if sight.on_floor and not sight.cut_off]
+    whole = [view for view in prepared if view.on_floor and not view.cut_off]
     height = (
         float(np.median([np.percentile(s.points[s.mask][:, 1], 99.8) for s in whole]))
         if whole
@@ -119,10 +119,10 @@ def gather(
     )
     return Evidence(
         views=views,
-        has_background=any(sight.view.background is not None for sight in sights),
-        has_colour=any(sight.colour_camera is not None for sight in sights),
+        has_background=any(view.view.background is not None for view in prepared),
+        has_colour=any(view.colour_camera is not None for view in prepared),
         segmentation=next(
-            each for each in SEGMENTATIONS if any(s.segmentation == each for s in sights)
+            each for each in SEGMENTATIONS if any(s.segmentation == each for s in prepared)
         ),
         height_seen=height,
         limb_apart=_limb_apart(body, state),
@@ -165,20 +165,20 @@ def _limb_apart(body: BodyModel, state: BodyState) -> tuple[float, str] | None:
             for j, pose in zip(joints, state.pose, strict=True)
         ]
     )
-    apart = np.linalg.norm(own[:, None] - own, axis=-1).max((0, 1))
-    worst = int(apart.argmax())
-    return float(apart[worst]), body.joint_names[limbs[worst]].replace("_", " ")
+    distances = np.linalg.norm(own[:, None] - own, axis=-1).max((0, 1))
+    worst = int(distances.argmax())
+    return float(distances[worst]), body.joint_names[limbs[worst]].replace("_", " ")
 
 
 def _of_view(
-    sight: PreparedView,
+    view: PreparedView,
     vertices: Float[np.ndarray, "V 3"],
     triangles: Triangles,
     root: np.ndarray,
     settings: RgbdSettings,
 ) -> ViewEvidence:
-    noise = settings.noise if sight.noise is None else sight.noise
-    grid = sight.grid(settings.judged_stride)
+    noise = settings.noise if view.noise is None else view.noise
+    grid = view.grid(settings.judged_stride)
     drawn = look(grid, vertices, triangles)
     own = grid.person.ravel()
     shown = np.zeros(grid.person.size, bool)
@@ -195,7 +195,7 @@ def _of_view(
     size = np.abs(off) if len(off) else np.array([np.nan])
     facing = _facing(root)
     return ViewEvidence(
-        sight.view.name,
+        view.view.name,
         float(1e3 * np.median(size)),
         float(1e3 * np.median(off)) if len(off) else np.nan,
         float(1e3 * np.percentile(size, 95)),
@@ -204,9 +204,9 @@ def _of_view(
         float(len(wrong_rows(grid, drawn, settings.seen_through)) / max(len(drawn.pixel), 1)),
         float((own & shown).sum() / max((own | shown).sum(), 1)),
         float(np.rad2deg(np.arctan2(facing[0], facing[2]))),
-        sight.on_floor,
-        sight.cut_off,
-        int(sight.mask.sum()),
+        view.on_floor,
+        view.cut_off,
+        int(view.mask.sum()),
     )
 
 
@@ -255,9 +255,9 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
 )
 
 
-def judge(found: Evidence, limits: RgbdLimits = LIMITS) -> Verdict:
+def judge(evidence: Evidence, limits: RgbdLimits = LIMITS) -> Verdict:
     """The verdict on the evidence of a fit."""
-    return weigh(CHECKS, found, limits, SENTENCES)
+    return weigh(CHECKS, evidence, limits, SENTENCES)
 
 
 def _depth(e: Evidence, limits: RgbdLimits) -> Iterator[Reason]:
@@ -357,10 +357,10 @@ CHECKS: tuple[Callable[[Evidence, RgbdLimits], Iterator[Reason]], ...] = (
 class RgbdFit(Moving):
     """A body found from depth views: one shape, a pose and a place for each of K views.
 
-    Metres and radians; a view's world has y up and the floor, where one was found, at 0; ``sights``
-    hold what was seen, in the same world. ``appearance``: light and albedo, None without colour.
-    ``evidence``: what the verdict is drawn from. ``costs``: after the last step, by term;
-    ``status``: how it ended (`habitus.minimize`: "converged", "iterations", "stalled", …).
+    Metres and radians; a view's world has y up and the floor, where one was found, at 0;
+    ``prepared_views`` hold what was seen, in the same world. ``appearance``: light and albedo, None
+    without colour. ``evidence``: what the verdict is drawn from. ``costs``: after the last step, by
+    term; ``status``: how it ended (`habitus.minimize`: "converged", "iterations", "stalled", …).
     ``skin``: how far the person's skin is off the body of betas, outwards along its normals (m);
     `vertices` and `measurements` have it, `surfaces` are of betas alone. View k is what a fit of
     markers calls frame k: ``vertices(k)``.
@@ -372,7 +372,7 @@ class RgbdFit(Moving):
     betas: Float[np.ndarray, " B"]
     pose: Float[np.ndarray, "K J 3"]
     trans: Float[np.ndarray, "K 3"]
-    sights: tuple[PreparedView, ...]
+    prepared_views: tuple[PreparedView, ...]
     evidence: Evidence
     appearance: Appearance | None = None
     costs: Mapping[str, float] = field(default_factory=dict)
@@ -401,8 +401,8 @@ class RgbdFit(Moving):
         """The person's surface (K, V, 3) in metres, in each view's world, skin off the model
         included; (V, 3) of one view.
         """
-        found = super().vertices(frames)
-        return found if self.skin is None else along_normals(found, self.skin, self.body)
+        vertices = super().vertices(frames)
+        return vertices if self.skin is None else along_normals(vertices, self.skin, self.body)
 
     @property
     def measurements(self) -> Mapping[str, float]:

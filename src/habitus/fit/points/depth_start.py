@@ -63,21 +63,21 @@ def find_start(
     to be found. given: poses to start from, in place of those that are tried.
     """
     betas = scaled_to_height(energy.body, list(energy.views), energy.settings.search)
-    found = [
+    starts = [
         _best(energy, k, betas, turn, None if given is None else given[k])
         for k, turn in enumerate(turns)
     ]
     state = BodyState(
         betas,
-        np.concatenate([one.state.pose for one in found]),
-        np.concatenate([one.state.trans for one in found]),
+        np.concatenate([one.state.pose for one in starts]),
+        np.concatenate([one.state.trans for one in starts]),
     )
-    return state, np.stack([one.mean for one in found]), [one.misfit for one in found]
+    return state, np.stack([one.mean for one in starts]), [one.misfit for one in starts]
 
 
 def scaled_to_height(
     body: BodyModel,
-    sights: list[PreparedView],
+    views: list[PreparedView],
     settings: DepthSearchSettings = STANDARD.search,
 ) -> Float[np.ndarray, " B"]:
     """The likeliest betas of a person as tall as the one seen; the mean person's where that cannot
@@ -85,10 +85,10 @@ def scaled_to_height(
     """
     mean = np.zeros(body.num_betas) if body.people_mean is None else np.array(body.people_mean)
     heights = []
-    for sight in sights:
-        own = sight.points[sight.mask]
-        if not sight.cut_off:
-            low = 0.0 if sight.on_floor else np.percentile(own[:, 1], 0.3)
+    for view in views:
+        own = view.points[view.mask]
+        if not view.cut_off:
+            low = 0.0 if view.on_floor else np.percentile(own[:, 1], 0.3)
             heights.append(np.percentile(own[:, 1], 99.7) - low)
     low, high = settings.heights
     heights = [height for height in heights if low < height < high]
@@ -214,13 +214,13 @@ def _placed(
         if len(drawn.points):
             place = place + _middle(observed) - _middle(drawn.points)
     limit = settings.max_planar_step
-    found = alternate(
+    solved = alternate(
         terms_at,
         {"yaw": yaw, "place": place},
         [Stage(settings.planar_steps, max_step={"yaw": limit, "place": limit})],
         steps=Levenberg(settings.planar_damping),
     )
-    yaw, place = found.values["yaw"], found.values["place"]
+    yaw, place = solved.values["yaw"], solved.values["place"]
     turned = pose.copy()
     turned[0, 1] = yaw[0]
     state = BodyState(betas, turned[None], (place - root)[None])
@@ -293,60 +293,60 @@ def refined(
     def terms_at(values: dict[str, Any], stage: DepthStage, step: int) -> dict[str, Term]:
         scale = float(np.linspace(*stage.scales, stage.steps)[step])
         now = BodyState(**values)
-        found = match(grid, drawn_at(now), stage, scale, settings.noise, settings).matches
-        return {**energy.points_terms(now, [found]), "pose": prior}
+        matchesd = match(grid, drawn_at(now), stage, scale, settings.noise, settings).matches
+        return {**energy.points_terms(now, [matchesd]), "pose": prior}
 
-    found = alternate(
+    solved = alternate(
         terms_at,
         one.state,
         [freed(stage, energy.body, settings)],
         steps=Levenberg(settings.damping),
         blocks=BLOCKS,
     )
-    drawn = drawn_at(found.state)
+    drawn = drawn_at(solved.state)
     worst = misfit(grid, drawn, settings) if len(drawn.points) else np.inf
-    return Tried(found.state, one.mean, worst)
+    return Tried(solved.state, one.mean, worst)
 
 
 def pose_of_keypoints(
     body: BodyModel,
-    sight: PreparedView,
+    view: PreparedView,
     betas: Float[np.ndarray, " B"],
     settings: DepthSearchSettings = STANDARD.search,
 ) -> tuple[Float[np.ndarray, "J 3"], Float[np.ndarray, " 3"]] | None:
     """Pose and place at which the body's joints are where a view's keypoints say; None where too
     few say so.
     """
-    joints, points = seen_joints(body, sight, settings)
+    joints, points = seen_joints(body, view, settings)
     if len(joints) < settings.min_keypoints:
         return None
-    found = [
+    located = [
         _solved(body, betas, joints, points, turn, settings)
         for turn in np.deg2rad([0.0, 90.0, 180.0, 270.0])
     ]
-    return min(found, key=lambda one: one[2])[:2]
+    return min(located, key=lambda one: one[2])[:2]
 
 
 def seen_joints(
-    body: BodyModel, sight: PreparedView, settings: DepthSearchSettings = STANDARD.search
+    body: BodyModel, view: PreparedView, settings: DepthSearchSettings = STANDARD.search
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Joints that keypoints name, and where they are in the world (m), by the depth beside them."""
     joints = []
     points = []
-    if sight.colour_camera is None or not sight.view.keypoints:
+    if view.colour_camera is None or not view.view.keypoints:
         return np.zeros(0, np.int64), np.zeros((0, 3))
-    own = sight.points[sight.mask]
-    tree = KDTree(sight.colour_camera.project(torch.from_numpy(own))[0].numpy())
-    for name, (u, v, confidence) in sight.view.keypoints.items():
+    own = view.points[view.mask]
+    tree = KDTree(view.colour_camera.project(torch.from_numpy(own))[0].numpy())
+    for name, (u, v, confidence) in view.view.keypoints.items():
         part = name.partition("_")[2]
         near = tree.query_ball_point((u, v), settings.keypoint_pixels)
         known = part in settings.joint_depths and name in body.joint_names
         if confidence < settings.min_confidence or not known or not near:
             continue
         skin = np.median(own[near], axis=0)
-        away = (skin - sight.eye) / np.linalg.norm(skin - sight.eye)
+        direction = (skin - view.eye) / np.linalg.norm(skin - view.eye)
         joints.append(body.joint_names.index(name))
-        points.append(skin + settings.joint_depths[part] * away)
+        points.append(skin + settings.joint_depths[part] * direction)
     return np.array(joints, np.int64), np.array(points).reshape(-1, 3)
 
 
@@ -367,7 +367,7 @@ def _solved(
     count = len(joints)
     directions = np.tile(np.eye(3) / settings.keypoint_sd, (count, 1, 1))
     seen = JointObservations(joints, np.zeros((count, 3)), points, directions)
-    found = minimize(
+    solution = minimize(
         {
             "joints": points_term(body, [seen]),
             "pose": pose_prior(np.zeros(pose.size), np.diag(precision)),
@@ -379,4 +379,4 @@ def _solved(
         max_iterations=settings.keypoint_steps,
         blocks=BLOCKS,
     )
-    return found.state.pose[0], found.state.trans[0], found.cost
+    return solution.state.pose[0], solution.state.trans[0], solution.cost

@@ -53,9 +53,9 @@ def free_surface(
     for stage in settings.stages if stages is None else stages:
         level = _level(topology, model, surface, cloud, settings)
         energy = _creased(settings.plate * (plate + level), normal, settings.crease)
-        found = find_correspondences(topology, surface, cloud.points, cloud.normals)
-        rows, missing = _rows(topology, model, normal, cloud, found)
-        weight = found.weights(cloud.points, stage.scale, settings.min_cosine)
+        correspondences = find_correspondences(topology, surface, cloud.points, cloud.normals)
+        rows, missing = _rows(topology, model, normal, cloud, correspondences)
+        weight = correspondences.weights(cloud.points, stage.scale, settings.min_cosine)
         weight *= area.sum() / len(missing)
         offset = _solved(rows, weight, missing, stage.stiffness * energy)
         surface = model + offset[:, None] * normal
@@ -79,14 +79,22 @@ def stretched_surface(
     for stage in settings.stretched_stages:
         level = _level(topology, surface, moved, cloud, settings)
         energy = kron(settings.plate * (plate + level), eye_array(3), format="csc")
-        found = find_correspondences(topology, moved, cloud.points, cloud.normals)
-        weight = found.weights(cloud.points, stage.scale, settings.min_cosine)
+        correspondences = find_correspondences(topology, moved, cloud.points, cloud.normals)
+        weight = correspondences.weights(cloud.points, stage.scale, settings.min_cosine)
         weight *= area.sum() / len(cloud.points)
-        blocks = (found.barycentric[..., None] * found.normal[:, None]).reshape(-1, 1, 3)
-        table = (blocks, topology.faces[found.face].ravel(), np.arange(0, len(blocks) + 1, 3))
+        blocks = (correspondences.barycentric[..., None] * correspondences.normal[:, None]).reshape(
+            -1, 1, 3
+        )
+        table = (
+            blocks,
+            topology.faces[correspondences.face].ravel(),
+            np.arange(0, len(blocks) + 1, 3),
+        )
         rows = bsr_array(table, shape=(len(cloud.points), 3 * len(surface))).tocsr()
-        start = np.einsum("pk,pkc->pc", found.barycentric, surface[topology.faces[found.face]])
-        missing = ((cloud.points - start) * found.normal).sum(1)
+        start = np.einsum(
+            "pk,pkc->pc", correspondences.barycentric, surface[topology.faces[correspondences.face]]
+        )
+        missing = ((cloud.points - start) * correspondences.normal).sum(1)
         offset = _solved(rows, weight, missing, stage.stiffness * energy)
         moved = surface + offset.reshape(-1, 3)
     return moved
@@ -133,15 +141,21 @@ def _creased(energy: csc_array, normal: Float[np.ndarray, "V 3"], crease: float)
 
 
 def _rows(
-    topology: Topology, model: np.ndarray, normal: np.ndarray, cloud: Cloud, found: Correspondences
+    topology: Topology,
+    model: np.ndarray,
+    normal: np.ndarray,
+    cloud: Cloud,
+    correspondences: Correspondences,
 ) -> tuple[csr_array, Float[np.ndarray, " P"]]:
     """Rows (P, V) of n_p . x(b_p) by h, and what is missing to them from the model."""
-    corners = topology.faces[found.face]
-    along = found.barycentric * np.einsum("pkc,pc->pk", normal[corners], found.normal)
+    corners = topology.faces[correspondences.face]
+    along = correspondences.barycentric * np.einsum(
+        "pkc,pc->pk", normal[corners], correspondences.normal
+    )
     ends = np.arange(0, 3 * len(corners) + 1, 3)
     rows = csr_array((along.ravel(), corners.ravel(), ends), shape=(len(corners), len(model)))
-    start = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-    return rows, ((cloud.points - start) * found.normal).sum(1)
+    start = np.einsum("pk,pkc->pc", correspondences.barycentric, model[corners])
+    return rows, ((cloud.points - start) * correspondences.normal).sum(1)
 
 
 def new_cuts(

@@ -111,9 +111,9 @@ def _turned(state: BodyState, joint: int, turn: Float[np.ndarray, " 3"]) -> Body
 def _misfit(fitter: ScanFitter, state: BodyState, hand: Cloud) -> float:
     """Mean capped distance (m) of a hand's points, normals counted, and the pose prior."""
     settings = fitter.settings.limbs
-    found = fitter.matched(state, 0, hand)
-    square = found.distances(hand.points) ** 2
-    square += NORMAL_DISTANCE**2 * 2.0 * (1.0 - np.clip(found.cosine, -1.0, 1.0))
+    correspondences = fitter.matched(state, 0, hand)
+    square = correspondences.distances(hand.points) ** 2
+    square += NORMAL_DISTANCE**2 * 2.0 * (1.0 - np.clip(correspondences.cosine, -1.0, 1.0))
     deviation = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
     distance = np.minimum(np.sqrt(square), settings.max_distance).mean()
     return float(distance + settings.prior_distance * 0.5 * (deviation @ deviation))

@@ -71,11 +71,13 @@ def find_floor(
     seed: int = 0,
 ) -> Floor | None:
     """The floor among the points (m) that were seen, or None. Sensor's frame: y down, z forward."""
-    found = points[seen]
-    if len(found) < settings.min_floor_points:
+    on_floor = points[seen]
+    if len(on_floor) < settings.min_floor_points:
         return None
     rng = np.random.default_rng(seed)
-    some = found[rng.choice(len(found), min(settings.floor_points, len(found)), replace=False)]
+    some = on_floor[
+        rng.choice(len(on_floor), min(settings.floor_points, len(on_floor)), replace=False)
+    ]
     best = None
     best_score = 0.0
     for _ in range(settings.floor_tries):
@@ -92,7 +94,7 @@ def find_floor(
         if allowed and share - below > best_score:
             best = plane
             best_score = float(share - below)
-    return None if best is None else _refined(best, found, settings)
+    return None if best is None else _refined(best, on_floor, settings)
 
 
 def _tolerance(points: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
@@ -117,8 +119,8 @@ def _refined(plane: Floor, points: np.ndarray, settings: SegmentationSettings) -
         near = points[np.abs(plane.above(points)) < _tolerance(points, settings)]
         weight = 1.0 / near[:, 2] ** 4
         middle = (near * weight[:, None]).sum(0) / weight.sum()
-        apart = near - middle
-        normal = np.linalg.eigh((apart * weight[:, None]).T @ apart)[1][:, 0]
+        offsets = near - middle
+        normal = np.linalg.eigh((offsets * weight[:, None]).T @ offsets)[1][:, 0]
         normal = normal * -np.sign(normal[1] or 1.0)
         plane = Floor(normal, float(middle @ normal))
     return plane
@@ -148,16 +150,16 @@ def segment(view: DepthView, settings: SegmentationSettings = SEGMENTATION) -> S
         empty = DepthView(view.background, view.camera)
         floor = find_floor(empty.points(), empty.depth > 0, settings)
         noise = _noise(view.depth, empty.depth, settings)
-        found = _nearer(view.depth, empty.depth, noise, settings)
+        person = _nearer(view.depth, empty.depth, noise, settings)
         segmentation = "background"
     else:
         floor = find_floor(points, view.depth > 0, settings)
-        found = _standing_out(view.depth, points, floor, settings)
+        person = _standing_out(view.depth, points, floor, settings)
         segmentation = "planes"
     if view.mask is not None:
-        found = view.mask & (view.depth > 0)
+        person = view.mask & (view.depth > 0)
         segmentation = "mask"
-    mask = _one_person(_without_flying(found, view.depth), points, settings)
+    mask = _one_person(_without_flying(person, view.depth), points, settings)
     if mask.sum() < settings.min_pixels:
         raise HabitusError(
             f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found by "
@@ -173,9 +175,9 @@ def _noise(depth: np.ndarray, empty: np.ndarray, settings: SegmentationSettings)
     if both.sum() < settings.min_pixels:
         return None
     change = (depth - empty)[both] / empty[both] ** 2
-    apart = np.abs(change - np.median(change))
-    usual = apart[
-        apart <= 6.0 * np.quantile(apart, 0.6)
+    deviations = np.abs(change - np.median(change))
+    usual = deviations[
+        deviations <= 6.0 * np.quantile(deviations, 0.6)
     ]  # quantised depth has many equal ones: no median deviation
     return float(np.clip(max(np.sqrt(np.mean(usual**2) / 2.0), _rounding(depth)), 1e-4, 5e-3))
 
@@ -204,16 +206,16 @@ def _standing_out(
     """What is above the floor, in one piece, nearest to the middle of the image: walls behind are
     another piece.
     """
-    found = depth > 0
+    person = depth > 0
     if floor is not None:
         above = floor.above(points)
-        found &= (above > settings.above_floor) & (above < settings.max_height)
-    smooth = found.copy()
+        person &= (above > settings.above_floor) & (above < settings.max_height)
+    smooth = person.copy()
     for axis in (0, 1):
         step = np.abs(np.diff(depth, axis=axis, prepend=depth.take([0], axis)))
         smooth &= step < settings.jump
     pieces, count = cast(tuple[np.ndarray, int], label(binary_opening(smooth)))
-    best = found & False
+    best = person & False
     most = 0.0
     for k, where in enumerate(find_objects(pieces), 1):
         piece = pieces[where] == k
@@ -225,11 +227,11 @@ def _standing_out(
         tall = np.ptp(points[where][piece][:, 1])
         score = min(tall, 2.0) * (1.0 - off) / np.median(near) * (tall > 0.5)
         if score > most and np.ptp(np.percentile(points[where][piece][:, 0], (1, 99))) < 2.2:
-            best = np.zeros_like(found)
+            best = np.zeros_like(person)
             most = score
             best[where] = piece
     for _ in range(settings.growths if best.any() else 0):
-        best = found & _grown(best, depth, settings)
+        best = person & _grown(best, depth, settings)
     return best
 
 
@@ -238,8 +240,8 @@ def _grown(piece: np.ndarray, depth: np.ndarray, settings: SegmentationSettings)
     distance, nearest = cast(
         tuple[np.ndarray, np.ndarray], distance_transform_edt(~piece, return_indices=True)
     )
-    like = np.abs(depth - depth[tuple(nearest)]) < settings.jump
-    return (distance <= settings.growth_pixels) & like
+    similar = np.abs(depth - depth[tuple(nearest)]) < settings.jump
+    return (distance <= settings.growth_pixels) & similar
 
 
 def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]) -> np.ndarray:
@@ -328,31 +330,31 @@ class PreparedView:
 
     @staticmethod
     def of(
-        view: DepthView, found: Segment, settings: SegmentationSettings = SEGMENTATION
+        view: DepthView, segment: Segment, settings: SegmentationSettings = SEGMENTATION
     ) -> "PreparedView":
         """The view in the world of its floor, or one whose y is the camera's own up."""
-        if found.floor is not None:
-            turn, shift = found.floor.world
+        if segment.floor is not None:
+            turn, shift = segment.floor.world
         else:
             turn = level_frame(np.array([0.0, -1.0, 0.0]))
             shift = np.zeros(3)
         colour = None if view.colour_camera is None else in_world(view.colour_camera, turn, shift)
         points = view.points() @ turn.T + shift
-        behind = seen_through(view, found.mask)
-        on_floor = found.floor is not None
+        behind = seen_through(view, segment.mask)
+        on_floor = segment.floor is not None
         camera = in_world(view.camera, turn, shift)
         return PreparedView(
             view,
             camera,
             colour,
             points,
-            found.mask,
+            segment.mask,
             behind,
             on_floor,
-            found.noise,
+            segment.noise,
             turn,
             shift,
-            found.segmentation,
+            segment.segmentation,
             settings,
         )
 

@@ -194,7 +194,7 @@ def find_floor(
     extent = float(np.ptp(points, axis=0).max())
     band = settings.floor_thickness * extent
     best = 0
-    found = None
+    floor = None
     for _ in range(settings.floor_tries):
         a, b, c = points[rng.integers(0, len(points), 3)]
         normal = np.cross(b - a, c - a)
@@ -210,8 +210,8 @@ def find_floor(
             if min(above, below) < 0.01 < max(above, below) and _wide(points[inside], extent):
                 sign = 1.0 if above > below else -1.0
                 best = int(inside.sum())
-                found = (sign * normal, float(sign * (a @ normal)), band)
-    return found
+                floor = (sign * normal, float(sign * (a @ normal)), band)
+    return floor
 
 
 def _wide(points: np.ndarray, extent: float) -> bool:
@@ -235,10 +235,10 @@ def _islands(
     piece = connected_components(graph, directed=False)[1]
     count = np.bincount(piece)
     main = KDTree(some[piece == count.argmax()])
-    apart = main.query(some)[0]
+    distances = main.query(some)[0]
     gone = np.zeros(len(count), dtype=bool)
     for k in range(len(count)):
-        near = apart[piece == k].min() < settings.island_reach * size
+        near = distances[piece == k].min() < settings.island_reach * size
         gone[k] = not near or count[k] < settings.island_share * len(some)
     gone[count.argmax()] = False
     off = np.zeros(len(points), dtype=bool)

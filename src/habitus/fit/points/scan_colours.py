@@ -74,23 +74,25 @@ def _agreed(registrar: Registrar, fits: Sequence[ScanFit], scans: Sequence[Scan]
     state, after = agreeing(fitter, state, [fit.cloud for fit in fits], before, clouds)
     grid = SkinGrid.of(fitter.topology.faces, fitter.settings.colours.pieces)
     skins = [shared_skin(fitter.topology, grid, surfaces, clouds) for surfaces in (before, after)]
-    told = [[colour_difference(skin, k) for k in range(len(fits))] for skin in skins]
-    found = []
+    differences = [[colour_difference(skin, k) for k in range(len(fits))] for skin in skins]
+    agreed = []
     for k, fit in enumerate(fits):
         colours = ScanColours(
-            grid, np.exp(skins[1].tones), skins[1].apart(k), told[0][k], told[1][k]
+            grid, np.exp(skins[1].tones), skins[1].apart(k), differences[0][k], differences[1][k]
         )
-        if told[1][k] < told[0][k]:
-            found.append(_moved(registrar, fit, state[k : k + 1], after[k], colours))
+        if differences[1][k] < differences[0][k]:
+            agreed.append(_moved(registrar, fit, state[k : k + 1], after[k], colours))
         else:
-            said = (
-                f"its colours differ from the other scans' by {told[0][k]:.3f} and would by "
-                f"{told[1][k]:.3f}: not used"
+            note = (
+                f"its colours differ from the other scans' by {differences[0][k]:.3f} and would by "
+                f"{differences[1][k]:.3f}: not used"
             )
-            found.append(
-                replace(fit, colours=replace(colours, after=told[0][k]), notes=(*fit.notes, said))
+            agreed.append(
+                replace(
+                    fit, colours=replace(colours, after=differences[0][k]), notes=(*fit.notes, note)
+                )
             )
-    return found
+    return agreed
 
 
 def check_colours(scans: Sequence[Scan]) -> None:
@@ -195,8 +197,12 @@ def agreeing(
 
 def colour_difference(skin: SharedSkin, k: int) -> float:
     """What the tones of scan k typically differ by from the others' where both are seen."""
-    apart = skin.apart(k)
-    return float(1.4826 * np.median(apart[apart > 0.0])) if (apart > 0.0).any() else 0.0
+    differences = skin.apart(k)
+    return (
+        float(1.4826 * np.median(differences[differences > 0.0]))
+        if (differences > 0.0).any()
+        else 0.0
+    )
 
 
 def shared_skin(
@@ -238,10 +244,10 @@ def slid(
     colours = settings.colours
     spread = np.full(len(base), colours.slide_sd)
     field = field_precision(topology.faces, base, spread, colours.slide_range)
-    rows, apart = _rows(topology, along, base)
+    rows, residuals = _rows(topology, along, base)
     rows = csr_array(rows @ across)
     matrix = rows.T @ rows + across.T @ kron(field, eye_array(3), format="csc") @ across
-    moved = base + (across @ factored(csc_array(matrix)).solve(rows.T @ apart)).reshape(-1, 3)
+    moved = base + (across @ factored(csc_array(matrix)).solve(rows.T @ residuals)).reshape(-1, 3)
     surface = settings.surface
     return free_surface(topology, moved, cloud.first(surface.points), surface, surface.stages[-1:])
 

@@ -186,13 +186,13 @@ class ScanFitter:
                 terms["colour"] = points_term(self.solver, list(colours))
             return terms
 
-        found = self.minimized(terms_at, state, schedule)
-        models = [self.vertices(found.state, k) for k in range(len(clouds))]
+        minimized = self.minimized(terms_at, state, schedule)
+        models = [self.vertices(minimized.state, k) for k in range(len(clouds))]
         surfaces = tuple(
             along_normals(model, scan.offset_at(model), self.body)
             for model, scan in zip(models, scans, strict=True)
         )
-        return OffsetFit(found.state, surfaces, found.status, found.costs)
+        return OffsetFit(minimized.state, surfaces, minimized.status, minimized.costs)
 
     def minimized(self, terms_at: Any, state: BodyState, schedule: Sequence[ScanStage]) -> Any:
         """The solve of a schedule: correspondences renewed before each step."""
@@ -229,11 +229,16 @@ class ScanFitter:
         self, state: BodyState, k: int, cloud: Cloud, stage: ScanStage
     ) -> PointObservations:
         cloud = cloud.first(stage.points)
-        found = self.matched(state, k, cloud)
-        weight = found.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
+        correspondences = self.matched(state, k, cloud)
+        weight = correspondences.weights(cloud.points, stage.scale, self.settings.model_min_cosine)
         weight *= min(1.0, self.settings.effective_points / len(weight)) / stage.noise**2
         return PointObservations.to_planes(
-            found.face, found.barycentric, cloud.points, found.normal, weight, stage.slide
+            correspondences.face,
+            correspondences.barycentric,
+            cloud.points,
+            correspondences.normal,
+            weight,
+            stage.slide,
         )
 
 
@@ -277,18 +282,21 @@ class OffsetEquations:
         model = np.asarray(jacobian.surface.vertices)
         normal = vertex_normals(model, faces)
         offset = mean if last is None else last.offset_at(model)
-        found = find_correspondences(
+        correspondences = find_correspondences(
             fitter.topology, model + offset[:, None] * normal, cloud.points, cloud.normals
         )
-        weight = found.weights(cloud.points, stage.scale, fitter.settings.offset_min_cosine)
+        weight = correspondences.weights(
+            cloud.points, stage.scale, fitter.settings.offset_min_cosine
+        )
         weight /= stage.noise**2
-        corners = faces[found.face]
+        corners = faces[correspondences.face]
         row = np.repeat(np.arange(len(corners)), 3)
         share = coo_array(
-            (found.barycentric.ravel(), (row, corners.ravel())), shape=(len(corners), len(model))
+            (correspondences.barycentric.ravel(), (row, corners.ravel())),
+            shape=(len(corners), len(model)),
         ).tocsr()
-        there = np.einsum("pk,pkc->pc", found.barycentric, model[corners])
-        missing = ((cloud.points - there) * found.normal).sum(1) - share @ mean
+        there = np.einsum("pk,pkc->pc", correspondences.barycentric, model[corners])
+        missing = ((cloud.points - there) * correspondences.normal).sum(1) - share @ mean
         lumped = csc_array(share.T @ diags_array(weight) @ share)
         return OffsetEquations(
             fitter.body,

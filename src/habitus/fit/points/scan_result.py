@@ -146,7 +146,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     rare = worst([above(betas, limits.betas), above(largest, limits.largest_beta)])
     median, p95 = (float(np.percentile(fit.to_surface, share)) for share in (50, 95))
     model = float(np.median(fit.to_model))
-    found = [
+    levels = [
         Reason(above(model, limits.model), "model", {"mm": 1e3 * model}),
         Reason(below(fit.matched, limits.matched), "matched", {"percent": 100.0 * fit.matched}),
         Reason(above(median, limits.median), "median", {"mm": 1e3 * median}),
@@ -160,8 +160,8 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
         Reason(above(fit.islands, limits.islands), "islands", {"percent": 100.0 * fit.islands}),
     ]
     if fit.rival is not None:
-        found.append(Reason(below(fit.rival, limits.rival), "rival"))
-    yield from (reason for reason in found if reason.level != GOOD)
+        levels.append(Reason(below(fit.rival, limits.rival), "rival"))
+    yield from (reason for reason in levels if reason.level != GOOD)
     if fit.measurements:
         stature = float(np.ptp(fit.body.v_template[:, 1]))
         yield from measurement_reasons(fit.measurements, fit.body.age, stature, limits.people)

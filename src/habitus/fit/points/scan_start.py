@@ -239,14 +239,16 @@ def find_start(
     The best is tried facing the other way, too: with level arms front and back look alike. Where
     none is what people's are, more poses and turns are tried.
     """
-    found = _search(guesser, cloud, turns, 1)
-    found = sorted([*found, _about_face(guesser, cloud, found[0])], key=lambda one: one.misfit)
-    if found[0].misfit > guesser.settings.max_misfit:
-        found = sorted(
-            found + _search(guesser, cloud, turns, guesser.settings.widening),
+    candidates = _search(guesser, cloud, turns, 1)
+    candidates = sorted(
+        [*candidates, _about_face(guesser, cloud, candidates[0])], key=lambda one: one.misfit
+    )
+    if candidates[0].misfit > guesser.settings.max_misfit:
+        candidates = sorted(
+            candidates + _search(guesser, cloud, turns, guesser.settings.widening),
             key=lambda one: one.misfit,
         )
-    return found
+    return candidates
 
 
 def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
@@ -313,17 +315,17 @@ def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
         model[:, 0] /= np.clip(own / size, 0.6, 1.7)
         back = scan.query(model.reshape(-1, 6), distance_upper_bound=cap)[0]
         scores[b, t] += settings.model_share * np.minimum(back, cap).mean()
-    found = []
+    scored = []
     seen = dict[tuple[str, int], int]()
     for b, t in sorted(zip(*best, strict=True), key=lambda pair: scores[pair]):
         counts = seen.get(("pose", b), 0), seen.get(("turn", t), 0)
         if (
             counts[0] < wide * settings.same_pose
             and counts[1] < wide * settings.same_heading
-            and len(found) < wide * settings.kept
+            and len(scored) < wide * settings.kept
         ):
             seen["pose", b], seen["turn", t] = counts[0] + 1, counts[1] + 1
-            found.append(
+            scored.append(
                 _placed(
                     fitter,
                     bank[b],
@@ -333,7 +335,7 @@ def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> lis
                     middle,
                 )
             )
-    return found
+    return scored
 
 
 def _placed(
@@ -383,10 +385,10 @@ def _refined(
     return Candidate(state, one.turn, guesser.scene(turned).misfit(state))
 
 
-def _distinct(found: list[Candidate]) -> list[Candidate]:
+def _distinct(candidates: list[Candidate]) -> list[Candidate]:
     """Those that are not nearly the same as a better one."""
     kept: list[Candidate] = []
-    for one in found:
+    for one in candidates:
         same = any(
             np.array_equal(one.turn, other.turn)
             and np.abs(one.state.pose - other.state.pose).max() < 0.15

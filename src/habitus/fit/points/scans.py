@@ -302,17 +302,17 @@ class Registrar:
         """
         lost = [self._lost(scan) for scan in scans]
         for _ in range(self.settings.limbs.rounds):
-            found = [
+            searched = [
                 limbs_searched_again(self.guesser, scan.state, scan.cloud, scan.surface)
                 if share > LIMITS.lost.doubtful
                 else None
                 for scan, share in zip(scans, lost, strict=True)
             ]
-            if all(state is None for state in found):
+            if all(state is None for state in searched):
                 break
             begin = [
                 replace(scan, state=state or scan.state)
-                for scan, state in zip(scans, found, strict=True)
+                for scan, state in zip(scans, searched, strict=True)
             ]
             tried = self._fitted(begin, self.settings.offset_stages)
             left = [self._lost(scan) for scan in tried]

@@ -74,9 +74,9 @@ class ColourMatch:
         settings: ScanColourSettings = SCANS.colours,
     ) -> "ColourMatch":
         """On a surface (m)."""
-        found = find_correspondences(topology, surface, cloud.points, cloud.normals)
-        weight = found.weights(cloud.points, settings.scale, settings.min_cosine)
-        return ColourMatch(found, weight * cloud.certain)
+        correspondences = find_correspondences(topology, surface, cloud.points, cloud.normals)
+        weight = correspondences.weights(cloud.points, settings.scale, settings.min_cosine)
+        return ColourMatch(correspondences, weight * cloud.certain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,15 +107,15 @@ class SharedSkin:
         """How far the tones of scan k are from the others' (root mean square of channels), 0 where
         either is unseen.
         """
-        others, told = self.without(k)
-        both = (told > self.settings.compared) & (self.seen[k] > self.settings.compared)
+        others, observed = self.without(k)
+        both = (observed > self.settings.compared) & (self.seen[k] > self.settings.compared)
         return np.sqrt(((others - self.each[k]) ** 2).mean(1)) * both
 
 
 def find_skin(
     grid: SkinGrid,
     clouds: Sequence[ColourCloud],
-    sights: Sequence[ColourMatch],
+    matches: Sequence[ColourMatch],
     settings: ScanColourSettings = SCANS.colours,
 ) -> SharedSkin:
     """Texture and light of all scans: of each step the texture is that of the present light, and
@@ -126,7 +126,7 @@ def find_skin(
     (r: ``light_ridge``, w_k: the sum of scan k's weights). Gains and robust weights are renewed
     with the texture.
     """
-    rounds = _Rounds.of(grid, clouds, sights, settings)
+    rounds = _Rounds.of(grid, clouds, matches, settings)
 
     def terms_at(values: dict[str, Any], stage: Stage, step: int) -> dict[str, Term]:
         nonlocal rounds
@@ -134,15 +134,15 @@ def find_skin(
             rounds = rounds.gains_and_weights(values["light"]).texture(values["light"])
         return {"light": rounds.light_term()}
 
-    found = alternate(
+    minimized = alternate(
         terms_at,
         {"light": np.zeros((len(clouds), 9, 3))},
         [Stage(settings.light_rounds + 1)],
         steps=Levenberg(0.0),
         blocks=("light",),
     )
-    rounds = rounds.gains_and_weights(found.values["light"])
-    return SharedSkin(grid, rounds.each, rounds.seen, rounds.noise, settings, found.status)
+    rounds = rounds.gains_and_weights(minimized.values["light"])
+    return SharedSkin(grid, rounds.each, rounds.seen, rounds.noise, settings, minimized.status)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +171,15 @@ class _Rounds:
     def of(
         grid: SkinGrid,
         clouds: Sequence[ColourCloud],
-        sights: Sequence[ColourMatch],
+        matches: Sequence[ColourMatch],
         settings: ScanColourSettings,
     ) -> "_Rounds":
         """Before the first step: a texture of one tone, and no gain."""
         coarse = SkinGrid.of(grid.faces, settings.gain_pieces)
         places = [
-            (sight.correspondences.face, sight.correspondences.barycentric) for sight in sights
+            (match.correspondences.face, match.correspondences.barycentric) for match in matches
         ]
-        certain = [sight.weight for sight in sights]
+        certain = [match.weight for match in matches]
         middle = np.median(
             np.concatenate(
                 [
@@ -194,7 +194,7 @@ class _Rounds:
             coarse,
             clouds,
             certain,
-            [harmonic_terms(sight.correspondences.normal) for sight in sights],
+            [harmonic_terms(match.correspondences.normal) for match in matches],
             [grid.weights(*place) for place in places],
             [coarse.weights(*place) for place in places],
             settings,
@@ -214,11 +214,11 @@ class _Rounds:
                 self.clouds, self.shapes, light, self.gains, strict=True
             )
         ]
-        found = [
+        textures = [
             _at_nodes(self.grid, *scan, self.settings)
             for scan in zip(self.tables, self.certain, tones, strict=True)
         ]
-        each, mass = (np.stack(part) for part in zip(*found, strict=True))
+        each, mass = (np.stack(part) for part in zip(*textures, strict=True))
         seen = _confidence(mass, self.settings)
         skin = _mean(each, seen)[0]
         left = [
@@ -309,23 +309,23 @@ def colour_matches(
     closer than the texture's grain share what it tells.
     """
     table = skin.grid.weights(places.face, places.share)
-    others, told = skin.without(k)
-    apart = table @ (others - skin.each[k])
-    seen = np.minimum(table @ told, table @ skin.seen[k])
+    others, observed = skin.without(k)
+    differences = table @ (others - skin.each[k])
+    seen = np.minimum(table @ observed, table @ skin.seen[k])
     half = 0.5 * (others + skin.each[k])
     slope = skin.grid.slopes(half, surface, places.face, places.share)
-    noise = _spread(apart[seen > skin.settings.compared])
+    noise = _spread(differences[seen > skin.settings.compared])
     spread = np.sqrt(noise**2 + (loose * np.linalg.norm(slope, axis=2)) ** 2)
-    weight = seen * geman_mcclure_weight(np.sqrt(((apart / spread) ** 2).mean(1)), 3.0)
+    weight = seen * geman_mcclure_weight(np.sqrt(((differences / spread) ** 2).mean(1)), 3.0)
     grain = np.maximum(skin.settings.grain * places.faces_area[places.face] / skin.grid.n**2, 1e-9)
     root = np.sqrt(weight * np.minimum(places.area / grain, 1.0))[:, None]
     rows = (root / spread)[..., None] * slope
-    wanted = (1.0 - 1.0 / len(skin.each)) * root * apart / spread
+    steps = (1.0 - 1.0 / len(skin.each)) * root * differences / spread
     size, axes = np.linalg.eigh(np.einsum("nci,ncj->nij", rows, rows))
     size = np.maximum(size[:, 1:], 0.0)
     axes = axes[:, :, 1:].transpose(0, 2, 1)  # the two along the skin
     good = size > 1e-6 * size.max(initial=1e-30)
-    step = good * np.einsum("nkj,ncj,nc->nk", axes, rows, wanted) / np.where(good, size, 1.0)
+    step = good * np.einsum("nkj,ncj,nc->nk", axes, rows, steps) / np.where(good, size, 1.0)
     place = np.einsum("nk,nkc->nc", places.share, surface[skin.grid.faces[places.face]])
     target = place + np.einsum("nk,nkc->nc", step, axes)
     return PointObservations(
@@ -337,13 +337,13 @@ def _gain(
     wide: SkinGrid,
     table: csr_array,
     weight: np.ndarray,
-    apart: np.ndarray,
+    differences: np.ndarray,
     settings: ScanColourSettings,
 ) -> Float[np.ndarray, "N 3"]:
     """What light does that no harmonic does: shadows, light from the skin beside; alike over some 3
     cm.
     """
-    sums = table.T @ np.column_stack([weight[:, None] * apart, weight])
+    sums = table.T @ np.column_stack([weight[:, None] * differences, weight])
     sums = wide.smoothed(sums, settings.gain_smoothings)
     return table @ (sums[:, :3] / np.maximum(sums[:, 3:], 1e-6))
 
@@ -385,5 +385,5 @@ def _mean(
     return np.einsum("kgc,kg->gc", each, seen) / whole[:, None], seen.max(0)
 
 
-def _spread(apart: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
-    return np.maximum(1.4826 * np.median(np.abs(apart), axis=0), 0.003)
+def _spread(differences: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
+    return np.maximum(1.4826 * np.median(np.abs(differences), axis=0), 0.003)

@@ -39,7 +39,7 @@ class Skin:
 def bake(
     body: BodyModel,
     state: BodyState,
-    sights: tuple[PreparedView, ...],
+    views: tuple[PreparedView, ...],
     appearance: Appearance,
     size: int,
     offset: Float[np.ndarray, " V"] | None = None,
@@ -57,7 +57,7 @@ def bake(
     texture = None
     if fine.mesh is not None and uv_faces is not None:
         texture = _texture(
-            fine, surfaces, sights, appearance, albedo, (fine.mesh.uv, uv_faces), size, settings
+            fine, surfaces, views, appearance, albedo, (fine.mesh.uv, uv_faces), size, settings
         )
     brightest = float(np.percentile(albedo.max(1), 99.5))
     scale = settings.brightest / max(brightest, 1e-3)
@@ -87,7 +87,7 @@ def spread(body: BodyModel, values: Float[np.ndarray, "V C"]) -> Float[np.ndarra
 def _texture(
     fine: BodyModel,
     surfaces: Float[np.ndarray, "K V 3"],
-    sights: tuple[PreparedView, ...],
+    views: tuple[PreparedView, ...],
     appearance: Appearance,
     albedo: Float[np.ndarray, "V 3"],
     chart: tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]],
@@ -99,16 +99,16 @@ def _texture(
     total = settings.vertex_weight * np.einsum("nk,nkc->nc", share, albedo[corners])
     weights = np.full(len(pixel), settings.vertex_weight)
     triangles = Triangles.of(fine.faces, num_vertices=fine.num_vertices)
-    for k, sight in enumerate(sights):
-        if sight.colour_camera is None:
+    for k, view in enumerate(views):
+        if view.colour_camera is None:
             continue
         vertices = surfaces[k]
         normals = np.einsum("nk,nkc->nc", share, vertex_normals(vertices, fine.faces)[corners])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = np.einsum("nk,nkc->nc", share, vertices[corners])
-        camera = moved(sight.colour_camera, appearance.shift.shift)
+        camera = moved(view.colour_camera, appearance.shift.shift)
         colour, weight = look_up(
-            sight, camera, points, normals, depth_of(camera, vertices, triangles), settings
+            view, camera, points, normals, depth_of(camera, vertices, triangles), settings
         )
         shade = (harmonics(torch.from_numpy(normals)).numpy() @ appearance.light).clip(
             settings.min_texture_shade

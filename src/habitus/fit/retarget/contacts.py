@@ -75,10 +75,10 @@ def find_soles(body: BodyModel, settings: ContactSettings = CONTACTS) -> Soles:
 def _sole(
     body: BodyModel, strongest: np.ndarray, side: str, settings: ContactSettings
 ) -> tuple[np.ndarray, ...]:
-    wanted = [
+    joints = [
         k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")
     ]
-    ids = np.flatnonzero(np.isin(strongest, wanted))
+    ids = np.flatnonzero(np.isin(strongest, joints))
     if not len(ids):
         raise HabitusError(
             f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)"
@@ -173,22 +173,24 @@ def corrections(
     for stand in stands(still):
         frames = np.arange(stand.first, stand.last + 1)
         point = stand.active
-        apart = as_before[frames, point] - moved[frames, point]
+        offsets = as_before[frames, point] - moved[frames, point]
         shift = _chained(as_before - moved, frames, point)
         shift[:, [0, 2]] -= shift[:, [0, 2]].mean(axis=0)
-        shift[:, 1] += apart[:, 1].mean() - shift[:, 1].mean()
+        shift[:, 1] += offsets[:, 1].mean() - shift[:, 1].mean()
         out[frames], known[frames] = shift, True
     return _bridged(out, known)
 
 
-def _chained(apart: np.ndarray, frames: np.ndarray, point: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _chained(
+    offsets: np.ndarray, frames: np.ndarray, point: np.ndarray
+) -> Float[np.ndarray, "n 3"]:
     """The change of what parts the standing point from its source, going on without a jump where
     the point changes.
     """
     shift = np.zeros((len(frames), 3))
     for k in range(1, len(frames)):
         shift[k] = (
-            shift[k - 1] + apart[frames[k], point[k - 1]] - apart[frames[k - 1], point[k - 1]]
+            shift[k - 1] + offsets[frames[k], point[k - 1]] - offsets[frames[k - 1], point[k - 1]]
         )
     return shift
 

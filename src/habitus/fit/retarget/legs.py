@@ -113,10 +113,10 @@ def _bent(
     u = (knee @ shank[..., None])[..., 0]
     cosine = a[:, 1] * u[:, 1] + a[:, 2] * u[:, 2]
     sine = a[:, 2] * u[:, 1] - a[:, 1] * u[:, 2]
-    wanted = 0.5 * (distance**2 - (a**2).sum(1) - (u**2).sum(1)) - a[:, 0] * u[:, 0]
+    projection = 0.5 * (distance**2 - (a**2).sum(1) - (u**2).sum(1)) - a[:, 0] * u[:, 0]
     straight = np.arctan2(sine, cosine)
     size = np.maximum(np.hypot(sine, cosine), 1e-12)
-    square = np.arccos(np.clip(wanted / size, -1.0, 1.0)) ** 2
+    square = np.arccos(np.clip(projection / size, -1.0, 1.0)) ** 2
     now = -straight * np.abs(straight)
     angle = _root(now + square - straight**2, soft) - _root(now, soft)
     return matrix_from_rotvec(np.column_stack([angle, np.zeros((len(angle), 2))]))

@@ -89,10 +89,10 @@ def retargeted(
     plain, scale = _plain(before, body, betas, ground)
     lowest = _lowest(before)
     plain_lowest = _lowest(plain)
-    wanted = np.where([False, True, False], ground + scale * (points - ground), points)
+    targets = np.where([False, True, False], ground + scale * (points - ground), points)
     allowed = np.minimum(0.0, scale * (lowest - ground))
-    moved = _standing(plain, soles, still, wanted, ground + allowed, settings)
-    moved = _above(moved, plain, soles, still, wanted, ground + allowed, settings)
+    moved = _standing(plain, soles, still, targets, ground + allowed, settings)
+    moved = _above(moved, plain, soles, still, targets, ground + allowed, settings)
     slips = (
         _slip(before, soles, still),
         _slip(plain, soles, still),
@@ -103,7 +103,7 @@ def retargeted(
         float((plain_lowest - ground).min()),
         float((_lowest(moved) - ground).min()),
     )
-    said = (
+    note = (
         f"retargeted to {name}: way scaled by {scale:.3f}, feet kept where they stood, soft "
         "tissue carried over"
     )
@@ -111,7 +111,7 @@ def retargeted(
     pose = same_turns(made.pose, source.pose)
     whose = name if FROM in body.extras else source.body_name
     made = replace(
-        made, pose=pose, up_axis=source.up_axis, body_name=whose, made=(*source.made, said)
+        made, pose=pose, up_axis=source.up_axis, body_name=whose, made=(*source.made, note)
     )
     seconds = float(still.any(axis=(1, 2)).sum() / source.rate_hz)
     return Retargeting(made, scale, seconds, slips, below)
@@ -191,7 +191,7 @@ def _standing(
     plain: BodyMotion,
     soles: Soles,
     still: Bool[np.ndarray, "T 2 P"],
-    wanted: np.ndarray,
+    targets: np.ndarray,
     least: np.ndarray,
     settings: RetargetSettings,
 ) -> BodyMotion:
@@ -204,7 +204,7 @@ def _standing(
     points = plain.points(soles.used)
     feet = soles.means(points)
     lows = soles.lowest(points)
-    shifts = [corrections(feet[:, k], still[:, k], wanted[:, k]) for k in range(2)]
+    shifts = [corrections(feet[:, k], still[:, k], targets[:, k]) for k in range(2)]
     moved = plain
     for _ in range(settings.rounds):
         shifts = [_lifted(shift, low, least) for shift, low in zip(shifts, lows, strict=True)]
@@ -255,10 +255,10 @@ def _sunk(
         length = sum(np.linalg.norm(bone, axis=1) for bone in bones(skeleton, leg))
         hip = skeleton.world[:, leg.hip, :, 3]
         ankle = skeleton.world[:, leg.ankle, :, 3]
-        most = np.maximum(settings.straight * length, np.linalg.norm(ankle - hip, axis=1))
+        limit = np.maximum(settings.straight * length, np.linalg.norm(ankle - hip, axis=1))
         way = goal - hip
-        across = np.minimum(np.hypot(way[:, 0], way[:, 2]), most)
-        needed = np.maximum(needed, -way[:, 1] - np.sqrt(most**2 - across**2))
+        across = np.minimum(np.hypot(way[:, 0], way[:, 2]), limit)
+        needed = np.maximum(needed, -way[:, 1] - np.sqrt(limit**2 - across**2))
     return _above_smoothly(needed, settings.smooth * rate_hz)
 
 
@@ -274,7 +274,7 @@ def _above(
     plain: BodyMotion,
     soles: Soles,
     still: Bool[np.ndarray, "T 2 P"],
-    wanted: np.ndarray,
+    targets: np.ndarray,
     least: np.ndarray,
     settings: RetargetSettings,
 ) -> BodyMotion:
@@ -285,7 +285,7 @@ def _above(
     frames = settings.smooth * moved.rate_hz
     lift = _above_smoothly(least - _lowest(moved), frames)
     if lift.any():
-        moved = _standing(_raised(plain, lift), soles, still, wanted, least, settings)
+        moved = _standing(_raised(plain, lift), soles, still, targets, least, settings)
         moved = _raised(moved, _above_smoothly(least - _lowest(moved), frames))
     return moved
 

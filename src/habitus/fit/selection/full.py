@@ -35,14 +35,14 @@ def fit_surface(
     """The likeliest state of a body whose ``vertices`` are observed at ``points`` (m), begun at
     ``start``.
     """
-    found = minimize(
+    solution = minimize(
         surface_terms(body, prior, vertices, points, noise),
         {"betas": start.betas, "pose": start.pose, "trans": start.trans},
         "dogleg",
         max_iterations=_STEPS,
         tolerances=_TOLERANCES,
     )
-    return SurfaceFit(Posed(**found.values, surface=start.surface), found.status)
+    return SurfaceFit(Posed(**solution.values, surface=start.surface), solution.status)
 
 
 def surface_terms(
@@ -107,10 +107,10 @@ def full_error(
     """
     squares = []
     for one, off in zip(people, offsets, strict=True):
-        found = fit_surface(
+        fitted = fit_surface(
             body, prior, one, chosen, one.surface[chosen] + off[chosen], noise
         ).person
-        here = body(found.betas, found.pose, found.trans, vertices=judged).vertices
+        here = body(fitted.betas, fitted.pose, fitted.trans, vertices=judged).vertices
         squares.append(((here - one.surface[judged]) ** 2).sum(-1).mean())
     return float(np.sqrt(np.mean(squares)))
 

@@ -40,10 +40,10 @@ def removals(
 
 
 def additions(
-    problem: Linearised, start: Sequence[int], most: int, workers: Workers | None = None
+    problem: Linearised, start: Sequence[int], max_markers: int, workers: Workers | None = None
 ) -> Iterator[Step]:
-    """From the groups ``start`` up to ``most``, each time with the one that helps most."""
-    yield from _path(problem, start, ADD, lambda groups: len(groups) < most, workers)
+    """From the groups ``start`` up to ``max_markers``, each time with the one that helps most."""
+    yield from _path(problem, start, ADD, lambda groups: len(groups) < max_markers, workers)
 
 
 def set_error(problem: Linearised, groups: Sequence[int]) -> float:

@@ -54,20 +54,21 @@ def choose_poses(
     known = _known(body, placement)
     before = _mean_square(body)
     shared = body, prior, placement, settings
-    told = np.stack(list((workers or Threads(1)).map(_information, shared, list(poses))))
+    information = np.stack(list((workers or Threads(1)).map(_information, shared, list(poses))))
     rng = np.random.default_rng(seed)
     drawn = [rng.permutation(len(poses))[:count] for _ in range(20)]
     random = [
-        np.mean([_error(known + told[some[: k + 1]].sum(0), before) for some in drawn])
+        np.mean([_error(known + information[some[: k + 1]].sum(0), before) for some in drawn])
         for k in range(count)
     ]
-    alone = np.array([_error(known + one, before) for one in told])
+    alone = np.array([_error(known + one, before) for one in information])
     chosen = [int(np.argmin(alone))]
     errors = [float(alone.min())]
     while len(chosen) < min(count, len(poses)):
-        so_far = known + told[chosen].sum(axis=0)
+        so_far = known + information[chosen].sum(axis=0)
         each = [
-            np.inf if k in chosen else _error(so_far + told[k], before) for k in range(len(poses))
+            np.inf if k in chosen else _error(so_far + information[k], before)
+            for k in range(len(poses))
         ]
         chosen.append(int(np.argmin(each)))
         errors.append(float(np.min(each)))
@@ -102,21 +103,21 @@ def _information(
     betas = np.zeros(body.num_betas)
     latent = default_markers(body, betas, placement.vertices, placement.distance)
     markers = LatentMarkers(body, attach(latent, body.rest_vertices(betas), body.faces).triangles)
-    found = markers.jacobian(betas, latent, pose[None], np.zeros((1, 3)))
+    jacobian = markers.jacobian(betas, latent, pose[None], np.zeros((1, 3)))
     count = len(latent)
     by_latent = np.zeros((count, 3, count, 3))
-    by_latent[np.arange(count), :, np.arange(count)] = found.by_latent[0]
-    wanted = np.concatenate(
-        [found.by_betas[0].reshape(3 * count, -1), by_latent.reshape(3 * count, -1)], axis=1
+    by_latent[np.arange(count), :, np.arange(count)] = jacobian.by_latent[0]
+    columns = np.concatenate(
+        [jacobian.by_betas[0].reshape(3 * count, -1), by_latent.reshape(3 * count, -1)], axis=1
     )
-    by_pose = found.by_pose[0].reshape(3 * count, -1)
+    by_pose = jacobian.by_pose[0].reshape(3 * count, -1)
     let_go = np.concatenate([by_pose, np.tile(np.eye(3), (count, 1))], axis=1)
     trust = np.eye(let_go.shape[1]) / settings.free**2
     trust[3:-3, 3:-3] = MoshWeights().shape_pose * prior.for_joints(body.joint_names).precision
-    wanted = wanted / settings.slip
+    columns = columns / settings.slip
     let_go = let_go / settings.slip
-    across = let_go.T @ wanted
-    return wanted.T @ wanted - across.T @ np.linalg.solve(let_go.T @ let_go + trust, across)
+    across = let_go.T @ columns
+    return columns.T @ columns - across.T @ np.linalg.solve(let_go.T @ let_go + trust, across)
 
 
 def _mean_square(body: BodyModel) -> Float[np.ndarray, "B B"]:

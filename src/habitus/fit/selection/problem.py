@@ -134,8 +134,8 @@ def by_state(
     body: BodyModel, person: Posed, vertices: Int[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3 N"]:
     """Derivatives of vertices by betas, pose and trans."""
-    found = surface_jacobian(body, person.betas, person.pose, person.trans, vertices=vertices)
-    return _columns(found.vertices_betas, found.vertices_pose)
+    jacobian = surface_jacobian(body, person.betas, person.pose, person.trans, vertices=vertices)
+    return _columns(jacobian.vertices_betas, jacobian.vertices_pose)
 
 
 def _columns(by_betas: np.ndarray, by_pose: np.ndarray) -> Float[np.ndarray, "n 3 N"]:
@@ -204,8 +204,8 @@ def _goal(body: BodyModel, person: Posed, goal: str, region: str) -> tuple[np.nd
         raise HabitusError(f"goal is {goal!r}; expected one of {', '.join(GOALS)}")
     joints = region_joints(body, region)
     if goal == "pose":
-        found = surface_jacobian(body, person.betas, person.pose, person.trans, vertices=[0])
-        moved = _columns(found.joints_betas, found.joints_pose)[joints]
+        jacobian = surface_jacobian(body, person.betas, person.pose, person.trans, vertices=[0])
+        moved = _columns(jacobian.joints_betas, jacobian.joints_pose)[joints]
         return moved, np.zeros((len(joints), 3))
     some = region_vertices(body, joints)
     if goal == "shape":
@@ -222,16 +222,16 @@ def region_joints(body: BodyModel, region: str) -> Int[np.ndarray, " n"]:
     if region not in REGIONS:
         raise HabitusError(f"region is {region!r}; expected one of {', '.join(REGIONS)}")
     parts = REGIONS[region]
-    found = [
+    joints = [
         k
         for k, name in enumerate(body.joint_names)
         if not parts or name.rpartition("_")[2] in parts
     ]
-    if not found:
+    if not joints:
         raise HabitusError(
             f"the body {body.name} has no joints of the {region}; expected SMPL's names"
         )
-    return np.array(found)
+    return np.array(joints)
 
 
 def region_vertices(
@@ -239,5 +239,7 @@ def region_vertices(
 ) -> Int[np.ndarray, " m"]:
     """Vertices that ride on these joints, evenly thinned."""
     strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
-    found = np.flatnonzero(np.isin(strongest, joints))
-    return found[np.unique(np.linspace(0, len(found) - 1, min(most, len(found))).astype(int))]
+    vertices = np.flatnonzero(np.isin(strongest, joints))
+    return vertices[
+        np.unique(np.linspace(0, len(vertices) - 1, min(most, len(vertices))).astype(int))
+    ]

@@ -71,13 +71,13 @@ class Parameters:
 
     def texts(self, group: str, name: str) -> list[str]:
         """The texts of one parameter; empty where it is absent."""
-        found = self.groups.get(group, {}).get(name)
-        return found.texts() if found else []
+        parameter = self.groups.get(group, {}).get(name)
+        return parameter.texts() if parameter else []
 
     def numbers(self, group: str, name: str) -> np.ndarray:
         """The numbers of one parameter as a flat array; empty where it is absent or holds text."""
-        found = self.groups.get(group, {}).get(name)
-        return found.numbers() if found and found.kind != CHARACTER else np.empty(0)
+        parameter = self.groups.get(group, {}).get(name)
+        return parameter.numbers() if parameter and parameter.kind != CHARACTER else np.empty(0)
 
     def number(self, group: str, name: str) -> float | None:
         """The first number of one parameter where it is there and finite."""
@@ -160,14 +160,14 @@ def _header(content: bytes, processor: str) -> Header:
 
 def _groups(content: bytes, start: int, processor: str) -> dict[str, dict[str, Parameter]]:
     names: dict[int, str] = {}
-    found: dict[int, dict[str, Parameter]] = {}
+    by_number: dict[int, dict[str, Parameter]] = {}
     for identity, name, parameter in _entries(content, start, processor):
         if parameter is None:
             names[identity] = name
         else:
-            found.setdefault(identity, {}).setdefault(name, parameter)
+            by_number.setdefault(identity, {}).setdefault(name, parameter)
     groups: dict[str, dict[str, Parameter]] = {}
-    for identity, parameters in found.items():
+    for identity, parameters in by_number.items():
         groups.setdefault(names.get(identity, f"#{identity}"), {}).update(parameters)
     return groups
 
@@ -243,25 +243,25 @@ def recorded_values(parameters: Parameters) -> dict[str, float | str]:
     """height_m, mass_kg, marker_diameter_m, age_years and sex, as far as the file records them and
     they make sense of a person.
     """
-    found: dict[str, float | str] = {}
+    values: dict[str, float | str] = {}
     height = _first(parameters, _HEIGHT)
     mass = _first(parameters, _MASS)
     diameter = _first(parameters, _DIAMETER)
     if height is not None and (metres := _metres(height, 0.4, 2.6)) is not None:
-        found["height_m"] = metres
+        values["height_m"] = metres
     if mass is not None and 5.0 <= mass <= 350.0:
-        found["mass_kg"] = round(mass, 3)
+        values["mass_kg"] = round(mass, 3)
     if diameter is not None and (metres := _metres(diameter, 0.0015, 0.06)) is not None:
-        found["marker_diameter_m"] = metres
+        values["marker_diameter_m"] = metres
     elif (radius := _first(parameters, ("TARGET_RADIUS",))) and 0.001 <= radius <= 0.03:
-        found["marker_diameter_m"] = round(2 * radius, 6)
+        values["marker_diameter_m"] = round(2 * radius, 6)
     age = _first(parameters, _AGE)
     if age is not None and 1.0 <= age <= 120.0:
-        found["age_years"] = round(age, 3)
+        values["age_years"] = round(age, 3)
     sex = _sex(parameters)
     if sex:
-        found["sex"] = sex
-    return found
+        values["sex"] = sex
+    return values
 
 
 def _first(parameters: Parameters, names: tuple[str, ...]) -> float | None:

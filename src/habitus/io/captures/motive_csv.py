@@ -88,14 +88,14 @@ def _markers(
     no tracked ones.
     """
     for wanted in (("Marker",), _SOLVED):
-        found: dict[tuple[str, str], dict[str, int]] = {}
+        columns: dict[tuple[str, str], dict[str, int]] = {}
         for i in range(2, min(len(kinds), len(names), len(axes))):
             axis = axes[i].strip().upper()
             position = i >= len(quantities) or quantities[i].strip() in ("Position", "")
             if kinds[i] in wanted and axis in ("X", "Y", "Z") and position:
                 block = i - "XYZ".index(axis)
-                found.setdefault((names[i], str(block)), {})[axis] = i
-        whole = {key: place for key, place in found.items() if len(place) == 3}
+                columns.setdefault((names[i], str(block)), {})[axis] = i
+        whole = {key: place for key, place in columns.items() if len(place) == 3}
         if whole:
             solved = [
                 "the file holds no tracked markers: the solved ones of its bones are used"

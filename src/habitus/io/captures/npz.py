@@ -126,12 +126,12 @@ def _by_label(labels: np.ndarray, points: np.ndarray) -> tuple[list[str], np.nda
 
 
 def _recorded(arrays: NpzArchive) -> Mapping[str, float | str]:
-    found: dict[str, float | str] = {}
+    values: dict[str, float | str] = {}
     for name in ("height_m", "mass_kg", "marker_diameter_m", "age_years"):
         value = number_of(_text(_find(arrays, (name,))))
         if value is not None and value > 0:
-            found[name] = value
+            values[name] = value
     sex = _text(_find(arrays, ("sex", "gender")))
     if sex in ("female", "male"):
-        found["sex"] = sex
-    return found
+        values["sex"] = sex
+    return values

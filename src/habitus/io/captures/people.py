@@ -181,36 +181,36 @@ def find_people(raw: RawPoints, name: str) -> tuple[SubjectTracks, ...]:
         for label, group in raw.groups.items()
         for bare in (label, label.rpartition(":")[2])
     }
-    found = [
+    people = [
         (owner, _physical(owner, raw.points, declared))
         for owner in split_subjects(raw.labels, raw.subjects)
     ]
-    found = [(owner, tracks) for owner, tracks in found if tracks.labels]
-    if not found:
+    people = [(owner, tracks) for owner, tracks in people if tracks.labels]
+    if not people:
         raise HabitusError(_nothing_left(raw, declared, name))
-    _refuse_noise(found[0][1].points, name)
-    unit, warning = find_unit(found[0][1].labels, found[0][1].points, raw.unit)
-    found = [
+    _refuse_noise(people[0][1].points, name)
+    unit, warning = find_unit(people[0][1].labels, people[0][1].points, raw.unit)
+    people = [
         (owner, cleaned)
-        for owner, tracks in found
+        for owner, tracks in people
         if (cleaned := _clean(tracks, METRES[unit])).labels
     ]
-    if not found:
+    if not people:
         raise HabitusError(
             f"{name}: its points are kilometres from each other; it is damaged, export it again"
         )
-    axes = find_axes(found[0][1].labels, found[0][1].points, raw.up_claim, raw.up_usual)
-    drop_pages(*(tracks.points for _, tracks in found))
-    told = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
+    axes = find_axes(people[0][1].labels, people[0][1].points, raw.up_claim, raw.up_usual)
+    drop_pages(*(tracks.points for _, tracks in people))
+    warnings = (*raw.warnings, *([warning] if warning else []), *_axis_warnings(raw, axes))
     return tuple(
         SubjectTracks(
             owner.name,
-            _righted(replace(tracks, warnings=(*told, *tracks.warnings)), axes),
+            _righted(replace(tracks, warnings=(*warnings, *tracks.warnings)), axes),
             unit,
             axes.up,
             _axis_doubts(axes),
         )
-        for owner, tracks in found
+        for owner, tracks in people
     )
 
 
@@ -420,15 +420,15 @@ def computed_labels(labels: Collection[str], declared: Mapping[str, str]) -> dic
             "a skeleton's bone is computed",
         ),
     )
-    found: dict[str, str] = {}
+    computed: dict[str, str] = {}
     for label in labels:
         if label in declared:
-            found[label] = f"the file lists it among its {declared[label]}"
+            computed[label] = f"the file lists it among its {declared[label]}"
             continue
         reason = next((reason for test, reason in tests if test(label)), None)
         if reason:
-            found[label] = reason
-    return found
+            computed[label] = reason
+    return computed
 
 
 def _is_bone(label: str, names: Collection[str]) -> bool:

@@ -74,7 +74,7 @@ def _raw(
     points = table[:, extra:].reshape(len(data), len(labels), 3)
     odd = widths != usual
     points[odd] = np.nan
-    told = [
+    warnings = [
         f"{odd.sum()} rows hold more or fewer numbers than the markers have: they are missing"
     ] * bool(odd.any())
     points, gap_warnings = fill_frames(table[:, 0], points) if extra else (points, ())
@@ -92,7 +92,7 @@ def _raw(
         points=points,
         rate_hz=rate,
         unit="mm",
-        warnings=(*told, *rate_warnings, *gap_warnings, *short),
+        warnings=(*warnings, *rate_warnings, *gap_warnings, *short),
     )
 
 

@@ -48,7 +48,7 @@ class Tracks:
         """The tracks where ``mask`` holds, with what was dropped and warned of so far."""
         if all(mask):
             return self
-        kept = [i for i, wanted in enumerate(mask) if wanted]
+        kept = [i for i, keep in enumerate(mask) if keep]
         labels = tuple(self.labels[i] for i in kept)
         points = mapped(lambda part: np.ascontiguousarray(part[:, kept]), self.points)
         return Tracks(labels, points, self.dropped, self.warnings)
@@ -134,9 +134,9 @@ def hide_stuck(tracks: Tracks) -> Tracks:
 def _neighbours(points: np.ndarray, column: int) -> np.ndarray:
     """The three points nearest to one, by the mean of their distance."""
     sample = points[:: max(1, len(points) // 40)]
-    apart = np.linalg.norm(sample - sample[:, column, None], axis=2)
-    shared = np.isfinite(apart).sum(axis=0)
-    mean = np.where(shared > 0, np.nansum(apart, axis=0) / np.maximum(shared, 1), np.inf)
+    distances = np.linalg.norm(sample - sample[:, column, None], axis=2)
+    shared = np.isfinite(distances).sum(axis=0)
+    mean = np.where(shared > 0, np.nansum(distances, axis=0) / np.maximum(shared, 1), np.inf)
     mean[column] = np.inf
     return np.argsort(mean)[:3]
 
@@ -148,11 +148,11 @@ def _runs(still: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
 
 def _left_behind(points: np.ndarray, column: int, near: np.ndarray) -> bool:
     points = points[:: max(1, len(points) // 100)]
-    apart = np.linalg.norm(points[:, near] - points[:, column, None], axis=2)
-    apart = apart[:, np.isfinite(apart).sum(axis=0) >= 2]
-    if apart.shape[1] < 2:
+    distances = np.linalg.norm(points[:, near] - points[:, column, None], axis=2)
+    distances = distances[:, np.isfinite(distances).sum(axis=0) >= 2]
+    if distances.shape[1] < 2:
         return False
-    return bool((np.nanmax(apart, axis=0) - np.nanmin(apart, axis=0) > _STUCK_M).all())
+    return bool((np.nanmax(distances, axis=0) - np.nanmin(distances, axis=0) > _STUCK_M).all())
 
 
 def join_fragments(tracks: Tracks) -> Tracks:
@@ -185,12 +185,12 @@ def join_fragments(tracks: Tracks) -> Tracks:
             renamed.append(name)
     order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
     points = np.stack([kept[label] for label in order], axis=1) if order else tracks.points[:, :0]
-    told = (
+    notes = (
         (f"different points share a label: the later ones are kept as {', '.join(renamed)}",)
         if renamed
         else ()
     )
-    return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *told))
+    return Tracks(tuple(order), points, (*tracks.dropped, *dropped), (*tracks.warnings, *notes))
 
 
 def _whole_names_first(labels: Sequence[str]) -> list[tuple[int, str]]:
@@ -225,9 +225,9 @@ def duplicate_points(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) 
     reason; metres.
     """
     sample = _telling_frames(points)
-    found = _copies(labels, sample)
-    rest = [i for i, label in enumerate(labels) if label not in found]
-    return found | _midpoints([labels[i] for i in rest], sample[:, rest])
+    dropped = _copies(labels, sample)
+    rest = [i for i, label in enumerate(labels) if label not in dropped]
+    return dropped | _midpoints([labels[i] for i in rest], sample[:, rest])
 
 
 def off_body_points(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -> dict[str, str]:
@@ -238,15 +238,15 @@ def off_body_points(labels: Sequence[str], points: Float[np.ndarray, "T M 3"]) -
     known = [i for i, label in enumerate(labels) if place_of(label)]
     if len(known) < 10 or len(sample) < 10:
         return {}
-    found = {}
+    dropped = {}
     for i, label in enumerate(labels):
         if place_of(label):
             continue
-        apart = np.linalg.norm(np.delete(sample, i, axis=1) - sample[:, i, None], axis=2)
-        apart = apart[:, np.isfinite(apart).sum(axis=0) >= 10]
-        if apart.shape[1] >= 10 and np.nanstd(apart, axis=0).min() > _STRANGE_M:
-            found[label] = "moves with no other point: not on the body"
-    return found
+        distances = np.linalg.norm(np.delete(sample, i, axis=1) - sample[:, i, None], axis=2)
+        distances = distances[:, np.isfinite(distances).sum(axis=0) >= 10]
+        if distances.shape[1] >= 10 and np.nanstd(distances, axis=0).min() > _STRANGE_M:
+            dropped[label] = "moves with no other point: not on the body"
+    return dropped
 
 
 def _telling_frames(points: np.ndarray) -> np.ndarray:
@@ -259,14 +259,14 @@ def _telling_frames(points: np.ndarray) -> np.ndarray:
 def _copies(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
     """Of two equal points the one is kept whose name says where it is, else the first."""
     order = sorted(range(len(labels)), key=lambda i: place_of(labels[i]) is None)
-    found: dict[str, str] = {}
+    dropped: dict[str, str] = {}
     for rank, i in enumerate(order):
-        earlier = [j for j in order[:rank] if labels[j] not in found]
-        apart = np.abs(sample[:, earlier] - sample[:, i, None]).max(axis=2)
-        same = np.isfinite(apart).any(axis=0) & ~(apart > _SAME_M).any(axis=0)
+        earlier = [j for j in order[:rank] if labels[j] not in dropped]
+        distances = np.abs(sample[:, earlier] - sample[:, i, None]).max(axis=2)
+        same = np.isfinite(distances).any(axis=0) & ~(distances > _SAME_M).any(axis=0)
         if same.any():
-            found[labels[i]] = f"an exact copy of {labels[earlier[int(same.argmax())]]}"
-    return found
+            dropped[labels[i]] = f"an exact copy of {labels[earlier[int(same.argmax())]]}"
+    return dropped
 
 
 def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
@@ -281,9 +281,9 @@ def _midpoints(labels: Sequence[str], sample: np.ndarray) -> dict[str, str]:
         for axis in range(3):
             suspects &= ~(np.abs(frame[:, None, axis] - middle[None, :, axis]) > _SAME_M)
         shared |= np.isfinite(frame[:, :1]) & np.isfinite(middle[:, 0])
-    found: dict[str, str] = {}
+    dropped: dict[str, str] = {}
     for i, pair in np.argwhere(suspects & shared).tolist():
         one = labels[int(first[pair])]
         other = labels[int(second[pair])]
-        found.setdefault(labels[i], f"the exact midpoint of {one} and {other}")
-    return found
+        dropped.setdefault(labels[i], f"the exact midpoint of {one} and {other}")
+    return dropped

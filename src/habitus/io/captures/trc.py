@@ -102,10 +102,10 @@ def _readings(
     )
     if triples:
         yield _named_triples(named, triples, spaced)
-        told = (
+        note = (
             "the file's X1 Y1 Z1 row does not fit its numbers: the columns are those of the names"
         )
-        in_order = replace(in_order, warnings=(told,))
+        in_order = replace(in_order, warnings=(note,))
     if spread:
         own = Columns(labels, tuple(_triple(i) for i, _ in named), in_order.warnings)
         yield own
@@ -163,19 +163,19 @@ def _triples(axes: Sequence[str], name: str) -> list[Place]:
     """The columns of x, y, z under each marker, as the X1 Y1 Z1 row has them; none where it is no
     such row.
     """
-    found = [
+    places = [
         (i, match[1].upper()) for i, cell in enumerate(axes) if (match := _AXIS.fullmatch(cell))
     ]
-    if not found or len(found) < sum(map(bool, axes)):
+    if not places or len(places) < sum(map(bool, axes)):
         return []
-    shift = max(0, _FIRST - found[0][0])  # a row that leaves out the blanks under frame and time
+    shift = max(0, _FIRST - places[0][0])  # a row that leaves out the blanks under frame and time
     triples = []
-    for k in range(0, len(found), 3):
-        place = {letter: i + shift for i, letter in found[k : k + 3]}
+    for k in range(0, len(places), 3):
+        place = {letter: i + shift for i, letter in places[k : k + 3]}
         if len(place) < 3 or max(place.values()) - min(place.values()) != 2:
             raise HabitusError(
                 f"{name}: the coordinates of its point {k // 3 + 1} are "
-                f"{' '.join(c for _, c in found[k : k + 3])}; "
+                f"{' '.join(c for _, c in places[k : k + 3])}; "
                 "expected X, Y and Z of each; export it again"
             )
         triples.append((place["X"], place["Y"], place["Z"]))
@@ -314,8 +314,8 @@ def _header(rows: Sequence[Sequence[str]]) -> dict[str, str]:
 
 def _count_warnings(header: dict[str, str], markers: int, frames: int) -> list[str]:
     warnings = []
-    for key, found, what in (("nummarkers", markers, "markers"), ("numframes", frames, "frames")):
+    for key, actual, what in (("nummarkers", markers, "markers"), ("numframes", frames, "frames")):
         claimed = number_of(header.get(key))
-        if claimed is not None and claimed != found:
-            warnings.append(f"the header counts {claimed:g} {what}, the file holds {found}")
+        if claimed is not None and claimed != actual:
+            warnings.append(f"the header counts {claimed:g} {what}, the file holds {actual}")
     return warnings

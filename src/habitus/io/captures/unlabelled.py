@@ -59,7 +59,7 @@ def read_unlabelled(path: str | os.PathLike[str], fps: float | None = None) -> U
     unit, warning = find_unit(names, points, raw.unit)
     tracks = hide_far(Tracks(names, points * METRES[unit]))
     axes = find_axes(names, tracks.points, raw.up_claim, raw.up_usual)
-    told = (*raw.warnings, *([warning] if warning else []), *tracks.warnings)
+    warnings = (*raw.warnings, *([warning] if warning else []), *tracks.warnings)
     return UnlabelledCapture(
-        shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, told
+        shown_stem(path), tracks.points, tuple(columns), rate, axes.up, unit, raw.format, warnings
     )

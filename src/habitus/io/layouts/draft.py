@@ -41,18 +41,18 @@ def draft_layout(
     labels = [plain_name(label) for label in labels]
     capture_name = plain_name(capture_name)
     meaning = interpreted(labels, known)
-    found = {
+    by_label = {
         labels[column]: replace(marker, label=labels[column], aliases=(), optional=False)
         for column, marker in sorted(meaning.markers.items())
     }
     source = meaning.best.layout.name
     lines = [
-        _HEADER.format(known=len(found), count=len(labels), capture=capture_name, source=source),
+        _HEADER.format(known=len(by_label), count=len(labels), capture=capture_name, source=source),
         f"name = {quoted(name)}",
         f"title = {quoted(f'Markers of {capture_name}')}",
         "",
         "[markers]",
-        *_marker_lines(found),
+        *_marker_lines(by_label),
     ]
     near = sorted(meaning.markers) if len(meaning.markers) >= 10 else list(range(len(labels)))
     for column, label in enumerate(labels):
@@ -72,15 +72,15 @@ def draft_layout(
     return "\n".join(lines) + "\n"
 
 
-def _marker_lines(found: dict[str, Marker]) -> list[str]:
+def _marker_lines(markers: dict[str, Marker]) -> list[str]:
     """One line a marker; a left one and its mirror image on one line with [LR]."""
     lines = []
     done = set()
-    for label, marker in found.items():
+    for label, marker in markers.items():
         pair = (
             "R" + label[1:] if label[:1] == "L" else "L" + label[1:] if label[:1] == "R" else None
         )
-        mirror = found.get(pair) if pair is not None else None
+        mirror = markers.get(pair) if pair is not None else None
         if label in done:
             continue
         if mirror is None or replace(other_side(marker), label=mirror.label) != mirror:
@@ -125,8 +125,8 @@ def nearest_markers(
     """
     distances = []
     for other in others:
-        apart = np.linalg.norm(markers[:, other] - markers[:, column], axis=-1)
-        seen = apart[np.isfinite(apart)]
+        spacing = np.linalg.norm(markers[:, other] - markers[:, column], axis=-1)
+        seen = spacing[np.isfinite(spacing)]
         if other != column and len(seen):
             distances.append((other, float(np.median(seen))))
     return sorted(distances, key=lambda pair: pair[1])[:count]
@@ -140,15 +140,15 @@ _FOUND_HEADER = """\
 """
 
 
-def found_layout_text(found: Discovery, capture_name: str) -> str:
+def discovered_layout_text(discovery: Discovery, capture_name: str) -> str:
     """The text of a layout file: the least sure markers first, each with the labels that keep their
     distance to it.
     """
     name = plain_name(capture_name)
-    layout = found.layout
+    layout = discovery.layout
     lines = [
         _FOUND_HEADER.format(capture=name),
-        *(f"# NOT SURE: {shown(doubt, 300)}" for doubt in found.doubts),
+        *(f"# NOT SURE: {shown(doubt, 300)}" for doubt in discovery.doubts),
         f"name = {quoted(f'discovered in {name}')}",
         f"title = {quoted(f'Found by fitting a body to {name}')}",
         *([] if layout.num_vertices is None else [f"num_vertices = {layout.num_vertices}"]),
@@ -158,17 +158,17 @@ def found_layout_text(found: Discovery, capture_name: str) -> str:
     for marker in sorted(
         layout.markers, key=lambda one: 1.0 if one.confidence is None else one.confidence
     ):
-        mates = found.companions.get(marker.label, ())
+        mates = discovery.companions.get(marker.label, ())
         note = (
             f"  # keeps its distance to {', '.join(plain_name(mate) for mate in mates)}"
             if mates
             else ""
         )
         lines.append(marker_line(marker) + note)
-    if found.left_out:
+    if discovery.left_out:
         lines += [
             "",
             "[left_out]",
-            *(f"{key_text(label)} = {quoted(why)}" for label, why in found.left_out.items()),
+            *(f"{key_text(label)} = {quoted(why)}" for label, why in discovery.left_out.items()),
         ]
     return "\n".join(lines) + "\n"

@@ -49,25 +49,25 @@ def labels_in_tree(root: Element) -> tuple[str, ...]:
     """Labels of an XML file: names of its markers, labels or trajectories, as attributes or
     elements, in order.
     """
-    found = []
+    labels = []
     for element in root.iter():
         if str(element.tag).rsplit("}", 1)[-1].lower() in _TAGS:
             named = [value for key, value in element.attrib.items() if key.lower() == "name"]
             named += [child.text or "" for child in element if str(child.tag).lower() == "name"]
-            found.append(plain_name(named[0]) if named else "")
-    return tuple(dict.fromkeys(label for label in found if label))
+            labels.append(plain_name(named[0]) if named else "")
+    return tuple(dict.fromkeys(label for label in labels if label))
 
 
 def labels_in_lines(text: str) -> tuple[str, ...]:
     """Labels of a text: the first word of each line, but for headings, remarks, and lines that link
     markers.
     """
-    found = []
+    labels = []
     for line in text.lstrip("\ufeff").splitlines():
         words = re.split(r"[\t;]| {2,}", line.strip())
         if words[0] and not _MARKUP.match(words[0]) and not _LINKS.search(words[0]):
-            found.append(plain_name(words[0]))
-    return tuple(dict.fromkeys(label for label in found if label))
+            labels.append(plain_name(words[0]))
+    return tuple(dict.fromkeys(label for label in labels if label))
 
 
 def layout_of_labels(
@@ -129,9 +129,9 @@ def load_layout(name_or_path: str | os.PathLike[str]) -> MarkerLayout:
     text = os.fspath(name_or_path)
     if text.lower().endswith(FORMS) or os.sep in text:
         return _load_file(Path(text), ())
-    wanted = _plain(text)
+    plain = _plain(text)
     for layout in shipped_layouts():
-        if wanted in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
+        if plain in {_plain(name) for name in (layout.name, *layout.also_known_as)}:
             return layout
     raise HabitusError(
         f"no layout {text!r}; expected a file ({', '.join(FORMS)}) or one of: "
@@ -328,8 +328,10 @@ def _alike(entry: Any, where: str) -> tuple[float, float]:
 
 def _line(usual: UsualPlace) -> str:
     shift = ", ".join(_metres(x) for x in usual.shift)
-    told = f"off = {_metres(usual.off)}, spread = {_metres(usual.spread)}, people = {usual.people}"
-    return f"{{ shift = [{shift}], {told} }}"
+    numbers = (
+        f"off = {_metres(usual.off)}, spread = {_metres(usual.spread)}, people = {usual.people}"
+    )
+    return f"{{ shift = [{shift}], {numbers} }}"
 
 
 def _metres(length: float) -> str:

@@ -63,11 +63,11 @@ def parse_marker_set(root: Element, name: str, where: str, body: BodyModel) -> M
     for element in elements:
         label = plain_name(element.get("name", ""))
         if label and label not in markers:
-            found = _marker(element, label, where, body)
-            if isinstance(found, Marker):
-                markers[label] = found
+            marker = _marker(element, label, where, body)
+            if isinstance(marker, Marker):
+                markers[label] = marker
             else:
-                left_out[label] = found
+                left_out[label] = marker
     if not markers:
         raise HabitusError(
             f"layout file {where}: none of its markers has a place on a bone that is known "
@@ -89,10 +89,10 @@ def _marker(element: Element, label: str, where: str, body: BodyModel) -> Marker
         return f"on the bone {shown(bone, 40) or 'that is not named'}, which is not known"
     origin, axes = frame
     vertices = np.asarray(body.v_template, dtype=float)
-    away = np.linalg.norm(vertices - (origin + axes @ location), axis=1)
-    vertex = int(np.argmin(away))
-    if away[vertex] > _FARTHEST:
-        return f"{100 * away[vertex]:.0f} cm from the skin"
+    distances = np.linalg.norm(vertices - (origin + axes @ location), axis=1)
+    vertex = int(np.argmin(distances))
+    if distances[vertex] > _FARTHEST:
+        return f"{100 * distances[vertex]:.0f} cm from the skin"
     return replace(
         place_in_words(body, vertex),
         label=label,

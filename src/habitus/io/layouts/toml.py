@@ -165,11 +165,11 @@ def _fingers(data: Mapping[str, Any], base: MarkerLayout | None, where: str) -> 
     """Markers on fingers, this file's added to those of the extended layout or put in their
     place.
     """
-    found = {marker.label: marker for marker in (base.fingers if base else ())}
+    fingers = {marker.label: marker for marker in (base.fingers if base else ())}
     for label, entry in data.get("fingers", {}).items():
         for marker in _markers(label, entry, data.get("defaults", {}), where):
-            found[marker.label] = replace(marker, optional=True, on_finger=True)
-    return found
+            fingers[marker.label] = replace(marker, optional=True, on_finger=True)
+    return fingers
 
 
 def sides(text: str) -> tuple[str, ...]:

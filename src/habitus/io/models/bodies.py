@@ -31,7 +31,7 @@ from habitus.io.models.details import (
     has_levels,
     is_official,
     official_form,
-    own_form,
+    project_form,
     read_ages,
     read_dynamics,
     read_hinges,
@@ -387,7 +387,7 @@ def save_body(model: BodyModel, path: str | Path) -> None:
         )
     if target.suffix == ".pkl":
         model = replace(model, hinges=None)
-    arrays = official_form(model) if official else own_form(model)
+    arrays = official_form(model) if official else project_form(model)
     with atomic_write(target) as temporary, temporary.open("wb") as file:
         if target.suffix == ".npz":
             np.savez(file, allow_pickle=False, **arrays)

@@ -167,13 +167,13 @@ def _renumbered(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> 
     place = np.full(count, -1)
     place[rows] = np.arange(len(rows))
     given = arrays.index(key, count, None)
-    found = place[given[rows] if key == "mirror" and len(given) == count else given]
-    if (found < 0).any():
+    renumbered = place[given[rows] if key == "mirror" and len(given) == count else given]
+    if (renumbered < 0).any():
         raise HabitusError(
             f"array {key!r} names vertices that are not among 'coarse_vertices'; expected only "
             "those"
         )
-    return found
+    return renumbered
 
 
 def read_dynamics(arrays: ModelArrays, vertices: int) -> Dynamics | None:
@@ -264,7 +264,7 @@ def official_form(model: BodyModel) -> dict[str, np.ndarray]:
     return _official_arrays(model) | _own_arrays(model) | _smplx_fillers(model)
 
 
-def own_form(model: BodyModel) -> dict[str, np.ndarray]:
+def project_form(model: BodyModel) -> dict[str, np.ndarray]:
     """The arrays under the project's own names: regressor and skinning weights without their
     zeros.
     """

@@ -8,7 +8,7 @@ from habitus.body.model import BodyModel
 from habitus.files import atomic_write
 from habitus.io.archives import open_archive
 from habitus.io.models.bodies import load_body, shipped_file
-from habitus.io.models.details import own_form
+from habitus.io.models.details import project_form
 
 _OF_THE_FILE = ("license", "version", "description")
 """What a file says of itself, not of the body: another body is another's."""
@@ -34,8 +34,8 @@ def save_like(body: BodyModel, source: str | Path, target: str | Path) -> None:
     it. Raises HabitusError where nothing can be written.
     """
     start = load_body(shipped_file(source), detail="full")
-    before = own_form(start)
-    after = own_form(body)
+    before = project_form(start)
+    after = project_form(body)
     with open_archive(shipped_file(source)) as file:
         arrays = {name: file[name] for name in file.names if name not in _OF_THE_FILE}
     changed = {

@@ -27,8 +27,8 @@ def as_array(value: Any, allowance: Allowance | None = None) -> np.ndarray:
     except HabitusError:
         raise
     except Exception as error:  # the state of a record may be anything
-        told = shown(f"{type(error).__name__}: {error}", 120)
-        raise HabitusError(f"damaged array ({told}); get the file again") from error
+        reason = shown(f"{type(error).__name__}: {error}", 120)
+        raise HabitusError(f"damaged array ({reason}); get the file again") from error
     if array.dtype.kind not in "biufU":
         raise HabitusError(
             f"an array of {array.dtype}; expected numbers or text; get the file again"

@@ -183,8 +183,10 @@ def read_pickle(file: BinaryIO | bytes) -> Any:
     except HabitusError as error:
         raise HabitusError(f"the pickle is refused: {error}") from error
     except Exception as error:  # a damaged pickle may raise anything
-        told = shown(f"{type(error).__name__}: {error}", 120)
-        raise HabitusError(f"this is not a complete pickle ({told}); get the file again") from error
+        reason = shown(f"{type(error).__name__}: {error}", 120)
+        raise HabitusError(
+            f"this is not a complete pickle ({reason}); get the file again"
+        ) from error
 
 
 def _checked(module: object, name: object) -> Name:

@@ -34,7 +34,7 @@ def checked(
         "betas": (count, None),
         "rest": (people, vertices, 3),
     }
-    found = {}
+    valid = {}
     for key, array in arrays.items():
         key = "pose" if key == "poses" else key
         if key == "pose" and array.ndim == 2 and array.shape[-1] % 3 == 0:
@@ -51,8 +51,8 @@ def checked(
                 f"{where}: its {key} is {array.dtype} of shape {array.shape}; expected numbers "
                 f"({text})"
             )
-        found[key] = np.array(array, np.float64)
-    return found
+        valid[key] = np.array(array, np.float64)
+    return valid
 
 
 def joined_known(

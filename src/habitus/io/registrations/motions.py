@@ -96,29 +96,31 @@ def _sequence(
     known: KnownArrays,
     rate_hz: float | None,
 ) -> MovingSurface:
-    found = {key: known[key] for key in _NUMBERS if known.get(key) is not None}
+    known_arrays = {key: known[key] for key in _NUMBERS if known.get(key) is not None}
     own = known["rows"](rows)
     for key in ("betas", "pose", "trans"):
-        if key in found:
-            found[key] = _of_rows(key, np.asarray(found[key], np.float64), own, known["count"])
-    if "trans" in found and isinstance(registrations.vertices, ScaledVertices):
-        found["trans"] = found["trans"] * registrations.vertices.factor[rows][:, None]
+        if key in known_arrays:
+            known_arrays[key] = _of_rows(
+                key, np.asarray(known_arrays[key], np.float64), own, known["count"]
+            )
+    if "trans" in known_arrays and isinstance(registrations.vertices, ScaledVertices):
+        known_arrays["trans"] = known_arrays["trans"] * registrations.vertices.factor[rows][:, None]
     rate = rate_hz or (
-        float(np.asarray(found["rate_hz"]).ravel()[0]) if "rate_hz" in found else 0.0
+        float(np.asarray(known_arrays["rate_hz"]).ravel()[0]) if "rate_hz" in known_arrays else 0.0
     )
     if not 1.0 <= rate <= 1e5:
         raise HabitusError(
             f"the rate of {shown(name)} is {rate:g} Hz; give the frames per second: rate_hz, --fps"
         )
-    ids = found.get("vertex_ids")
+    ids = known_arrays.get("vertex_ids")
     return MovingSurface(
         name=name,
         subject=registrations.subject[int(rows[0])],
         rate_hz=rate,
         registrations=registrations.take(rows),
-        betas=found.get("betas"),
-        pose=found.get("pose"),
-        trans=found.get("trans"),
+        betas=known_arrays.get("betas"),
+        pose=known_arrays.get("pose"),
+        trans=known_arrays.get("trans"),
         still=_still(known, own, registrations.vertices, rows),
         joint_names=known.get(_NAMES),
         vertex_ids=None if ids is None else np.asarray(ids, np.int64).ravel(),
@@ -198,66 +200,66 @@ def _known_of(path: Path) -> Callable[[str], KnownArrays]:
 def _known_in_npz(path: Path) -> dict[str, Any]:
     with open_file(path) as file:
         archive = NpzArchive(file)
-        found: dict[str, Any] = {
+        known: dict[str, Any] = {
             _key(name): archive.read(name)
             for name in archive.names
             if _key(name) in (*_NUMBERS, _NAMES)
         }
         if _STILL in archive:
-            found[_STILL] = array_in_zip(path, archive, _STILL)
-        return _in_words(found) | {"count": archive.header("vertices").shape[0]}
+            known[_STILL] = array_in_zip(path, archive, _STILL)
+        return _in_words(known) | {"count": archive.header("vertices").shape[0]}
 
 
 def _known_in_folder(path: Path) -> dict[str, Any]:
     files = {_key(file.stem): file for file in sorted(path.glob("*.npy"))}
-    found: dict[str, Any] = {
+    known: dict[str, Any] = {
         key: read_npy(files[key]) for key in (*_NUMBERS, _NAMES) if key in files
     }
     if _STILL in files:
-        found[_STILL] = array_in_file(files[_STILL])
-    rows = next((len(found[key]) for key in ("pose", "trans") if key in found), 0)
-    return _in_words(found) | {"count": rows}
+        known[_STILL] = array_in_file(files[_STILL])
+    rows = next((len(known[key]) for key in ("pose", "trans") if key in known), 0)
+    return _in_words(known) | {"count": rows}
 
 
 def _known_in_zarr(path: Path) -> dict[str, Any]:
     group = require_extra("zarr", "zarr folders").open_group(str(path), mode="r")
     allowance = Allowance(folder_bytes(path))
     names = [name for name in group if _key(name) in (*_NUMBERS, _NAMES)]
-    found = {
+    known = {
         _key(name): np.asarray(zarr_array(group, path, name, allowance, whole=True)[...])
         for name in names
     }
     if _STILL in group:
-        found[_STILL] = zarr_array(group, path, _STILL, allowance, whole=False)
-    return _in_words(found) | {"count": group["vertices"].shape[0]}
+        known[_STILL] = zarr_array(group, path, _STILL, allowance, whole=False)
+    return _in_words(known) | {"count": group["vertices"].shape[0]}
 
 
 def _known_in_h5(path: Path, sequence: str) -> dict[str, Any]:
     """Arrays of the group of a sequence; rate_hz, vertex_ids may stand in ``motion`` itself, for
     all.
     """
-    found: dict[str, Any] = {}
+    known: dict[str, Any] = {}
     with require_extra("h5py", "HDF5 files").File(path, "r") as file:
         allowance = Allowance(path.stat().st_size)
         for place in (MOTION, f"{MOTION}/{sequence}"):
             for name in file.get(place, ()):
                 if _key(name) in _NUMBERS:
-                    found[_key(name)] = np.asarray(
+                    known[_key(name)] = np.asarray(
                         h5_array(file, f"{place}/{name}", allowance, whole=True)[()]
                     )
         frames = file[sequence].shape[2]
-    return found | {"count": frames}
+    return known | {"count": frames}
 
 
 def _key(name: str) -> str:
     return _SPELLINGS.get(name, name)
 
 
-def _in_words(found: dict[str, Any]) -> dict[str, Any]:
-    if _NAMES not in found:
-        return found
-    names = np.atleast_1d(checked_texts(found[_NAMES])).ravel().tolist()
-    return found | {
+def _in_words(known: dict[str, Any]) -> dict[str, Any]:
+    if _NAMES not in known:
+        return known
+    names = np.atleast_1d(checked_texts(known[_NAMES])).ravel().tolist()
+    return known | {
         _NAMES: tuple(
             n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in names
         )

@@ -173,8 +173,8 @@ def _write_folder(registrations: Registrations, target: Path, dtype: type) -> No
 def _numbers(registrations: Registrations) -> dict[str, np.ndarray]:
     """Weights, and what is known besides, where there are such."""
     weights = registrations.weights
-    found = {} if weights is None else {"weights": np.asarray(weights[:], dtype=np.float32)}
-    return found | known_form(registrations.known, registrations.subjects)
+    arrays = {} if weights is None else {"weights": np.asarray(weights[:], dtype=np.float32)}
+    return arrays | known_form(registrations.known, registrations.subjects)
 
 
 def _write_vertices(registrations: Registrations, stream: IO[bytes], dtype: type) -> None:

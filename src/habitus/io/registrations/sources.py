@@ -93,9 +93,9 @@ def _open_folder(path: Path) -> Source:
     if (path / "registrations.csv").exists():
         return _open_table(path)
     numbered = sorted(
-        (int(found.group(2)), found.group(1), file)
+        (int(match.group(2)), match.group(1), file)
         for file in path.iterdir()
-        if (found := _NUMBERED.fullmatch(file.name))
+        if (match := _NUMBERED.fullmatch(file.name))
     )
     if not numbered:
         raise HabitusError(
@@ -140,10 +140,10 @@ def _open_table(path: Path) -> Source:
         words["name"] = [
             f"{one}:{at}" for one, at in zip(words["subject"], words["frame"], strict=True)
         ]
-    found = {
+    columns = {
         key: read_npy(file) for key in ("weights", *KEYS) if (file := path / f"{key}.npy").exists()
     }
-    return _source(path, vertices, faces, words, found.pop("weights", None), found)
+    return _source(path, vertices, faces, words, columns.pop("weights", None), columns)
 
 
 def _open_npz(path: Path) -> Source:
@@ -163,7 +163,7 @@ def _open_zarr(path: Path) -> Source:
         group = zarr.open_group(str(path), mode="r")
         allowance = Allowance(folder_bytes(path))
         _check_there(path, group)
-        found = {
+        arrays = {
             key: np.asarray(zarr_array(group, path, key, allowance, whole=True)[:])
             for key in ("faces", "weights", *KEYS, *WORDS)
             if key in group
@@ -173,7 +173,7 @@ def _open_zarr(path: Path) -> Source:
         raise
     except Exception as error:  # zarr's own classes of errors change from release to release
         raise HabitusError(f"{path}: no zarr group ({reason(error)}); expected {KNOWN}") from error
-    return _source(path, ZarrVertices(path), *_parted(found))
+    return _source(path, ZarrVertices(path), *_parted(arrays))
 
 
 def _parted(

@@ -127,8 +127,12 @@ def zarr_array(group: Any, folder: Path, name: str, allowance: Allowance, *, who
 
 def _steps(metadata: Any) -> Iterator[str]:
     """The names of the codecs of an array, whichever version of the format it is in."""
-    told = metadata.to_dict()
-    for step in [*(told.get("codecs") or ()), *(told.get("filters") or ()), told.get("compressor")]:
+    description = metadata.to_dict()
+    for step in [
+        *(description.get("codecs") or ()),
+        *(description.get("filters") or ()),
+        description.get("compressor"),
+    ]:
         if isinstance(step, dict):
             yield str(step.get("name") or step.get("id"))
         elif step is not None:

@@ -188,13 +188,13 @@ def _from_toml(path: Path) -> Template:
 def _mesh_beside(path: Path, mesh: object) -> Path:
     if isinstance(mesh, str):
         return path.parent / inside(mesh)
-    found = [path.with_suffix(ending) for ending in ENDINGS if path.with_suffix(ending).exists()]
-    if not found:
+    meshes = [path.with_suffix(ending) for ending in ENDINGS if path.with_suffix(ending).exists()]
+    if not meshes:
         raise HabitusError(
             f'{path}: it names no mesh; expected mesh = "….ply", or a mesh of the same name '
             "beside it"
         )
-    return found[0]
+    return meshes[0]
 
 
 def _parents(path: Path, names: list[str], joints: list[Mapping[str, Any]]) -> tuple[int, ...]:

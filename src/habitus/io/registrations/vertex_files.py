@@ -144,18 +144,18 @@ class SequenceVertices(FileVertices):
         """Sequences that lie in one piece are mapped: a frame's numbers are spread over all of
         it.
         """
-        found: list[MappedVertices | None] = []
+        mapped: list[MappedVertices | None] = []
         for name in self.sequences:
             data = self._file[name]
             offset = data.id.get_offset()
             plain = data.chunks is None and not data.external and data.dtype.isnative
             axes = (2, 0, 1)
-            found.append(
+            mapped.append(
                 MappedVertices(self.path, offset, data.dtype, data.shape, axes=axes)
                 if plain and offset
                 else None
             )
-        return found
+        return mapped
 
     def _read(self, k: int) -> np.ndarray:
         sequence, frame = self.frames[k].tolist()

@@ -50,7 +50,7 @@ def azure_cameras(
         for each in (listed_cameras if isinstance(listed_cameras, list) else [])
         if isinstance(each, Mapping)
     ]
-    found = {}
+    by_sensor = {}
     for name, purpose in (("depth", "Depth"), ("colour", "PhotoVideo")):
         one = next(
             (
@@ -64,16 +64,16 @@ def azure_cameras(
             raise HabitusError(
                 f"{where}: holds no {name} camera; expected an Azure Kinect's calibration"
             )
-        found[name] = one
+        by_sensor[name] = one
     if size not in _DEPTH_MODES:
         raise HabitusError(
             f"{where}: depth images of {size[0]} x {size[1]}; an Azure Kinect has "
             + ", ".join(f"{w} x {h}" for w, h in _DEPTH_MODES)
         )
-    depth = _azure_camera(found["depth"], where, size, _DEPTH_MODES[size])
-    colour = _azure_camera(found["colour"], where, (1280, 720), _COLOUR_MODES[(1280, 720)])
-    turn, shift = _place(found["colour"], where)
-    own_turn, own_shift = _place(found["depth"], where)
+    depth = _azure_camera(by_sensor["depth"], where, size, _DEPTH_MODES[size])
+    colour = _azure_camera(by_sensor["colour"], where, (1280, 720), _COLOUR_MODES[(1280, 720)])
+    turn, shift = _place(by_sensor["colour"], where)
+    own_turn, own_shift = _place(by_sensor["depth"], where)
     between = turn @ own_turn.T
     way = Camera.from_opencv(np.eye(3), None, between, shift - between @ own_shift, 1, 1)
     return depth, colour.replace(rotation=way.rotation, translation=way.translation)
@@ -329,9 +329,9 @@ def _camera(table: Mapping[str, Any], where: str, size: tuple[int, int]) -> Came
 def _focal(table: Mapping[str, Any], where: str) -> tuple[float, float, float, float]:
     for names in (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy")):
         if all(name in table for name in names):
-            found = [_numbers(table[name]) for name in names]
-            if all(one.size == 1 for one in found):
-                return tuple(one.item() for one in found)  # type: ignore[return-value]
+            numbers = [_numbers(table[name]) for name in names]
+            if all(one.size == 1 for one in numbers):
+                return tuple(one.item() for one in numbers)  # type: ignore[return-value]
     matrix = next((_numbers(table[name]) for name in _MATRIX if name in table), None)
     if matrix is not None and matrix.size == 9:
         k = matrix.reshape(3, 3)
@@ -422,8 +422,8 @@ def _in_metres(
 
 
 def _placed(way: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
-    found = Camera.from_opencv(np.eye(3), None, _orthogonal(way[0]), way[1], 1, 1)
-    return {"rotation": found.rotation, "translation": found.translation}
+    camera = Camera.from_opencv(np.eye(3), None, _orthogonal(way[0]), way[1], 1, 1)
+    return {"rotation": camera.rotation, "translation": camera.translation}
 
 
 def _orthogonal(turn: np.ndarray) -> np.ndarray:
@@ -448,8 +448,8 @@ def scale_of(table: Any, where: str) -> float | None:
 
 
 def _whole(table: Mapping[str, Any], names: tuple[str, ...], default: int) -> int:
-    found = next((_numbers(table[name]) for name in names if name in table), None)
-    return default if found is None or found.size != 1 else int(found.ravel()[0])
+    numbers = next((_numbers(table[name]) for name in names if name in table), None)
+    return default if numbers is None or numbers.size != 1 else int(numbers.ravel()[0])
 
 
 def _numbers(value: Any) -> np.ndarray:
@@ -457,9 +457,9 @@ def _numbers(value: Any) -> np.ndarray:
     if isinstance(value, Mapping):
         value = value.get("data", ())
     try:
-        found = np.asarray(value, dtype=float).ravel()
+        numbers = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError, OverflowError):
         raise HabitusError(f"{shown(value)} where numbers of a camera are expected") from None
-    if not np.isfinite(found).all():
+    if not np.isfinite(numbers).all():
         raise HabitusError(f"{shown(value)} where finite numbers of a camera are expected")
-    return found
+    return numbers

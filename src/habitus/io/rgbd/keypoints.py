@@ -20,7 +20,7 @@ def read_keypoints(path: Path) -> dict[str, tuple[float, float, float]]:
     OpenPose's (people, pose_keypoints_2d; 25 points) and COCO's (annotations or a list, keypoints;
     17 points). Raises HabitusError for other files.
     """
-    people = [found for one in _people(read_description(path)) if (found := _points(one))]
+    people = [located for one in _people(read_description(path)) if (located := _points(one))]
     if not people:
         raise HabitusError(
             f"{path}: holds no person; expected OpenPose's people or COCO's annotations with "

@@ -62,9 +62,9 @@ def find_files(folder: Path) -> FolderFiles:
     )
     if (folder / "depth.txt").is_file():
         return _tum(folder, descriptions)
-    found = {kind: _images(folder, kind) for kind in KINDS}
-    depth, background = _without_background(found["depth"] + _in_empty(folder, "depth"))
-    colour, background_colour = _without_background(found["colour"] + _in_empty(folder, "colour"))
+    files = {kind: _images(folder, kind) for kind in KINDS}
+    depth, background = _without_background(files["depth"] + _in_empty(folder, "depth"))
+    colour, background_colour = _without_background(files["colour"] + _in_empty(folder, "colour"))
     if not depth:
         raise HabitusError(
             f"{folder}: holds no depth image; expected depth/*.png, or *depth*.png, of 16 bits "
@@ -73,11 +73,11 @@ def find_files(folder: Path) -> FolderFiles:
     views = zip(
         depth,
         _paired(depth, colour, "colour", folder),
-        _paired(depth, found["mask"], "mask", folder),
-        _paired(depth, found["keypoints"], "keypoint", folder),
+        _paired(depth, files["mask"], "mask", folder),
+        _paired(depth, files["keypoints"], "keypoint", folder),
         strict=True,
     )
-    cameras = tuple(p for p in descriptions if not any(p == view for view in found["keypoints"]))
+    cameras = tuple(p for p in descriptions if not any(p == view for view in files["keypoints"]))
     return FolderFiles(
         tuple(ViewFiles(*view) for view in views), background, background_colour, cameras
     )
@@ -99,11 +99,11 @@ def _images(folder: Path, kind: str) -> list[Path]:
 
 def _in_empty(folder: Path, kind: str) -> list[Path]:
     """Images of the empty room in a folder of their own."""
-    found = []
+    images = []
     for inner in folder.iterdir():
         if inner.is_dir() and inner.name.lower() in EMPTY:
-            found += [p for p in _images(inner, kind) if p not in found]
-    return found
+            images += [p for p in _images(inner, kind) if p not in images]
+    return images
 
 
 def _without_background(paths: list[Path]) -> tuple[list[Path], Path | None]:
@@ -137,8 +137,8 @@ def _paired(depth: list[Path], others: list[Path], what: str, folder: Path) -> l
 
 def _number(path: Path) -> str:
     """The last number in a name, without leading zeros."""
-    found = re.findall(r"\d+", path.stem)
-    return found[-1].lstrip("0") if found else path.stem
+    digits = re.findall(r"\d+", path.stem)
+    return digits[-1].lstrip("0") if digits else path.stem
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:
@@ -172,15 +172,15 @@ def _tum(folder: Path, descriptions: tuple[Path, ...]) -> FolderFiles:
 
 def _list(path: Path, folder: Path) -> list[tuple[float, Path]]:
     check_text(path.stat().st_size, str(path))
-    found = []
+    images = []
     for line in read_file(path).decode("utf-8", errors="replace").splitlines():
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         try:
-            found.append((float(words[0]), folder / inside(words[1])))
+            images.append((float(words[0]), folder / inside(words[1])))
         except (ValueError, IndexError):
             raise HabitusError(
                 f"{path}: the line {line[:60]!r}; expected a time stamp and a file"
             ) from None
-    return found
+    return images

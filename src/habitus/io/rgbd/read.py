@@ -100,19 +100,19 @@ def _read_views(
 
 
 def _chosen(
-    found: tuple[ViewFiles, ...], wanted: Sequence[int] | None, source: Path
+    views: tuple[ViewFiles, ...], numbers: Sequence[int] | None, source: Path
 ) -> list[ViewFiles]:
-    if wanted is None:
+    if numbers is None:
         picked = np.unique(
-            np.linspace(0, len(found) - 1, min(len(found), MAX_VIEWS)).round().astype(int)
+            np.linspace(0, len(views) - 1, min(len(views), MAX_VIEWS)).round().astype(int)
         )
-        return [found[k] for k in picked]
-    for k in wanted:
-        if not 0 <= k < len(found):
+        return [views[k] for k in picked]
+    for k in numbers:
+        if not 0 <= k < len(views):
             raise HabitusError(
-                f"{source}: there is no view {k}; it has {len(found)}, counted from 0"
+                f"{source}: there is no view {k}; it has {len(views)}, counted from 0"
             )
-    return [found[k] for k in wanted]
+    return [views[k] for k in numbers]
 
 
 def _rig(descriptions: list[_Description], size: tuple[int, int], source: Path) -> Rig:
@@ -229,10 +229,10 @@ def _colour_camera(rig: Rig, depth: Camera, size: tuple[int, int]) -> Camera | N
         return depth if (depth.width, depth.height) == size else None
     if (rig.colour.width, rig.colour.height) == size:
         return rig.colour
-    found = (
+    camera = (
         resized(rig.colour, size) if (rig.colour.width, rig.colour.height) == (1280, 720) else None
     )
-    return found or _of_size(rig.colour, size, Path("colour"))
+    return camera or _of_size(rig.colour, size, Path("colour"))
 
 
 def _check_distance(views: tuple[DepthView, ...], metres: float, source: Path) -> None:

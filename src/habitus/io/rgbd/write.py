@@ -55,7 +55,7 @@ def _write(path: Path, image: np.ndarray) -> None:
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
     (fx, fy), (cx, cy) = camera.focal_length.tolist(), camera.principal_point.tolist()
-    found = {
+    entries = {
         "width": camera.width,
         "height": camera.height,
         "fx": fx,
@@ -64,5 +64,7 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
         "cy": cy - 0.5,
     }
     return (
-        found if camera.distortion is None else {**found, "distortion": camera.distortion.tolist()}
+        entries
+        if camera.distortion is None
+        else {**entries, "distortion": camera.distortion.tolist()}
     )

@@ -149,10 +149,10 @@ class NatNet:
         """What is waiting at a socket."""
         frames: list[Frame] = []
         for _ in range(_MAX_AT_ONCE):
-            found = received(udp)
-            if found is None:
+            packets = received(udp)
+            if packets is None:
                 break
-            packet, arrived, sender = found
+            packet, arrived, sender = packets
             if not self._is_server(sender):
                 continue
             try:
@@ -167,10 +167,10 @@ class NatNet:
             self._take_model(packet)
         if kind != natnet.FRAME:
             return []
-        found = natnet.read_frame(packet, self._server.version, self._model)
-        self._stale = self._stale or found.changed
-        points = np.full_like(found.points, np.nan) if self._doubted(at) else found.points
-        return [Frame(found.number, at, points, self._heading)]
+        frames = natnet.read_frame(packet, self._server.version, self._model)
+        self._stale = self._stale or frames.changed
+        points = np.full_like(frames.points, np.nan) if self._doubted(at) else frames.points
+        return [Frame(frames.number, at, points, self._heading)]
 
     def _doubted(self, now: float) -> bool:
         """Whether another model definition is being waited for: until then nobody knows which
@@ -233,13 +233,13 @@ class NatNet:
                 if not sender or not self._is_server(sender):
                     continue
                 try:
-                    found = natnet.kind_of(packet)
+                    reply = natnet.kind_of(packet)
                 except natnet.BadPacket as error:
                     self.skipped.add(str(error))
                     continue
-                if found == kind:
+                if reply == kind:
                     return packet
-                if found == natnet.UNRECOGNISED:
+                if reply == natnet.UNRECOGNISED:
                     until = 0.0
         others = f"; received {self.skipped}" if self.skipped.total else ""
         raise HabitusError(

@@ -104,9 +104,9 @@ class _Reader:
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise BadPacket(_TRUNCATED)
-        found = self.data[self.at : end].decode("utf-8", "replace")
+        text = self.data[self.at : end].decode("utf-8", "replace")
         self.at = end + 1
-        return found
+        return text
 
     def array(self, kind: np.dtype, count: int) -> np.ndarray:
         at = self.at
@@ -300,13 +300,13 @@ def _read_sets(reader: _Reader, sized: bool, model: Model, points: np.ndarray) -
     """Places by marker sets: they count for sets whose markers are not told one by one, with what
     is occluded.
     """
-    told = set(model.ids.values())
+    labelled = set(model.ids.values())
     for _ in range(_section(reader, sized)):
         name = reader.text()
         count = reader.count(12)
         places = reader.array(np.dtype("<f4"), 3 * count).reshape(-1, 3)
         first, size = model.sets.get(name, (0, -1))
-        if size == count and name not in told:
+        if size == count and name not in labelled:
             points[first : first + count] = np.where(
                 places.any(axis=1, keepdims=True), places, np.nan
             )

@@ -62,15 +62,15 @@ class Qtm:
 
     def poll(self, timeout: float) -> list[Frame]:
         """The frames that are there."""
-        found: list[Frame] = []
+        frames: list[Frame] = []
         try:
-            found.append(
+            frames.append(
                 self._frames.get(timeout=timeout) if timeout > 0 else self._frames.get_nowait()
             )
             while True:
-                found.append(self._frames.get_nowait())
+                frames.append(self._frames.get_nowait())
         except queue.Empty:
-            return found
+            return frames
 
     def close(self) -> None:
         """Disconnect, and end the thread that receives."""

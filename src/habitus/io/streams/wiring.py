@@ -27,10 +27,10 @@ class Wiring:
         """The markers (N, 3) of a frame in metres, NaN where missing."""
         if not len(points):
             return np.full((len(self.columns), 3), np.nan)
-        found = np.where((self.columns >= 0)[:, None], points[self.columns], np.nan)
-        wrong = ~(np.abs(found).max(axis=1) < _FARTHEST) | ~found.any(axis=1)
-        found[wrong] = np.nan
-        return found * self.factors
+        markers = np.where((self.columns >= 0)[:, None], points[self.columns], np.nan)
+        wrong = ~(np.abs(markers).max(axis=1) < _FARTHEST) | ~markers.any(axis=1)
+        markers[wrong] = np.nan
+        return markers * self.factors
 
 
 def find_wiring(

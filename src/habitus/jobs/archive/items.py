@@ -54,7 +54,7 @@ class KnownSubject:
     exchanged: tuple[tuple[int, int], ...]
     misplaced: tuple[int, ...]
     seconds: float
-    found_layout: str = ""
+    discovered_layout: str = ""
 
     def subject(self, body: BodyModel) -> Subject:
         """As the recipe has it."""
@@ -85,7 +85,7 @@ def write_known(known: KnownSubject, path: Path) -> str:
         "agreed": asdict(replace(known.agreed, layout=None)),  # type: ignore[arg-type]
         "exchanged": known.exchanged,
         "misplaced": known.misplaced,
-        "found_layout": known.found_layout,
+        "discovered_layout": known.discovered_layout,
         "shape": {"costs": shape.costs, "status": shape.status, "iterations": shape.iterations},
     }
     text = json.dumps(record, sort_keys=True, default=_plain)
@@ -120,7 +120,7 @@ def read_known(path: Path) -> KnownSubject:
             tuple((i, j) for i, j in record["exchanged"]),
             tuple(record["misplaced"]),
             seconds,
-            record["found_layout"],
+            record["discovered_layout"],
         )
     except Exception as error:  # a damaged record may hold anything
         raise HabitusError(
@@ -201,8 +201,8 @@ class ArchiveJob:
 
 
 @dataclass(frozen=True)
-class Look:
-    """A file to be looked at."""
+class Inspect:
+    """A file to be read for who is in it."""
 
     path: Path
 
@@ -220,7 +220,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Looked:
+class FileContent:
     """Everybody in a file and a digest of its content, or why there is nobody; `no_capture`: which
     is no failure.
     """
@@ -232,8 +232,8 @@ class Looked:
 
 
 @dataclass(frozen=True)
-class Taken:
-    """A capture as it was when it was looked at; ``person`` is somebody's name where the file holds
+class CaptureRef:
+    """A capture as it was when it was inspected; ``person`` is somebody's name where the file holds
     several people.
     """
 
@@ -250,7 +250,7 @@ class Shape:
     """
 
     name: str
-    captures: tuple[Taken, ...]
+    captures: tuple[CaptureRef, ...]
     file: str
 
 
@@ -275,7 +275,7 @@ class Shaped:
 class Fit:
     """A capture to be fitted: with the shape in a file, or by itself."""
 
-    capture: Taken
+    capture: CaptureRef
     file: str | None
 
 
@@ -291,5 +291,5 @@ class Fitted:
     reason: str = ""
 
 
-Task = Look | Shape | Fit
-Done = Looked | Shaped | Fitted
+Task = Inspect | Shape | Fit
+Done = FileContent | Shaped | Fitted

@@ -17,18 +17,18 @@ from habitus.errors import HabitusError, shown
 from habitus.io.limits import Allowance, check_inflated
 from habitus.io.names import file_name, inside
 from habitus.io.structured_text import read_json
-from habitus.jobs.archive.items import Fitted, Looked, Seen, Shaped
-from habitus.jobs.finding import Found, MarkerSet
+from habitus.jobs.archive.items import FileContent, Fitted, Seen, Shaped
+from habitus.jobs.finding import CaptureFile, MarkerSet
 
 FILE = "archive.sqlite"
-VERSION = 1
+VERSION = 2
 DONE = "done"
 FAILED = "failed"
 WAITING = "waiting"
 _TABLES = """
 CREATE TABLE files (path TEXT PRIMARY KEY, size INTEGER, changed INTEGER, digest TEXT, state TEXT, reason TEXT);
 CREATE TABLE captures (
-    path TEXT, person TEXT, folder TEXT, said TEXT, frames INTEGER, rate_hz REAL, worn BLOB, subject TEXT,
+    path TEXT, person TEXT, folder TEXT, name_in_file TEXT, frames INTEGER, rate_hz REAL, marker_set BLOB, subject TEXT,
     state TEXT, key TEXT, reason TEXT, numbers TEXT, picture BLOB, seconds REAL, PRIMARY KEY (path, person));
 CREATE TABLE subjects (
     name TEXT PRIMARY KEY, file TEXT, recipe TEXT, sources TEXT, digest TEXT, reason TEXT, measured TEXT, betas TEXT,
@@ -62,12 +62,12 @@ class Manifest:
     # -- files -------------------------------------------------------------------------------------
 
     def stamps(self) -> dict[str, tuple[int, int, str]]:
-        """Size, time of the last change and state of every file that was looked at."""
+        """Size, time of the last change and state of every file that was read."""
         rows = self._db.execute("SELECT path, size, changed, state FROM files")
         return {path: (size, changed, state) for path, size, changed, state in rows}
 
-    def looked(
-        self, path: str, stamp: tuple[int, int], content: Looked, folders: Sequence[str]
+    def record_file(
+        self, path: str, stamp: tuple[int, int], content: FileContent, folders: Sequence[str]
     ) -> None:
         """What a file holds, in the place of what was known of it; results whose input is the same
         stay.
@@ -86,12 +86,13 @@ class Manifest:
             for name, folder, seen in zip(names, folders, content.people, strict=True):
                 row = (folder, seen.subject, seen.frames, seen.rate_hz, _packed(seen.markers))
                 self._db.execute(
-                    "INSERT INTO captures (path, person, folder, said, frames, rate_hz, worn, "
-                    "subject, state, key) "
+                    "INSERT INTO captures (path, person, folder, name_in_file, frames, rate_hz, "
+                    "marker_set, subject, state, key) "
                     f"VALUES (?, ?, ?, ?, ?, ?, ?, '', '{WAITING}', '') ON CONFLICT (path, "
                     "person) DO UPDATE SET "
-                    "folder = excluded.folder, said = excluded.said, frames = excluded.frames, "
-                    "rate_hz = excluded.rate_hz, worn = excluded.worn",
+                    "folder = excluded.folder, name_in_file = excluded.name_in_file, "
+                    "frames = excluded.frames, rate_hz = excluded.rate_hz, "
+                    "marker_set = excluded.marker_set",
                     (path, name, *row),
                 )
 
@@ -108,12 +109,12 @@ class Manifest:
     def marker_sets(self) -> Iterator[tuple[str, str, MarkerSet]]:
         """Path, person and marker set of every capture, in the order of their paths."""
         rows = self._db.execute(
-            "SELECT path, person, said, worn FROM captures ORDER BY path, person"
+            "SELECT path, person, name_in_file, marker_set FROM captures ORDER BY path, person"
         )
-        for path, person, said, packed in rows:
+        for path, person, name, packed in rows:
             with _readable():
-                found = str(path), str(person), _unpacked(said, packed)
-            yield found
+                entry = str(path), str(person), _unpacked(name, packed)
+            yield entry
 
     def group(self, groups: Mapping[tuple[str, str], str]) -> None:
         """Whose each capture (path, person) is."""
@@ -128,10 +129,10 @@ class Manifest:
 
     def captures(self, subject: str | None = None) -> list[Row]:
         """All captures, or those of a subject, in the order of their paths."""
-        wanted, given = ("", ()) if subject is None else ("WHERE subject = ?", (subject,))
+        clause, given = ("", ()) if subject is None else ("WHERE subject = ?", (subject,))
         rows = self._db.execute(
             "SELECT path, person, folder, frames, subject, captures.state, key, digest "
-            f"FROM captures JOIN files USING (path) {wanted} ORDER BY path, person",
+            f"FROM captures JOIN files USING (path) {clause} ORDER BY path, person",
             given,
         )
         with _readable():
@@ -202,8 +203,8 @@ class Manifest:
             )
             for row in rows:
                 with _readable():
-                    found = dict(row) | {"numbers": _table(row["numbers"] or "{}")}
-                yield found
+                    result = dict(row) | {"numbers": _table(row["numbers"] or "{}")}
+                yield result
         finally:
             self._db.row_factory = before
 
@@ -281,20 +282,20 @@ def _row(path: Any, person: Any, folder: Any, frames: Any, *words: Any) -> Row:
 
 
 def _table(text: str) -> dict[str, Any]:
-    found = read_json(text)
-    if not isinstance(found, dict):
+    table = read_json(text)
+    if not isinstance(table, dict):
         raise TypeError("a column that is no table")
-    return found
+    return table
 
 
 def _list(text: str) -> list[Any]:
-    found = read_json(text)
-    if not isinstance(found, list):
+    entries = read_json(text)
+    if not isinstance(entries, list):
         raise TypeError("a column that is no list")
-    return found
+    return entries
 
 
-def folder_names(file: Found, people: Sequence[Seen]) -> list[str]:
+def folder_names(file: CaptureFile, people: Sequence[Seen]) -> list[str]:
     """The folders of the results of everybody in a file, below the folder for all."""
     name = file_name(file.name)
     names = (

@@ -17,10 +17,19 @@ from habitus.errors import HabitusError, check_extra
 from habitus.files import locked, tidy
 from habitus.io.names import file_name
 from habitus.jobs.archive.grouping import SubjectsTable, grouped_by_subject, read_subjects
-from habitus.jobs.archive.items import ArchiveJob, Fit, Fitted, Look, Looked, Shape, Shaped, Taken
+from habitus.jobs.archive.items import (
+    ArchiveJob,
+    CaptureRef,
+    FileContent,
+    Fit,
+    Fitted,
+    Inspect,
+    Shape,
+    Shaped,
+)
 from habitus.jobs.archive.manifest import DONE, Manifest, Row, folder_names, open_manifest
 from habitus.jobs.archive.tasks import digest_of, work
-from habitus.jobs.finding import Found, find_captures
+from habitus.jobs.finding import CaptureFile, find_captures
 from habitus.jobs.options import ArchiveOptions, takes
 from habitus.parallel.queue import Lost, Queue, open_queue
 from habitus.report.archive import write_archive_page, write_table
@@ -133,8 +142,10 @@ class Plan:
     def _there(self, row: Row) -> bool:
         return (self._out / row.folder / "metrics.json").is_file()
 
-    def _taken(self, row: Row) -> Taken:
-        return Taken(self._files[row.path], row.person or None, row.digest, self._out / row.folder)
+    def _taken(self, row: Row) -> CaptureRef:
+        return CaptureRef(
+            self._files[row.path], row.person or None, row.digest, self._out / row.folder
+        )
 
     # -- in turn -----------------------------------------------------------------------------------
 
@@ -290,7 +301,7 @@ def archive(
 class _Run:
     job: ArchiveJob
     top: Path
-    files: Mapping[str, Found]
+    files: Mapping[str, CaptureFile]
     manifest: Manifest
     processes: Callable[[], Queue]
     progress: Callable[[Tally], None]
@@ -305,7 +316,7 @@ class _Run:
     # -- what there is -----------------------------------------------------------------------------
 
     def look(self) -> None:
-        """Look at every file that is new or changed since it was looked at."""
+        """Inspect at every file that is new or changed since it was looked at."""
         known = self.manifest.stamps()
         here = self.files
         self.manifest.forget([path for path in known if path not in here])
@@ -313,23 +324,23 @@ class _Run:
         new = deque(path for path in here if known.get(path) != (*stamps[path], DONE))
         count = len(new)
         names = {here[path].path: path for path in new}
-        items = self._done(lambda: Look(here[new.popleft()].path) if new else None)
+        items = self._done(lambda: Inspect(here[new.popleft()].path) if new else None)
         for looked, (task, result) in enumerate(items, 1):
             path = names[task.path]
-            result = Looked(reason=str(result)) if isinstance(result, Lost) else result
-            self.manifest.looked(path, stamps[path], *self._named(here[path], result))
+            result = FileContent(reason=str(result)) if isinstance(result, Lost) else result
+            self.manifest.record_file(path, stamps[path], *self._named(here[path], result))
             if result.reason and not result.no_capture:
                 self.on_failure(path, result.reason)
             self.progress(Tally("reading", captures=count, done=looked, share=looked / count))
 
-    def _named(self, file: Found, result: Looked) -> tuple[Looked, list[str]]:
+    def _named(self, file: CaptureFile, result: FileContent) -> tuple[FileContent, list[str]]:
         try:
             names = folder_names(file, result.people)
             if len(set(names)) < len(names):
                 raise HabitusError("several people in the file have one name; rename them")
             return result, names
         except HabitusError as error:
-            return Looked(result.digest, reason=str(error)), []
+            return FileContent(result.digest, reason=str(error)), []
 
     def group(self, table: SubjectsTable | None) -> None:
         """Tell whose each capture is."""

@@ -19,22 +19,22 @@ from habitus.fit.markers.recipe import fit_known, known_subject, warm_up
 from habitus.fit.markers.result import MarkerFit
 from habitus.io.captures.read import Capture
 from habitus.io.captures.trc import is_fit_export
-from habitus.io.layouts.draft import found_layout_text
+from habitus.io.layouts.draft import discovered_layout_text
 from habitus.io.limits import open_file
 from habitus.io.names import file_name
 from habitus.jobs.archive.items import (
     ArchiveJob,
     BodyChoice,
+    CaptureRef,
     Done,
+    FileContent,
     Fit,
     Fitted,
+    Inspect,
     KnownSubject,
-    Look,
-    Looked,
     Seen,
     Shape,
     Shaped,
-    Taken,
     Task,
     read_known,
     write_known,
@@ -56,8 +56,8 @@ capture.
 def work(job: ArchiveJob, task: Task) -> Done:
     """What one process does with one item."""
     with one_thread():
-        if isinstance(task, Look):
-            return _look(job, task.path)
+        if isinstance(task, Inspect):
+            return _inspect(job, task.path)
         return _shape(job, task) if isinstance(task, Shape) else _fit(job, task)
 
 
@@ -92,13 +92,13 @@ def reason_of(error: Exception, path: Path) -> str:
     )
 
 
-def _look(job: ArchiveJob, path: Path) -> Looked:
+def _inspect(job: ArchiveJob, path: Path) -> FileContent:
     if is_fit_export(path):
-        return Looked(reason=EXPORTED, no_capture=True)
+        return FileContent(reason=EXPORTED, no_capture=True)
     try:
         digest = digest_of(path)
         people = job.recipe.read(path)
-        return Looked(
+        return FileContent(
             digest,
             tuple(
                 Seen(capture.subject, len(capture), capture.rate_hz, MarkerSet.of(capture))
@@ -106,10 +106,12 @@ def _look(job: ArchiveJob, path: Path) -> Looked:
             ),
         )
     except Exception as error:
-        return Looked(reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE)
+        return FileContent(
+            reason=reason_of(error, path), no_capture=path.suffix.lower() not in SURE
+        )
 
 
-def _read(job: ArchiveJob, taken: Taken) -> Capture:
+def _read(job: ArchiveJob, taken: CaptureRef) -> Capture:
     """The capture, under its results' name. Raises HabitusError where the file has changed since it
     was looked at.
     """
@@ -142,7 +144,7 @@ def _shape(job: ArchiveJob, task: Shape) -> Shaped:
 
 
 def _some_captures(
-    job: ArchiveJob, taken: Sequence[Taken]
+    job: ArchiveJob, taken: Sequence[CaptureRef]
 ) -> tuple[dict[int, Capture], dict[int, str]]:
     """Captures by number, evenly among all where they are more than is looked at, and why others
     cannot be read.
@@ -207,13 +209,15 @@ def _shaped(
     (person,), fingered = with_fingers([person], body, job.body, recipe.joints)
     joints = recipe.joints if fingered is body else "smplh"
     model = body_of(fingered, recipe, person, recipe.recipe_settings, silent)
-    found = known_subject(
+    estimate = known_subject(
         model.body, prior_of(model.body), person.layout, person.recordings, recipe.recipe_settings
     )
-    _, subject = found
+    _, subject = estimate
     layout = subject.layout
     layout_text = (
-        "" if person.discovery is None else found_layout_text(person.discovery, shown(task.name))
+        ""
+        if person.discovery is None
+        else discovered_layout_text(person.discovery, shown(task.name))
     )
     choice = BodyChoice(joints, model.body.age, model.sex, model.female_probability, model.notes)
     agreed = replace(Agreed.of(person), layout=layout)
@@ -280,7 +284,9 @@ def _known(job: ArchiveJob, capture: Capture, file: str, seconds: float) -> Mark
     fit = fit_known(recording, known.subject(body), settings)
     fit = attempted(fit, body, prior, layout, recording, settings, True)
     fit = replace(
-        fit, stage_seconds={"read": seconds, **fit.stage_seconds}, found_layout=known.found_layout
+        fit,
+        stage_seconds={"read": seconds, **fit.stage_seconds},
+        discovered_layout=known.discovered_layout,
     )
     return known.chosen(body).noted(fit)
 

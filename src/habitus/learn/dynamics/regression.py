@@ -393,12 +393,12 @@ def _errors(
     return wrong, whole
 
 
-def _folds(group: Int[np.ndarray, " N"], most: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Which examples are learned from and which are judged, in up to ``most`` folds; a single group
-    is judged on itself.
+def _folds(group: Int[np.ndarray, " N"], max_folds: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Which examples are learned from and which are judged, in up to ``max_folds`` folds; a
+    single group is judged on itself.
     """
     _, number = np.unique(group, return_inverse=True)
-    count = min(most, int(number.max()) + 1)
+    count = min(max_folds, int(number.max()) + 1)
     if count == 1:
         return [(np.ones(len(group), dtype=bool), np.ones(len(group), dtype=bool))]
     return [(number % count != k, number % count == k) for k in range(count)]

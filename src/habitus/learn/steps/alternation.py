@@ -160,10 +160,10 @@ def _poses(shared: tuple[Problem, Estimate], rows: range) -> list[PoseFit]:
     ]
 
 
-_Found = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_SubjectStep = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _Found:
+def _subject(shared: tuple[Problem, Estimate, Sample, Rig], subject: int) -> _SubjectStep:
     """Rest surface, joints, poses, translations: with refined poses if that lowers the energy."""
     problem, estimate, sample, _ = shared
     rows = problem.rows_of(subject)

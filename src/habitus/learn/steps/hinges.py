@@ -92,8 +92,8 @@ def channels_of(
             "pose blend shapes"
         )
     bone = body.joint_template[ends[0]] - body.joint_template[joint]
-    found = [hinge_row(bone, axis, np.radians(degrees)) for degrees in begins]
-    return Channels(joint, np.array([row for row, _ in found]), np.array([b for _, b in found]))
+    rows = [hinge_row(bone, axis, np.radians(degrees)) for degrees in begins]
+    return Channels(joint, np.array([row for row, _ in rows]), np.array([b for _, b in rows]))
 
 
 def hinge_axis(rotations: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:

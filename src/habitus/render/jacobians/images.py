@@ -91,14 +91,14 @@ def image_jacobian(
     do not.
     """
     values = values.detach()
-    found = frame.at_samples(values)
+    sampled = frame.at_samples(values)
     samples = Samples.of(frame)
     table = Table.of(frame)
-    mix = Mix.of(frame, as_array64(found), background)
+    mix = Mix.of(frame, as_array64(sampled), background)
     rows = samples.rows(table)
     at_vertices = values if frame.clipped is None else frame.clipped.extend(values)
     derivatives = _corner_derivatives(as_array64(at_vertices), rows)
-    blocks = screen_blocks(frame, samples, mix, derivatives, _still(frame, found, background))
+    blocks = screen_blocks(frame, samples, mix, derivatives, _still(frame, sampled, background))
     to_rows = mix.spread(rows, samples.coordinates[:, :, None, None], len(table.ends)).tocsr()
     if frame.clipped is None:
         return ImageJacobian(frame, blocks, None, to_rows)
@@ -254,9 +254,9 @@ def _corner_derivatives(
     return np.ascontiguousarray(table[rows].transpose(2, 1, 0))
 
 
-def _still(frame: Frame, found: Tensor, background: Any) -> Tensor | None:
+def _still(frame: Frame, values: Tensor, background: Any) -> Tensor | None:
     """The image of values at samples, where the thesis' filter needs it."""
-    return frame.compose(found, background).detach() if frame.mode == "filter" else None
+    return frame.compose(values, background).detach() if frame.mode == "filter" else None
 
 
 def _no_cuts(frame: Frame) -> Csr | None:

@@ -91,8 +91,8 @@ class Table:
         rows = np.repeat(np.arange(len(self.ends)), 2)
         shares = np.stack([1.0 - self.fraction, self.fraction], 1)
         shape = len(self.ends), self.given
-        found = sparse.coo_array((shares.ravel(), (rows, self.ends.ravel())), shape=shape)
-        return sparse.kron(found, sparse.eye_array(width), format="csr")
+        matrix = sparse.coo_array((shares.ravel(), (rows, self.ends.ravel())), shape=shape)
+        return sparse.kron(matrix, sparse.eye_array(width), format="csr")
 
     def to_fractions(self, values: Float[Array, "U c"]) -> Csr:
         """The derivative of the table's numbers to the fractions of cuts: (R c, K)."""
@@ -297,17 +297,17 @@ def per_channel(blocks: Bsr, width: int) -> Csr:
     Channel c of a pixel then depends on number c of a row, or on the only one where a row has
     `width` 1.
     """
-    found = blocks.tocsr()
+    matrix = blocks.tocsr()
     channels = blocks.blocksize[0]
-    channel = np.arange(found.shape[0], dtype=np.int32) % channels if width > 1 else 0
-    columns = found.indices * width + np.repeat(
-        np.broadcast_to(channel, found.shape[0]), np.diff(found.indptr)
+    channel = np.arange(matrix.shape[0], dtype=np.int32) % channels if width > 1 else 0
+    columns = matrix.indices * width + np.repeat(
+        np.broadcast_to(channel, matrix.shape[0]), np.diff(matrix.indptr)
     )
-    found = sparse.csr_array(
-        (found.data, columns, found.indptr), shape=(found.shape[0], found.shape[1] * width)
+    matrix = sparse.csr_array(
+        (matrix.data, columns, matrix.indptr), shape=(matrix.shape[0], matrix.shape[1] * width)
     )
-    found.sum_duplicates()
-    return found
+    matrix.sum_duplicates()
+    return matrix
 
 
 def _background(frame: Frame, background: Any, channels: int) -> Float[Array, "H W C"]:

@@ -50,8 +50,8 @@ class ScreenJacobian:
         HabitusError.
         """
         to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
-        found = (self.blocks @ to_screen).tocsr()
-        return found if self.cuts is None else found + self.cuts @ to_cuts
+        matrix = (self.blocks @ to_screen).tocsr()
+        return matrix if self.cuts is None else matrix + self.cuts @ to_cuts
 
     def to_camera(
         self, camera: Camera, vertices: Float[Tensor, "V 3"], names: Sequence[str] = CAMERA_FIELDS
@@ -81,16 +81,16 @@ class ScreenJacobian:
         """
         to_screen, to_cuts = vertex_jacobian(*self._checked(camera, vertices), self.frame.clipped)
         given = matrix(jacobian, to_screen.shape[1], "derivatives of the vertices")
-        found = self.screen @ (to_screen @ given)
-        return found if self.cuts is None else found + self.cuts @ (to_cuts @ given)
+        product = self.screen @ (to_screen @ given)
+        return product if self.cuts is None else product + self.cuts @ (to_cuts @ given)
 
     def _checked(self, camera: Camera, vertices: Tensor) -> tuple[Camera, Tensor]:
         """Both in float64 on the CPU; HabitusError where the frame does not show them."""
-        wanted = (self.frame.num_vertices, 3)
-        if tuple(vertices.shape) != wanted or camera.batch_shape:
+        expected = (self.frame.num_vertices, 3)
+        if tuple(vertices.shape) != expected or camera.batch_shape:
             raise HabitusError(
                 f"got vertices {tuple(vertices.shape)} and cameras {tuple(camera.batch_shape)}; "
-                f"expected {wanted} and "
+                f"expected {expected} and "
                 "the single camera of the frame"
             )
         names = [field for field in CAMERA_FIELDS if getattr(camera, field) is not None]

@@ -51,14 +51,14 @@ class _Above:
 
     def nearest(self, points: Float[Tensor, "count 2"]) -> Nearest:
         """What is seen at the points."""
-        found = Nearest(self.drawn, self.count)
+        nearest = Nearest(self.drawn, self.count)
         for n, slot in zip(
             self.n.split(reference_faces.AT_ONCE),
             self.slot.split(reference_faces.AT_ONCE),
             strict=True,
         ):
-            found.add(n, slot, points[slot])
-        return found
+            nearest.add(n, slot, points[slot])
+        return nearest
 
 
 def edge_fragments(

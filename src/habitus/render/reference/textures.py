@@ -52,13 +52,13 @@ def sample_jvp(
     """The derivative of samples along tangents of texels and uv (JVP); None for what is
     constant.
     """
-    found = list(taps(uv, level, sizes, repeat))
+    sampled = list(taps(uv, level, sizes, repeat))
     total = torch.zeros_like(texels[:1])
     if texel_tangent is not None:
-        total = total + sum_taps(tap.weight[:, None] * texel_tangent[tap.texel] for tap in found)
+        total = total + sum_taps(tap.weight[:, None] * texel_tangent[tap.texel] for tap in sampled)
     if uv_tangent is not None:
-        along_u = sum_taps(tap.along_u[:, None] * texels[tap.texel] for tap in found)
-        along_v = sum_taps(tap.along_v[:, None] * texels[tap.texel] for tap in found)
+        along_u = sum_taps(tap.along_u[:, None] * texels[tap.texel] for tap in sampled)
+        along_v = sum_taps(tap.along_v[:, None] * texels[tap.texel] for tap in sampled)
         total = total + along_u * uv_tangent[:, :1] + along_v * uv_tangent[:, 1:]
     return total
 

@@ -47,14 +47,14 @@ def figures(numbers: dict[str, Any]) -> dict[str, str]:
     """
     models = numbers["models"]
     looks = model_looks(numbers["models"])
-    found = {
+    drawn = {
         "model_generalisation": _errors(models, looks, "model_generalisation"),
         "pose_generalisation": _errors(models, looks, "pose_generalisation"),
         "cumulative_variance": _variance(models, looks),
         "run_time": _run_time(models, looks),
         "neck_twist": _neck(models, looks),
     }
-    return {name: text for name, text in found.items() if text is not None}
+    return {name: text for name, text in drawn.items() if text is not None}
 
 
 def model_looks(models: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
