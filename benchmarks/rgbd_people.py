@@ -31,7 +31,7 @@ from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.io.models.bodies import load_body
-from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.camera import RgbdCapture
 from habitus_lab.population.rgbd_people import Scene, planted_rest, rgbd_scene
 
 MEASURES = {

@@ -11,7 +11,7 @@ import torch
 
 import habitus as hb
 from habitus.body.model import BodyModel
-from habitus.observe.depth_views import DepthView
+from habitus.observe.camera import DepthView
 from habitus.observe.simulated_markers import Faults, simulate_capture
 
 LABELS = "LFHD C7 LELB RELB LWRA RWRA LFWT RBWT LKNE RKNE LHEE RHEE".split()

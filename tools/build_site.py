@@ -123,7 +123,6 @@ REFERENCE = {
             "habitus.residuals.points",
             "habitus.solve.terms",
             "habitus.solve.minimize",
-            "habitus.solve.alternate",
         ),
     ),
     "renderer": (

@@ -233,7 +233,7 @@ def _depth_folders(folder: Path) -> list[Target]:
 
 def _descriptions(folder: Path) -> list[Target]:
     from habitus.io.rgbd.cameras import read_rig
-    from habitus.io.rgbd.descriptions import read_description
+    from habitus.io.rgbd.files import read_description
     from habitus.io.rgbd.keypoints import read_keypoints
 
     def cameras(path: Path) -> None:

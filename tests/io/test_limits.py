@@ -24,7 +24,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.people import open_person
 from habitus.io.registrations.open import open_registrations
 from habitus.io.registrations.templates import load_template
-from habitus.io.rgbd.descriptions import read_description
+from habitus.io.rgbd.files import read_description
 from habitus.io.scans import read_scan
 
 MOST = 1 << 30

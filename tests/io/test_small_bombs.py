@@ -17,14 +17,13 @@ from PIL import Image
 
 from habitus.errors import HabitusError
 from habitus.io.layouts.files import load_layout
+from habitus.io.limits import read_json, read_toml, read_xml
 from habitus.io.meshes import read_mesh
 from habitus.io.registrations.templates import load_template
-from habitus.io.rgbd.descriptions import read_description
-from habitus.io.rgbd.images import read_image
+from habitus.io.rgbd.files import read_description, read_image
 from habitus.io.rgbd.keypoints import read_keypoints
 from habitus.io.rgbd.read import read_views
 from habitus.io.scans import read_scan
-from habitus.io.structured_text import read_json, read_toml, read_xml
 
 MAX_BYTES = 300 << 20
 MAX_SECONDS = 2.0
@@ -94,7 +93,7 @@ def test_yaml_that_grows_is_refused(tmp_path, name):
 
 
 def test_yaml_says_what_it_did():
-    from habitus.io.rgbd.descriptions import _yaml
+    from habitus.io.rgbd.files import _yaml
 
     assert _yaml("") is None
     found = _yaml(

@@ -19,7 +19,7 @@ from sensor_people import (
 )
 
 import habitus as hb
-from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.camera import RgbdCapture
 
 
 def same(found, expected, *names):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
@@ -148,6 +148,7 @@ def test_spreads_and_distances_are_metres_in_order():
     assert layout.restricted_to(("B",)).labels == ("B",)
 
 
+@settings(deadline=None)
 @given(st.sampled_from([marker for layout in SHIPPED for marker in layout.markers]))
 def test_mirroring_twice_changes_nothing(marker):
     assert other_side(other_side(marker)) == marker

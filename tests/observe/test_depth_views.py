@@ -5,8 +5,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from habitus.observe.camera import Camera  # noqa: E402
-from habitus.observe.depth_views import DepthView  # noqa: E402
+from habitus.observe.camera import Camera, DepthView  # noqa: E402
 
 
 def test_a_calibrated_view_in_its_own_frame_shows_the_same_pixels():

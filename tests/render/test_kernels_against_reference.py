@@ -8,7 +8,7 @@ from habitus.render import operators
 from habitus.render.clipping import clip_near
 from habitus.render.rasterize import list_all_faces, rasterize, rasterize_reference
 from habitus.render.reference import images as reference
-from habitus.render.visibility import EdgeFragments, list_pixels_reference
+from habitus.render.triangles import EdgeFragments, list_pixels_reference
 
 SIZE = 48, 36
 

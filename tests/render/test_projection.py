@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from habitus.observe.camera import Camera
-from habitus.render.projection import project
+from habitus.render.derivatives import project
 
 LENSES = {
     "none": None,

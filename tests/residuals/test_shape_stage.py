@@ -17,7 +17,7 @@ from habitus.io.models.bodies import load_body
 from habitus.observe.markers import LatentMarkers, attach, default_markers
 from habitus.residuals.shape_stage import start_place
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import Unknowns
 
 FRAMES = 3
 

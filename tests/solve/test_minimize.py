@@ -16,7 +16,7 @@ from habitus.errors import HabitusError
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import METHODS, minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import Unknowns
 
 GAUSS_NEWTON = ["dogleg", "levenberg"]
 

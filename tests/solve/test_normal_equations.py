@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.solve.alternate import Stage, alternate
 from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.least_squares import Dogleg, Levenberg
-from habitus.solve.minimize import METHODS, minimize
+from habitus.solve.minimize import METHODS, Stage, alternate, minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.terms import GemanMcClure, Quadratic, Term
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import GemanMcClure, Quadratic, Term, Unknowns
 
 T, N, M, B = 4, 3, 2, 5
 

@@ -5,8 +5,7 @@ import pytest
 
 from habitus.solve.minimize import minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.terms import Term
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import Term, Unknowns
 
 
 class Counted:

@@ -16,8 +16,7 @@ from habitus.errors import HabitusError
 from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.minimize import METHODS, minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.terms import GemanMcClure, Term
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import GemanMcClure, Term, Unknowns
 
 
 def points(kind, count=30, outliers=5, seed=0):

@@ -5,7 +5,7 @@ chest and hips are measured with hanging arms and heels together (`habitus.body.
 circumference is a tape's length around a material ring (`habitus.body.tapes`), heights are along y
 from the lowest point of the sole, limbs are measured on both sides and averaged. Everything is laid
 out once on the body's template and then goes along with its vertices, so that measurements change
-continuously with the shape.
+continuously with the shape. Also where the soles of the feet are.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
+from habitus.body.body_arrays import BodyArrays
 from habitus.body.state import BodySurface
 from habitus.body.tapes import (
     ARMS,
@@ -321,3 +322,69 @@ class Measured:
         """Measurements (N,) of N people at once, of betas (N, B)."""
         rest = self.rest_vertices(to_numpy(betas, np.float64))  # type: ignore[attr-defined]
         return measure_many(self, rest, self.measuring_kit)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class SoleSettings:
+    """Where the soles of a body's feet are."""
+
+    sole_height: float = 0.015
+    """Metres from a foot's lowest vertex up to which the sole reaches."""
+    sole_parts: tuple[tuple[float, float], ...] = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))
+    """Heel, ball and toes, in shares of the sole's length from the heel."""
+
+
+SOLES = SoleSettings()
+
+
+@dataclass(frozen=True)
+class Soles:
+    """Points of both feet: each the mean of some vertices. ``points`` (2, 3) holds ids: side; heel,
+    ball, toes.
+    """
+
+    points: tuple[tuple[Int[np.ndarray, " _"], ...], ...]
+
+    @property
+    def used(self) -> Int[np.ndarray, " N"]:
+        """All these vertices."""
+        return np.unique(np.concatenate([ids for side in self.points for ids in side]))
+
+    def means(self, vertices: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, "T 2 3 3"]:
+        """The points, of the places of the ``used`` vertices: side, point, coordinate."""
+        used = self.used
+        rows = [[np.searchsorted(used, ids) for ids in side] for side in self.points]
+        return np.stack(
+            [np.stack([vertices[:, row].mean(axis=1) for row in side], 1) for side in rows], 1
+        )
+
+    def lowest(self, vertices: Float[np.ndarray, "T N 3"]) -> tuple[Float[np.ndarray, " T"], ...]:
+        """The height (y) of each sole's lowest vertex, of the places of the ``used`` ones."""
+        sides = (np.searchsorted(self.used, np.concatenate(side)) for side in self.points)
+        return tuple(vertices[:, rows, 1].min(axis=1) for rows in sides)
+
+
+def find_soles(body: BodyArrays, settings: SoleSettings = SOLES) -> Soles:
+    """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError
+    without feet.
+    """
+    strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
+    return Soles(tuple(_sole(body, strongest, side, settings) for side in ("left", "right")))
+
+
+def _sole(
+    body: BodyArrays, strongest: np.ndarray, side: str, settings: SoleSettings
+) -> tuple[np.ndarray, ...]:
+    joints = [
+        k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")
+    ]
+    ids = np.flatnonzero(np.isin(strongest, joints))
+    if not len(ids):
+        raise HabitusError(
+            f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)"
+        )
+    points = body.v_template[ids]
+    low = points[:, 1] < points[:, 1].min() + settings.sole_height
+    along = (points[:, 2] - points[low, 2].min()) / max(float(np.ptp(points[low, 2])), 1e-9)
+    parts = (ids[low & (along >= a) & (along <= b)] for a, b in settings.sole_parts)
+    return tuple(part if len(part) else ids[low] for part in parts)

@@ -66,8 +66,7 @@ from habitus.observe.markers import LatentMarkers, attach
 from habitus.residuals.points import PointSolver, points_term
 from habitus.residuals.shape_stage import pose_prior, shape_prior
 from habitus.residuals.surface_terms import Depth, Points, Silhouette
-from habitus.solve.alternate import Stage, alternate
-from habitus.solve.minimize import Minimized, minimize
+from habitus.solve.minimize import Minimized, Stage, alternate, minimize
 from habitus.solve.terms import Term, geman_mcclure_weight
 from habitus.types import Progress
 

@@ -17,7 +17,7 @@ from habitus.fit.points.scan import Scan
 from habitus.markers.layouts import MarkerLayout
 
 if TYPE_CHECKING:  # depth views need PyTorch; markers and scans do not
-    from habitus.observe.depth_views import DepthView
+    from habitus.observe.camera import DepthView
 
 
 class FrameOf(NamedTuple):

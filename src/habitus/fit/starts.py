@@ -168,7 +168,7 @@ def start_views(body: BodyModel, data: SensorData, settings: FitSettings) -> Vie
     if not own:
         return None
     from habitus.fit.points.depth import fit_state  # needs PyTorch, as views do
-    from habitus.observe.depth_views import RgbdCapture
+    from habitus.observe.camera import RgbdCapture
 
     capture = RgbdCapture("views", tuple(each.view for each in own)).without("colour")
     # One step with skin offsets is enough for a start: the joint fit has its own.

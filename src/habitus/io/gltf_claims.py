@@ -19,9 +19,9 @@ from habitus.io.limits import (
     check_present,
     check_text,
     read_file,
+    read_json,
 )
 from habitus.io.names import inside
-from habitus.io.structured_text import read_json
 
 _LISTS = ("nodes", "meshes", "materials", "images", "textures", "scenes")
 _TABLES = ("accessors", "bufferViews", "buffers")

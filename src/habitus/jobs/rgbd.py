@@ -12,7 +12,7 @@ from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.jobs.options import DepthOptions, RgbdOptions, takes
 from habitus.jobs.results import Exportable, with_methods
-from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.camera import RgbdCapture
 from habitus.report.rgbd import rgbd_page
 from habitus.results.depth import DEPTH_FILES, save_depth
 from habitus.results.save import result_lock

@@ -48,7 +48,7 @@ from habitus.types import PathLike, Progress
 
 if TYPE_CHECKING:  # depth views need PyTorch; markers and scans do not
     from habitus.jobs.rgbd import DepthResult
-    from habitus.observe.depth_views import DepthView, RgbdCapture
+    from habitus.observe.camera import DepthView, RgbdCapture
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class Depth:
         """The views. Raises HabitusError."""
         with TorchIsAnExtra("habitus.Depth"):
             from habitus.io.rgbd.read import read_views
-            from habitus.observe.depth_views import DepthView, RgbdCapture
+            from habitus.observe.camera import DepthView, RgbdCapture
 
         if isinstance(self.views, RgbdCapture):
             return self.views
@@ -378,7 +378,7 @@ def _by_register(fit: Fit, sensors: Sequence[Scan], progress: Progress) -> Perso
 def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFit:
     """The views by `habitus.fit_rgbd`; poses are in the cameras' frames."""
     from habitus.jobs.rgbd import fit_rgbd
-    from habitus.observe.depth_views import RgbdCapture
+    from habitus.observe.camera import RgbdCapture
 
     read = [each.read() for each in sensors]
     views = tuple(view.in_camera_frame() for each in read for view in each.views)

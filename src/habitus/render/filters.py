@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from habitus.render.visibility import Visibility
+from habitus.render.triangles import Visibility
 
 
 def filter_derivative(

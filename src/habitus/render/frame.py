@@ -39,9 +39,8 @@ from habitus.errors import HabitusError
 from habitus.observe.camera import Camera, Numbers
 from habitus.render import operators
 from habitus.render.clipping import Clipped
-from habitus.render.derivatives import fragment_weights_vjp
+from habitus.render.derivatives import fragment_weights_vjp, on_screen
 from habitus.render.filters import filter_derivative, surface_motion
-from habitus.render.projection import on_screen
 from habitus.render.rasterize import intersections
 from habitus.render.reference import images as reference
 from habitus.render.textures import Texture, footprint
@@ -53,8 +52,7 @@ from habitus.render.transforms import (
     outside,
     real_numbers,
 )
-from habitus.render.triangles import Triangles
-from habitus.render.visibility import EdgeFragments, Visibility
+from habitus.render.triangles import EdgeFragments, Triangles, Visibility
 
 
 def fragment_weights(screen: Float[Tensor, "V 3"], fragments: EdgeFragments) -> Float[Tensor, " S"]:

@@ -34,8 +34,7 @@ from habitus.render.kernels import surfaces as surface_kernels
 from habitus.render.rasterize import rasterize
 from habitus.render.reference import images as reference
 from habitus.render.transforms import Operator, no_vmap, of_one_type, outside
-from habitus.render.triangles import Triangles
-from habitus.render.visibility import Visibility
+from habitus.render.triangles import Triangles, Visibility
 
 
 def rasterize_detached(

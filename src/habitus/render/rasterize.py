@@ -31,8 +31,7 @@ from habitus.render.kernels.structs import (
 )
 from habitus.render.kernels.vectors import PIXELS
 from habitus.render.reference import images as reference
-from habitus.render.triangles import Triangles
-from habitus.render.visibility import EdgeFragments, Visibility
+from habitus.render.triangles import EdgeFragments, Triangles, Visibility
 
 LARGEST = 31 << 20
 """Bytes: a little under the 32 MB above which glibc gives every block back."""

@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from habitus.errors import shown
 from habitus.observe.light import srgb_bytes
-from habitus.report.drawing import ERROR_RAMP, ramp_colours
+from habitus.report.drawing import ERROR_RAMP, Look, ramp_colours, still_page, still_pictures
 from habitus.report.shell import (
     MAX_NAME,
     Tile,
@@ -26,7 +26,6 @@ from habitus.report.shell import (
     solution_card,
     tiles,
 )
-from habitus.report.still import Look, still_page, still_pictures
 from habitus.results.save import finite
 from habitus.rotations import matrix_from_rotvec
 

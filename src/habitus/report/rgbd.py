@@ -22,7 +22,7 @@ from habitus.observe.camera import Camera
 from habitus.observe.light import harmonics, srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles
-from habitus.report.drawing import ramp_colours
+from habitus.report.drawing import Look, ramp_colours, still_page
 from habitus.report.shell import (
     MAX_NAME,
     Tile,
@@ -39,12 +39,11 @@ from habitus.report.shell import (
     solution_card,
     tiles,
 )
-from habitus.report.still import Look, still_page
 from habitus.results.save import finite
 
 if TYPE_CHECKING:
+    from habitus.fit.points.colour_views import Skin
     from habitus.fit.points.depth_result import RgbdFit
-    from habitus.fit.points.texture import Skin
 
 TERMS = {
     "depth": "E_D: depth, observed and of the body",

@@ -24,8 +24,7 @@ from habitus.solve.objective import (
     total_cost,
     weighted_blocks,
 )
-from habitus.solve.terms import BoundTerm
-from habitus.solve.unknowns import as_numpy, is_tensor
+from habitus.solve.terms import BoundTerm, as_numpy, is_tensor
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from jaxtyping import Float
 
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Derivatives, Matrix
-from habitus.solve.terms import BoundTerm, Outcome, read_terms
-from habitus.solve.unknowns import Unknowns, as_numpy, is_tensor
+from habitus.solve.terms import BoundTerm, Outcome, Unknowns, as_numpy, is_tensor, read_terms
 
 
 @dataclass(frozen=True, eq=False)

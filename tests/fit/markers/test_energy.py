@@ -14,7 +14,7 @@ from habitus.fit.markers.settings import SequenceSettings
 from habitus.solve.minimize import minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
 from habitus.solve.sequence import FLOOR, SequenceOptions
-from habitus.solve.unknowns import Unknowns
+from habitus.solve.terms import Unknowns
 
 FRAMES = 6
 BETAS = 4

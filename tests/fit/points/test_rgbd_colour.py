@@ -21,7 +21,7 @@ from habitus.fit.points.depth_start import arm_poses
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.fit.points.skin_offsets import SkinField
 from habitus.mesh.shapes import sphere
-from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.camera import RgbdCapture
 from habitus.render.triangles import Triangles
 
 

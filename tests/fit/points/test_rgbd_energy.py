@@ -6,13 +6,12 @@ import numpy as np
 from synthetic import synthetic_body
 
 from habitus.body.state import BodyState
+from habitus.fit.points.correspondences import points_around
 from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
 from habitus.fit.points.depth_settings import DepthStage, RgbdSettings
-from habitus.fit.points.terms import points_around
 from habitus.residuals.points import PointObservations, points_on_surface
-from habitus.solve.alternate import alternate
 from habitus.solve.least_squares import Levenberg
-from habitus.solve.minimize import Minimized
+from habitus.solve.minimize import Minimized, alternate
 
 LOOSE = RgbdSettings(shape=1e-9, pose=1e-9)
 

@@ -10,7 +10,7 @@ import torch
 from rgbd_scene_small import small_scene
 from scipy.spatial import KDTree
 
-from habitus.fit.points.depth_correspondences import look, misfit
+from habitus.fit.points.depth_energy import look, misfit
 from habitus.fit.points.depth_settings import FOLDED
 from habitus.fit.points.depth_start import (
     arm_poses,
@@ -22,8 +22,8 @@ from habitus.fit.points.depth_start import (
 from habitus.fit.points.prepared_views import PreparedView, segment
 from habitus.render.triangles import Triangles
 from habitus.rotations import matrix_from_rotvec
-from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
+from habitus.solve.minimize import Stage, alternate
 
 
 @pytest.fixture(scope="module")

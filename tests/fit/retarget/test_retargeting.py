@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from synthetic_fit import synthetic_fit
 
+from habitus.body.measurements import find_soles
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import recentred
 from habitus.errors import HabitusError
@@ -15,7 +16,6 @@ from habitus.fit.retarget import recipe
 from habitus.fit.retarget.contacts import (
     ContactSettings,
     corrections,
-    find_soles,
     ground_height,
     standing,
 )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from habitus.errors import HabitusError
 from habitus.io.rgbd.cameras import read_rig
-from habitus.io.rgbd.descriptions import read_description
+from habitus.io.rgbd.files import read_description
 from habitus.observe.camera import Camera
 from habitus.rotations import matrix_from_rotvec
 

@@ -21,8 +21,7 @@ from habitus.render.reference.images import (
     visible,
 )
 from habitus.render.reference.segments import shadow
-from habitus.render.triangles import Triangles, join
-from habitus.render.visibility import Visibility
+from habitus.render.triangles import Triangles, Visibility, join
 
 SEEDS = range(12)
 

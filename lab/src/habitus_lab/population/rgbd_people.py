@@ -15,8 +15,7 @@ from jaxtyping import Float, Int
 from habitus.body.model import BodyModel
 from habitus.fit.selection.held_out import smooth_field
 from habitus.mesh.normals import vertex_normals
-from habitus.observe.camera import Camera
-from habitus.observe.depth_views import DepthView, RgbdCapture
+from habitus.observe.camera import Camera, DepthView, RgbdCapture
 from habitus.observe.light import harmonics, srgb_bytes
 from habitus.render.draw import draw
 from habitus.render.triangles import Triangles

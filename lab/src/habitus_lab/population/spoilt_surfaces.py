@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float
 
 from habitus.fit.points.scan import Scan
-from habitus.observe.camera import Camera
-from habitus.observe.depth_views import DepthView, RgbdCapture
+from habitus.observe.camera import Camera, DepthView, RgbdCapture
 from habitus_lab.population.rgbd_people import Scene
 
 Views = tuple[DepthView, ...]

@@ -105,7 +105,9 @@ def posed(
         (weight < least)[..., None], np.nan, mass / np.maximum(weight, least)[..., None]
     )
     options = SequenceOptions(strides=(1,), sweeps=sweeps, tolerance=settings.tolerance)
-    lam = SequenceSettings(data=settings.data / firmness, acceleration=0.0, options=options)
+    stage_settings = SequenceSettings(
+        data=settings.data / firmness, acceleration=0.0, options=options
+    )
     n, f, k = weight.shape
     start = (pose.reshape(n * f, -1, 3), trans.reshape(n * f, 3))
     solution = fit_sequence(
@@ -115,7 +117,7 @@ def posed(
         None,
         prior,
         *start,
-        settings=lam,
+        settings=stage_settings,
     )
     return (
         solution.pose.reshape(pose.shape),

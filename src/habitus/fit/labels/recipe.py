@@ -313,9 +313,11 @@ def _fitted(
         )
     else:
         start = before.pose, before.trans
-    lam = sequence_settings(settings, warm=before is not None)
+    stage_settings = sequence_settings(settings, warm=before is not None)
     scale = np.full(rig.num_markers, settings.robust_scale[1])
-    return fit_long(rig, observed, None, scale, prior, *start, lam, longest=settings.longest)
+    return fit_long(
+        rig, observed, None, scale, prior, *start, stage_settings, longest=settings.longest
+    )
 
 
 def _default(body: BodyModel, placement: Placement, betas: np.ndarray) -> MarkedBody:

@@ -41,6 +41,7 @@ from habitus.fit.markers.settings import MoshSettings, SequenceSettings, sequenc
 from habitus.fit.markers.shape import HOPELESS, ShapeFit, Subject, shape_stage
 from habitus.fit.markers.start import start_frames, start_long, start_sequence, trunk_weights
 from habitus.fit.markers.suspects import (
+    Suspect,
     crossed_placements,
     exchange,
     far_placements,
@@ -269,7 +270,7 @@ def _pose_stage(
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(distances(observed, predicted), settings.suspects)
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    lam = sequence_settings(settings, warm=True)
+    stage_settings = sequence_settings(settings, warm=True)
     drifts = find_drifts(
         subject.body,
         subject.shape.attachment,
@@ -279,7 +280,7 @@ def _pose_stage(
         rate_hz,
         subject.prior,
         result,
-        lam,
+        stage_settings,
         settings.drift,
         settings.suspects.large_residual,
     )
@@ -300,7 +301,7 @@ def _pose_stage(
         subject.prior,
         pose,
         trans,
-        lam,
+        stage_settings,
         longest=settings.longest,
         cut=settings.windows,
     )
@@ -319,8 +320,10 @@ def _causal_pose_stage(
         observed[first : first + 1],
         settings.start,
     )
-    lam = sequence_settings(settings)
-    result = fit_causally(subject.rig, observed, subject.prior, start, scale, lam, settings.live)
+    stage_settings = sequence_settings(settings)
+    result = fit_causally(
+        subject.rig, observed, subject.prior, start, scale, stage_settings, settings.live
+    )
     return PoseStage(result, observed, MarkerTargets(observed, None), scale)
 
 
@@ -367,8 +370,8 @@ def _soft_tissue_stage(
     body = subject.body
     soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
     still = np.zeros((len(posed.observed), soft.num_betas))
-    lam = sequence_settings(settings, warm=True)
-    given = (posed.result.pose, posed.result.trans, lam, still)
+    stage_settings = sequence_settings(settings, warm=True)
+    given = (posed.result.pose, posed.result.trans, stage_settings, still)
     return fit_long(
         soft,
         *posed.targets,
@@ -395,19 +398,9 @@ def assemble(
     observed = pose_stage.observed
     final = soft or posed
     predicted = predict(subject.rig, posed.pose, posed.trans)
-    off = mapped(np.subtract, observed, predicted)
-    few = few_markers(observed)
-    place = default_markers(body, subject.shape.betas, layout.vertices(body), layout.distances())
-    change = None
-    moving = None
-    moved = None
-    if soft is not None and soft.soft_tissue is not None:
-        marked = marked_body(
-            body, subject.shape.betas, subject.shape.attachment, settings.soft_space
-        )
-        change, moving = parted(body, settings.soft_space, soft.soft_tissue)
-        moved = predict(marked, soft.pose, soft.trans, soft.soft_tissue)
-    always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
+    residual = mapped(np.subtract, observed, predicted)
+    too_few = few_markers(observed)
+    soft_tissue, dynamics, predicted_soft_tissue = _soft_tissue(subject, soft, settings)
     return MarkerFit(
         capture_name=recording.name,
         body_name=body.name,
@@ -421,29 +414,19 @@ def assemble(
         attachment=subject.shape.attachment,
         pose=final.pose,
         trans=final.trans,
-        soft_tissue=change,
-        dynamics=moving,
+        soft_tissue=soft_tissue,
+        dynamics=dynamics,
         pose_stage=(posed.pose, posed.trans),
         observed_markers=observed,
         predicted_pose_stage=predicted,
-        predicted_soft_tissue=moved,
+        predicted_soft_tissue=predicted_soft_tissue,
         marker_weights=mapped(_of_the_seen, observed, final.weights),
-        marker_noise=marker_noise(lengths(off), settings.suspects),
-        flagged_frames=few,
-        suspects=(
-            *recording.suspects,
-            *suspects(
-                layout.labels,
-                off,
-                pose_stage.scale,
-                [*always, *pose_stage.swaps],
-                pose_stage.drifts,
-                settings.suspects,
-            ),
-        ),
+        marker_noise=marker_noise(lengths(residual), settings.suspects),
+        flagged_frames=too_few,
+        suspects=(*recording.suspects, *_suspects(subject, pose_stage, residual, settings)),
         costs={f"shape_{k}": v for k, v in subject.shape.costs.items()} | final.costs,
         stage_seconds=seconds,
-        warnings=(*recording.warnings, *flag_warning(few)),
+        warnings=(*recording.warnings, *flag_warning(too_few)),
         settings=asdict(settings),
         status=final.status,
         shape_status=subject.shape.status,
@@ -451,8 +434,35 @@ def assemble(
         recorded=recording.recorded,
         layout_confidence=recording.layout_confidence,
         doubts=recording.doubts,
-        displaced=np.linalg.norm(subject.shape.latent_markers - place, axis=1)
-        / layout.place_spreads(),
+        displaced=subject.displaced(),
+    )
+
+
+def _soft_tissue(
+    subject: Subject, soft: SequenceResult | None, settings: MoshSettings
+) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """Changes of shape, coefficients of dynamics and predicted markers of the soft-tissue stage."""
+    if soft is None or soft.soft_tissue is None:
+        return None, None, None
+    shape = subject.shape
+    marked = marked_body(subject.body, shape.betas, shape.attachment, settings.soft_space)
+    predicted = predict(marked, soft.pose, soft.trans, soft.soft_tissue)
+    return *parted(subject.body, settings.soft_space, soft.soft_tissue), predicted
+
+
+def _suspects(
+    subject: Subject, pose_stage: PoseStage, residual: np.ndarray, settings: MoshSettings
+) -> tuple[Suspect, ...]:
+    """Of the pose stage; pairs that the subject has exchanged count in all frames with both."""
+    observed = pose_stage.observed
+    always = [(i, j, np.isfinite(observed[:, [i, j], 0]).all(axis=1)) for i, j in subject.exchanged]
+    return suspects(
+        subject.layout.labels,
+        residual,
+        pose_stage.scale,
+        [*always, *pose_stage.swaps],
+        pose_stage.drifts,
+        settings.suspects,
     )
 
 
@@ -460,8 +470,8 @@ def _of_the_seen(observed: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(observed[..., 0]), weights, 0.0)
 
 
-FRAMES = 4
-MARKERS = 2
+FRAMES, MARKERS = 4, 2
+"""Of the warm-up: one group of SIMD lanes, and more markers than one."""
 
 
 def warm_up(body: BodyModel) -> float:

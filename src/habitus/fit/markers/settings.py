@@ -409,10 +409,14 @@ def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSet
     """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with
     little damping.
     """
-    lam = settings.pose
+    weights = settings.pose
     options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
     return SequenceSettings(
-        per_m2(lam.data), lam.pose, lam.acceleration, soft_tissue=lam.soft_tissue, options=options
+        per_m2(weights.data),
+        weights.pose,
+        weights.acceleration,
+        soft_tissue=weights.soft_tissue,
+        options=options,
     )
 
 

@@ -66,6 +66,13 @@ class Subject:
         """The body of this shape with its markers attached."""
         return marked_body(self.body, self.shape.betas, self.shape.attachment)
 
+    def displaced(self) -> Float[np.ndarray, " M"]:
+        """Distances of latent markers from the layout's places, in the layout's spreads."""
+        vertices = self.layout.vertices(self.body)
+        places = default_markers(self.body, self.shape.betas, vertices, self.layout.distances())
+        distance = np.linalg.norm(self.shape.latent_markers - places, axis=1)
+        return distance / self.layout.place_spreads()
+
 
 HOPELESS = "hopeless"
 """Status of a shape stage that ended early: the markers are no person's, by these labels."""

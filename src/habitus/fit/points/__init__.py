@@ -8,15 +8,18 @@ Where to begin: `scans` is the recipe for scans and `settings` holds its constan
     file                                        energy or step
     scan_fitting                                scan energy: points or skin offsets, priors, colours
     free_surface                                free surface of a scan about the fitted model
-    scan_colours, skin_colours, texture         texture shared by scans; places along the skin
+    scan_colours, skin_colours, skin_grid       texture shared by scans; places along the skin
     scan, scan_start, limbs                     cleaning; multi-start search; lost limbs and hands
     scan_result                                 result, evidence and verdict of a scan fit
-    depth_energy                                depth energy: all terms and their minimisation
-    depth_correspondences, skin_offsets         its terms depth, outline and floor; depth with skin
+    depth_energy                                depth energy: all terms and their minimisation;
+                                                correspondences of depth and outline (`match`)
+    skin_offsets                                its term depth with skin offsets; clothes and hair
     colour_terms, colour_views, appearance      its term colour; first light, albedo, camera shift
-    prepared_views, depth_start, depth_limbs    segmentation; multi-start search; limbs placed again
+    prepared_views, depth_start                 segmentation; multi-start search
+    depth                                       the recipe; limbs placed again (`retry_limbs`)
     depth_result                                result, evidence and verdict of a depth fit
-    terms, correspondences                      priors and closest points that both energies use
+    correspondences                             closest points, soles on the floor and the priors
+                                                that both energies use
 
 A term costs 1/2 sum of weight x residual^2; metres, radians. w is Geman-McClure's weight (1 at no
 residual) with the scale of the stage.

@@ -23,7 +23,7 @@ from habitus.body.motion import Frames, Moving
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals
 from habitus.fit.points.appearance import Appearance
-from habitus.fit.points.depth_correspondences import look, wrong_rows
+from habitus.fit.points.depth_energy import look, wrong_rows
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.prepared_views import SEGMENTATIONS, PreparedView
 from habitus.fit.verdict import (

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from habitus.fit.offsets import OFFSETS
-from habitus.solve.alternate import Stage
+from habitus.solve.minimize import Stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,6 +336,10 @@ class RgbdSettings:
     """Vertices whose values determine the field of skin offsets, at most."""
     skin_depth: float = 0.1
     """``depth`` in the steps with skin offsets: what neighbours have in common is explained then.
+    """
+    skin_stride: int = 2
+    """Full-size pixels along the side of one that is used with skin offsets: half the resolution of
+    an Azure Kinect, about a point for each vertex.
     """
     skin_steps: int = 4
     """Steps with skin offsets by depth alone, before those with colour."""

@@ -1,7 +1,7 @@
 """Where a fit to depth views starts: a multi-start search of each view over turns and arms.
 
 Translation by the middle of the person's pixels, height by the mask; turns x arms, placed and
-scored by their misfit (`depth_correspondences.misfit`), the best refined in two rounds, front and
+scored by their misfit (`depth_energy.misfit`), the best refined in two rounds, front and
 back told apart at last. 2D keypoints, where a view has them, give a start in place of the search:
 joints lie a little behind the depth that is seen at them.
 """
@@ -18,16 +18,14 @@ from scipy.spatial import KDTree
 from habitus.body.model import BodyModel
 from habitus.body.prepared import PreparedBody
 from habitus.body.state import BodyState, BodySurface
-from habitus.fit.points.depth_correspondences import Drawn, look, match, misfit
-from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, freed
+from habitus.fit.points.correspondences import pose_prior
+from habitus.fit.points.depth_energy import BLOCKS, DepthEnergy, Drawn, freed, look, match, misfit
 from habitus.fit.points.depth_settings import STANDARD, DepthSearchSettings, DepthStage
 from habitus.fit.points.prepared_views import Grid, PreparedView
-from habitus.fit.points.terms import pose_prior
 from habitus.residuals.points import JointObservations, points_term
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
-from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
-from habitus.solve.minimize import minimize
+from habitus.solve.minimize import Stage, alternate, minimize
 from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
 

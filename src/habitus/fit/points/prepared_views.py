@@ -15,8 +15,7 @@ from scipy.ndimage import binary_opening, convolve, distance_transform_edt, find
 
 from habitus.errors import HabitusError
 from habitus.fit.points.depth_settings import NOISE, SEGMENTATION, SegmentationSettings
-from habitus.observe.camera import Camera
-from habitus.observe.depth_views import DepthView
+from habitus.observe.camera import Camera, DepthView
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 SEGMENTATIONS = ("planes", "mask", "background")

@@ -45,20 +45,22 @@ from habitus.fit.offsets import (
     motion_along,
     offset_spread,
 )
-from habitus.fit.points.correspondences import Correspondences, Topology, find_correspondences
-from habitus.fit.points.scan import Cloud, agreed
-from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
-from habitus.fit.points.terms import (
+from habitus.fit.points.correspondences import (
+    Correspondences,
+    Topology,
     about_root,
     by_unknown,
+    find_correspondences,
     points_around,
     pose_prior,
     shape_prior,
 )
+from habitus.fit.points.scan import Cloud, agreed
+from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointObservations, PointSolver, points_term
-from habitus.solve.alternate import alternate
 from habitus.solve.least_squares import Levenberg
+from habitus.solve.minimize import alternate
 from habitus.solve.terms import Quadratic, Term
 
 

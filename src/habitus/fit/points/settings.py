@@ -6,8 +6,8 @@ The terms that the weights belong to, and full citations, are in `habitus.fit.po
 from dataclasses import dataclass
 
 from habitus.fit.offsets import OFFSETS, OffsetSettings
-from habitus.solve.alternate import Stage
 from habitus.solve.least_squares import Tolerances
+from habitus.solve.minimize import Stage
 
 ALL_BETAS = 1000
 """More than any body has."""

@@ -24,8 +24,8 @@ from habitus.fit.points.skin_grid import SkinGrid
 from habitus.mesh.normals import face_normals
 from habitus.observe.light import harmonic_terms
 from habitus.residuals.points import PointObservations
-from habitus.solve.alternate import Stage, alternate
 from habitus.solve.least_squares import Levenberg
+from habitus.solve.minimize import Stage, alternate
 from habitus.solve.terms import Quadratic, Term, geman_mcclure_weight
 
 
@@ -83,7 +83,7 @@ class ColourMatch:
 class SharedSkin:
     """Tones (K, G, 3) of each scan's skin at the nodes of a grid, its light taken out, and how
     surely they are seen there (K, G), 0 to 1; ``noise`` (3,): what single points differ by (robust
-    sd); ``status``: of the solve of all lights (`habitus.solve.alternate`).
+    sd); ``status``: of the solve of all lights (`habitus.solve.minimize`).
     """
 
     grid: SkinGrid

@@ -10,14 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_closing, binary_opening
 
-from habitus.body.model import BodyModel
-from habitus.errors import HabitusError
-
-SIDES = ("left", "right")
+from habitus.body.measurements import SoleSettings
 
 
 @dataclass(frozen=True)
-class ContactSettings:
+class ContactSettings(SoleSettings):
     """Where the soles are, and when a point of one stands: slow for long enough."""
 
     speed: float = 0.2
@@ -26,68 +23,11 @@ class ContactSettings:
     """Seconds of a stand, at least."""
     hole: float = 0.04
     """Seconds of more speed that do not interrupt a stand."""
-    sole_height: float = 0.015
-    """Metres from a foot's lowest vertex up to which the sole reaches."""
-    sole_parts: tuple[tuple[float, float], ...] = ((0.0, 0.2), (0.6, 0.75), (0.85, 1.0))
-    """Heel, ball and toes, in shares of the sole's length from the heel."""
     floor_tolerance: float = 0.04
     """Metres by which heights of one floor differ."""
 
 
 CONTACTS = ContactSettings()
-
-
-@dataclass(frozen=True)
-class Soles:
-    """Points of both feet: each the mean of some vertices. ``points`` (2, 3) holds ids: side; heel,
-    ball, toes.
-    """
-
-    points: tuple[tuple[Int[np.ndarray, " _"], ...], ...]
-
-    @property
-    def used(self) -> Int[np.ndarray, " N"]:
-        """All these vertices."""
-        return np.unique(np.concatenate([ids for side in self.points for ids in side]))
-
-    def means(self, vertices: Float[np.ndarray, "T N 3"]) -> Float[np.ndarray, "T 2 3 3"]:
-        """The points, of the places of the ``used`` vertices: side, point, coordinate."""
-        used = self.used
-        rows = [[np.searchsorted(used, ids) for ids in side] for side in self.points]
-        return np.stack(
-            [np.stack([vertices[:, row].mean(axis=1) for row in side], 1) for side in rows], 1
-        )
-
-    def lowest(self, vertices: Float[np.ndarray, "T N 3"]) -> tuple[Float[np.ndarray, " T"], ...]:
-        """The height (y) of each sole's lowest vertex, of the places of the ``used`` ones."""
-        sides = (np.searchsorted(self.used, np.concatenate(side)) for side in self.points)
-        return tuple(vertices[:, rows, 1].min(axis=1) for rows in sides)
-
-
-def find_soles(body: BodyModel, settings: ContactSettings = CONTACTS) -> Soles:
-    """The soles of a body, by its skinning and its template (y up, facing +z). Raises HabitusError
-    without feet.
-    """
-    strongest = body.skinning_index[np.arange(body.num_vertices), body.skinning_value.argmax(1)]
-    return Soles(tuple(_sole(body, strongest, side, settings) for side in SIDES))
-
-
-def _sole(
-    body: BodyModel, strongest: np.ndarray, side: str, settings: ContactSettings
-) -> tuple[np.ndarray, ...]:
-    joints = [
-        k for k, name in enumerate(body.joint_names) if name in (f"{side}_ankle", f"{side}_foot")
-    ]
-    ids = np.flatnonzero(np.isin(strongest, joints))
-    if not len(ids):
-        raise HabitusError(
-            f"the body {body.name} has no {side} foot (joints {side}_ankle, {side}_foot)"
-        )
-    points = body.v_template[ids]
-    low = points[:, 1] < points[:, 1].min() + settings.sole_height
-    along = (points[:, 2] - points[low, 2].min()) / max(float(np.ptp(points[low, 2])), 1e-9)
-    parts = (ids[low & (along >= a) & (along <= b)] for a, b in settings.sole_parts)
-    return tuple(part if len(part) else ids[low] for part in parts)
 
 
 def standing(

@@ -12,15 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from habitus.body.measurements import Soles, find_soles
 from habitus.body.model import BodyModel
 from habitus.body.motion import BodyMotion
 from habitus.body.recentred import FROM
 from habitus.errors import HabitusError
 from habitus.fit.retarget.contacts import (
     ContactSettings,
-    Soles,
     corrections,
-    find_soles,
     ground_height,
     standing,
 )

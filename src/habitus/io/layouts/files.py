@@ -25,10 +25,17 @@ from habitus.files import atomic_write
 from habitus.io.layouts.moshpp import parse_moshpp
 from habitus.io.layouts.opensim import parse_marker_set
 from habitus.io.layouts.toml import layout_text, parse_layout, quoted
-from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, MAX_XML_BYTES, check_count
+from habitus.io.limits import (
+    MAX_LABELS,
+    MAX_LAYOUT_BYTES,
+    MAX_XML_BYTES,
+    check_count,
+    read_text_file,
+    read_toml,
+    read_xml,
+)
 from habitus.io.models.bodies import load_body
 from habitus.io.names import inside, plain_name
-from habitus.io.structured_text import read_text_file, read_toml, read_xml
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import (
     FEWEST_MARKERS,

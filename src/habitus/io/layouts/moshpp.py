@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count
+from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count, read_json
 from habitus.io.names import plain_name
-from habitus.io.structured_text import read_json
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.matching import interpreted
 

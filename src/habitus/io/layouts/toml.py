@@ -10,9 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count
+from habitus.io.limits import MAX_LABELS, MAX_LAYOUT_BYTES, check_count, read_toml
 from habitus.io.names import plain_name
-from habitus.io.structured_text import read_toml
 from habitus.markers.layouts import ON_A_FINGER, Marker, MarkerLayout
 
 _SIDES = re.compile(r"\[(?:([^\[\]|]+)\|([^\[\]|]+)|(L)(R))\]")

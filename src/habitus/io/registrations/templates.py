@@ -13,12 +13,11 @@ from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.archives import NpzArchive
-from habitus.io.limits import MAX_TOML_BYTES, check_joints, open_file
+from habitus.io.limits import MAX_TOML_BYTES, check_joints, open_file, read_text_file, read_toml
 from habitus.io.meshes import ENDINGS, read_mesh
 from habitus.io.models.arrays import ModelArrays
 from habitus.io.models.bodies import SHIPPED, load_body, named_vertices
 from habitus.io.names import inside, plain_name
-from habitus.io.structured_text import read_text_file, read_toml
 from habitus.io.units import METRES, unit_of
 from habitus.mesh.mirror import mirrored_joints
 from habitus.mesh.template import Template

@@ -6,7 +6,7 @@ from typing import Any
 
 from habitus.body.keypoints import CONVENTIONS
 from habitus.errors import HabitusError
-from habitus.io.rgbd.descriptions import read_description
+from habitus.io.rgbd.files import read_description
 
 MAX_PIXEL = 1e6
 """A keypoint further from the image's corner, or at no number, is one that was not seen."""

@@ -8,8 +8,7 @@ import numpy as np
 
 from habitus.errors import require_extra
 from habitus.files import whole_folder, write_text
-from habitus.observe.camera import Camera
-from habitus.observe.depth_views import RgbdCapture
+from habitus.observe.camera import Camera, RgbdCapture
 from habitus.rotations import matrix_from_rotvec
 from habitus.types import PathLike
 

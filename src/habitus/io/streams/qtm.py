@@ -13,9 +13,8 @@ import numpy as np
 
 from habitus.errors import HabitusError, require_extra
 from habitus.io.captures.points import RawPoints
-from habitus.io.limits import MAX_NAMES, MAX_TEXT_BYTES
+from habitus.io.limits import MAX_NAMES, MAX_TEXT_BYTES, read_xml
 from habitus.io.streams.source import Frame, Skipped, heading, host_and_port
-from habitus.io.structured_text import read_xml
 from habitus.rotations import signed_axis
 
 PORT = 22223

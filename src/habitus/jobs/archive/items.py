@@ -17,7 +17,7 @@ from habitus.files import atomic_write
 from habitus.fit.markers.shape import ShapeFit, Subject
 from habitus.fit.markers.suspects import Suspect
 from habitus.io.archives import open_archive, reason
-from habitus.io.structured_text import read_json
+from habitus.io.limits import read_json
 from habitus.jobs.bodies import PersonBody
 from habitus.jobs.finding import MarkerSet
 from habitus.jobs.mosh import Mosh, recipe_of

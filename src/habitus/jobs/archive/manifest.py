@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import HabitusError, shown
-from habitus.io.limits import Allowance, check_inflated
+from habitus.io.limits import Allowance, check_inflated, read_json
 from habitus.io.names import file_name, inside
-from habitus.io.structured_text import read_json
 from habitus.jobs.archive.items import FileContent, Fitted, Seen, Shaped
 from habitus.jobs.finding import CaptureFile, MarkerSet
 

@@ -13,8 +13,7 @@ from torch import Tensor
 from habitus.render.kernels.samples import LONG
 from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
 from habitus.render.reference.segments import edge_fragments
-from habitus.render.triangles import Triangles
-from habitus.render.visibility import EdgeFragments, Visibility, pixel_centres
+from habitus.render.triangles import EdgeFragments, Triangles, Visibility, pixel_centres
 
 __all__ = [
     "barycentrics",

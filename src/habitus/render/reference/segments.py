@@ -15,8 +15,7 @@ from torch import Tensor
 from habitus.render.reference import faces as reference_faces
 from habitus.render.reference.edges import Edges, jumping_edges
 from habitus.render.reference.faces import DrawnFaces, Nearest, box_pixels, drawn_faces, expanded
-from habitus.render.triangles import Triangles
-from habitus.render.visibility import EdgeFragments, pixel_centres
+from habitus.render.triangles import EdgeFragments, Triangles, pixel_centres
 
 BESIDE = 1e-5
 """How far beside an edge the surface there is looked up, in pixels."""
