@@ -126,3 +126,24 @@ def test_every_reader_names_a_file_that_it_cannot_read(read, tmp_path):
         read(tmp_path / "text.npz")
     with pytest.raises(HabitusError, match=r"a folder without body\.npz"):
         read(tmp_path)
+
+
+@pytest.mark.parametrize("rate", [np.nan, np.inf, -30.0, 0.0, 1e-9, 1e5])
+@pytest.mark.parametrize("name", ["fit.npz", "motion.npz"])
+def test_rates_that_no_capture_has_are_refused(folder, tmp_path, name, rate):
+    arrays = dict(np.load(folder / name))
+    np.savez(tmp_path / "bad.npz", **{**arrays, "mocap_framerate": np.array(rate)})
+    with pytest.raises(HabitusError, match=r"mocap_framerate is .* Hz; expected 0.1 to 20000"):
+        open_person(tmp_path / "bad.npz", tube_body())
+
+
+def test_a_file_with_two_rates_or_none_is_refused(folder, tmp_path):
+    arrays = dict(np.load(folder / "fit.npz"))
+    np.savez(tmp_path / "two.npz", **{**arrays, "mocap_framerate": np.array(25.0)})
+    with pytest.raises(HabitusError, match=r"two frame rates \(mocap_framerate 25 Hz and mocap_"):
+        open_person(tmp_path / "two.npz", tube_body())
+    for key in ("mocap_framerate", "mocap_frame_rate"):
+        del arrays[key]
+    np.savez(tmp_path / "none.npz", **arrays)
+    with pytest.raises(HabitusError, match="no frame rate; expected mocap_framerate"):
+        open_person(tmp_path / "none.npz", tube_body())

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
+from habitus.io.captures.read import SLOWEST_HZ
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
@@ -27,8 +28,10 @@ def at_rate(moving: "Moving", fps: float | None) -> "Moving":
     """
     if fps is None or fps == moving.rate_hz:
         return moving
-    if not 0 < fps <= FASTEST:
-        raise HabitusError(f"fps is {fps:g}; expected frames a second, up to {FASTEST:g}")
+    if not SLOWEST_HZ <= fps <= FASTEST:
+        raise HabitusError(
+            f"fps is {fps:g}; expected {SLOWEST_HZ:g} to {FASTEST:g} frames a second"
+        )
     motion = BodyMotion.of(moving)
     last = len(motion.pose) - 1
     places = np.arange(int(np.floor(last * fps / motion.rate_hz + 1e-6)) + 1) * (

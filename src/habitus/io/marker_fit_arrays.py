@@ -11,10 +11,10 @@ from habitus.body.model import BodyModel
 from habitus.errors import shown
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import Suspect
+from habitus.io.captures.read import FASTEST_HZ, SLOWEST_HZ
 from habitus.observe.markers import MarkerAttachment, predict_markers
 from habitus.rotations import UP_AXES
 
-_MAX_RATE = 1e6  # Hz
 MAX_NUMBER = 1e6
 MAX_BETA = 100.0
 """Standard deviations from the mean person; real people are within 6."""
@@ -50,7 +50,7 @@ def marker_fit(arrays: Mapping[str, np.ndarray], body: BodyModel) -> MarkerFit:
         layout_name=str(arrays["layout"]),
         body=body,
         up_axis=str(arrays["up_axis"]),
-        rate_hz=float(arrays["mocap_frame_rate"]),
+        rate_hz=frame_rate(arrays),
         labels=tuple(arrays["latent_labels"].tolist()),
         betas=arrays["betas"],
         latent_markers=arrays["markers_latent"],
@@ -122,7 +122,6 @@ def checked_fit(fit: MarkerFit) -> MarkerFit:
             raise ValueError(f"{name} are {array.dtype} of shape {array.shape}; expected {shape}")
         if array is not None and name not in _WITH_GAPS:
             check_finite(name, array)
-    check_rate(fit.rate_hz)
     if fit.up_axis not in UP_AXES:
         raise ValueError(f"up_axis is {shown(fit.up_axis)}")
     corners = fit.attachment.triangles
@@ -152,7 +151,23 @@ def _number(value: np.ndarray | None) -> float | None:
     return None if value is None or np.isnan(value) else float(value)
 
 
-def check_rate(rate: float) -> None:
-    """Raises ValueError for what is no frame rate."""
-    if not 0 < rate < _MAX_RATE:
-        raise ValueError(f"the rate is {rate:g} Hz; expected mocap_framerate in frames per second")
+RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
+"""Names of the frame rate in npz files."""
+
+
+def frame_rate(arrays: Mapping[str, np.ndarray]) -> float:
+    """The frame rate (Hz) of a motion's arrays. Raises ValueError where there is none, where it is
+    outside what captures have, or where two names give two rates.
+    """
+    rates = {name: float(arrays[name]) for name in RATES if name in arrays}
+    for name, rate in rates.items():
+        if not SLOWEST_HZ <= rate <= FASTEST_HZ:
+            raise ValueError(
+                f"{name} is {rate:g} Hz; expected {SLOWEST_HZ:g} to {FASTEST_HZ:g} frames a second"
+            )
+    if not rates:
+        raise ValueError(f"no frame rate; expected {RATES[0]} in frames a second")
+    if len(set(rates.values())) > 1:
+        different = " and ".join(f"{name} {rate:g} Hz" for name, rate in rates.items())
+        raise ValueError(f"two frame rates ({different}); expected one")
+    return next(iter(rates.values()))

@@ -33,8 +33,8 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.archives import open_archive, reason
 from habitus.io.marker_fit_arrays import (
     check_finite,
-    check_rate,
     checked_fit,
+    frame_rate,
     latent_marker_distance,
     marker_fit,
 )
@@ -69,7 +69,6 @@ _FIT_ARRAYS = (
     "markers_sim",
     "settings",
 )
-_RATES = ("mocap_framerate", "mocap_frame_rate", "frame_rate", "fps")
 _LAYOUTS = {3 * len(layout.joint_names): layout for layout in (SMPL, SMPLH, SMPLX)}
 _SAME_BODY = 1e-3
 """Metres between latent markers of one body: its files in float32 and float64 differ by 1e-6."""
@@ -374,7 +373,7 @@ def _motion_data(file: _PersonFile, body: BodyModel) -> BodyMotion:
         betas=_betas(file, body),
         pose=_pose(file.source, np.asarray(arrays["poses"], np.float64), body),
         trans=np.asarray(arrays["trans"], np.float64),
-        rate_hz=next((float(arrays[name]) for name in _RATES if name in arrays), np.nan),
+        rate_hz=frame_rate(arrays),
         up_axis=str(arrays.get("up_axis", "+z")),
         soft_tissue=_optional(arrays, "soft_tissue_betas"),
         dynamics=_optional(arrays, "soft_tissue_dynamics"),
@@ -422,7 +421,6 @@ def _checked_motion(motion: BodyMotion) -> BodyMotion:
             check_finite(name, array)
     if not frames:
         raise ValueError("no frames")
-    check_rate(motion.rate_hz)
     if motion.up_axis not in UP_AXES:
         raise ValueError(f"up_axis is {shown(motion.up_axis)}")
     return motion
