@@ -222,6 +222,7 @@ _NUMBERS = (
     "skinning_value",
     "expressiondirs",
     "people_mean",
+    "people_skew",
 )
 _WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror", "full_vertices")
 
@@ -252,6 +253,7 @@ class BodyArrays:
     female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
     female_rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None = None
     people_mean: Float[np.ndarray, " B"] | None = None
+    people_skew: Float[np.ndarray, " B"] | None = None
     pose_joints: tuple[int, ...] | None = None
     hinges: Hinges | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None

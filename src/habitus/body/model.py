@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import ADULT, BodyArrays, add_blend_shapes
+from habitus.body.draws import skewed
 from habitus.body.joint_layouts import fold, folded_weights
 from habitus.body.keypoints import keypoints
 from habitus.body.measurements import Measured
@@ -48,7 +49,7 @@ class BodyModel(BodyArrays, Measured):
     (`at_age`). ``female_direction``, weights and bias, gives the log odds of a woman from the betas
     (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
     ``people_mean`` are the betas of the mean person that a survey measured, where that is not the
-    template.
+    template; ``people_skew`` is the skewness of each beta among people (`draw_betas`).
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
     the same person with more vertices, which ``finer()`` makes when it is first asked for.
@@ -88,6 +89,7 @@ class BodyModel(BodyArrays, Measured):
             female_direction=female,
             female_rows=rows,
             people_mean=None if self.people_mean is None else self.people_mean[:count],
+            people_skew=None if self.people_skew is None else self.people_skew[:count],
             shape_features=min(count, self.shape_features),
             hinges=None if self.hinges is None else self.hinges.with_shapes(count),
             finer=then(self.finer, "with_betas", count),
@@ -148,6 +150,7 @@ class BodyModel(BodyArrays, Measured):
             female_direction=self.female_direction if grown else None,
             female_rows=self.female_rows if grown else None,
             people_mean=self.people_mean if grown else None,
+            people_skew=self.people_skew if grown else None,
             age=float(years),
             v_template=self.v_template + offset,
             shapedirs=scale * self.shapedirs,
@@ -163,6 +166,14 @@ class BodyModel(BodyArrays, Measured):
         return BodyState(
             *(np.zeros((*batch, *last)) for last in ((self.num_betas,), (self.num_joints, 3), (3,)))
         )
+
+    def draw_betas(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count B"]:
+        """Betas of people drawn at random: zero mean, unit variance, skewed as the people that the
+        body was made of (more are much heavier than the mean than much lighter); normal where the
+        body has no ``people_skew``.
+        """
+        normal = rng.normal(size=(count, self.num_betas))
+        return normal if self.people_skew is None else skewed(normal, self.people_skew)
 
     def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in

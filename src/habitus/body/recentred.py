@@ -148,6 +148,7 @@ def _with_template(body: BodyModel, points: np.ndarray, scale: float, name: str)
         female_direction=None,
         female_rows=None,
         people_mean=None,
+        people_skew=None,
         ages=None,
         age=None,
         full_vertices=None,

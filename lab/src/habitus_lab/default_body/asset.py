@@ -14,9 +14,10 @@ from .shape_space import ShapeSpace
 from .topology import Topology
 from .twist import TwistShapes
 
-VERSION = "2.3.0"
+VERSION = "3.0.0"
 LICENSE = "CC0-1.0"
 INFLUENCES = 4
+FIRST_SHAPES = 24  # those that measurements determine; readers take further ones only if asked
 LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
 DESCRIPTION = (
     "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from "
@@ -41,9 +42,11 @@ def asset_arrays(
     twist: TwistShapes,
     expressions: np.ndarray,
     ages: tuple[np.ndarray, np.ndarray],
+    skew: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10),
-    ages: years (A,) and the offsets (V, 3, A) of the mean person of that age.
+    ages: years (A,) and the offsets (V, 3, A) of the mean person of that age; skew (24,) of the
+    people's betas.
     """
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)
@@ -52,7 +55,9 @@ def asset_arrays(
     triplets = regressor.tocoo()
     return {
         "v_template": shapes.mean.astype(np.float32),
-        "shapedirs": shapes.shapedirs.astype(np.float16),
+        "shapedirs": shapes.shapedirs[..., :FIRST_SHAPES].astype(np.float16),
+        "further_shapedirs": shapes.shapedirs[..., FIRST_SHAPES:].astype(np.float16),
+        "people_skew": skew.astype(np.float32),
         "expressiondirs": expressions.astype(np.float16),
         "age_years": np.asarray(ages[0], np.float32),
         "agedirs": ages[1].astype(np.float32),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus_lab.default_body.ages import pelvis_kept
-from habitus_lab.default_body.asset import asset_arrays, write_asset
+from habitus_lab.default_body.asset import FIRST_SHAPES, asset_arrays, write_asset
 from habitus_lab.default_body.crowd import tposed
 from habitus_lab.default_body.expressions import (
     expression_components,
@@ -23,7 +23,7 @@ from habitus_lab.default_body.growth import AGES
 from habitus_lab.default_body.people import Sliders
 from habitus_lab.default_body.regressor import fit_regressor
 from habitus_lab.default_body.rig import JOINTS, joint_weights
-from habitus_lab.default_body.shape_space import ShapeSpace, principal_shapes
+from habitus_lab.default_body.shape_space import ShapeSpace, principal_shapes, skewness
 from habitus_lab.default_body.sliders import ANCHORS, MorphSpace, read_morphs
 from habitus_lab.default_body.sources import Source, read_source
 from habitus_lab.default_body.topology import Topology, build_topology
@@ -56,8 +56,9 @@ def form_arrays(
     faces, _ = expression_components(units, topology.mirror)
     twist = twist_shapes(shapes.mean, centres, weights, topology.mirror)
     ages = ages[0], pelvis_kept(ages[1], regressor)
+    skew = skewness(shapes.betas[:, :FIRST_SHAPES])
     return asset_arrays(
-        space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages
+        space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages, skew
     )
 
 

@@ -52,29 +52,33 @@ LOCAL_SECTIONS = (
     "stomach",
     "torso",
 )
-# Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body
-# cannot carry.
-LOCAL_SKIPPED = (
-    "trans-in-out",
+FACE_SECTIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "nose")
+# Sliders of LOCAL_SECTIONS that no measurement determines: they shift a part as a pose would, or
+# are details. They only widen the population (`people.py`).
+LOCAL_DETAILS = (
     "bulge",
     "nipple",
     "foot-trans",
     "head-trans",
-    "head-angle",
-    "hand-trans",
-    "neck-trans",
-    "hip-trans",
     "head-diamond",
+    "head-oval",
+    "head-rectangular",
+    "head-round",
     "head-triangular",
     "head-inverted",
     "head-square",
     "head-age",
+    "neck-trans",
+    "hip-trans",
     "torso-trans",
     "leg-valgus",
     # these move the spine's joint cubes by centimetres, away from the flesh
     "torso-scale-vert",
     "measure-waisttohip",
 )
+# Asymmetric sliders, whose symmetric part is nothing or a shear.
+ASYMMETRIC = ("nose-trans-in-out", "mouth-trans-in-out", "head-angle", "hand-trans")
+ASYMMETRIC += tuple(f"{part}-trans-in-out" for part in ("foot", "head", "hip", "neck", "torso"))
 
 
 @dataclass(frozen=True)
@@ -188,6 +192,15 @@ def _hat_weights(
     return {name: weight for name, weight in weights.items() if name}
 
 
+def widening_sliders(names: tuple[str, ...]) -> np.ndarray:
+    """(L,) True for the sliders that only widen the population: details, and the face's."""
+    faces = tuple(section.removesuffix("s") for section in FACE_SECTIONS)
+    return np.array(
+        [name.startswith(faces) or any(word in name for word in LOCAL_DETAILS) for name in names],
+        bool,
+    )
+
+
 def age_slider(years: np.ndarray) -> np.ndarray:
     """MakeHuman's age slider for nominal years: 25 is 0.5, 90 is 1; children's bodies need a table
     instead.
@@ -245,9 +258,9 @@ def _local_files(targets: Path) -> tuple[tuple[str, ...], list[tuple[list[Path],
     sections = json.loads((targets / "target.json").read_text())
     names = []
     files = []
-    for section in LOCAL_SECTIONS:
+    for section in LOCAL_SECTIONS + FACE_SECTIONS:
         for category in sections[section]["categories"]:
-            if any(word in category["name"] for word in LOCAL_SKIPPED):
+            if any(word in category["name"] for word in ASYMMETRIC):
                 continue
             sides = category.get("opposites") or {"positive-unsided": category["targets"][0]}
             down, up = (

@@ -84,9 +84,9 @@ def read_target(path: Path, count: int) -> np.ndarray:
     """One sparse morph target as dense offsets (count, 3) in metres."""
     offsets = np.zeros((count, 3))
     with gzip.open(path, "rt") as lines:
-        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
-    if rows:
-        table = np.array(rows, dtype=float)
+        numbers = " ".join(line for line in lines if not line.startswith("#")).split()
+    if numbers:
+        table = np.array(numbers, dtype=float).reshape(-1, 4)
         offsets[table[:, 0].astype(int)] = table[:, 1:4] * DECIMETRE
     return offsets
 

@@ -114,6 +114,7 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
 _ROWS = (
     "v_template",
     "shapedirs",
+    "further_shapedirs",
     "posedirs",
     "hingedirs",
     "expressiondirs",
@@ -322,7 +323,7 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     arrays = {"joint_names": np.array(model.joint_names)}
     arrays |= {
         key: value
-        for key in ("part", "mirror", "people_mean")
+        for key in ("part", "mirror", "people_mean", "people_skew")
         if (value := getattr(model, key)) is not None
     }
     arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
