@@ -86,16 +86,19 @@ class Ages:
     tall they stand (m).
 
     ``statures`` are those of the whole body, so that two levels of detail grow alike; ``adult`` is
-    the template's.
+    the template's. ``spreads`` (A,) say by how much shapes vary less than the stature alone would
+    scale them: small children of one age are more alike than adults.
     """
 
     years: Float[np.ndarray, " A"]
     directions: Float[np.ndarray, "V 3 A"]
     statures: Float[np.ndarray, " A"]
     adult: float
+    spreads: Float[np.ndarray, " A"]
 
-    def at(self, years: float | int) -> tuple[Float[np.ndarray, "V 3"], float]:
-        """What to add to the template at an age, and the stature of that age over the template's.
+    def at(self, years: float | int) -> tuple[Float[np.ndarray, "V 3"], float, float]:
+        """What to add to the template at an age, the stature of that age over the template's, and
+        the factor of the shapes: at the known ages, that ratio times the spread.
 
         Raises HabitusError for an age before the first or after the last.
         """
@@ -106,7 +109,8 @@ class Ages:
         shares = np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
         near = np.flatnonzero(shares)
         offset = self.directions[..., near].astype(np.float64) @ shares[near]
-        return offset, float(self.statures @ shares) / self.adult
+        scale = float(self.statures @ shares) / self.adult
+        return offset, scale, float((self.statures * self.spreads) @ shares) / self.adult
 
 
 def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:

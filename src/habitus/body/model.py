@@ -127,8 +127,8 @@ class BodyModel(BodyArrays, Measured):
         )
 
     def at_age(self, years: float | int) -> "BodyModel":
-        """The body whose template is the mean person of that age; other shapes vary about it, as it
-        is tall.
+        """The body whose template is the mean person of that age. Shapes vary about it in
+        proportion to its stature, and less among small children (`Ages.spreads`).
 
         Straight lines lead from one known age to the next. Who tells sexes apart by adults' shapes
         cannot tell children's: below `ADULT` years there is no ``female_direction``. Raises
@@ -143,7 +143,7 @@ class BodyModel(BodyArrays, Measured):
             raise HabitusError(
                 f"{self.name} knows of no ages; the bodies neutral, female and male do"
             )
-        offset, scale = self.ages.at(years)
+        offset, scale, shapes = self.ages.at(years)
         grown = years >= ADULT
         return replace(
             self,
@@ -153,7 +153,7 @@ class BodyModel(BodyArrays, Measured):
             people_skew=self.people_skew if grown else None,
             age=float(years),
             v_template=self.v_template + offset,
-            shapedirs=scale * self.shapedirs,
+            shapedirs=shapes * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,
             hinges=None if self.hinges is None else self.hinges.scaled(scale),
             dynamics=None if self.dynamics is None else self.dynamics.scaled(scale),

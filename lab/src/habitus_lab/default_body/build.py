@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus_lab.default_body import checks
-from habitus_lab.default_body.ages import age_directions, age_spaces
+from habitus_lab.default_body.ages import Variation, age_directions, age_spaces
 from habitus_lab.default_body.asset import FIRST_SHAPES, write_asset
 from habitus_lab.default_body.contacts import Meetings, apart
 from habitus_lab.default_body.crowd import Crowd, gather
@@ -152,7 +152,7 @@ def main() -> None:
             topology,
             people.vertices,
             people.joints,
-            (np.array(AGES), ages[space]),
+            (np.array(AGES), *ages[space]),
             shapes,
         )
         if earlier is not None:
@@ -247,12 +247,21 @@ def _population(survey: People, residual: np.ndarray) -> dict:
     }
 
 
-def _ages(bench: Bench, rest: RestPose, spaces: dict[str, ShapeSpace]) -> dict[str, np.ndarray]:
-    """(V, 3, A) of every space."""
+def _ages(
+    bench: Bench, rest: RestPose, spaces: dict[str, ShapeSpace]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Offsets (V, 3, A) and spread (A,) of every space."""
     skin = bench.skin[(bench.skin < BODY_VERTICES).all(1)]
     ruler = Ruler(spaces["neutral"].mean, bench.topology.mirror, skin)
-    templates = {name: space.mean for name, space in spaces.items()}
-    return age_directions(age_spaces(bench.source, rest, ruler), templates)
+    skins = skin, bench.coarse_skin
+    variations = {
+        name: Variation(
+            space.mean, space.shapedirs[..., :FIRST_SHAPES], skins, bench.topology.mirror
+        )
+        for name, space in spaces.items()
+    }
+    people = age_spaces(bench.source, bench.topology.base, rest, ruler)
+    return age_directions(people, variations)
 
 
 def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) -> dict:

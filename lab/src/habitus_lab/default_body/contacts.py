@@ -27,6 +27,9 @@ ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
 SPRING = 0.15
 MEAN_SPRING = 10.0
 HOLD = 0.1  # how firmly components stay where nothing meets
+ROOM_DRAWS = 16  # normal bodies a round that show where a mean needs room
+ROOM_ROUNDS = 6
+ROOM_SPRING = 1.0
 REACH = 0.10  # metres: vertices further apart on the mean body are not tied
 
 
@@ -79,6 +82,38 @@ def apart(
             break
         found = _tied(space, stiff, meetings)
     return found, meetings
+
+
+def with_room(
+    mean: np.ndarray,
+    clean: np.ndarray,
+    shapedirs: np.ndarray,
+    skins: tuple[np.ndarray, ...],
+    mirror: np.ndarray,
+    meetings: Meetings,
+) -> np.ndarray:
+    """The mean body (V, 3) of an age with the gaps of `clean` (V, 3), the adult's scaled mean,
+    wherever bodies drawn about it with shapedirs (V, 3, B) meet themselves or turn triangles over.
+
+    meetings: springs of the ages before, to which these are added: where one age needs room, its
+    neighbours mostly do.
+    """
+    stiff = _stiffness(skins[0], len(mean))
+    start = _open(mean, skins, mirror, clean, stiff)
+    rng = np.random.default_rng(0)
+    for turn in range(ROOM_ROUNDS):
+        found = start
+        if meetings.table:
+            found = start + _relax(stiff, meetings, start - clean)
+        betas = draws(ROOM_DRAWS, shapedirs.shape[-1], "normal", rng)
+        spring = ROOM_SPRING * (1 + turn)
+        bad = 0
+        for body in found + np.einsum("vcb,nb->nvc", shapedirs, betas):
+            met = [_tie(body, found, faces, mirror, meetings, spring) for faces in skins]
+            bad += any(met)
+        if not bad:
+            break
+    return found
 
 
 def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> ShapeSpace:

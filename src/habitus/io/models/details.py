@@ -48,14 +48,22 @@ def read_ages(arrays: ModelArrays, template: np.ndarray) -> Ages | None:
     if len(years) < 2 or not (np.diff(years) > 0).all():
         raise HabitusError(f"array 'age_years' is {years.tolist()}; expected ages that rise")
     directions = arrays.number("agedirs", *template.shape, len(years), dtype=np.float32)
+    spreads = np.ones(len(years))
+    if "age_spread" in arrays:
+        spreads = arrays.number("age_spread", len(years))
+        if not (spreads > 0).all():
+            raise HabitusError(
+                f"array 'age_spread' is {spreads.tolist()}; expected factors above 0"
+            )
     if "age_statures" in arrays:  # of a coarse level, which grows as the full one does
         return Ages(
             years,
             directions,
             arrays.number("age_statures", len(years)),
             float(arrays.number("age_adult")),
+            spreads,
         )
-    return Ages(years, directions, *_statures(template, directions))
+    return Ages(years, directions, *_statures(template, directions), spreads)
 
 
 def _statures(template: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
@@ -96,7 +104,7 @@ def ages_form(ages: Ages | None) -> dict[str, np.ndarray]:
     if ages is None:
         return {}
     named = {"age_years": ages.years, "agedirs": ages.directions, "age_statures": ages.statures}
-    return {**named, "age_adult": np.array(ages.adult)}
+    return {**named, "age_adult": np.array(ages.adult), "age_spread": ages.spreads}
 
 
 def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
