@@ -16,7 +16,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from habitus.arrays import constant, flatten
 from habitus.errors import HabitusError
+from habitus.types import Array
 
 FINGERS = ("index", "middle", "ring", "pinky")
 SIDES = ("left", "right")
@@ -60,9 +62,8 @@ class HandPose:
     def angles(self) -> Float[np.ndarray, "20"]:
         """All of them in one row, degrees: index, middle, ring, pinky, thumb, abduction, spread."""
         fingers = (self.index, self.middle, self.ring, self.pinky, self.thumb)
-        return np.array(
-            [*(angle for one in fingers for angle in one), self.abduction, *self.spread]
-        )
+        row = [angle for finger in fingers for angle in finger]
+        return np.array([*row, self.abduction, *self.spread], dtype=float)
 
     @staticmethod
     def of(angles: Sequence[float] | Float[np.ndarray, "20"]) -> "HandPose":
@@ -169,6 +170,29 @@ class HandAxes:
         first = first * Rotation.from_rotvec(turns[..., 0, :].reshape(-1, 3))
         turns[..., 0, :] = first.as_rotvec().reshape(*batch, 5, 3)
         return turns.reshape(*batch, 15, 3)
+
+    def angles(self, rotations: Array) -> Array:
+        """Rows of `HandPose.angles` (*batch, 20), rad, of rotation vectors (*batch, 15, 3), arrays
+        or tensors: their parts along the axes, which for fingers spread by s and bent by f are s
+        (1 - f^2 / 12) and f to second order. What turns a joint beside its axes is left out.
+        """
+        return flatten(rotations, -2) @ constant(self._along.T, rotations) + constant(
+            self._offset, rotations
+        )
+
+    @property
+    def _along(self) -> Float[np.ndarray, "20 45"]:
+        """The axes as rows over the rotation vectors of a hand."""
+        along = np.zeros((NUM_ANGLES, 5, 3, 3))
+        for finger in range(5):
+            for joint in range(3):
+                along[3 * finger + joint, finger, joint] = self.flexion[finger]
+            along[15 + (finger + 1) % 5, finger, 0] = self.spread[finger]
+        return along.reshape(NUM_ANGLES, -1)
+
+    @property
+    def _offset(self) -> Float[np.ndarray, "20"]:
+        return np.concatenate([self.rest.ravel(), np.zeros(5)])
 
 
 def _palm(rest: Mapping[str, np.ndarray], side: str) -> Float[np.ndarray, "3"]:
