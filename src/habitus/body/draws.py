@@ -1,20 +1,30 @@
-"""Random numbers of unit variance with given skewness."""
+"""Random betas of people: normal, but skewed along one direction."""
 
 import numpy as np
 from jaxtyping import Float
 
 
-def skewed(
-    normal: Float[np.ndarray, "*batch B"], skewness: Float[np.ndarray, " B"]
-) -> Float[np.ndarray, "*batch B"]:
-    """Standard normal numbers by a monotone map with mean 0, variance 1 and this skewness: a
-    shifted log-normal distribution (mirrored where it is negative), the normal one at 0.
+def skewed_along(
+    normal: Float[np.ndarray, "N B"], direction: Float[np.ndarray, " B"]
+) -> Float[np.ndarray, "N B"]:
+    """Standard normal rows with their part along ``direction`` skewed, which has zero mean and unit
+    variance as before; the direction's length is the skewness.
     """
-    g2 = np.asarray(skewness, float) ** 2
-    root = np.cbrt(1 + g2 / 2 + np.sqrt(g2 * (1 + g2 / 4)))
+    skewness = float(np.linalg.norm(direction))
+    if skewness == 0:
+        return normal
+    unit = np.asarray(direction, float) / skewness
+    along = normal @ unit
+    return normal + (skewed(along, skewness) - along)[:, None] * unit
+
+
+def skewed(normal: Float[np.ndarray, "*batch"], skewness: float) -> Float[np.ndarray, "*batch"]:
+    """Standard normal numbers by a monotone map with mean 0, variance 1 and this skewness, which is
+    at least 0: a shifted log-normal distribution, the normal one at 0.
+    """
+    square = skewness**2
+    root = np.cbrt(1 + square / 2 + np.sqrt(square * (1 + square / 4)))
     width = np.sqrt(np.log(root + 1 / root - 1))  # of the logarithm
-    sign = np.where(np.asarray(skewness) < 0, -1.0, 1.0)
-    some = width > 1e-4
-    scale = np.where(some, width, 1.0)
-    drawn = np.expm1(scale * sign * normal - scale**2 / 2) / np.sqrt(np.expm1(scale**2))
-    return np.where(some, sign * drawn, normal)
+    if width < 1e-4:
+        return normal
+    return np.expm1(width * normal - width**2 / 2) / np.sqrt(np.expm1(width**2))

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import ADULT, BodyArrays, add_blend_shapes
-from habitus.body.draws import skewed
+from habitus.body.draws import skewed_along
 from habitus.body.joint_layouts import fold, folded_weights
 from habitus.body.keypoints import keypoints
 from habitus.body.measurements import Measured
@@ -49,7 +49,8 @@ class BodyModel(BodyArrays, Measured):
     (`at_age`). ``female_direction``, weights and bias, gives the log odds of a woman from the betas
     (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
     ``people_mean`` are the betas of the mean person that a survey measured, where that is not the
-    template; ``people_skew`` is the skewness of each beta among people (`draw_betas`).
+    template; ``people_skew`` is the direction of betas along which people are skewed, as
+    long as their skewness (`draw_betas`).
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
     the same person with more vertices, which ``finer()`` makes when it is first asked for.
@@ -168,12 +169,12 @@ class BodyModel(BodyArrays, Measured):
         )
 
     def draw_betas(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count B"]:
-        """Betas of people drawn at random: zero mean, unit variance, skewed as the people that the
-        body was made of (more are much heavier than the mean than much lighter); normal where the
-        body has no ``people_skew``.
+        """Betas of people drawn at random: zero mean, unit variance, skewed as the waists of the
+        people that the body was made of (more are much wider than the mean than much slimmer);
+        normal where the body has no ``people_skew``.
         """
         normal = rng.normal(size=(count, self.num_betas))
-        return normal if self.people_skew is None else skewed(normal, self.people_skew)
+        return normal if self.people_skew is None else skewed_along(normal, self.people_skew)
 
     def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in

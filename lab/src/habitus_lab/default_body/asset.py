@@ -46,7 +46,8 @@ def asset_arrays(
     skew: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10),
-    ages: what `age_arrays` takes; skew (24,) of the people's betas.
+    ages: what `age_arrays` takes; skew (24,) the direction in which people
+    are skewed.
     """
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)

@@ -37,6 +37,7 @@ from habitus_lab.default_body.ruler import Ruler
 from habitus_lab.default_body.shape_space import (
     ShapeSpace,
     principal_shapes,
+    skew_direction,
     vertex_areas,
     with_further_shapes,
 )
@@ -45,13 +46,13 @@ from habitus_lab.default_body.sources import BODY_VERTICES, Source, read_source
 from habitus_lab.default_body.survey import WORLD_SPREAD, People, draw_civilians, read_survey
 from habitus_lab.default_body.topology import Topology, build_topology
 from habitus_lab.default_body.tpose import RestPose
-from habitus_lab.default_body.variety import smooth_offsets
 from habitus_lab.default_body.waist import with_waist
 from habitus_lab.repository import BODIES
 
 SPACES = ("female", "male", "neutral")
 COUNTS = (5, 10, 16, 20, 24)
 SURFACE_COUNTS = (10, 24, 50, 75, 100)
+WAIST = list(TOLERANCE).index("waistcircumference")
 BIACROMIAL = MEASURES.index("biacromialbreadth")
 CHEST = MEASURES.index("chestcircumference")
 
@@ -96,21 +97,15 @@ class Bench:
         of a like space).
         """
         mirror = self.topology.mirror
-        rng = np.random.default_rng(self.seed)
         measures = self.measures(crowd)
         first = min(FIRST_SHAPES, self.components)
         found = principal_shapes(crowd.vertices, first, mirror, measures)
         if self.components > first:
-            faces = self.topology.faces
-            weights = joint_weights(self.source, self.topology.base, mirror)
-            count = len(crowd.vertices)
-            varied = smooth_offsets(found.mean, faces, mirror, weights, count, rng)
-            varied += crowd.vertices
             area = vertex_areas(found.mean, self.visible)
             further = self.components - first
-            found = with_further_shapes(found, varied, further, mirror, measures, area)
+            found = with_further_shapes(found, crowd.vertices, further, mirror, measures, area)
         skins = self.skin, self.coarse_skin
-        return apart(found, skins, mirror, self.clean, rng, known)
+        return apart(found, skins, mirror, self.clean, np.random.default_rng(self.seed), known)
 
 
 def main() -> None:
@@ -154,6 +149,7 @@ def main() -> None:
             people.joints,
             (np.array(AGES), *ages[space]),
             shapes,
+            skew_direction(shapes, WAIST, FIRST_SHAPES),
         )
         if earlier is not None:
             betas = shapes.betas

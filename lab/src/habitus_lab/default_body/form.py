@@ -23,7 +23,7 @@ from habitus_lab.default_body.growth import AGES
 from habitus_lab.default_body.people import Sliders
 from habitus_lab.default_body.regressor import fit_regressor
 from habitus_lab.default_body.rig import JOINTS, joint_weights
-from habitus_lab.default_body.shape_space import ShapeSpace, principal_shapes, skewness
+from habitus_lab.default_body.shape_space import ShapeSpace, principal_shapes
 from habitus_lab.default_body.sliders import ANCHORS, MorphSpace, read_morphs
 from habitus_lab.default_body.sources import Source, read_source
 from habitus_lab.default_body.topology import Topology, build_topology
@@ -43,6 +43,7 @@ def form_arrays(
     joints: np.ndarray,
     ages: tuple[np.ndarray, np.ndarray, np.ndarray],
     shapes: ShapeSpace,
+    skew: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """All arrays of one space from its shapes, and from its people in the T-pose the regressor:
     vertices (N,V,3) and joints (N,55,3).
@@ -56,7 +57,6 @@ def form_arrays(
     faces, _ = expression_components(units, topology.mirror)
     twist = twist_shapes(shapes.mean, centres, weights, topology.mirror)
     ages = ages[0], pelvis_kept(ages[1], regressor), ages[2]
-    skew = skewness(shapes.betas[:, :FIRST_SHAPES])
     return asset_arrays(
         space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages, skew
     )
@@ -96,7 +96,10 @@ def main() -> None:
         still = np.zeros((*vertices.shape[1:], len(AGES)))
         ages = np.array(AGES), still, np.ones(len(AGES))
         shapes = principal_shapes(vertices[who], COMPONENTS, topology.mirror)
-        arrays = form_arrays(space, source, topology, vertices[who], joints[who], ages, shapes)
+        skew = np.zeros(FIRST_SHAPES)
+        arrays = form_arrays(
+            space, source, topology, vertices[who], joints[who], ages, shapes, skew
+        )
         write_asset(arrays, options.out / f"{space}.npz")
 
 

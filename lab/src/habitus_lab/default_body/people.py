@@ -52,7 +52,10 @@ PINNED = {
     "head-fat-decr-incr": (0.0, 0.10),
     "chest-boxy": (0.2, 0.15),
 }
-FREER = {"upperarm-shoulder-muscle-decr-incr": 0.35}  # bideltoid breadth apart from biacromial
+FREER = {
+    "upperarm-shoulder-muscle-decr-incr": 0.35,  # bideltoid breadth apart from biacromial
+    "hip-boxy": 0.5,  # hips' breadth and depth apart from their girth
+}
 LOCAL_RANGE = 1.2
 WOMEN_ONLY = ("cup", "firmness", "breast-")
 # what a measurement is trusted to, metres or kg: landmarks and posture differ from the survey's by
@@ -63,8 +66,8 @@ TRUST = {
     "cervicaleheight": 0.012,
     "suprasternaleheight": 0.010,
     "crotchheight": 0.003,
-    "kneeheightmidpatella": 0.010,
-    "waistheightomphalion": 0.015,
+    "kneeheightmidpatella": 0.004,
+    "waistheightomphalion": 0.010,
     "iliocristaleheight": 0.015,
     "trochanterionheight": 0.02,
     "lateralmalleolusheight": 0.006,
@@ -76,7 +79,7 @@ TRUST = {
     "headlength": 0.006,
     "headheight": 0.003,
     "handbreadth": 0.005,
-    "biacromialbreadth": 0.002,
+    "biacromialbreadth": 0.0015,
     "headbreadth": 0.006,
     "footlength": 0.002,
     "span": 0.010,

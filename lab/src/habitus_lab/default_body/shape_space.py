@@ -153,10 +153,14 @@ def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.bincount(faces.ravel(), np.repeat(area, 3), len(vertices))
 
 
-def skewness(betas: np.ndarray) -> np.ndarray:
-    """(B,) of the people's betas (N,B); 0 where so many people could show it by chance."""
-    found = ((betas - betas.mean(0)) ** 3).mean(0) / betas.std(0) ** 3
-    return np.where(np.abs(found) > 3 * np.sqrt(6 / len(betas)), found, 0.0)
+def skew_direction(space: ShapeSpace, measure: int, components: int) -> np.ndarray:
+    """(B,) direction of the first betas in which a measurement grows, as long as the people's
+    skewness along it.
+    """
+    line = space.measured_dirs[measure, :components]
+    line = line / np.linalg.norm(line)
+    along = space.betas[:, :components] @ line
+    return float(((along - along.mean()) ** 3).mean() / along.std() ** 3) * line
 
 
 def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:
