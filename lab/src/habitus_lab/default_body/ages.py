@@ -80,7 +80,7 @@ TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.004])
 EXACT = np.array(
     [1, 1, 1, 1, 0, 0, 0]
 )  # the published numbers: what a fit leaves of them is asked for again
-STEPS = 8
+STEPS = 4
 CORRECTIONS = 3
 STEP = 0.01
 PEOPLE = 100  # drawn to measure a spread
@@ -235,23 +235,27 @@ def age_directions(
     """`agedirs` (V, 3, A) and `age_spread` (A,) of every template: female, male, and neutral (the
     mean of both sexes' offsets).
 
-    Where random bodies of an age would meet themselves, its mean has the adult's gaps.
+    Where random bodies of an age would meet themselves, its mean has the adult's gaps; what one
+    age or body needs, the next begins with.
     """
     means = {sex: space.bodies(variations[sex].template) for sex, space in spaces.items()}
     offsets = [bodies - variations[sex].template for sex, bodies in means.items()]
     means["neutral"] = variations["neutral"].template + sum(offsets) / len(offsets)
     ruler = next(iter(spaces.values())).ruler
-    return {name: _with_room(name, means[name], how, ruler) for name, how in variations.items()}
+    meetings = Meetings(len(variations["neutral"].template), {})
+    return {
+        name: _with_room(name, means[name], how, ruler, meetings)
+        for name, how in variations.items()
+    }
 
 
 def _with_room(
-    name: str, means: np.ndarray, how: Variation, ruler: Ruler
+    name: str, means: np.ndarray, how: Variation, ruler: Ruler, meetings: Meetings
 ) -> tuple[np.ndarray, np.ndarray]:
     sexes = SEXES if name == "neutral" else (name,)
     adult = how.template
     directions = []
     spreads = []
-    meetings = Meetings(len(adult), {})
     for years, mean in zip(AGES, means, strict=True):
         scale = _stature(mean) / _stature(adult)
         spread = _spread(years, sexes, mean, scale * how.shapedirs, ruler)

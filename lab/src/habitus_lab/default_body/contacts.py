@@ -95,7 +95,7 @@ def with_room(
     """The mean body (V, 3) of an age with the gaps of `clean` (V, 3), the adult's scaled mean,
     wherever bodies drawn about it with shapedirs (V, 3, B) meet themselves or turn triangles over.
 
-    meetings: springs of the ages before, to which these are added: where one age needs room, its
+    meetings: springs of other ages, to which these are added: where one age needs room, its
     neighbours mostly do.
     """
     stiff = _stiffness(skins[0], len(mean))
