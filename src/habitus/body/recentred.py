@@ -145,6 +145,7 @@ def _with_template(body: BodyModel, points: np.ndarray, scale: float, name: str)
         hinges=None if body.hinges is None else body.hinges.scaled(scale),
         expressiondirs=None if body.expressiondirs is None else scale * body.expressiondirs,
         dynamics=None if body.dynamics is None else body.dynamics.scaled(scale),
+        face=None if body.face is None else body.face.scaled(scale),
         female_direction=None,
         female_rows=None,
         people_mean=None,

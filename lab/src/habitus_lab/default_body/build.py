@@ -26,6 +26,7 @@ from habitus_lab.default_body.ages import Variation, age_directions, age_spaces
 from habitus_lab.default_body.asset import FIRST_SHAPES, write_asset
 from habitus_lab.default_body.contacts import Meetings, apart
 from habitus_lab.default_body.crowd import Crowd, gather
+from habitus_lab.default_body.face_arrays import face_maker
 from habitus_lab.default_body.form import form_arrays
 from habitus_lab.default_body.growth import AGES
 from habitus_lab.default_body.measure import MEASURES, Tapes
@@ -138,6 +139,7 @@ def main() -> None:
     say("shape spaces")
     ages = _ages(bench, rest, spaces)
     say("ages")
+    faces = None
     for space, people in everybody.items():
         path = options.out / f"{space}.npz"
         shapes = spaces[space]
@@ -154,7 +156,8 @@ def main() -> None:
         if earlier is not None:
             betas = shapes.betas
             arrays = with_pose_shapes(arrays, earlier / path.name, people.vertices, betas)
-        write_asset(arrays, path)
+        faces = faces or face_maker(source, morphs, arrays, np.random.default_rng(options.seed))
+        write_asset(arrays | faces(arrays), path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if options.numbers:
         with _pool(options.jobs) as pool:

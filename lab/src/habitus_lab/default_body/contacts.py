@@ -136,7 +136,7 @@ def _open(
         if not any(len(each) for each in pairs):
             break
         for each in pairs:
-            meetings.tie(_nearest(clean, each[:, 0], each[:, 1]), mirror, MEAN_SPRING)
+            meetings.tie(nearest(clean, each[:, 0], each[:, 1]), mirror, MEAN_SPRING)
         found = mean + _relax(stiff, meetings, mean - clean)
     return found
 
@@ -191,7 +191,7 @@ def _tie(
     pairs = faces[intersecting_pairs(body, faces)]
     over = faces[turned_over(body, faces, mean)]
     if len(pairs):
-        meetings.tie(_nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
+        meetings.tie(nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
     if len(over):
         meetings.tie(
             np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring
@@ -199,7 +199,7 @@ def _tie(
     return bool(len(pairs) or len(over))
 
 
-def _nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """For every corner of triangles `first` (K,3) the nearest corner of its partner in `second`,
     and the reverse.
     """

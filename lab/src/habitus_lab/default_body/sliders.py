@@ -216,26 +216,32 @@ def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
     """
     targets = source.folder / "targets"
     factors, macro_files = _macro_files(targets, ages)
-    names, local_files = _local_files(targets)
-
-    def offsets(path: Path) -> np.ndarray:
-        return read_target(path, len(source.vertices)).astype(np.float32)
-
-    def symmetric(moved: np.ndarray) -> np.ndarray:
-        return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
-
-    none = np.zeros(source.vertices.shape, np.float32)
-    local = [
-        [symmetric(sum((offsets(p) for p in side), none)) for side in sides]
-        for sides in local_files
-    ]
+    names, local = local_offsets(source, LOCAL_SECTIONS + FACE_SECTIONS, ASYMMETRIC)
     return MorphSpace(
         base=source.vertices,
-        macro_offsets=np.stack([symmetric(offsets(p)) for p in macro_files]),
+        macro_offsets=np.stack([_symmetric_sum(source, [p]) for p in macro_files]),
         macro_factors=factors,
         local_names=names,
-        local_offsets=np.stack([np.stack(sides) for sides in local]),
+        local_offsets=local,
     )
+
+
+def local_offsets(
+    source: Source, sections: tuple[str, ...], skipped: tuple[str, ...]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Local sliders of some sections, but for names with a `skipped` word in them, and their
+    offsets (L, 2, 19158, 3) float32 at -1 and at +1, symmetric.
+    """
+    names, files = _local_files(source.folder / "targets", sections, skipped)
+    pairs = [np.stack([_symmetric_sum(source, side) for side in sides]) for sides in files]
+    return names, np.stack(pairs)
+
+
+def _symmetric_sum(source: Source, paths: list[Path]) -> np.ndarray:
+    moved = np.zeros(source.vertices.shape, np.float32)
+    for path in paths:
+        moved = moved + read_target(path, len(source.vertices)).astype(np.float32)
+    return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
 
 
 def _macro_files(
@@ -254,13 +260,15 @@ def _macro_files(
     return tuple(factors), files
 
 
-def _local_files(targets: Path) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
+def _local_files(
+    targets: Path, chosen: tuple[str, ...], skipped: tuple[str, ...]
+) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
     sections = json.loads((targets / "target.json").read_text())
     names = []
     files = []
-    for section in LOCAL_SECTIONS + FACE_SECTIONS:
+    for section in chosen:
         for category in sections[section]["categories"]:
-            if any(word in category["name"] for word in ASYMMETRIC):
+            if any(word in category["name"] for word in skipped):
                 continue
             sides = category.get("opposites") or {"positive-unsided": category["targets"][0]}
             down, up = (

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .decimate import decimate
 from .landmarks import landmark_vertices
-from .rig import JOINTS, bone_joint, bone_weights
+from .rig import JOINTS, bone_joint, bone_weights, surface_places
 from .sliders import ANCHORS, MorphSpace
 from .sources import BODY_VERTICES, EYEBALLS, Source
 
@@ -146,6 +146,7 @@ def _coarse(
     fixed = np.zeros(BODY_VERTICES, bool)
     for space in ("female", "male"):
         fixed[list(landmark_vertices(source.mirror, space).values())] = True
+    fixed[list(surface_places("jaw", source.mirror))] = True
     weight = _importance(source)
     weight[pockets[0]] *= POCKET_IMPORTANCE
     weight[pockets[1]] *= RIM_IMPORTANCE

@@ -34,6 +34,7 @@ from habitus.io.models.details import (
     own_form,
     read_ages,
     read_dynamics,
+    read_face,
     read_hinges,
     read_mesh,
     read_pose_joints,
@@ -311,7 +312,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         indices["part"] = _part(arrays, own["joint_names"], v)
     own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
     own |= {"ages": read_ages(arrays, numbers["v_template"]), "dynamics": read_dynamics(arrays, v)}
-    own["hinges"] = read_hinges(arrays, v, j)
+    own |= {"hinges": read_hinges(arrays, v, j), "face": read_face(arrays, v, j)}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
