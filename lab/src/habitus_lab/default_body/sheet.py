@@ -264,7 +264,7 @@ def people(bodies: dict[str, BodyModel]) -> Image.Image:
     crowd += [(bodies["female" if k % 2 else "male"], 5 + 10 * k / 23) for k in range(24)]
     for body, years in crowd:
         person = body if years is None else body.at_age(years)
-        v = posed(person, ARMS_DOWN, betas=rng.normal(size=body.num_betas))
+        v = posed(person, ARMS_DOWN, betas=body.draw_betas(1, rng)[0])
         pictures.append(
             _whole(v, 30, 120, 250, 2.05).picture(v, np.asarray(body.faces), _colours(body))
         )
