@@ -47,6 +47,7 @@ def body_arrays(name: str) -> dict[str, np.ndarray]:
         ),
         "age_statures": model.ages.statures,
         "age_adult": np.array(model.ages.adult),
+        "age_spread": model.ages.spreads,
     }
     skin = {
         "skinning_index": model.skinning_index.astype(np.int32),

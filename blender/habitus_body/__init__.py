@@ -305,7 +305,7 @@ def _properties():
     properties = {
         "file": StringProperty(name="Body's file"),
         "sex": EnumProperty(name="Sex", items=sexes, update=fit_measures),
-        "age": FloatProperty(name="Age", min=0.0, max=80.0, update=fit_measures),
+        "age": FloatProperty(name="Age", min=0.0, max=90.0, update=fit_measures),
         "betas": FloatVectorProperty(
             name="Shape", size=BETAS, soft_min=-3.0, soft_max=3.0, update=by_hand
         ),

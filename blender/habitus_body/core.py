@@ -32,15 +32,16 @@ class Body:
         with np.load(path) as file:
             return cls({name: file[name] for name in file.files}, path.stem)
 
-    def grown(self, age: float) -> tuple[np.ndarray, float]:
-        """How much of each of the ages' mean people there is at an age (A,), and how tall over the
-        adult; 0: no age.
+    def grown(self, age: float) -> tuple[np.ndarray, float, float]:
+        """How much of each of the ages' mean people there is at an age (A,), how tall over the
+        adult, and the factor of the shapes; 0: no age.
         """
         if age <= 0 or not len(self.ages):
-            return np.zeros(len(self.ages)), 1.0
+            return np.zeros(len(self.ages)), 1.0, 1.0
         years = np.clip(age, self.ages[0], self.ages[-1])
         shares = np.array([np.interp(years, self.ages, unit) for unit in np.eye(len(self.ages))])
-        return shares, float(self.arrays["age_statures"] @ shares / self.arrays["age_adult"])
+        tall = self.arrays["age_statures"] / self.arrays["age_adult"]
+        return shares, float(tall @ shares), float((tall * self.arrays["age_spread"]) @ shares)
 
     def rest(self, betas: np.ndarray, age: float = 0.0) -> np.ndarray:
         """The shaped vertices (V, 3) at rest."""
@@ -83,8 +84,8 @@ class Body:
     def _shaped(
         self, template: str, directions: str, ages: str, betas: np.ndarray, age: float
     ) -> np.ndarray:
-        shares, tall = self.grown(age)
-        shaped = self.arrays[template] + tall * (self.arrays[directions] @ self.padded(betas))
+        shares, _, shape = self.grown(age)
+        shaped = self.arrays[template] + shape * (self.arrays[directions] @ self.padded(betas))
         return shaped + self.arrays[ages] @ shares if shares.any() else shaped
 
     def padded(self, betas: np.ndarray) -> np.ndarray:

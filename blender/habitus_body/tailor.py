@@ -3,7 +3,7 @@
 sums, in NumPy.
 
 Every point that a tape or a yardstick looks at moves along straight lines with the person's
-coefficients c = (1, shares of the ages' mean people, betas times how tall the age is);
+coefficients c = (1, shares of the ages' mean people, betas times the age's factor of the shapes);
 `blender/build.py` packs these lines.
 """
 
@@ -19,8 +19,8 @@ _STEPS, _SMALL, _LONGEST, _FAR = 30, 1e-3, 2.0, 18.0
 
 def measure(body: Body, betas: np.ndarray, age: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The measurements `NAMES` (6,), and their slopes along the betas (6, B)."""
-    shares, tall = body.grown(age)
-    c = np.concatenate([[1.0], shares, tall * body.padded(betas)])
+    shares, _, shape = body.grown(age)
+    c = np.concatenate([[1.0], shares, shape * body.padded(betas)])
     sole, crown, crotch = (
         _end(body.arrays[name], c, sign)
         for name, sign in (("sole", -1), ("crown", 1), ("crotch", -1))
@@ -32,7 +32,7 @@ def measure(body: Body, betas: np.ndarray, age: float = 0.0) -> tuple[np.ndarray
         *(_girth(body.arrays, name, shares, c) for name in ("chest", "waist", "hip")),
         (crotch[0] - sole[0], crotch[1] - sole[1]),
     ]
-    slopes = [weight[1] if way is None else tall * way[1 + len(shares) :] for _, way in measured]
+    slopes = [weight[1] if way is None else shape * way[1 + len(shares) :] for _, way in measured]
     return np.array([value for value, _ in measured]), np.array(slopes)
 
 
@@ -74,10 +74,10 @@ def _weight(body: Body, betas: np.ndarray, age: float) -> tuple[float, np.ndarra
         shadow = np.cross(first, second) / 6
         for axis in range(3):
             pushes[:, axis] += np.bincount(triangles[:, k], shadow[:, axis], len(points))
-    tall = body.grown(age)[1]
+    shape = body.grown(age)[2]
     volume = float(np.einsum("nc,nc->", points, pushes)) / 3
     density = float(body.arrays["density"])
-    return density * volume, density * tall * np.tensordot(pushes, body.arrays["shapedirs"], 2)
+    return density * volume, density * shape * np.tensordot(pushes, body.arrays["shapedirs"], 2)
 
 
 def tailored(body: Body, wanted: dict, age: float = 0.0) -> np.ndarray:

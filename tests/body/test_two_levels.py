@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from two_levels import DRIVERS, YEARS, write_two_levels
+from two_levels import DRIVERS, YEARS, two_level_arrays, write_two_levels
 
 from habitus.body.joint_layouts import LAYOUTS, SMPL, folded_weights
 from habitus.body.model import BodyModel
@@ -128,7 +128,7 @@ def test_ages_are_straight_lines_between_people(source):
     adult = load_body(source)
     assert np.abs(adult.at_age(25).v_template - adult.v_template).max() < 1e-12
     assert np.array_equal(adult.at_age(25).shapedirs, adult.shapedirs)
-    for before, after in pairwise(YEARS.tolist()):
+    for before, after in pairwise(adult.ages.years.tolist()):
         ends = [adult.at_age(years) for years in (before, after)]
         middle = adult.at_age((before + after) / 2)
         for name in ("v_template", "shapedirs", "posedirs"):
@@ -137,14 +137,31 @@ def test_ages_are_straight_lines_between_people(source):
     child = adult.at_age(8)
     grown = np.abs(child.full.shapedirs).sum() / np.abs(adult.full.shapedirs).sum()
     tall, taller = (np.ptp(body.full.v_template[:, 1]) for body in (child, adult))
-    assert grown == pytest.approx(tall / taller, abs=1e-6)
+    spread = adult.ages.spreads[adult.ages.years.tolist().index(8)]
+    assert grown == pytest.approx(spread * tall / taller, abs=1e-6)
+    posed = np.abs(child.full.posedirs).sum() / np.abs(adult.full.posedirs).sum()
+    assert posed == pytest.approx(tall / taller, abs=1e-6)
     assert child.called == f"{adult.name} of 8 years" and child.full.called == child.called
     assert (child.age, child.full.age, adult.age) == (8, 8, None)
-    for years in (4.9, 80.1):
-        with pytest.raises(HabitusError, match="this body knows 5 to 80 years"):
+    first, last = adult.ages.years[[0, -1]]
+    for years in (first - 0.1, last + 0.1):
+        with pytest.raises(HabitusError, match=f"this body knows {first:g} to {last:g} years"):
             adult.at_age(years)
     with pytest.raises(HabitusError, match="of 8 years cannot be brought to 10"):
         child.at_age(10)
+
+
+def test_spreads_of_ages_are_optional_and_above_zero(tmp_path):
+    arrays = two_level_arrays()
+    for number, spreads in enumerate((None, np.zeros(len(YEARS)))):
+        path = tmp_path / f"{number}.npz"
+        own = {} if spreads is None else {"age_spread": spreads}
+        np.savez(path, **{key: v for key, v in arrays.items() if key != "age_spread"}, **own)
+    plain = load_body(tmp_path / "0.npz")
+    child, tall = plain.at_age(5), plain.ages.statures[0] / plain.ages.adult
+    assert np.allclose(child.shapedirs, tall * plain.shapedirs, atol=1e-12)
+    with pytest.raises(HabitusError, match=r"'age_spread' is .* expected factors above 0"):
+        load_body(tmp_path / "1.npz")
 
 
 def test_an_expression_moves_the_face_apart_from_shape(source):

@@ -1,6 +1,5 @@
 """Verdicts: the worst level decides, limits of people depend on age, sentences are filled in."""
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -68,13 +67,49 @@ def test_ranges_of_people_are_ranges():
     assert all(0.0 < least < most for least, most in ADULTS.values())
 
 
-def test_limits_of_a_child_reach_from_small_children_to_adults():
+# 1 and 5 years, 4 standard deviations about the medians of both sexes, by the WHO Child Growth
+# Standards: height (m), mass (kg), head girth (m); 12 years by CDC 2000, 97th percentile of mass
+CHILDREN = {
+    1: (
+        0.75,
+        {
+            "height_m": (0.637, 0.853),
+            "mass_kg": (5.5, 15.0),
+            "head_circumference_m": (0.394, 0.512),
+        },
+    ),
+    5: (
+        1.10,
+        {
+            "height_m": (0.904, 1.285),
+            "mass_kg": (10.4, 33.0),
+            "head_circumference_m": (0.442, 0.567),
+        },
+    ),
+    12: (
+        1.50,
+        {"height_m": (1.21, 1.79), "mass_kg": (28.0, 66.0), "head_circumference_m": (0.49, 0.60)},
+    ),
+}
+
+
+def test_limits_of_children_hold_their_extremes_and_no_adult():
     assert PEOPLE.ranges(None, 1.7) is ADULTS and PEOPLE.ranges(18.0, 1.7) is ADULTS
-    adult = np.mean(ADULTS["height_m"])
-    half = PEOPLE.ranges(5.0, adult / 2)
-    for name, (least, most) in half.items():
-        assert most == ADULTS[name].most
-        assert least == pytest.approx(ADULTS[name].least / (8 if name == "mass_kg" else 2))
+    for years, (stature, extremes) in CHILDREN.items():
+        ranges = PEOPLE.ranges(float(years), stature)
+        for name, (low, high) in extremes.items():
+            assert ranges[name].least * 0.95 < low and high < ranges[name].most * 1.05, (
+                years,
+                name,
+            )
+        assert all(
+            0.0 < least < most <= ADULTS[name].most for name, (least, most) in ranges.items()
+        )
+    adult = {"height_m": 1.75, "mass_kg": 75.0}
+    (reason,) = measurement_reasons(adult, 5.0, 1.1, PEOPLE)
+    assert reason.level == FAILED and "people of that age" in reason.values["people"]
+    tall = PEOPLE.ranges(17.0, 1.79)
+    assert tall == ADULTS
 
 
 def test_the_measurement_furthest_outside_is_named_and_the_others_counted():

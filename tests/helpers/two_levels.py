@@ -10,6 +10,7 @@ import numpy as np
 from habitus.body.joint_layouts import SMPLX
 
 YEARS = np.array([5.0, 8, 12, 16, 20, 25, 40, 60, 80])
+SPREADS = np.array([0.6, 0.8, 0.9, 1, 1, 1, 1, 1, 1])
 DRIVERS = (20, 21, 16, 17, 1, 2)
 FLIP = np.array([-1.0, 1.0, 1.0])
 
@@ -46,6 +47,7 @@ def two_level_arrays(
         "expressiondirs": small(v, 3, expressions, size=0.004),
         "age_years": YEARS,
         "agedirs": ages.astype(np.float16),
+        "age_spread": SPREADS,
         "quads": quads.astype(np.int32),
         "faces": np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32),
         "uv": uv.astype(np.float32),

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import Kind, flatten, namespace, to_numpy, unflatten
 from habitus.body.dynamics import Dynamics
+from habitus.body.face import Face
 from habitus.body.kernels import LocalShapes, local_shapes
 from habitus.body.pose_features import (
     Hinges,
@@ -86,16 +87,19 @@ class Ages:
     tall they stand (m).
 
     ``statures`` are those of the whole body, so that two levels of detail grow alike; ``adult`` is
-    the template's.
+    the template's. ``spreads`` (A,) say by how much shapes vary less than the stature alone would
+    scale them: small children of one age are more alike than adults.
     """
 
     years: Float[np.ndarray, " A"]
     directions: Float[np.ndarray, "V 3 A"]
     statures: Float[np.ndarray, " A"]
     adult: float
+    spreads: Float[np.ndarray, " A"]
 
-    def at(self, years: float | int) -> tuple[Float[np.ndarray, "V 3"], float]:
-        """What to add to the template at an age, and the stature of that age over the template's.
+    def at(self, years: float | int) -> tuple[Float[np.ndarray, "V 3"], float, float]:
+        """What to add to the template at an age, the stature of that age over the template's, and
+        the factor of the shapes: at the known ages, that ratio times the spread.
 
         Raises HabitusError for an age before the first or after the last.
         """
@@ -106,7 +110,8 @@ class Ages:
         shares = np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
         near = np.flatnonzero(shares)
         offset = self.directions[..., near].astype(np.float64) @ shares[near]
-        return offset, float(self.statures @ shares) / self.adult
+        scale = float(self.statures @ shares) / self.adult
+        return offset, scale, float((self.statures * self.spreads) @ shares) / self.adult
 
 
 def flat_rows(directions: Float[np.ndarray, "N 3 K"]) -> Float[np.ndarray, "K M"]:
@@ -222,6 +227,7 @@ _NUMBERS = (
     "skinning_value",
     "expressiondirs",
     "people_mean",
+    "people_skew",
 )
 _WHOLE_NUMBERS = ("skinning_index", "faces", "part", "mirror", "full_vertices")
 
@@ -252,10 +258,12 @@ class BodyArrays:
     female_direction: tuple[Float[np.ndarray, " B"], float] | None = None
     female_rows: tuple[Float[np.ndarray, "B B"], Float[np.ndarray, " B"]] | None = None
     people_mean: Float[np.ndarray, " B"] | None = None
+    people_skew: Float[np.ndarray, " B"] | None = None
     pose_joints: tuple[int, ...] | None = None
     hinges: Hinges | None = None
     expressiondirs: Float[np.ndarray, "V 3 E"] | None = None
     dynamics: Dynamics | None = None
+    face: Face | None = None
     ages: Ages | None = None
     age: float | None = None
     mesh: BodyMesh | None = None
@@ -289,6 +297,11 @@ class BodyArrays:
                     "pose_features 'rotations' and no shape_features"
                 )
             check_hinges(self.hinges, self.num_vertices, self.drivers, self.num_betas)
+        if self.face is not None and self.face.vertices.max(initial=-1) >= self.num_vertices:
+            raise HabitusError(
+                f"face units move vertex {self.face.vertices.max()}; expected vertices 0 to "
+                f"{self.num_vertices - 1}"
+            )
         if self.dynamics is not None and len(self.dynamics.directions) != self.num_vertices:
             raise HabitusError(
                 f"dynamic blend shapes of {len(self.dynamics.directions)} vertices; expected "
@@ -334,6 +347,16 @@ class BodyArrays:
     def num_dynamics(self) -> int:
         """D; 0 where nothing is known of soft tissue in motion."""
         return 0 if self.dynamics is None else self.dynamics.directions.shape[-1]
+
+    @property
+    def face_unit_names(self) -> tuple[str, ...]:
+        """The face's units, in the order of their weights; none where nothing is known of them."""
+        return () if self.face is None else self.face.unit_names
+
+    @property
+    def num_face_betas(self) -> int:
+        """Components of the face's identity; 0 where nothing is known of them."""
+        return 0 if self.face is None else self.face.identity_directions.shape[-1]
 
     @property
     def drivers(self) -> list[int]:
@@ -414,9 +437,12 @@ class BodyArrays:
     def _in(self, kind: Kind) -> RestSkeleton:
         if kind not in self._cache:
             still = np.zeros((self.num_joints, 3, self.num_dynamics))
-            directions = np.concatenate(
-                [self.joint_shapedirs, self.joint_expressiondirs, still], -1
-            )
+            parts = [self.joint_shapedirs, self.joint_expressiondirs, still]
+            if self.face is not None:  # who a face is places its joints, what it does not
+                regressor = self.joint_regressor[:, self.face.vertices]
+                parts.append(np.tensordot(regressor, self.face.identity_directions, 1))
+                parts.append(np.zeros((self.num_joints, 3, len(self.face_unit_names))))
+            directions = np.concatenate(parts, -1)
             with kind.lasting():
                 arrays = (
                     kind.array(self.joint_template),
@@ -430,7 +456,7 @@ class BodyArrays:
         self, kind: Kind, ids: Int[np.ndarray, " N"] | None = None, coefficients: int | None = None
     ) -> VertexRows:
         """The arrays of some vertices, or of all, for so many ``coefficients``: those of the shape,
-        of shape and expression, or of shape, expression and dynamics.
+        of shape and expression, of shape, expression and dynamics, or of these and the face.
         """
         count = coefficients or self.num_betas
         if ids is None and (kind, count) in self._cache:
@@ -441,6 +467,11 @@ class BodyArrays:
             directions.append(self.expressiondirs)
         if count > self.num_betas + self.num_expressions and self.dynamics is not None:
             directions.append(self.dynamics.directions)
+        if (
+            count > self.num_betas + self.num_expressions + self.num_dynamics
+            and self.face is not None
+        ):
+            directions.append(self.face.directions(self.num_vertices))
         with kind.lasting() if ids is None else nullcontext():
             weights = self.skinning_weights, self.skinning_index, self.skinning_value
             driven = self.features.per_joint, 1 + self.shape_features

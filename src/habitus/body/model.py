@@ -13,6 +13,8 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import ADULT, BodyArrays, add_blend_shapes
+from habitus.body.draws import skewed_along
+from habitus.body.face import read_face_weights
 from habitus.body.joint_layouts import fold, folded_weights
 from habitus.body.keypoints import keypoints
 from habitus.body.measurements import Measured
@@ -41,14 +43,16 @@ class BodyModel(BodyArrays, Measured):
     ``joint_regressor`` takes shaped rest vertices to joints. ``skinning_index``
     and ``skinning_value`` hold the K strongest joints of each vertex and their weights (K = 4 for
     SMPL); a weight of 0 fills up. ``expressiondirs`` move the face and nothing else, apart from
-    shape; ``dynamics`` are blend shapes of soft tissue in motion, and what predicts them
+    shape; ``face`` holds named units and components of identity (`habitus.body.face`);
+    ``dynamics`` are blend shapes of soft tissue in motion, and what predicts them
     (`habitus.body.dynamics`). ``landmarks`` name vertices; ``part`` gives each vertex its strongest
     joint; ``mirror`` its partner across the body; ``mesh`` what there is besides triangles;
     ``ages`` how the mean person of other ages differs, ``age`` the one it was brought to
     (`at_age`). ``female_direction``, weights and bias, gives the log odds of a woman from the betas
     (`habitus.body.gender`), row n - 1 of ``female_rows`` those from the first n alone.
     ``people_mean`` are the betas of the mean person that a survey measured, where that is not the
-    template.
+    template; ``people_skew`` is the direction of betas along which people are skewed, as
+    long as their skewness (`draw_betas`).
 
     A coarse body may know the ``full`` one, whose vertex ``full_vertices[k]`` is its own vertex k:
     the same person with more vertices, which ``finer()`` makes when it is first asked for.
@@ -88,6 +92,7 @@ class BodyModel(BodyArrays, Measured):
             female_direction=female,
             female_rows=rows,
             people_mean=None if self.people_mean is None else self.people_mean[:count],
+            people_skew=None if self.people_skew is None else self.people_skew[:count],
             shape_features=min(count, self.shape_features),
             hinges=None if self.hinges is None else self.hinges.with_shapes(count),
             finer=then(self.finer, "with_betas", count),
@@ -121,12 +126,17 @@ class BodyModel(BodyArrays, Measured):
             posedirs=posedirs,
             pose_joints=tuple(way.kept[joint] for joint in drivers),
             hinges=None if self.hinges is None else self.hinges.with_joints(dict(way.kept)),
+            face=None
+            if self.face is None
+            else self.face.with_joints(
+                way.kept, self.v_template, self.joint_template, self.skinning_weights
+            ),
             finer=then(self.finer, "with_joints", joints),
         )
 
     def at_age(self, years: float | int) -> "BodyModel":
-        """The body whose template is the mean person of that age; other shapes vary about it, as it
-        is tall.
+        """The body whose template is the mean person of that age. Shapes vary about it in
+        proportion to its stature, and less among small children (`Ages.spreads`).
 
         Straight lines lead from one known age to the next. Who tells sexes apart by adults' shapes
         cannot tell children's: below `ADULT` years there is no ``female_direction``. Raises
@@ -141,19 +151,21 @@ class BodyModel(BodyArrays, Measured):
             raise HabitusError(
                 f"{self.name} knows of no ages; the bodies neutral, female and male do"
             )
-        offset, scale = self.ages.at(years)
+        offset, scale, shapes = self.ages.at(years)
         grown = years >= ADULT
         return replace(
             self,
             female_direction=self.female_direction if grown else None,
             female_rows=self.female_rows if grown else None,
             people_mean=self.people_mean if grown else None,
+            people_skew=self.people_skew if grown else None,
             age=float(years),
             v_template=self.v_template + offset,
-            shapedirs=scale * self.shapedirs,
+            shapedirs=shapes * self.shapedirs,
             posedirs=None if self.posedirs is None else scale * self.posedirs,
             hinges=None if self.hinges is None else self.hinges.scaled(scale),
             dynamics=None if self.dynamics is None else self.dynamics.scaled(scale),
+            face=None if self.face is None else self.face.scaled(scale),
             ages=None,
             finer=then(self.finer, "at_age", years),
         )
@@ -163,6 +175,14 @@ class BodyModel(BodyArrays, Measured):
         return BodyState(
             *(np.zeros((*batch, *last)) for last in ((self.num_betas,), (self.num_joints, 3), (3,)))
         )
+
+    def draw_betas(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "count B"]:
+        """Betas of people drawn at random: zero mean, unit variance, skewed as the waists of the
+        people that the body was made of (more are much wider than the mean than much slimmer);
+        normal where the body has no ``people_skew``.
+        """
+        normal = rng.normal(size=(count, self.num_betas))
+        return normal if self.people_skew is None else skewed_along(normal, self.people_skew)
 
     def rest_vertices(self, betas: ArrayLike = ()) -> Float[Array, "*batch V 3"]:
         """Shaped vertices (m) in the rest pose (eq. 8), without pose blend shapes; ``betas`` as in
@@ -188,6 +208,8 @@ class BodyModel(BodyArrays, Measured):
         soft_tissue: ArrayLike | None = None,
         expression: ArrayLike | None = None,
         dynamics: ArrayLike | None = None,
+        face: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        face_betas: ArrayLike | None = None,
     ) -> BodySurface:
         """The surface M(betas, pose) of eq. 11, moved by ``trans`` (m); batch axes broadcast.
 
@@ -196,15 +218,20 @@ class BodyModel(BodyArrays, Measured):
         root first, or (*batch, 3) by the names of some joints. ``vertices`` (N ids) evaluates only
         those rows, in that order. ``soft_tissue`` (*batch, B) adds to ``betas``, joints included (M
         6). ``expression`` (*batch, E), which may be shorter, too, moves the face, ``dynamics``
-        (*batch, D) soft tissue and no joint (S eq. 16; `habitus.simulate_soft_tissue`). Raises
+        (*batch, D) soft tissue and no joint (S eq. 16; `habitus.simulate_soft_tissue`). ``face``
+        holds weights of the face's units (`face_unit_names`: ARKit's names), (*batch, U) of all or
+        (*batch,) by name, usually 0 to 1; units turn jaw and eyes, too. ``face_betas`` (*batch, I),
+        which may be shorter, are components of the face's identity, in standard deviations. Raises
         HabitusError where a shape or a name is not the model's.
         """
         angles = pose.values() if isinstance(pose, Mapping) else (pose,)
-        kind = kind_of(betas, *angles, trans, soft_tissue, expression, dynamics)
+        units = face.values() if isinstance(face, Mapping) else (face,)
+        given = expression, dynamics, face_betas
+        kind = kind_of(betas, *angles, trans, soft_tissue, *given, *units)
         shape = person = self._betas(() if betas is None else betas, kind)
         if soft_tissue is not None:
             shape = person + self._betas(soft_tissue, kind, "soft_tissue")
-        surface = self.prepare(shape, vertices, expression, dynamics)(pose, trans)
+        surface = self.prepare(shape, vertices, expression, dynamics, face, face_betas)(pose, trans)
         return surface if soft_tissue is None else replace(surface, betas=person)
 
     def prepare(
@@ -213,18 +240,30 @@ class BodyModel(BodyArrays, Measured):
         vertices: ArrayLike | None = None,
         expression: ArrayLike | None = None,
         dynamics: ArrayLike | None = None,
+        face: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        face_betas: ArrayLike | None = None,
     ) -> PreparedBody:
         """This body with its shape fixed (one, or one for each of a batch) and, if asked, only some
         of its vertices.
         """
-        shape = self._betas(betas, kind := kind_of(betas, expression, dynamics))
+        units = face.values() if isinstance(face, Mapping) else (face,)
+        kind = kind_of(betas, expression, dynamics, face_betas, *units)
+        shape = self._betas(betas, kind)
         ids = None if vertices is None else read_vertices(vertices, self.num_vertices, self.name)
         parts = [shape]
-        if expression is not None or dynamics is not None:
-            face = () if expression is None else expression
-            parts.append(read_betas(face, kind, self.num_expressions, "expression", self.name))
-        if dynamics is not None:
-            parts.append(read_dynamics(dynamics, kind, self.num_dynamics, self.name))
+        of_face = face is not None or face_betas is not None
+        if expression is not None or dynamics is not None or of_face:
+            mimic = () if expression is None else expression
+            parts.append(read_betas(mimic, kind, self.num_expressions, "expression", self.name))
+        if dynamics is not None or of_face:
+            moving = () if dynamics is None else dynamics
+            parts.append(read_dynamics(moving, kind, self.num_dynamics, self.name))
+        if of_face:
+            identity = () if face_betas is None else face_betas
+            parts.append(read_betas(identity, kind, self.num_face_betas, "face_betas", self.name))
+            parts.append(
+                read_face_weights({} if face is None else face, kind, self.face, self.name)
+            )
         if len(parts) > 1:
             batch = broadcast_shapes(*(part.shape[:-1] for part in parts))
             shape = kind.xp.concatenate(

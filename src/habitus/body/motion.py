@@ -22,6 +22,8 @@ class Moving:
     T frames, J joints, B betas; metres, radians, a world of its own whose ``up_axis`` is told.
     """
 
+    face: Float[np.ndarray, "T U"] | None = None
+
     if TYPE_CHECKING:
         body: BodyModel
         betas: Float[np.ndarray, " B"]
@@ -95,7 +97,9 @@ class Moving:
             soft = 0.0 if self.soft_tissue is None else self.soft_tissue[some]
             betas = np.tile(self.betas, (len(some), 1)) + soft
             moving = None if self.dynamics is None else self.dynamics[some]
-            yield body(betas, self.pose[some], self.trans[some], vertices=vertices, dynamics=moving)
+            face = None if self.face is None else self.face[some]
+            given = betas, self.pose[some], self.trans[some]
+            yield body(*given, vertices=vertices, dynamics=moving, face=face)
 
     def points(self, vertices: Sequence[int] | np.ndarray) -> Float[np.ndarray, "T N 3"]:
         """Some vertices (N ids) in every frame, metres, world frame, soft tissue included."""
@@ -111,8 +115,8 @@ class BodyMotion(Moving):
 
     T frames, J joints, B betas, metres and radians in a world whose ``up_axis`` is told.
     ``soft_tissue`` (T, B) adds to ``betas`` frame by frame, ``dynamics`` (T, D) are coefficients of
-    the body's dynamic blend shapes. ``made`` says in sentences where it comes from and what was
-    done to it; files keep that.
+    the body's dynamic blend shapes, ``face`` (T, U) weights of its face's units. ``made`` says in
+    sentences where it comes from and what was done to it; files keep that.
     """
 
     body: BodyModel
@@ -123,6 +127,7 @@ class BodyMotion(Moving):
     up_axis: str = "+z"
     soft_tissue: Float[np.ndarray, "T B"] | None = None
     dynamics: Float[np.ndarray, "T D"] | None = None
+    face: Float[np.ndarray, "T U"] | None = None
     capture_name: str = "motion"
     body_name: str = ""
     gender: str = "neutral"
@@ -154,6 +159,7 @@ _SHARED = (
     "up_axis",
     "soft_tissue",
     "dynamics",
+    "face",
     "capture_name",
     "body_name",
     "gender",

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from habitus.arrays import Kind, broadcast_shapes, kind_of, to_numpy, unflatten
 from habitus.body.body_arrays import BodyMesh, RestSkeleton, VertexRows, add_blend_shapes
+from habitus.body.face import Face
 from habitus.body.kernels import joint_motions, posed_vertices
 from habitus.body.pose_features import Hinges, PoseFeatures, pose_coefficients
 from habitus.body.skinning import skin, skinning_motions, world_motions
@@ -43,6 +44,12 @@ class Preparable(Protocol):
     @property
     def num_expressions(self) -> int: ...  # noqa: D102
     @property
+    def num_dynamics(self) -> int: ...  # noqa: D102
+    @property
+    def num_face_betas(self) -> int: ...  # noqa: D102
+    @property
+    def face(self) -> Face | None: ...  # noqa: D102
+    @property
     def num_joints(self) -> int: ...  # noqa: D102
     @property
     def drivers(self) -> list[int]: ...  # noqa: D102
@@ -58,6 +65,8 @@ class Preparable(Protocol):
         vertices: Any = None,
         expression: Any = None,
         dynamics: Any = None,
+        face: Any = None,
+        face_betas: Any = None,
     ) -> "PreparedBody": ...
     def _in(self, kind: Kind) -> RestSkeleton: ...
 
@@ -67,7 +76,8 @@ class PreparedBody:
     """A `habitus.body.model.BodyModel` with fixed shape, for many poses: ``prepared(pose, trans)``.
 
     ``rest_joints`` and ``shaped`` are in the kind of the coefficients: ``betas``, and behind them,
-    where such were given, those of the face's expression and of the dynamics.
+    where such were given, those of the face's expression, of the dynamics, of the face's identity
+    and of its units.
     """
 
     model: Preparable
@@ -97,7 +107,31 @@ class PreparedBody:
     def dynamics(self) -> Float[Array, "*shapes D"] | None:
         """The coefficients of the dynamic blend shapes, where such were given."""
         count = self.model.num_betas + self.model.num_expressions
+        end = count + self.model.num_dynamics
+        return self.coefficients[..., count:end] if self.coefficients.shape[-1] > count else None
+
+    @property
+    def face_betas(self) -> Float[Array, "*shapes I"] | None:
+        """The components of the face's identity, where such or units were given."""
+        model = self.model
+        count = model.num_betas + model.num_expressions + model.num_dynamics
+        end = count + model.num_face_betas
+        return self.coefficients[..., count:end] if self.coefficients.shape[-1] > count else None
+
+    @property
+    def face(self) -> Float[Array, "*shapes U"] | None:
+        """The weights of the face's units, where such or identity were given."""
+        model = self.model
+        count = model.num_betas + model.num_expressions + model.num_dynamics + model.num_face_betas
         return self.coefficients[..., count:] if self.coefficients.shape[-1] > count else None
+
+    def _turned(self, pose: Float[Array, "*poses J 3"]) -> Float[Array, "*batch J 3"]:
+        """The pose with what the face's units turn."""
+        weights, face = self.face, self.model.face
+        if weights is None or face is None or not face.joints:
+            return pose
+        turns = self.kind.array(face.joint_turns(self.model.num_joints))
+        return pose + unflatten(weights @ turns, -1, (-1, 3))
 
     @cached_property
     def shaped(self) -> Float[Array, "*shapes M"]:
@@ -118,10 +152,10 @@ class PreparedBody:
         if kind != self.kind:
             given = (
                 None if part is None else kind.array(part)
-                for part in (self.expression, self.dynamics)
+                for part in (self.expression, self.dynamics, self.face, self.face_betas)
             )
             return model.prepare(kind.array(self.betas), self.vertices, *given)(pose, trans)
-        turns: Array = model.full_pose(pose, kind)
+        turns: Array = self._turned(model.full_pose(pose, kind))
         place = model.full_trans(trans, kind)
         batch = broadcast_shapes(turns.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
         if are_plain(kind, turns, place, self.rest_joints, self.coefficients):

@@ -9,6 +9,10 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
+
+from habitus.body.hand_space import hand_gaussian, hand_joints, has_hands
+from habitus.body.hands import FingeredBody
 
 UNKNOWN_JOINT_SD = (
     0.15  # rad: joints that the prior does not know (fingers, jaw, eyes) stay near rest
@@ -48,6 +52,17 @@ class PosePrior:
             covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
         return PosePrior(joints, mean, covariance)
 
+    def replaced(self, other: "PosePrior") -> "PosePrior":
+        """The prior with the joints of another, independent of the rest, instead of its own."""
+        rest = self.for_joints(
+            ("root", *(name for name in self.joint_names if name not in other.joint_names))
+        )
+        return PosePrior(
+            (*rest.joint_names, *other.joint_names),
+            np.concatenate([rest.mean, other.mean]),
+            block_diag(rest.covariance, other.covariance),
+        )
+
     @property
     def precision(self) -> Float[np.ndarray, "n n"]:
         """Inverse covariance."""
@@ -67,7 +82,7 @@ def shipped_prior() -> PosePrior:
         return PosePrior(names, arrays["mean"], arrays["covariance"])
 
 
-class _MayHavePrior(Protocol):
+class _MayHavePrior(FingeredBody, Protocol):
     """A body model, as far as it counts here."""
 
     @property
@@ -75,5 +90,12 @@ class _MayHavePrior(Protocol):
 
 
 def prior_of(body: _MayHavePrior | None) -> PosePrior:
-    """A body's own pose prior where it has one, else the shipped one."""
-    return shipped_prior() if body is None or body.pose_prior is None else body.pose_prior
+    """A body's own pose prior where it has one, else the shipped one, with fingers about the axes
+    of the body's own hands (`habitus.body.hand_space`).
+    """
+    if body is not None and body.pose_prior is not None:
+        return body.pose_prior
+    prior = shipped_prior()
+    if body is None or not has_hands(body):
+        return prior
+    return prior.replaced(PosePrior(hand_joints(), *hand_gaussian(body)))

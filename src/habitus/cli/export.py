@@ -46,6 +46,8 @@ class Export:
     """Of .obj and .ply: this frame, from 0 on, instead of the person at rest."""
     npz_style: Literal["habitus", "amass"] = "habitus"
     """Of .npz: all results, or the columns that AMASS scripts read (docs/amass.md)."""
+    face: bool = False
+    """Of meshes: a blend shape for each face unit, with ARKit's names."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -69,6 +71,7 @@ def run(options: Export, console: "Console | None" = None) -> None:
         detail=options.detail,
         frame=options.frame,
         npz_style=options.npz_style,
+        face=options.face,
     )
     if exported.morphs or exported.worst:
         worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"

@@ -17,6 +17,7 @@ from habitus.body.surface_files import (
 )
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
+from habitus.export.faces import face_weights, with_face
 from habitus.export.seams import seams_of
 from habitus.files import atomic_write
 
@@ -36,6 +37,7 @@ def write_glb(
     stride: int | None = None,
     correctives: str = "auto",
     detail: str = "full",
+    face: bool = False,
 ) -> Animation:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
@@ -49,13 +51,16 @@ def write_glb(
     texture coordinates, so has the mesh, with vertices doubled along the seams. With soft tissue
     every joint has a translation track, because shape moves joints. glTF knows linear blend
     skinning only, so a "dqbs" body is approximate near strongly twisted joints. ``detail``: "full",
-    or "coarse", the mesh that was fitted. What was written comes back. Raises HabitusError where
+    or "coarse", the mesh that was fitted. ``face``: with a morph target for each of the face's
+    units (`habitus.export.faces`). What was written comes back. Raises HabitusError where
     the file cannot be written.
     """
     shown_body = body_at(fit, detail)
     animation = one_sided(
         animate(fit, stride=stride or glb_stride(fit), correctives=correctives, body=shown_body)
     )
+    if face:
+        animation = with_face(animation, face_weights(fit, stride or glb_stride(fit)))
     with atomic_write(path) as temporary:
         temporary.write_bytes(
             b"".join(_document(animation, shown(fit.capture_name, 200)).save_to_bytes())

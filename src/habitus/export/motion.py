@@ -38,6 +38,7 @@ class WriteOptions:
     detail: str = "full"
     frame: int | None = None
     npz_style: str = "habitus"
+    face: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def _still(moving: Moving, path: Path, options: WriteOptions) -> None:
 
 def _meshed(writer: Callable[..., Animation]) -> "_Writer":
     return lambda moving, path, wanted: writer(
-        moving, path, correctives=wanted.correctives, detail=wanted.detail
+        moving, path, correctives=wanted.correctives, detail=wanted.detail, face=wanted.face
     )
 
 
@@ -126,6 +127,7 @@ def export_motion(
     detail: str = "full",
     frame: int | None = None,
     npz_style: str = "habitus",
+    face: bool = False,
 ) -> Exported:
     """Write a fit or a motion as one file, by its ending, and say what was written.
 
@@ -139,8 +141,9 @@ def export_motion(
     "pca:16" (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how
     bones drive them lies beside it (`habitus.export.driven`). detail: "full", or "coarse", the mesh
     that was fitted. npz_style: "habitus", or "amass", the columns of AMASS's scripts
-    (`habitus.export.npz.write_amass`), for .npz only. Raises HabitusError for other endings and
-    options, for a missing extra, and where the file cannot be written.
+    (`habitus.export.npz.write_amass`), for .npz only. face: a mesh has a blend shape for each of
+    the face's units, with ARKit's names (`habitus.export.faces`). Raises HabitusError for other
+    endings and options, for a missing extra, and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
@@ -151,7 +154,7 @@ def export_motion(
     _check_finite(motion)
     moving = at_rate(motion, fps)
     written = _WRITERS[target.suffix.lower()][0](
-        moving, target, WriteOptions(correctives, detail, frame, npz_style)
+        moving, target, WriteOptions(correctives, detail, frame, npz_style, face)
     )
     frames = 1 if _WRITERS[target.suffix.lower()][0] is _still else len(moving.pose)
     exported = Exported(target, frames, float(moving.rate_hz))
@@ -169,7 +172,7 @@ def export_motion(
 def _check_finite(motion: Moving) -> None:
     """Raises HabitusError, naming the first frame, where a pose or a place is no number."""
     arrays = {"pose": motion.pose, "trans": motion.trans, "betas": motion.betas}
-    arrays |= {"soft_tissue": motion.soft_tissue, "dynamics": motion.dynamics}
+    arrays |= {"soft_tissue": motion.soft_tissue, "dynamics": motion.dynamics, "face": motion.face}
     for name, array in arrays.items():
         at = None if array is None else first_not_finite(np.asarray(array))
         if at is not None:

@@ -52,7 +52,8 @@ def write_npz(fit: "MarkerFit", path: PathLike) -> None:
 
     This project's own: ``soft_tissue_betas`` (T,B; added to ``betas``), and with dynamics
     ``soft_tissue_dynamics``
-    (T,D; AMASS's ``dmpls`` belong to another basis), ``markers_sim_pose_stage`` (T,M,3),
+    (T,D; AMASS's ``dmpls`` belong to another basis), of a motion with a face ``face_weights``
+    (T,U) of ``face_unit_names`` (U), ``markers_sim_pose_stage`` (T,M,3),
     ``marker_weights`` (T,M;
     0..1), ``marker_triangles`` and ``marker_coefficients`` (M,3), ``marker_noise`` (M; m),
     ``flagged_frames`` (T),
@@ -126,6 +127,9 @@ def motion_arrays(moving: "Moving") -> dict[str, np.ndarray]:
         arrays["soft_tissue_betas"] = _as(moving.soft_tissue, np.float64)
     if moving.dynamics is not None:
         arrays["soft_tissue_dynamics"] = _as(moving.dynamics, np.float64)
+    if moving.face is not None:
+        arrays["face_weights"] = _as(moving.face, np.float64)
+        arrays["face_unit_names"] = _texts(moving.body.face_unit_names)
     for name, (first, last) in POSE_PARTS.get(joints, {"pose_body": (1, joints)}).items():
         arrays[name] = mapped(
             lambda part, a=first, b=last: part[:, a:b].reshape(len(part), -1), pose

@@ -51,6 +51,7 @@ def at_rate(moving: "Moving", fps: float | None) -> "Moving":
         dynamics=None
         if motion.dynamics is None
         else _between(motion.dynamics, before, after, part),
+        face=None if motion.face is None else _between(motion.face, before, after, part),
         rate_hz=float(fps),
     )
 

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from habitus.body.surface_files import SKIN_COLOUR
 from habitus.errors import HabitusError, require_extra, shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
+from habitus.export.faces import face_weights, with_face
 from habitus.export.seams import polygons_of
 from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals
@@ -35,7 +36,12 @@ _FLESH = 0.4
 
 
 def write_usd(
-    fit: "Moving", path: str | os.PathLike[str], *, correctives: str = "auto", detail: str = "full"
+    fit: "Moving",
+    path: str | os.PathLike[str],
+    *,
+    correctives: str = "auto",
+    detail: str = "full",
+    face: bool = False,
 ) -> Animation:
     """Write a motion as .usd, .usdc, .usda or .usdz, atomically; what was written comes back.
 
@@ -48,6 +54,8 @@ def write_usd(
     """
     require_extra("pxr", "USD files", "usd")
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
+    if face:
+        animation = with_face(animation, face_weights(fit))
     reach = _reach(fit)
     target = Path(path)
     with atomic_write(target) as temporary:

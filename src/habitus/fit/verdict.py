@@ -196,6 +196,7 @@ class PeopleLimits:
     """How far a measurement may lie outside the range of a survey of adults, as a share of it.
 
     Lower values are tolerated longer than higher ones: children are smaller than any adult.
+    `ranges` are those of an age.
     """
 
     above: Bound = Bound(0.05, 0.15)
@@ -203,16 +204,31 @@ class PeopleLimits:
     adults: Mapping[str, Range] = field(default_factory=lambda: ADULTS)
 
     def ranges(self, age: float | None, stature: float) -> Mapping[str, Range]:
-        """What people of an age (years) measure: adults (None), or people of all sizes from adults
-        scaled to a child's stature (m) upwards.
+        """What people of an age (years) measure: adults (None), or children of a mean stature (m).
+
+        From adult to child, the least values shrink with stature (the mass with its cube), the
+        greatest heights and lengths too, the greatest mass with its square, girths with its root:
+        small children are stouter. Heads keep an adult's greatest girth.
         """
         if age is None or age >= ADULT:
             return self.adults
-        scale = stature / (sum(self.adults["height_m"]) / 2)
+        scale = min(stature / (sum(self.adults["height_m"]) / 2), 1.0)
         return {
-            name: Range(least * scale ** (3 if name.endswith("_kg") else 1), most)
+            name: Range(
+                least * scale ** (3.0 if name.endswith("_kg") else 1.0),
+                most * scale ** _greatest_power(name),
+            )
             for name, (least, most) in self.adults.items()
         }
+
+
+def _greatest_power(name: str) -> float:
+    """The power of stature with which the greatest value of a measurement falls among children."""
+    if name == "head_circumference_m":
+        return 0.0
+    if name.endswith("_kg"):
+        return 2.0
+    return 0.5 if name.endswith("_circumference_m") else 1.0
 
 
 PEOPLE = PeopleLimits()
@@ -244,7 +260,7 @@ def measurement_reasons(
     values = {
         "name": words(name),
         "value": measured(name, measurements[name]),
-        "people": "adults" if ranges is limits.adults else "people up to that age",
+        "people": "adults" if ranges is limits.adults else "people of that age",
         "least": measured(name, ranges[name].least),
         "most": measured(name, ranges[name].most),
         "more": f"; {others} more measurement{'s' * (others > 1)} out of range" if others else "",

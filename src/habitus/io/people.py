@@ -377,6 +377,7 @@ def _motion_data(file: _PersonFile, body: BodyModel) -> BodyMotion:
         up_axis=str(arrays.get("up_axis", "+z")),
         soft_tissue=_optional(arrays, "soft_tissue_betas"),
         dynamics=_optional(arrays, "soft_tissue_dynamics"),
+        face=_optional(arrays, "face_weights"),
         capture_name=str(arrays.get("capture", file.source.stem)),
         body_name=str(arrays.get("surface_model_type", arrays.get("body", body.name))),
         gender=str(arrays.get("gender", "neutral")),
@@ -413,6 +414,7 @@ def _checked_motion(motion: BodyMotion) -> BodyMotion:
         "trans": (motion.trans, (frames, 3)),
         "soft_tissue_betas": (motion.soft_tissue, (frames, body.num_betas)),
         "soft_tissue_dynamics": (motion.dynamics, (frames, body.num_dynamics)),
+        "face_weights": (motion.face, (frames, len(body.face_unit_names))),
     }
     for name, (array, shape) in shapes.items():
         if array is not None and array.shape != shape:

@@ -3,13 +3,13 @@ recorded in the capture, or estimated by a neutral fit.
 """
 
 import os
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from habitus.body.gender import SURE, UNDECIDED, said_of
+from habitus.body.hands import FINGERS, SIDES
 from habitus.body.joint_layouts import find_layout
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
@@ -21,12 +21,17 @@ from habitus.fit.verdict import FAILED
 from habitus.io.models.bodies import SHIPPED, load_body
 from habitus.jobs.options import SubjectOptions
 from habitus.jobs.subjects import Person, person_of
+from habitus.markers.layouts import MarkerLayout
 from habitus.results.save import fit_female_probability
 from habitus.types import PathLike, Progress
 
 MIN_FINGER_MARKERS = 3
 """Markers on the fingers of one hand for which ``joints`` "auto" chooses a body with finger joints:
 fewer do not determine how fingers bend.
+"""
+ON_FINGER = 0.9
+"""Share of the skinning weights that finger joints have where a marker counts as one on a finger:
+knuckles, which the wrist moves too, have 0.7.
 """
 NEUTRAL = ("default", "neutral")
 """Bundled bodies that have a model of each sex."""
@@ -70,17 +75,25 @@ def with_fingers(
     are none.
 
     A body with finger joints uses the markers on fingers. With ``joints`` "auto", a bundled body
-    (``given`` by name) gets finger joints where a person has `MIN_FINGER_MARKERS` on one hand.
+    (``given`` by name) gets finger joints where a person has `MIN_FINGER_MARKERS` on the skin of
+    the fingers of one hand, whatever their labels and layout.
     """
     by_name = joints == "auto" and not isinstance(given, BodyModel) and str(given) in SHIPPED
-    if not any(person.left_fingers for person in people) or not (by_name or has_fingers(body)):
+    if not (by_name or has_fingers(body)):
         return list(people), body
-    fingered = [person_of(each.captures, each.layout_choice, fingers=True) for each in people]
+    fingered = [
+        person_of(each.captures, each.layout_choice, fingers=True) if each.left_fingers else each
+        for each in people
+    ]
     if has_fingers(body):
         return fingered, body
-    if max(map(_most_on_one_hand, fingered)) < MIN_FINGER_MARKERS:
+    layouts = [each.layout for each in fingered]
+    if not any(_most_on_one_hand(each, body, _HANDS) >= MIN_FINGER_MARKERS for each in layouts):
         return list(people), body
-    return fingered, loaded(str(given), "smplh", body.age)
+    model = loaded(str(given), "smplh", body.age)
+    if not any(_most_on_one_hand(each, model, _FINGERS) >= MIN_FINGER_MARKERS for each in layouts):
+        return list(people), body
+    return fingered, model
 
 
 def has_fingers(body: BodyModel) -> bool:
@@ -88,11 +101,20 @@ def has_fingers(body: BodyModel) -> bool:
     return "left_index1" in body.joint_names
 
 
-def _most_on_one_hand(person: Person) -> int:
-    sides = Counter(
-        marker.place.partition("_")[0] for marker in person.layout.markers if marker.on_finger
+_HANDS = ("hand",)
+_FINGERS = tuple(f"{finger}{k}" for finger in (*FINGERS, "thumb") for k in (1, 2, 3))
+
+
+def _most_on_one_hand(layout: MarkerLayout, body: BodyModel, parts: Sequence[str]) -> int:
+    """Markers on skin that these joints of the left or the right hand move, of the hand with
+    more.
+    """
+    weights = body.skinning_weights[layout.vertices(body)]
+    places = {name: k for k, name in enumerate(body.joint_names)}
+    shares = (
+        weights[:, [places[f"{side}_{part}"] for part in parts]].sum(axis=1) for side in SIDES
     )
-    return max(sides.values(), default=0)
+    return max(int(np.count_nonzero(share >= ON_FINGER)) for share in shares)
 
 
 # -- age -------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ def export_file(
     detail: str = "full",
     frame: int | None = None,
     npz_style: str = "habitus",
+    face: bool = False,
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
@@ -39,6 +40,7 @@ def export_file(
         detail=detail,
         frame=frame,
         npz_style=npz_style,
+        face=face,
     )
 
 

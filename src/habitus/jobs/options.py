@@ -176,7 +176,7 @@ class SubjectOptions:
     fit is sure of.
     """
     age: Annotated[Age, unset("YEARS|auto")] = None
-    """Age of the person, 5 to 80; "auto" takes it from the capture's file. An adult by default."""
+    """Age of the person, 1 to 90; "auto" takes it from the capture's file. An adult by default."""
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
     """Joints of the body: 24, 52 with fingers, 55 with jaw and eyes; "auto" takes fingers where
     they carry markers.
@@ -338,7 +338,7 @@ class RegisterOptions:
     """Options of `habitus register`."""
 
     age: Annotated[float | None, unset("YEARS")] = None
-    """Age of the person, 5 to 80; an adult by default."""
+    """Age of the person, 1 to 90; an adult by default."""
     sex: Annotated[Literal["female", "male"] | None, unset("female|male")] = None
     """Sex that registrations.npz records for `habitus train`; the fit does not use it."""
     unit: Literal["auto", "m", "cm", "mm", "in", "ft"] = "auto"
@@ -364,7 +364,7 @@ class DepthOptions:
     turns: Annotated[Turns, unset("DEGREES …")] = ()
     """Turn of the person in each view, to their left; estimated by default."""
     age: Annotated[float | None, unset("YEARS")] = None
-    """Age of the person, 5 to 80; an adult by default."""
+    """Age of the person, 1 to 90; an adult by default."""
     settings: Annotated[DepthSettings, PythonOnly] = None
     """Settings of the recipe; clothes_mm and hair_mm override its own."""
 

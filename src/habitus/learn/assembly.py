@@ -20,7 +20,7 @@ SIGNS = "joint_regressor_signs"
 """The name, among the ``extras`` of a trained body, of what its joint regressor's weights are:
 "non-negative", as SMPL's (S 4.1), or "signed".
 """
-_CARRIED = ("pose_prior", "part", "expressiondirs", "ages", "mesh")
+_CARRIED = ("pose_prior", "part", "expressiondirs", "face", "ages", "mesh")
 
 
 def assemble(

@@ -20,7 +20,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.arrays import constant, flatten
+from habitus.arrays import constant, flatten, namespace
+from habitus.body.hand_space import HAND_SPACE
+from habitus.body.hands import HAND_JOINTS, SIDES, HandAxes
 from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
@@ -34,6 +36,7 @@ __all__ = [
     "Acceleration",
     "Depth",
     "GemanMcClure",
+    "HandLimits",
     "JointObservations",
     "Joints",
     "Markers",
@@ -97,6 +100,38 @@ class PosePrior:
         """The whitened deviation (*batch, 3 (J - 1)) from the prior's mean."""
         deviation = flatten(pose[..., 1:, :], -2) - constant(self._mean, pose)
         return deviation @ constant(self._whitening, pose).T
+
+
+@dataclass(frozen=True)
+class HandLimits:
+    """Finger joints beyond the angles that hands reach (`HandSpace.low`, ``high``): 0 within them,
+    beside `PosePrior`, whose Gaussian knows no bounds.
+
+    body: with finger joints; HabitusError otherwise. sd: how far beyond a limit counts as one, rad.
+    """
+
+    body: BodyModel
+    sd: float = float(np.radians(3.0))
+    _hands: tuple[tuple[HandAxes, list[int]], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        names = self.body.joint_names
+        axes = [HandAxes.of(self.body, side) for side in SIDES]
+        joints = [[names.index(f"{side}_{joint}") for joint in HAND_JOINTS] for side in SIDES]
+        object.__setattr__(self, "_hands", tuple(zip(axes, joints, strict=True)))
+
+    def __call__(self, pose: Array) -> Array:
+        """Angles beyond their limits (*batch, 40) in ``sd``: of the left hand, then of the
+        right.
+        """
+        angles = namespace(pose).concatenate(
+            [axes.angles(pose[..., joints, :]) for axes, joints in self._hands], -1
+        )
+        low, high = (
+            constant(np.radians(np.tile(ends, len(SIDES))), pose)
+            for ends in (HAND_SPACE.low, HAND_SPACE.high)
+        )
+        return ((angles - low).clip(max=0.0) + (angles - high).clip(min=0.0)) / self.sd
 
 
 @dataclass(frozen=True)

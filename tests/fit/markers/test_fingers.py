@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from habitus.body.hand_space import hand_joints
 from habitus.body.joint_layouts import LAYOUTS
-from habitus.body.prior import UNKNOWN_JOINT_SD, shipped_prior
+from habitus.body.prior import UNKNOWN_JOINT_SD, prior_of, shipped_prior
+from habitus.fit.markers.energy import FINGER_SHARE, sequence_terms
+from habitus.fit.markers.marker_sequence import marker_sequence
 from habitus.fit.markers.recipe import Recording, fit_markers
-from habitus.fit.markers.settings import MoshSettings
+from habitus.fit.markers.settings import MoshSettings, SequenceSettings
 from habitus.io.layouts.files import load_layout
 from habitus.io.models.bodies import load_body
 from habitus.markers.layouts import Marker
+from habitus.observe.marker_prediction import BodyMarkers, marked_body
 from habitus.observe.markers import attach, default_markers, predict_markers
 from habitus.observe.simulated_markers import smooth_motion
 
@@ -99,3 +103,25 @@ def test_twenty_finger_markers_recover_both_hands():
     pose[:, fingers] = own.mean.reshape(-1, 3)[np.array(fingers) - 1]
     stiff = 1e3 * np.linalg.norm(body(fit.betas, pose, fit.trans).joints - truth.joints, axis=-1)
     assert stiff[:, fingers].mean() > 2 * joints.mean()  # it is the bends that were found
+
+
+def test_the_prior_of_fingers_has_its_share_in_kernels_and_terms():
+    body = load_body("default", joints="smplh").with_betas(2)
+    prior = prior_of(body).for_joints(body.joint_names)
+    layout = load_layout("cmu-41")
+    latent = default_markers(body, np.zeros(2), layout.vertices(body), layout.distances())
+    attachment = attach(latent, body.rest_vertices(), body.faces)
+    observed = np.zeros((3, len(layout), 3))
+    given = (observed, None, None, prior, SequenceSettings())
+    rig = marked_body(body, np.zeros(2), attachment)
+    precision = marker_sequence(rig, *given, 0).data.precision[6:, 6:]
+    size = 3 * (body.num_joints - 1)
+    fingers = np.isin(prior.joint_names, hand_joints()).repeat(3)
+    share = np.where(fingers, FINGER_SHARE, 1.0) ** 0.5
+    wanted = share[:, None] * prior.precision * share
+    np.testing.assert_allclose(precision[:size, :size], wanted, rtol=1e-6, atol=1e-6)
+    pose = np.random.default_rng(0).normal(size=(3, body.num_joints, 3))
+    terms = sequence_terms(BodyMarkers(body, np.zeros(2), attachment), *given)
+    away = pose[:, 1:].reshape(3, -1) - prior.mean
+    residual = terms["pose"]({"pose": pose}).residual
+    assert np.sum(residual**2) == pytest.approx(np.sum((away @ wanted) * away), rel=1e-6)

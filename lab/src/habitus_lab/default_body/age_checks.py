@@ -1,4 +1,4 @@
-"""Check the ages of finished bodies against the medians, and what random children look like in
+"""Check the ages of finished bodies against the medians, and random people of every age in
 numbers.
 
 python -m habitus_lab.default_body.age_checks --json ages.json --markdown ages.md
@@ -15,19 +15,23 @@ from pathlib import Path
 
 import numpy as np
 
-from habitus_lab.default_body.growth import ADULT, BETWEEN, MEDIANS, SEXES, SOURCES, Median
+from habitus_lab.default_body.growth import (
+    ADULT,
+    BETWEEN,
+    MEDIANS,
+    SEXES,
+    SOURCES,
+    SPREAD,
+    Median,
+)
 from habitus_lab.default_body.intersections import intersecting_pairs, turned_over
 from habitus_lab.default_body.ruler import NUMBERS, Ruler
 from habitus_lab.default_body.sources import BODY_VERTICES
 from habitus_lab.repository import BODIES
 
-DRAWN = 50
-DRAWN_YEARS = (5, 8, 12)
+DRAWN = 60
+DRAWN_YEARS = (1, 1.5, 2, 3, 4, 5, 8, 12, 15, 20, 40, 70, 80, 90)
 COMPARED = ("stature", "weight", "sitting_height", "leg_length", "head_girth")
-PUBLISHED_SD = {
-    "female": {5: 4.76, 8: 5.86, 12: 7.37},
-    "male": {5: 4.63, 8: 5.77, 12: 7.44},
-}  # cm, CDC 2000: M x S
 
 
 @dataclass(frozen=True)
@@ -38,26 +42,26 @@ class Space:
     shapedirs: np.ndarray  # (V, 3, B)
     years: np.ndarray  # (A,)
     agedirs: np.ndarray  # (V, 3, A)
-    skin: np.ndarray  # (F, 3) without eyeballs
+    spread: np.ndarray  # (A,)
+    skins: tuple[np.ndarray, ...]  # (F, 3) each without eyeballs: the full mesh and the coarse one
     ruler: Ruler
 
+    def shares(self, years: float) -> np.ndarray:
+        """(A,) of the file's ages, linear between them."""
+        return np.array([np.interp(years, self.years, unit) for unit in np.eye(len(self.years))])
+
     def at(self, years: float) -> np.ndarray:
-        """(V, 3) mean body of an age, linear between those of the file."""
-        right = int(np.clip(np.searchsorted(self.years, years), 1, len(self.years) - 1))
-        share = (years - self.years[right - 1]) / (self.years[right] - self.years[right - 1])
-        share = float(np.clip(share, 0, 1))
-        return (
-            self.template
-            + (1 - share) * self.agedirs[..., right - 1]
-            + share * self.agedirs[..., right]
-        )
+        """(V, 3) mean body of an age."""
+        return self.template + self.agedirs @ self.shares(years)
 
     def drawn(self, years: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """(N, V, 3) bodies of an age with betas from N(0, I); shapes scaled by the age's stature
-        over the adult's.
+        over the adult's, times the age's spread.
         """
         body = self.at(years)
-        scale = np.ptp(body[:BODY_VERTICES, 1]) / np.ptp(self.template[:BODY_VERTICES, 1])
+        heights = self.template[:BODY_VERTICES, 1, None] + self.agedirs[:BODY_VERTICES, 1]
+        tall = np.ptp(heights, axis=0) / np.ptp(self.template[:BODY_VERTICES, 1])
+        scale = tall * self.spread @ self.shares(years)
         betas = rng.normal(size=(count, self.shapedirs.shape[-1]))
         return body + scale * np.einsum("vcb,nb->nvc", self.shapedirs, betas)
 
@@ -67,11 +71,12 @@ def read_space(path: Path) -> Space:
     with np.load(path) as file:
         template = file["v_template"].astype(float)
         faces = file["faces"]
-        skin = faces[(faces < BODY_VERTICES).all(1)]
-        ages = file["age_years"], file["agedirs"].astype(float)
+        coarse = file["coarse_vertices"][file["coarse_faces"]]
+        skins = tuple(each[(each < BODY_VERTICES).all(1)] for each in (faces, coarse))
+        ages = file["age_years"], file["agedirs"].astype(float), file["age_spread"]
         shapedirs = file["shapedirs"].astype(float)
         mirror = file["mirror"]
-    return Space(template, shapedirs, *ages, skin, Ruler(template, mirror, skin))
+    return Space(template, shapedirs, *ages, skins, Ruler(template, mirror, skins[0]))
 
 
 def numbers_at(space: Space, years: float) -> dict[str, float]:
@@ -93,7 +98,7 @@ def compare(space: Space, medians: dict[int, Median]) -> dict[int, dict]:
                 name: round(100 * (found[name] / wanted[name] - 1), 2) for name in COMPARED
             },
             "heads_in_stature": round(found["stature"] / found["head_height"], 2),
-            "crossing_pairs": len(intersecting_pairs(space.at(years), space.skin)),
+            "crossing_pairs": [len(intersecting_pairs(space.at(years), f)) for f in space.skins],
         }
     return table
 
@@ -133,18 +138,20 @@ def between(space: Space, sex: str) -> dict[int, dict[str, float]]:
     return found
 
 
-def random_children(space: Space, years: int, rng: np.random.Generator) -> dict[str, float]:
-    """Spread of stature and weight of drawn children, and how many are clean."""
+def random_people(space: Space, years: float, rng: np.random.Generator) -> dict[str, float]:
+    """Spread of stature and weight of drawn people of an age, and how many are clean."""
     bodies = space.drawn(years, DRAWN, rng)
     numbers = space.ruler(bodies)
-    cut = np.array([len(intersecting_pairs(body, space.skin)) > 0 for body in bodies])
-    turned = np.array([turned_over(body, space.skin, space.at(years)).any() for body in bodies])
+    mean = space.at(years)
+    cut = [any(len(intersecting_pairs(body, faces)) for faces in space.skins) for body in bodies]
+    turned = [turned_over(body, space.skins[0], mean).any() for body in bodies]
     return {
         "drawn": DRAWN,
         "stature_sd_cm": round(100 * float(numbers[:, 0].std()), 2),
         "weight_5_50_95_kg": np.percentile(numbers[:, 1], (5, 50, 95)).round(1).tolist(),
-        "cut_themselves": float(cut.mean()),
-        "turned_triangles": float(turned.mean()),
+        "weight_sd_percent": round(100 * float(np.log(numbers[:, 1]).std()), 1),
+        "cut_themselves": float(np.mean(cut)),
+        "turned_triangles": float(np.mean(turned)),
     }
 
 
@@ -156,11 +163,11 @@ def check(folder: Path) -> dict:
     return {
         "ages": {name: compare(space, medians[name]) for name, space in spaces.items()},
         "between": {sex: between(spaces[sex], sex) for sex in SEXES},
-        "random_children": {
-            sex: {years: random_children(spaces[sex], years, rng) for years in DRAWN_YEARS}
-            for sex in SEXES
+        "spread": {name: space.spread.round(2).tolist() for name, space in spaces.items()},
+        "random_people": {
+            name: {years: random_people(space, years, rng) for years in DRAWN_YEARS}
+            for name, space in spaces.items()
         },
-        "published_stature_sd_cm": PUBLISHED_SD,
         "sources": SOURCES,
     }
 
@@ -192,18 +199,31 @@ def markdown(numbers: dict) -> str:
             lines.append(f"| {sex} | {years} | {pairs} | {sources} | {error} |")
     lines += ["", "Measured, and in brackets the median. Sources:", ""]
     lines += [f"- `{key}`: {text}" for key, text in SOURCES.items()]
+    lines += ["", "| between | stature, weight: error % |", "|---|---|"]
+    for sex, found in numbers["between"].items():
+        errors = "; ".join(f"{y}: {e['stature']}, {e['weight']}" for y, e in found.items())
+        lines.append(f"| {sex} | {errors} |")
     lines += [
         "",
-        "| drawn children | years | sd of stature cm (published) | cut themselves | turned "
-        "triangles |",
+        "| drawn people | years | sd of stature cm (published) | of weight % (published) "
+        "| cut themselves | turned triangles |",
+        "|---|---|---|---|---|---|",
     ]
-    lines += ["|---|---|---|---|---|"]
-    for sex, ages in numbers["random_children"].items():
+    for name, ages in numbers["random_people"].items():
         for years, row in ages.items():
-            spread = f"{row['stature_sd_cm']:.1f} ({PUBLISHED_SD[sex][years]:.1f})"
+            tall, heavy = _published(name, years)
             shares = f"{row['cut_themselves']:.0%} | {row['turned_triangles']:.0%}"
-            lines.append(f"| {sex} | {years} | {spread} | {shares} |")
+            spread = f"{row['stature_sd_cm']:.1f}{tall} | {row['weight_sd_percent']:.0f}{heavy}"
+            lines.append(f"| {name} | {years} | {spread} | {shares} |")
     return "\n".join(lines) + "\n"
+
+
+def _published(name: str, years: float) -> tuple[str, str]:
+    """Standard deviations of stature and weight in brackets, where a table gives them."""
+    if years not in SPREAD.get(name, {}):
+        return "", ""
+    tall, heavy = SPREAD[name][years]
+    return f" ({100 * tall * MEDIANS[name][years].stature:.1f})", f" ({100 * heavy:.0f})"
 
 
 def main() -> None:

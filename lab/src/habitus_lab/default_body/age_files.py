@@ -12,8 +12,13 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from habitus_lab.default_body.ages import age_directions, age_spaces, pelvis_kept
-from habitus_lab.default_body.asset import write_asset
+from habitus_lab.default_body.ages import (
+    Variation,
+    age_directions,
+    age_spaces,
+    pelvis_kept,
+)
+from habitus_lab.default_body.asset import age_arrays, write_asset
 from habitus_lab.default_body.growth import AGES, SEXES
 from habitus_lab.default_body.rig import JOINTS
 from habitus_lab.default_body.ruler import Ruler
@@ -34,29 +39,37 @@ def main() -> None:
     options = parser.parse_args()
     files = {name: dict(np.load(options.bodies / f"{name}.npz")) for name in (*SEXES, "neutral")}
     source = read_source(options.mpfb2)
-    for name, offsets in age_offsets(source, files).items():
+    for name, (offsets, spread) in fitted_ages(source, files).items():
         arrays = files[name]
         index = arrays["joint_regressor_rows"], arrays["joint_regressor_cols"]
         regressor = sparse.csr_matrix(
             (arrays["joint_regressor_values"], index), (len(JOINTS), len(offsets))
         )
-        ages = {
-            "age_years": np.array(AGES, np.float32),
-            "agedirs": pelvis_kept(offsets, regressor).astype(np.float32),
-        }
+        kept = pelvis_kept(offsets, regressor)
+        ages = age_arrays(np.array(AGES), kept, spread)
         write_asset(arrays | ages, (options.out or options.bodies) / f"{name}.npz")
 
 
-def age_offsets(source: Source, files: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """`agedirs` (V, 3, A) of every file."""
+def fitted_ages(
+    source: Source, files: dict[str, dict[str, np.ndarray]]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """`agedirs` (V, 3, A) and `age_spread` (A,) of every file."""
     one = files["neutral"]
-    templates = {name: arrays["v_template"].astype(float) for name, arrays in files.items()}
-    skin = one["faces"][(one["faces"] < BODY_VERTICES).all(1)]
-    average = read_morphs(source).average()
-    rest = RestPose(source, one["base_vertices"], one["faces"], one["mirror"], average)
-    return age_directions(
-        age_spaces(source, rest, Ruler(templates["neutral"], one["mirror"], skin)), templates
-    )
+    base = one["base_vertices"]
+    coarse = one["coarse_vertices"][one["coarse_faces"]]
+    skins = tuple(f[(f < BODY_VERTICES).all(1)] for f in (one["faces"], coarse))
+    variations = {
+        name: Variation(
+            arrays["v_template"].astype(float),
+            arrays["shapedirs"].astype(float),
+            skins,
+            one["mirror"],
+        )
+        for name, arrays in files.items()
+    }
+    rest = RestPose(source, base, one["faces"], one["mirror"], read_morphs(source).average())
+    ruler = Ruler(variations["neutral"].template, one["mirror"], skins[0])
+    return age_directions(age_spaces(source, base, rest, ruler), variations)
 
 
 if __name__ == "__main__":

@@ -17,40 +17,36 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from .cleft import Cleft
-from .growth import ADULT, AGES, MEDIANS, SEXES
+from .contacts import Meetings, with_room
+from .growth import ADULT, AGES, KYPHOSIS, MEDIANS, SEXES, SPREAD
+from .rig import joint_weights
 from .ruler import NUMBERS, Ruler
 from .sliders import ANCHORS, RACES, MorphSpace, read_morphs
 from .sources import BODY_VERTICES, Source
+from .stoop import stooped
 from .tpose import RestPose
 
-# sliders that tell how an age looks, one value an age of AGES
+# years at which LOOK gives sliders; straight lines between
+KNOTS = (1, 2, 3, 5, 8, 12, 16, 20, 25, 40, 60, 80, 90)
+# sliders that tell how an age looks, one value a year of KNOTS; girls and boys differ little before
+# puberty
 LOOK = {
     "female": {
-        "gender": (
-            0.4,
-            0.35,
-            0.15,
-            0,
-            0,
-            0,
-            0,
-            0,
-            0,
-        ),  # before puberty girls and boys differ little
-        "age": (0.115, 0.165, 0.28, 0.43, 0.50, 0.50, 0.615, 0.77, 0.923),
-        "muscle": (0.35, 0.35, 0.4, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38),
-        "cup": (0.0, 0.0, 0.15, 0.45, 0.5, 0.5, 0.55, 0.6, 0.5),
-        "firmness": (0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35),
-        "hip-scale-horiz-decr-incr": (-0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0),
-        "buttocks-volume-decr-incr": (-0.3, -0.3, -0.1, 0, 0, 0, 0, 0, 0),
-        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, 0, 0, 0, 0, 0, 0, 0),
-        "measure-neck-height-decr-incr": (0.3, 0.2, 0, 0, 0, 0, 0, 0, 0),
+        "gender": (0.45, 0.43, 0.42, 0.4, 0.35, 0.15, 0, 0, 0, 0, 0, 0, 0),
+        "age": (0.0, 0.04, 0.07, 0.115, 0.165, 0.28, 0.43, 0.5, 0.5, 0.615, 0.77, 0.923, 1.0),
+        "muscle": (0.4, 0.4, 0.4, 0.35, 0.35, 0.4, 0.45, 0.45, 0.45, 0.45, 0.42, 0.38, 0.36),
+        "cup": (0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.45, 0.5, 0.5, 0.55, 0.6, 0.5, 0.45),
+        "firmness": (0.5, 0.5, 0.5, 0.5, 0.5, 0.6, 0.6, 0.55, 0.5, 0.45, 0.4, 0.35, 0.3),
+        "hip-scale-horiz-decr-incr": (0, 0, -0.2, -0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0, 0),
+        "buttocks-volume-decr-incr": (0, 0, -0.2, -0.3, -0.3, -0.1, 0, 0, 0, 0, 0, 0, 0),
+        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, -0.3, -0.3, -0.3, 0, 0, 0, 0, 0, 0, 0, 0),
+        "measure-neck-height-decr-incr": (0.3, 0.3, 0.3, 0.3, 0.2, 0, 0, 0, 0, 0, 0, 0, 0),
     },
     "male": {
-        "age": (0.11, 0.155, 0.26, 0.42, 0.48, 0.50, 0.615, 0.77, 0.923),
-        "muscle": (0.3, 0.3, 0.36, 0.45, 0.48, 0.5, 0.5, 0.45, 0.4),
-        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, -0.15, 0, 0, 0, 0, 0, 0),
-        "measure-neck-height-decr-incr": (0.3, 0.2, 0, 0, 0, 0, 0, 0, 0),
+        "age": (0.0, 0.04, 0.07, 0.11, 0.155, 0.26, 0.42, 0.48, 0.5, 0.615, 0.77, 0.923, 1.0),
+        "muscle": (0.4, 0.4, 0.4, 0.3, 0.3, 0.36, 0.45, 0.48, 0.5, 0.5, 0.45, 0.4, 0.37),
+        "torso-muscle-pectoral-decr-incr": (-0.3, -0.3, -0.3, -0.3, -0.3, -0.15, *7 * (0,)),
+        "measure-neck-height-decr-incr": (0.3, 0.3, 0.3, 0.3, 0.2, 0, 0, 0, 0, 0, 0, 0, 0),
     },
 }
 # free parameters: start, spread, lowest, highest
@@ -78,15 +74,21 @@ FREE = {
 }
 GROWN_SIZE_SPREAD = 0.004  # of those from 16 years on
 GROWN = 16  # years: from here on a body's size is nearly the sliders' own
-# how much of the people's mean's own character each age of AGES has
-CHARACTER = np.array([0.0, 0.0, 0.35, 0.7, 0.85, 1.0, 0.95, 0.8, 0.6])
+# how much of the people's mean's own character each year of KNOTS has
+CHARACTER = (0.0, 0.0, 0.0, 0.0, 0.0, 0.35, 0.7, 0.85, 1.0, 0.95, 0.8, 0.6, 0.5)
 TRUST = np.array([0.002, 0.1, 0.002, 0.002, 0.003, 0.003, 0.004])
 EXACT = np.array(
     [1, 1, 1, 1, 0, 0, 0]
 )  # the published numbers: what a fit leaves of them is asked for again
-STEPS = 8
+STEPS = 4
 CORRECTIONS = 3
 STEP = 0.01
+PEOPLE = 100  # drawn to measure a spread
+
+
+def at_years(values: tuple[float, ...], age: int) -> float:
+    """A value of KNOTS at place `age` of AGES."""
+    return float(np.interp(AGES[age], KNOTS, values))
 
 
 def wanted(sex: str, age: int, adult: np.ndarray) -> np.ndarray:
@@ -97,7 +99,7 @@ def wanted(sex: str, age: int, adult: np.ndarray) -> np.ndarray:
     of = dict(zip(NUMBERS, adult, strict=True))
     grow = median.head_girth / of["head_girth"]
     taller = of["head_height"] / MEDIANS[sex][ADULT].head_height - 1
-    height = median.head_height * (1 + CHARACTER[age] * taller)
+    height = median.head_height * (1 + at_years(CHARACTER, age) * taller)
     head = median.head_girth, grow * of["head_length"], grow * of["head_breadth"], height
     return np.array([median.stature, median.weight, median.sitting_height, *head])
 
@@ -114,6 +116,7 @@ class AgeSpace:
     rest: RestPose
     ruler: Ruler
     cleft: Cleft
+    weights: np.ndarray  # (V, J) of the skin to the joints
 
     def points(self, morphs: MorphSpace, age: int, parameters: np.ndarray) -> np.ndarray:
         """Points (N, P, 3) at place `age` of AGES from parameters (N, len(FREE)), in MakeHuman's
@@ -125,7 +128,7 @@ class AgeSpace:
             "gender": np.full(count, float(self.sex == "male"))
         }
         given |= {
-            name: np.full(count, float(values[age])) for name, values in LOOK[self.sex].items()
+            name: np.full(count, at_years(values, age)) for name, values in LOOK[self.sex].items()
         } | free
         local = np.stack([given.get(name, np.zeros(count)) for name in morphs.local_names], 1)
         macro = {name: given[name] for name in ANCHORS}
@@ -154,9 +157,10 @@ class AgeSpace:
             )
         return x
 
-    def posed(self, age: int, parameters: np.ndarray) -> np.ndarray:
-        """(V, 3) in the T-pose."""
-        return self.rest(self.points(self.posing, age, parameters[None]))[0][0].astype(float)
+    def posed(self, age: int, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (V, 3) and joints (J, 3) in the T-pose."""
+        vertices, joints = self.rest(self.points(self.posing, age, parameters[None]))
+        return vertices[0].astype(float), joints[0]
 
     def bodies(self, template: np.ndarray) -> np.ndarray:
         """(A, V, 3) mean bodies at AGES in the T-pose; `template` (V, 3) is the people's mean, the
@@ -164,7 +168,7 @@ class AgeSpace:
         """
         adult = AGES.index(ADULT)
         now = self.ruler(template[None])[0]
-        own = self.posed(adult, self.fit(adult, now))
+        own, _ = self.posed(adult, self.fit(adult, now))
         return np.stack([self._body(age, template, own, now) for age in range(len(AGES))])
 
     def _body(
@@ -174,23 +178,29 @@ class AgeSpace:
             return template
         goal = wanted(self.sex, age, adult)
         scale = goal[0] / adult[0]
-        character = CHARACTER[age] * scale * (template - own)
+        character = at_years(CHARACTER, age) * scale * (template - own)
+        bent = KYPHOSIS[self.sex].get(AGES[age], 0.0)
         asked = goal
         found = None
         for _ in range(CORRECTIONS):
             found = self.fit(age, asked, found)
-            body = self.cleft(self.posed(age, found) + character, template, scale)
+            posed, joints = self.posed(age, found)
+            upright = self.cleft(posed + character, template, scale)
+            body = stooped(upright, joints, self.weights, bent)
             asked = asked + EXACT * (goal - self.ruler(body[None])[0])
         return body
 
 
-def age_spaces(source: Source, rest: RestPose, ruler: Ruler) -> dict[str, AgeSpace]:
-    """Both sexes' sliders."""
+def age_spaces(
+    source: Source, base: np.ndarray, rest: RestPose, ruler: Ruler
+) -> dict[str, AgeSpace]:
+    """Both sexes' sliders; base (V,) the base mesh's vertex of each of the body's."""
     morphs = read_morphs(source, ANCHORS["age"])
     pick = sparse.eye(BODY_VERTICES, len(source.vertices), format="csr")
     cleft = Cleft(rest.left, rest.mirror, ruler.skin)
+    weights = joint_weights(source, base, rest.mirror)
     return {
-        sex: AgeSpace(sex, own.at(pick), own.at(rest.points), rest, ruler, cleft)
+        sex: AgeSpace(sex, own.at(pick), own.at(rest.points), rest, ruler, cleft, weights)
         for sex, own in ((sex, _of_sex(morphs, sex)) for sex in SEXES)
     }
 
@@ -209,17 +219,71 @@ def _of_sex(morphs: MorphSpace, sex: str) -> MorphSpace:
     )
 
 
+@dataclass(frozen=True)
+class Variation:
+    """How adults vary about a template, and the skins that must not meet."""
+
+    template: np.ndarray  # (V, 3)
+    shapedirs: np.ndarray  # (V, 3, B)
+    skins: tuple[np.ndarray, ...]  # (F, 3) each, levels of detail over the same vertices
+    mirror: np.ndarray  # (V,)
+
+
 def age_directions(
-    spaces: dict[str, AgeSpace], templates: dict[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """`agedirs` (V, 3, A) of every template: female, male, and neutral (the mean of both sexes'
-    offsets).
+    spaces: dict[str, AgeSpace], variations: dict[str, Variation]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """`agedirs` (V, 3, A) and `age_spread` (A,) of every template: female, male, and neutral (the
+    mean of both sexes' offsets).
+
+    Where random bodies of an age would meet themselves, its mean has the adult's gaps; what one
+    age or body needs, the next begins with.
     """
-    offsets = {
-        sex: (space.bodies(templates[sex]) - templates[sex]).transpose(1, 2, 0)
-        for sex, space in spaces.items()
+    means = {sex: space.bodies(variations[sex].template) for sex, space in spaces.items()}
+    offsets = [bodies - variations[sex].template for sex, bodies in means.items()]
+    means["neutral"] = variations["neutral"].template + sum(offsets) / len(offsets)
+    ruler = next(iter(spaces.values())).ruler
+    meetings = Meetings(len(variations["neutral"].template), {})
+    return {
+        name: _with_room(name, means[name], how, ruler, meetings)
+        for name, how in variations.items()
     }
-    return offsets | {"neutral": sum(offsets.values()) / len(offsets)}
+
+
+def _with_room(
+    name: str, means: np.ndarray, how: Variation, ruler: Ruler, meetings: Meetings
+) -> tuple[np.ndarray, np.ndarray]:
+    sexes = SEXES if name == "neutral" else (name,)
+    adult = how.template
+    directions = []
+    spreads = []
+    for years, mean in zip(AGES, means, strict=True):
+        scale = _stature(mean) / _stature(adult)
+        spread = _spread(years, sexes, mean, scale * how.shapedirs, ruler)
+        if years != ADULT:
+            moves = scale * spread * how.shapedirs
+            mean = with_room(mean, scale * adult, moves, how.skins, how.mirror, meetings)
+        directions.append(mean - adult)
+        spreads.append(spread)
+    return np.stack(directions, -1), np.array(spreads)
+
+
+def _stature(body: np.ndarray) -> float:
+    return float(np.ptp(body[:BODY_VERTICES, 1]))
+
+
+def _spread(
+    years: int, sexes: tuple[str, ...], mean: np.ndarray, shapedirs: np.ndarray, ruler: Ruler
+) -> float:
+    """By how much adults' scaled shapes must shrink to vary in stature and weight, in the geometric
+    mean of both, as published; at most 1.
+    """
+    if years not in SPREAD[sexes[0]]:
+        return 1.0
+    published = np.mean([SPREAD[sex][years] for sex in sexes], axis=0)
+    betas = np.random.default_rng(years).normal(size=(PEOPLE, shapedirs.shape[-1]))
+    drawn = ruler(mean + np.einsum("vcb,nb->nvc", shapedirs, betas))[:, :2]
+    own = np.log(drawn).std(0)
+    return float(np.clip(np.sqrt((published / own).prod()), 0.0, 1.0).round(2))
 
 
 def pelvis_kept(offsets: np.ndarray, regressor: sparse.csr_matrix) -> np.ndarray:

@@ -14,9 +14,11 @@ from .shape_space import ShapeSpace
 from .topology import Topology
 from .twist import TwistShapes
 
-VERSION = "2.3.0"
+VERSION = "3.0.0"
 LICENSE = "CC0-1.0"
 INFLUENCES = 4
+FIRST_SHAPES = 24  # those that measurements determine; readers take further ones only if asked
+AGE_STEP = 2.0**-17  # metres: offsets of ages are rounded to 8 micrometres, and compress
 LEFT_PUPIL = 13389  # of the full mesh: the front of the left eyeball
 DESCRIPTION = (
     "habitus default body, {space} space: MakeHuman (MPFB 2) CC0 geometry, people rebuilt from "
@@ -40,10 +42,12 @@ def asset_arrays(
     source_mirror: np.ndarray,
     twist: TwistShapes,
     expressions: np.ndarray,
-    ages: tuple[np.ndarray, np.ndarray],
+    ages: tuple[np.ndarray, np.ndarray, np.ndarray],
+    skew: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Every array of the file `space`.npz but gender's; weights (V, 55), expressions (V, 3, 10),
-    ages: years (A,) and the offsets (V, 3, A) of the mean person of that age.
+    ages: what `age_arrays` takes; skew (24,) the direction in which people
+    are skewed.
     """
     index = np.argsort(-weights, 1, kind="stable")[:, :INFLUENCES]
     value = np.take_along_axis(weights, index, 1).astype(np.float32)
@@ -52,10 +56,11 @@ def asset_arrays(
     triplets = regressor.tocoo()
     return {
         "v_template": shapes.mean.astype(np.float32),
-        "shapedirs": shapes.shapedirs.astype(np.float16),
+        "shapedirs": shapes.shapedirs[..., :FIRST_SHAPES].astype(np.float16),
+        "further_shapedirs": shapes.shapedirs[..., FIRST_SHAPES:].astype(np.float16),
+        "people_skew": skew.astype(np.float32),
         "expressiondirs": expressions.astype(np.float16),
-        "age_years": np.asarray(ages[0], np.float32),
-        "agedirs": ages[1].astype(np.float32),
+        **age_arrays(*ages),
         "posedirs": twist.posedirs.astype(np.float16),
         "posedirs_joints": twist.joints.astype(np.int32),
         "quads": topology.quads.astype(np.int32),
@@ -79,6 +84,18 @@ def asset_arrays(
         "license": np.array(LICENSE),
         "version": np.array(VERSION),
         "description": np.array(DESCRIPTION.format(space=space, pose=TWIST_ALONE)),
+    }
+
+
+def age_arrays(years: np.ndarray, offsets: np.ndarray, spread: np.ndarray) -> dict[str, np.ndarray]:
+    """Arrays of the ages: years (A,), offsets (V, 3, A) of the mean person of each from the
+    template, and the spread (A,) of shapes beside stature.
+    """
+    rounded = np.round(offsets / AGE_STEP) * AGE_STEP
+    return {
+        "age_years": np.asarray(years, np.float32),
+        "agedirs": rounded.astype(np.float32),
+        "age_spread": np.asarray(spread, np.float32),
     }
 
 

@@ -12,24 +12,36 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from habitus_lab.default_body import checks
-from habitus_lab.default_body.ages import age_directions, age_spaces
-from habitus_lab.default_body.asset import write_asset
+from habitus_lab.default_body.ages import Variation, age_directions, age_spaces
+from habitus_lab.default_body.asset import FIRST_SHAPES, write_asset
 from habitus_lab.default_body.contacts import Meetings, apart
 from habitus_lab.default_body.crowd import Crowd, gather
+from habitus_lab.default_body.face_arrays import face_maker
 from habitus_lab.default_body.form import form_arrays
 from habitus_lab.default_body.growth import AGES
 from habitus_lab.default_body.measure import MEASURES, Tapes
-from habitus_lab.default_body.people import TOLERANCE, learn_prior, rebuild
+from habitus_lab.default_body.people import TOLERANCE, Sliders, learn_prior, rebuild
+from habitus_lab.default_body.pose_shapes import coarse_mesh, with_pose_shapes
 from habitus_lab.default_body.regressor import fit_regressor
 from habitus_lab.default_body.rig import joint_weights
 from habitus_lab.default_body.ruler import Ruler
-from habitus_lab.default_body.shape_space import ShapeSpace, principal_shapes
+from habitus_lab.default_body.shape_space import (
+    ShapeSpace,
+    principal_shapes,
+    skew_direction,
+    vertex_areas,
+    with_further_shapes,
+)
 from habitus_lab.default_body.sliders import MorphSpace, read_morphs
 from habitus_lab.default_body.sources import BODY_VERTICES, Source, read_source
 from habitus_lab.default_body.survey import WORLD_SPREAD, People, draw_civilians, read_survey
@@ -40,6 +52,10 @@ from habitus_lab.repository import BODIES
 
 SPACES = ("female", "male", "neutral")
 COUNTS = (5, 10, 16, 20, 24)
+SURFACE_COUNTS = (10, 24, 50, 75, 100)
+WAIST = list(TOLERANCE).index("waistcircumference")
+BIACROMIAL = MEASURES.index("biacromialbreadth")
+CHEST = MEASURES.index("chestcircumference")
 
 
 @dataclass(frozen=True)
@@ -48,8 +64,7 @@ class Bench:
 
     source: Source
     topology: Topology
-    rest: RestPose
-    tapes: Tapes
+    tapes: dict[bool, Tapes]  # of women (True) and men
     clean: np.ndarray  # (V, 3) a body in the T-pose whose skin does not meet itself
     components: int
     seed: int
@@ -60,6 +75,14 @@ class Bench:
         return self.topology.full_faces
 
     @property
+    def visible(self) -> np.ndarray:
+        """(F, 3) triangles without eyeballs and the linings of mouth and eye sockets."""
+        inner = np.setdiff1d(
+            self.topology.quads[self.topology.hidden], self.topology.quads[~self.topology.hidden]
+        )
+        return self.skin[~np.isin(self.skin, inner).any(1)]
+
+    @property
     def coarse_skin(self) -> np.ndarray:
         """(F, 3) the coarse mesh's triangles without eyeballs, over the full vertices."""
         faces = self.topology.coarse[self.topology.coarse_faces]
@@ -67,18 +90,21 @@ class Bench:
 
     def measures(self, crowd: Crowd) -> np.ndarray:
         """(N, M) of the bodies, in units of what each may be off."""
-        flat = crowd.points.reshape(len(crowd.points), -1)
         columns = [MEASURES.index(name) for name in TOLERANCE]
-        return self.tapes.values(lambda where: flat[:, where])[:, columns] / np.array(
-            list(TOLERANCE.values())
-        )
+        return crowd.measured(self.tapes)[:, columns] / np.array(list(TOLERANCE.values()))
 
     def space(self, crowd: Crowd, known: Meetings | None = None) -> tuple[ShapeSpace, Meetings]:
         """The shape space of some people, and where its bodies would meet themselves (or `known`:
         of a like space).
         """
         mirror = self.topology.mirror
-        found = principal_shapes(crowd.vertices, self.components, mirror, self.measures(crowd))
+        measures = self.measures(crowd)
+        first = min(FIRST_SHAPES, self.components)
+        found = principal_shapes(crowd.vertices, first, mirror, measures)
+        if self.components > first:
+            area = vertex_areas(found.mean, self.visible)
+            further = self.components - first
+            found = with_further_shapes(found, crowd.vertices, further, mirror, measures, area)
         skins = self.skin, self.coarse_skin
         return apart(found, skins, mirror, self.clean, np.random.default_rng(self.seed), known)
 
@@ -94,20 +120,26 @@ def main() -> None:
             print(f"{time.perf_counter() - start:6.0f} s  {text}", flush=True)
 
     source = read_source(options.mpfb2)
-    morphs = with_waist(read_morphs(source), source)
-    topology = build_topology(source, morphs)
+    plain = read_morphs(source)
+    earlier = options.pose_shapes_from
+    kept = None if earlier is None else coarse_mesh(earlier / "neutral.npz")
+    topology = build_topology(source, plain, coarse_faces=kept)
+    morphs = with_waist(plain, source)
     say(f"mesh: {len(topology.base)} vertices, {len(topology.coarse)} of them in the coarse mesh")
-    crowd, bench, numbers = _people(source, topology, morphs, options, rng)
+    rest = RestPose(source, topology.base, topology.faces, topology.mirror, morphs.average())
+    crowd, bench, numbers = _people(source, topology, morphs, rest, options, rng)
     say(f"people: {len(crowd.vertices)}, all in the T-pose")
     everybody = {
         space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")]
         for space in SPACES
     }
-    made = {space: bench.space(people) for space, people in everybody.items()}
+    with _pool(options.jobs) as pool:
+        made = dict(zip(SPACES, pool.map(bench.space, everybody.values()), strict=True))
     spaces = {space: found for space, (found, _) in made.items()}
     say("shape spaces")
-    ages = _ages(bench, spaces)
+    ages = _ages(bench, rest, spaces)
     say("ages")
+    faces = None
     for space, people in everybody.items():
         path = options.out / f"{space}.npz"
         shapes = spaces[space]
@@ -117,13 +149,20 @@ def main() -> None:
             topology,
             people.vertices,
             people.joints,
-            (np.array(AGES), ages[space]),
+            (np.array(AGES), *ages[space]),
             shapes,
+            skew_direction(shapes, WAIST, FIRST_SHAPES),
         )
-        write_asset(arrays, path)
+        if earlier is not None:
+            betas = shapes.betas
+            arrays = with_pose_shapes(arrays, earlier / path.name, people.vertices, betas)
+        faces = faces or face_maker(source, morphs, arrays, np.random.default_rng(options.seed))
+        write_asset(arrays | faces(arrays), path)
         say(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
     if options.numbers:
-        numbers |= {space: _check(bench, everybody[space], *made[space]) for space in SPACES}
+        with _pool(options.jobs) as pool:
+            jobs = {s: pool.submit(_check, bench, everybody[s], *made[s]) for s in SPACES}
+            numbers |= {space: job.result() for space, job in jobs.items()}
         numbers |= _sex_checks(bench, crowd, spaces)
         options.numbers.write_text(json.dumps(numbers, indent=1))
         say(f"checks in {options.numbers}")
@@ -133,20 +172,47 @@ def _people(
     source: Source,
     topology: Topology,
     morphs: MorphSpace,
+    rest: RestPose,
     options: argparse.Namespace,
     rng: np.random.Generator,
 ) -> tuple[Crowd, Bench, dict]:
     """Everybody of the survey's civilians, and numbers about whom and how well."""
-    tapes = Tapes(source, morphs.average(), topology.full_faces)
-    rest = RestPose(source, topology.base, topology.faces, topology.mirror, morphs.average())
     survey = draw_civilians(read_survey(options.ansur, MEASURES), options.people, rng)
-    points = tapes.over(morphs)
-    sliders, residual = rebuild(points, tapes, survey, rng, learn_prior(points, tapes, survey, rng))
+    women = np.flatnonzero(survey.female)
+    men = np.flatnonzero(~survey.female)
+    ways = rng.spawn(2)
+    tapes_of = partial(Tapes, source, triangles=topology.full_faces)
+    with _pool(options.jobs) as pool:
+        jobs = [
+            pool.submit(_rebuilt, morphs, tapes_of, survey[rows], way)
+            for rows, way in zip((women, men), ways, strict=True)
+        ]
+        parts = [job.result() for job in jobs]
+    tapes = {woman: part[0] for woman, part in zip((True, False), parts, strict=True)}
+    survey = survey[np.concatenate([women, men])]
+    sliders = Sliders.joined(part[1] for part in parts)
+    residual = np.concatenate([part[2] for part in parts])
     size = np.exp(rng.normal(0, WORLD_SPREAD, len(residual)))
     crowd = gather(morphs, rest, tapes, sliders, survey, size)
     clean = crowd.vertices[crowd.female].mean(0, dtype=float)
-    bench = Bench(source, topology, rest, tapes, clean, options.components, options.seed)
+    bench = Bench(source, topology, tapes, clean, options.components, options.seed)
     return crowd, bench, _population(survey, residual)
+
+
+def _rebuilt(
+    morphs: MorphSpace,
+    tapes: Callable[[np.ndarray], Tapes],
+    people: People,
+    rng: np.random.Generator,
+) -> tuple[Tapes, Sliders, np.ndarray]:
+    """Tapes of a sex, and sliders and residuals of its people."""
+    prior = learn_prior(morphs, tapes, people, rng)
+    over = prior.tapes.over(morphs)
+    return prior.tapes, *rebuild(over, prior.tapes, people, rng, prior.mean)
+
+
+def _pool(jobs: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(jobs, get_context("spawn"))
 
 
 def _population(survey: People, residual: np.ndarray) -> dict:
@@ -154,8 +220,13 @@ def _population(survey: People, residual: np.ndarray) -> dict:
     found = {}
     for sex, who in (("female", survey.female), ("male", ~survey.female)):
         error = residual[who] * unit
+        ours = survey.values[who] + residual[who]
         found[sex] = {
             "bmi_10_50_90": np.percentile(survey.bmi[who], (10, 50, 90)).round(2).tolist(),
+            "biacromial_chest": {
+                key: round(float(np.corrcoef(some[:, BIACROMIAL], some[:, CHEST])[0, 1]), 3)
+                for key, some in (("survey", survey.values[who]), ("bodies", ours))
+            },
             "age_10_50_90": np.percentile(survey.age[who], (10, 50, 90)).round(1).tolist(),
             "fitted": {
                 name: {"bias": round(b, 2), "rms": round(r, 2)}
@@ -175,12 +246,21 @@ def _population(survey: People, residual: np.ndarray) -> dict:
     }
 
 
-def _ages(bench: Bench, spaces: dict[str, ShapeSpace]) -> dict[str, np.ndarray]:
-    """(V, 3, A) of every space."""
+def _ages(
+    bench: Bench, rest: RestPose, spaces: dict[str, ShapeSpace]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Offsets (V, 3, A) and spread (A,) of every space."""
     skin = bench.skin[(bench.skin < BODY_VERTICES).all(1)]
     ruler = Ruler(spaces["neutral"].mean, bench.topology.mirror, skin)
-    templates = {name: space.mean for name, space in spaces.items()}
-    return age_directions(age_spaces(bench.source, bench.rest, ruler), templates)
+    skins = skin, bench.coarse_skin
+    variations = {
+        name: Variation(
+            space.mean, space.shapedirs[..., :FIRST_SHAPES], skins, bench.topology.mirror
+        )
+        for name, space in spaces.items()
+    }
+    people = age_spaces(bench.source, bench.topology.base, rest, ruler)
+    return age_directions(people, variations)
 
 
 def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) -> dict:
@@ -209,6 +289,9 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
         "held_out_soldiers": len(np.unique(test.soldier)),
         "vertex_error_mm": checks.vertex_errors(
             space, test.vertices, measures[1], COUNTS, everywhere
+        ),
+        "surface_error_mm": checks.surface_errors(
+            space, test.vertices, vertex_areas(space.mean, bench.visible), SURFACE_COUNTS
         ),
         "vertex_error_mm_coarse": checks.vertex_errors(
             space, test.vertices, measures[1], COUNTS, coarse
@@ -241,12 +324,15 @@ def _check(bench: Bench, crowd: Crowd, whole: ShapeSpace, meetings: Meetings) ->
 
 def _sex_checks(bench: Bench, crowd: Crowd, spaces: dict[str, ShapeSpace]) -> dict:
     """How far women's and men's bodies are women's and men's."""
-    forward = 1000 * checks.prominence(bench.tapes, crowd.points)
+    forward = {
+        woman: 1000 * checks.prominence(bench.tapes[woman], crowd.points[crowd.female == woman])
+        for woman in (True, False)
+    }
     by_sex = {True: spaces["female"], False: spaces["male"]}
     rng = np.random.default_rng(bench.seed + 2)
     return {
         "breast_prominence_10_50_90_mm": {
-            sex: np.percentile(forward[crowd.female == woman], (10, 50, 90)).round(1).tolist()
+            sex: np.percentile(forward[woman], (10, 50, 90)).round(1).tolist()
             for sex, woman in (("female", True), ("male", False))
         },
         "read_as_own_sex": checks.read_as_own_sex(spaces["neutral"], crowd.female, by_sex, rng),
@@ -270,7 +356,13 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--out", type=Path, default=BODIES, help="folder")
     parser.add_argument("--people", type=int, default=1800, help="how many, half of them women")
-    parser.add_argument("--components", type=int, default=24)
+    parser.add_argument("--components", type=int, default=100)
+    parser.add_argument(
+        "--pose-shapes-from",
+        type=Path,
+        help="folder of earlier files of the same mesh, whose learned pose shapes are carried over",
+    )
+    parser.add_argument("--jobs", type=int, default=2, help="processes at a time")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--numbers", type=Path, help="measure on held-out soldiers and write it here as JSON"

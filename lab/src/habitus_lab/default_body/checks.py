@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from .contacts import draws
-from .crowd import Crowd
+from .crowd import Crowd, measured
 from .intersections import intersecting_pairs, turned_over
 from .landmarks import MIDLINE
 from .measure import MEASURES, Tapes
@@ -36,8 +36,29 @@ def vertex_errors(
     return found
 
 
+def surface_errors(
+    space: ShapeSpace, vertices: np.ndarray, area: np.ndarray, counts: tuple[int, ...]
+) -> dict[int, tuple[float, float]]:
+    """Components -> mean and 95th percentile of the distance in mm between bodies (N,V,3) and their
+    best fit, over the surface: area (V,) is what each vertex stands for.
+    """
+    root = np.sqrt(area / area.sum())[:, None]
+    found = {}
+    for count in counts:
+        basis = (space.shapedirs[..., :count] * root[..., None]).reshape(-1, count)
+        offsets = ((vertices - space.mean) * root).reshape(len(vertices), -1)
+        betas = np.linalg.solve(basis.T @ basis, basis.T @ offsets.T).T
+        miss = np.linalg.norm(space.bodies(betas) - vertices, axis=2)
+        order = np.argsort(miss, 1)
+        share = np.cumsum(area[order], 1) / area.sum()
+        far = np.take_along_axis(miss, order, 1)[np.arange(len(miss)), (share < 0.95).sum(1)]
+        mean = float((miss * area).sum(1).mean() / area.sum())
+        found[count] = round(1000 * mean, 2), round(1000 * float(far.mean()), 2)
+    return found
+
+
 def measured_from_betas(
-    betas: tuple[np.ndarray, np.ndarray], train: Crowd, test: Crowd, tapes: Tapes
+    betas: tuple[np.ndarray, np.ndarray], train: Crowd, test: Crowd, tapes: dict[bool, Tapes]
 ) -> dict[str, dict[str, float]]:
     """Column -> errors in mm (kg) over held-out soldiers, from the first 20 betas (N,20) of both
     crowds' bodies.
@@ -48,8 +69,13 @@ def measured_from_betas(
     """
     here, there = (np.concatenate([b, np.ones((len(b), 1))], 1) for b in betas)
     predicted = there @ np.linalg.lstsq(here, train.values, rcond=None)[0]
-    points = there @ np.linalg.lstsq(here, train.points.reshape(len(here), -1), rcond=None)[0]
-    errors = predicted - test.values, tapes.values(lambda where: points[:, where]) - test.values
+    points = np.zeros(test.points.shape)
+    for woman in np.unique(test.female):  # measuring points differ between the sexes
+        known, new = train.female == woman, test.female == woman
+        own = train.points[known].reshape(known.sum(), -1)
+        line = np.linalg.lstsq(here[known], own, rcond=None)[0]
+        points[new] = (there[new] @ line).reshape(-1, *points.shape[1:])
+    errors = predicted - test.values, measured(points, test.female, tapes) - test.values
     unit = np.where(np.array(MEASURES) == "weightkg", 1.0, 1000.0)
     rms = [unit * np.sqrt((e**2).mean(0)) for e in errors]
     bias = unit * errors[1].mean(0)
@@ -86,7 +112,7 @@ def meeting_share(
 
 def prominence(tapes: Tapes, points: np.ndarray) -> np.ndarray:
     """(N,) metres by which the chest's foremost point lies before the midline at the breasts'
-    level.
+    level, of people of one sex.
     """
     ring = points.reshape(len(points), -1)[:, tapes.where["chestdepth"]].reshape(len(points), -1, 3)
     front = np.where(

@@ -20,13 +20,16 @@ from scipy.sparse.linalg import splu
 from .intersections import intersecting_pairs, turned_over
 from .shape_space import ShapeSpace
 
-DRAWS = 50  # bodies uniform within 3 standard deviations a round, and a fifth as many normal ones
+DRAWS = 60  # normal bodies a round: springs for what no person reaches cost true shape
 ROUNDS = 14
 ENOUGH = 0.0  # share of drawn bodies that may still meet when it stops
 # added to a pair's spring for every body in which it meets, times the round; the surface's own is 1
 SPRING = 0.15
 MEAN_SPRING = 10.0
 HOLD = 0.1  # how firmly components stay where nothing meets
+ROOM_DRAWS = 16  # normal bodies a round that show where a mean needs room
+ROOM_ROUNDS = 6
+ROOM_SPRING = 1.0
 REACH = 0.10  # metres: vertices further apart on the mean body are not tied
 
 
@@ -81,6 +84,38 @@ def apart(
     return found, meetings
 
 
+def with_room(
+    mean: np.ndarray,
+    clean: np.ndarray,
+    shapedirs: np.ndarray,
+    skins: tuple[np.ndarray, ...],
+    mirror: np.ndarray,
+    meetings: Meetings,
+) -> np.ndarray:
+    """The mean body (V, 3) of an age with the gaps of `clean` (V, 3), the adult's scaled mean,
+    wherever bodies drawn about it with shapedirs (V, 3, B) meet themselves or turn triangles over.
+
+    meetings: springs of other ages, to which these are added: where one age needs room, its
+    neighbours mostly do.
+    """
+    stiff = _stiffness(skins[0], len(mean))
+    start = _open(mean, skins, mirror, clean, stiff)
+    rng = np.random.default_rng(0)
+    for turn in range(ROOM_ROUNDS):
+        found = start
+        if meetings.table:
+            found = start + _relax(stiff, meetings, start - clean)
+        betas = draws(ROOM_DRAWS, shapedirs.shape[-1], "normal", rng)
+        spring = ROOM_SPRING * (1 + turn)
+        bad = 0
+        for body in found + np.einsum("vcb,nb->nvc", shapedirs, betas):
+            met = [_tie(body, found, faces, mirror, meetings, spring) for faces in skins]
+            bad += any(met)
+        if not bad:
+            break
+    return found
+
+
 def _tied(space: ShapeSpace, stiff: sparse.csc_matrix, meetings: Meetings) -> ShapeSpace:
     flat = space.shapedirs.reshape(len(space.mean), -1)
     change = _relax(stiff, meetings, flat).reshape(space.shapedirs.shape)
@@ -101,7 +136,7 @@ def _open(
         if not any(len(each) for each in pairs):
             break
         for each in pairs:
-            meetings.tie(_nearest(clean, each[:, 0], each[:, 1]), mirror, MEAN_SPRING)
+            meetings.tie(nearest(clean, each[:, 0], each[:, 1]), mirror, MEAN_SPRING)
         found = mean + _relax(stiff, meetings, mean - clean)
     return found
 
@@ -136,9 +171,7 @@ def _meet(
 ) -> float:
     """Tie what meets in random bodies; returns the share of bodies in which something does."""
     components = space.shapedirs.shape[-1]
-    betas = np.concatenate(
-        [draws(DRAWS, components, "uniform", rng), draws(DRAWS // 5, components, "normal", rng)]
-    )
+    betas = draws(DRAWS, components, "normal", rng)
     bad = 0
     for body in space.bodies(betas):
         met = [_tie(body, space.mean, faces, mirror, meetings, spring) for faces in skins]
@@ -158,7 +191,7 @@ def _tie(
     pairs = faces[intersecting_pairs(body, faces)]
     over = faces[turned_over(body, faces, mean)]
     if len(pairs):
-        meetings.tie(_nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
+        meetings.tie(nearest(mean, pairs[:, 0], pairs[:, 1]), mirror, spring)
     if len(over):
         meetings.tie(
             np.concatenate([over[:, [0, 1]], over[:, [1, 2]], over[:, [2, 0]]]), mirror, spring
@@ -166,7 +199,7 @@ def _tie(
     return bool(len(pairs) or len(over))
 
 
-def _nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def nearest(mean: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """For every corner of triangles `first` (K,3) the nearest corner of its partner in `second`,
     and the reverse.
     """

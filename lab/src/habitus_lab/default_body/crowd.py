@@ -23,7 +23,9 @@ class Crowd:
 
     vertices: np.ndarray  # (N, V, 3) float32
     joints: np.ndarray  # (N, 55, 3)
-    points: np.ndarray  # (N, P, 3) float32: their measuring points, in the survey's postures
+    # (N, P, 3) float32: their measuring points, in the survey's postures, as the tapes of their sex
+    # need them; zeros fill up
+    points: np.ndarray
     values: np.ndarray  # (N, M) the survey's measurements
     female: np.ndarray  # (N,)
     soldier: np.ndarray  # (N,) row in the survey
@@ -31,6 +33,10 @@ class Crowd:
     def __getitem__(self, rows: np.ndarray) -> Crowd:
         parts = (self.vertices, self.joints, self.points, self.values, self.female, self.soldier)
         return Crowd(*(part[rows] for part in parts))
+
+    def measured(self, tapes: dict[bool, Tapes]) -> np.ndarray:
+        """(N, M) their measurements, each by the tapes of the own sex (True: women)."""
+        return measured(self.points, self.female, tapes)
 
     def split(self) -> tuple[Crowd, Crowd]:
         """Those to learn from and those held out: every sixth soldier, however often drawn."""
@@ -56,10 +62,22 @@ def tposed(morphs: MorphSpace, rest: RestPose, sliders: Sliders) -> tuple[np.nda
     return np.concatenate(vertices), np.concatenate(joints)
 
 
+def measured(points: np.ndarray, female: np.ndarray, tapes: dict[bool, Tapes]) -> np.ndarray:
+    """(N, M) measurements of bodies' points (N, P, 3) as `Crowd` has them."""
+    flat = points.reshape(len(points), -1)
+    values = np.zeros((len(points), len(MEASURES)))
+    for woman, own in tapes.items():
+        rows = np.flatnonzero(female == woman)
+        if len(rows):
+            some = flat[rows]
+            values[rows] = own.values(lambda where, some=some: some[:, where])
+    return values
+
+
 def gather(
     morphs: MorphSpace,
     rest: RestPose,
-    tapes: Tapes,
+    tapes: dict[bool, Tapes],
     sliders: Sliders,
     people: People,
     size: np.ndarray,
@@ -68,7 +86,7 @@ def gather(
     along.
     """
     vertices, joints = tposed(morphs.at(rest.points), rest, sliders)
-    points = np.concatenate(list(apose(tapes.over(morphs), sliders))).astype(np.float32)
+    points = _measuring_points(morphs, tapes, sliders, people.female)
     scale = size[:, None, None]
     vertices *= scale.astype(np.float32)
     points *= scale.astype(np.float32)
@@ -81,3 +99,16 @@ def gather(
         people.female,
         people.soldier,
     )
+
+
+def _measuring_points(
+    morphs: MorphSpace, tapes: dict[bool, Tapes], sliders: Sliders, female: np.ndarray
+) -> np.ndarray:
+    """(N, P, 3) as `Crowd` has them."""
+    found = np.zeros((len(female), max(t.matrix.shape[0] // 3 for t in tapes.values()), 3))
+    for woman, own in tapes.items():
+        rows = np.flatnonzero(female == woman)
+        if len(rows):
+            some = np.concatenate(list(apose(own.over(morphs), sliders.of(rows))))
+            found[rows, : some.shape[1]] = some
+    return found.astype(np.float32)

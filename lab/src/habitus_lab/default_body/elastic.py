@@ -34,7 +34,7 @@ class Elastic:
         """rest (V,3): an average body in the A-pose, its edge weights serve everybody; weights:
         segment -> (V,).
         """
-        edges, stiffness = _half_edges(rest, faces)
+        edges, stiffness = half_edges(rest, faces)
         free = _free_region(rest, edges, weights, mirror)
         self.mirror = mirror
         near = np.isin(edges[:, 0], free) | np.isin(edges[:, 1], free)
@@ -86,7 +86,7 @@ class Elastic:
         return u @ v
 
 
-def _half_edges(rest: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def half_edges(rest: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both directions of every edge (E,2) and its cotangent weight (E,), clipped to stay
     positive.
     """

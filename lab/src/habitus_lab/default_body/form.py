@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from habitus_lab.default_body.ages import pelvis_kept
-from habitus_lab.default_body.asset import asset_arrays, write_asset
+from habitus_lab.default_body.asset import FIRST_SHAPES, asset_arrays, write_asset
 from habitus_lab.default_body.crowd import tposed
 from habitus_lab.default_body.expressions import (
     expression_components,
@@ -41,8 +41,9 @@ def form_arrays(
     topology: Topology,
     vertices: np.ndarray,
     joints: np.ndarray,
-    ages: tuple[np.ndarray, np.ndarray],
+    ages: tuple[np.ndarray, np.ndarray, np.ndarray],
     shapes: ShapeSpace,
+    skew: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """All arrays of one space from its shapes, and from its people in the T-pose the regressor:
     vertices (N,V,3) and joints (N,55,3).
@@ -55,9 +56,9 @@ def form_arrays(
     units, _ = without_jaw(units, shapes.mean, centres[jaw], weights[:, jaw])
     faces, _ = expression_components(units, topology.mirror)
     twist = twist_shapes(shapes.mean, centres, weights, topology.mirror)
-    ages = ages[0], pelvis_kept(ages[1], regressor)
+    ages = ages[0], pelvis_kept(ages[1], regressor), ages[2]
     return asset_arrays(
-        space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages
+        space, topology, shapes, regressor, weights, source.mirror, twist, faces, ages, skew
     )
 
 
@@ -92,9 +93,13 @@ def main() -> None:
     vertices, joints = tposed(morphs.at(rest.points), rest, sliders)
     female = sliders.macro["gender"] < 0.5
     for space, who in (("female", female), ("male", ~female), ("neutral", female | True)):
-        ages = np.array(AGES), np.zeros((*vertices.shape[1:], len(AGES)))
+        still = np.zeros((*vertices.shape[1:], len(AGES)))
+        ages = np.array(AGES), still, np.ones(len(AGES))
         shapes = principal_shapes(vertices[who], COMPONENTS, topology.mirror)
-        arrays = form_arrays(space, source, topology, vertices[who], joints[who], ages, shapes)
+        skew = np.zeros(FIRST_SHAPES)
+        arrays = form_arrays(
+            space, source, topology, vertices[who], joints[who], ages, shapes, skew
+        )
         write_asset(arrays, options.out / f"{space}.npz")
 
 

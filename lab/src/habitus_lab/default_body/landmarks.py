@@ -133,9 +133,11 @@ LEFT = {
     "pinky_pip": 9214,
     "pinky_dip": 9228,
 }
-OF_WOMEN = {
-    "acromion": 8275
-}  # in the women's body: one vertex lies 12 mm low on women or 13 mm high on men
+OF_WOMEN = {  # in the women's body: one vertex cannot stand where the survey has it on both sexes
+    "acromion": 8275,  # the others' lies 12 mm low on women or 13 mm high on men
+    "trochanter": 10926,  # 19 mm low on women
+    "iliac_crest": 11014,  # 17 mm high on women
+}
 
 
 def landmark_vertices(mirror: np.ndarray, space: str = "neutral") -> dict[str, int]:

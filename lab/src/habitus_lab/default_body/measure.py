@@ -23,6 +23,7 @@ from .sources import BODY_VERTICES, Source
 DENSITY = 1000.0  # kg per cubic metre, lungs half full
 VOLUME_CELL = 0.034  # metres
 X = np.array([1.0, 0, 0])
+Y = np.array([0, 1.0, 0])
 Z = np.array([0, 0, 1.0])
 
 
@@ -39,7 +40,7 @@ class Ring:
         tuple[float, float, float] | tuple[str, str]
     )  # a direction, or from one named point to another
     reach: float  # metres: points further from the centre belong to another limb
-    # metres: what the survey measured beyond this ring (muscles flexed there, relaxed here)
+    # metres: what the survey measured beyond this ring (muscles flexed there, relaxed here; hair)
     add: float = 0.0
     part: str = "limb"  # "trunk": both sides without the arms; "limb": the left side
 
@@ -47,9 +48,11 @@ class Ring:
 RINGS = {
     "chest": Ring("breast", "breast", 0.0, (0, 1, 0), 0.40, part="trunk"),
     "waist": Ring("navel", "navel", 0.0, (0, 1, 0), 0.40, part="trunk"),
+    "naturalwaist": Ring("navel", "xiphoid", 0.3, (0, 1, 0), 0.40, part="trunk"),
     "buttock": Ring("buttock_peak", "buttock_peak", 0.0, (0, 1, 0), 0.40, part="trunk"),
     "thigh": Ring("crotch_left", "left_knee", 0.06, ("left_knee", "left_hip"), 0.17),
-    "lowerthigh": Ring("left_knee", "left_hip", 0.17, ("left_knee", "left_hip"), 0.13),
+    "midthigh": Ring("left_knee", "left_hip", 0.50, ("left_knee", "left_hip"), 0.17),
+    "lowerthigh": Ring("left_knee", "left_hip", 0.10, ("left_knee", "left_hip"), 0.13),
     "calf": Ring("calf", "shin_front", 0.0, (0, 1, 0), 0.20),
     "ankle": Ring("left_ankle", "left_knee", 0.22, (0, 1, 0), 0.10),
     "neck": Ring("neck", "head", 0.25, (0, 1, 0.45), 0.13, part="trunk"),
@@ -60,14 +63,17 @@ RINGS = {
         "left_elbow", "left_wrist", 0.22, ("left_elbow", "left_wrist"), 0.09, add=0.006
     ),
     "wrist": Ring("left_elbow", "left_wrist", 0.97, ("left_elbow", "left_wrist"), 0.07),
-    "head": Ring("glabella", "head_back", 0.5, (0, 1, 0.05), 0.2, part="trunk"),
+    # the survey's tape lies over hair, the body is bald
+    "head": Ring("glabella", "head_back", 0.5, (0, 1, 0.05), 0.2, add=0.010, part="trunk"),
     "ball": Ring("mt1_head", "mt5_head", 0.5, (-0.3, 0.5, 1), 0.09),
 }
 TAPES = {
     "chestcircumference": "chest",
     "waistcircumference": "waist",
+    "naturalwaistcircumference": "naturalwaist",
     "buttockcircumference": "buttock",
     "thighcircumference": "thigh",
+    "midthighcircumference": "midthigh",
     "lowerthighcircumference": "lowerthigh",
     "calfcircumference": "calf",
     "anklecircumference": "ankle",
@@ -102,20 +108,28 @@ LENGTHS = {  # straight distances
 ADDED = {"acromionradialelength": 0.055}
 HALF_BREADTHS = {"biacromialbreadth": "acromion", "headbreadth": "head_side", "span": "middle_tip"}
 RING_EXTENTS = {"chestdepth": ("chest", Z), "waistbreadth": ("waist", X)}
-RING_EXTENTS |= {"buttockdepth": ("buttock", Z)}
+# a beam caliper's blade lies across both ridges of the back, not in the furrow between them
+RING_EXTENTS |= {"waistdepth": ("waist", Z), "buttockdepth": ("buttock", Z)}
 REGION_EXTENTS = ("hipbreadth", "bideltoidbreadth", "footbreadthhorizontal", "bimalleolarbreadth")
-STANDING_TAPES = ("waistcircumference", "buttockcircumference")
+STANDING_TAPES = ("waistcircumference", "naturalwaistcircumference", "buttockcircumference")
 POSTURE = {
     name: "rest" for name in TAPES if name not in STANDING_TAPES
 }  # limbs keep their girths wherever they point
-POSTURE |= {"span": "span", "breastprominence": "rest", "chestdepth": "rest", "weightkg": "rest"}
+POSTURE |= {
+    "headheight": "rest",
+    "span": "span",
+    "breastprominence": "rest",
+    "chestdepth": "rest",
+    "weightkg": "rest",
+}
 # all others: standing, arms down, heels together where the survey's measurers put their marks, as
 # base vertices, where marker technicians aim elsewhere
 SURVEY_MARKS = {"acromion": 8235, "hand_ulnar": 9876, "trochanter": 10926}
 SOLES = ("heel_sole", "ball_sole")
-# what the survey did not measure, but a body must have: how far the breast lies before the midline
-# at its level
-UNSURVEYED = ("breastprominence",)
+# what the survey has no column of, but a body must have (`survey.py`): how far the breast lies
+# before the midline at its level, and the head from vertex to menton; the tapes around the natural
+# waist and the middle of the thigh
+UNSURVEYED = ("breastprominence", "headheight")
 MEASURES = (
     *HEIGHTS,
     *LENGTHS,
@@ -124,7 +138,6 @@ MEASURES = (
     *TAPES,
     *RING_EXTENTS,
     *REGION_EXTENTS,
-    "waistdepth",
     *UNSURVEYED,
     "weightkg",
 )
@@ -228,8 +241,8 @@ class _Finder:
             )
         if name == "footlength":
             return Extent(Z), self._rows("heel", "toe_tip", "big_toe_tip")
-        if name == "waistdepth":
-            return Linear(np.stack([Z, -Z])), self._rows("navel", "waist_back")
+        if name == "headheight":
+            return Linear(np.stack([Y, -Y])), self._rows("head_top", "chin")
         if name == "breastprominence":
             return Linear(np.stack([Z, -Z])), self._rows("breast", "between_breasts")
         if name == "weightkg":

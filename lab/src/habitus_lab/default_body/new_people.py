@@ -12,13 +12,14 @@ pelvis at the origin), `female` (N,). `benchmarks/rgbd_people.py` takes it.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from habitus_lab.default_body.crowd import HELD_OUT, gather
 from habitus_lab.default_body.measure import MEASURES, Tapes
-from habitus_lab.default_body.people import learn_prior, rebuild
+from habitus_lab.default_body.people import Sliders, learn_prior, rebuild
 from habitus_lab.default_body.sliders import read_morphs
 from habitus_lab.default_body.sources import read_source
 from habitus_lab.default_body.survey import WORLD_SPREAD, People, draw_civilians, read_survey
@@ -34,17 +35,31 @@ def main() -> None:
     options = _options()
     rng = np.random.default_rng(options.seed)
     source = read_source(options.mpfb2)
-    morphs = with_waist(read_morphs(source), source)
-    topology = build_topology(source, morphs)
-    tapes = Tapes(source, morphs.average(), topology.full_faces)
+    plain = read_morphs(source)
+    topology = build_topology(source, plain)
+    morphs = with_waist(plain, source)
     rest = RestPose(source, topology.base, topology.faces, topology.mirror, morphs.average())
     survey = draw_civilians(read_survey(options.ansur, MEASURES), CANDIDATES, rng)
-    points = tapes.over(morphs)
-    mean = learn_prior(points, tapes, survey, rng)
-    people = survey[_chosen(survey, options.count, rng)]
-    sliders, residual = rebuild(points, tapes, people, rng, mean)
+    tapes = {}
+    parts = []
+    chosen = []
+    wanted = _chosen(survey, options.count, rng)
+    for woman in (True, False):
+        group = survey[np.flatnonzero(survey.female == woman)]
+        prior = learn_prior(
+            morphs, partial(Tapes, source, triangles=topology.full_faces), group, rng
+        )
+        tapes[woman] = prior.tapes
+        place = np.flatnonzero(survey.female[wanted] == woman)
+        chosen.append(place)
+        rows = wanted[place]
+        points = prior.tapes.over(morphs)
+        parts.append(rebuild(points, prior.tapes, survey[rows], rng, prior.mean)[0])
+    order = np.argsort(np.concatenate(chosen))  # women and men in turn, as they were chosen
+    sliders = Sliders.joined(parts).of(order)
+    people = survey[wanted]
     crowd = gather(
-        morphs, rest, tapes, sliders, people, np.exp(rng.normal(0, WORLD_SPREAD, len(residual)))
+        morphs, rest, tapes, sliders, people, np.exp(rng.normal(0, WORLD_SPREAD, len(people.age)))
     )
     np.savez_compressed(
         options.out, vertices=crowd.vertices[:, topology.coarse], female=crowd.female

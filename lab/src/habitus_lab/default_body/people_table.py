@@ -48,6 +48,10 @@ def table(numbers: dict) -> str:
         lines.append(
             _row(name, [" / ".join(f"{v:.1f}" for v in numbers[s][key].values()) for s in SPACES])
         )
+    for count in numbers["female"]["surface_error_mm"]:
+        cells = ["{:.2f} / {:.1f}".format(*numbers[s]["surface_error_mm"][count]) for s in SPACES]
+        name = f"{count} betas, nearest surface: mean / 95th percentile over the skin's area, mm"
+        lines.append(_row(name, cells))
     for kind, name in (("normal", "normal"), ("uniform", "uniform ±3 sd")):
         either = [f"{100 * numbers[s]['random_bodies'][kind]['either']:.1f} %" for s in SPACES]
         lines.append(_row(f"{name} draws that cut themselves or turn a triangle over", either))

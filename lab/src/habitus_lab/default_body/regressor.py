@@ -54,7 +54,7 @@ def fit_regressor(
             if known
             else np.full(len(near), 1 / len(near))
         )
-        value = _weigh(vertices[:, near], joints[:, k], start)
+        value = weigh(vertices[:, near], joints[:, k], start)
         row = np.zeros(len(mean))
         row[near] = value
         if JOINT_MIRROR[k] == k:
@@ -64,7 +64,7 @@ def fit_regressor(
     return sparse.csr_matrix(rows)
 
 
-def _weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
+def weigh(points: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Weights (K,) of points (N,K,3), summing to one, that come nearest to target (N,3); ridge
     keeps them near `start`.
 

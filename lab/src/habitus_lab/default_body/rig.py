@@ -58,6 +58,10 @@ JOINT_MIRROR = np.array(
 SMALLEST_WEIGHT = 1e-3
 ASIS = 10947
 PSIS = 11008  # base vertices of the left side
+# Base vertex over the left ramus, 40 mm below the condyle. An opening jaw turns about the condyles,
+# which glide forward meanwhile; both together are a turn about an axis through the rami. About the
+# condyles alone the chin would go back by 39 mm at 25 degrees, about this axis by 25.
+JAW_AXIS = 7686
 MIRROR = 1_000_000  # added to a base vertex it means its twin on the right side
 
 # Vertebral bodies: 60 to 75 mm under the skin of the back (45 to 55 at C7), as a share of the depth
@@ -74,7 +78,7 @@ _SPINE = {
 _PLACES: dict[str, dict[str, float] | dict[int, float]] = {
     "pelvis": {"pelvis": 1.0},
     "head": {"head": 1.0},
-    "jaw": {"mouth": 1.0},
+    "jaw": {JAW_AXIS: 0.5, MIRROR + JAW_AXIS: 0.5},
     "eye_smplhf": {"*-eye": 1.0},
     **_SPINE,
     "collar": {"*-clavicle": 1.0},

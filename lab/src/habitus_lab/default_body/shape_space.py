@@ -1,5 +1,7 @@
 """The shape space: principal components of the people, in units of their standard deviations.
 
+The first components are principal in a metric that counts measurements, further ones by surface.
+
 Plain components over vertices spend themselves on what moves many vertices far; hands, feet, head
 and girths, which the
 survey measured, would come late. So a body is described by its vertices *and* its measurements,
@@ -10,7 +12,7 @@ weighed by what it may be off, and the components are principal for both togethe
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,6 +110,57 @@ def principal_shapes(
         measured_mean=measures.mean(0),
         measured_dirs=measured.T @ betas / (count - 1),
     )
+
+
+def with_further_shapes(
+    space: ShapeSpace,
+    vertices: np.ndarray,
+    components: int,
+    mirror: np.ndarray,
+    measures: np.ndarray,
+    area: np.ndarray,
+) -> ShapeSpace:
+    """The space and `components` further ones: principal, weighed by surface, of what the first
+    leave of the same bodies (N,V,3), whose measurements are `measures` (N,M). `area` (V,): surface
+    that each vertex stands for.
+
+    What is left is uncorrelated with the betas, so the further ones are, too.
+    """
+    count = len(vertices)
+    left = (vertices - vertices.mean(0, dtype=np.float64)).astype(np.float32)
+    flat = left.reshape(count, -1)
+    flat -= (space.betas / (count - 1)).astype(np.float32) @ (
+        space.betas.T.astype(np.float32) @ flat
+    )
+    weighed = flat * np.repeat(np.sqrt(area / area.sum()), 3).astype(np.float32)
+    _, vectors = np.linalg.eigh((weighed @ weighed.T).astype(np.float64))
+    betas = vectors[:, ::-1][:, :components] * np.sqrt(count - 1)
+    shapes = (betas.T.astype(np.float32) @ flat / (count - 1)).reshape(components, -1, 3)
+    further = _symmetric(shapes.transpose(1, 2, 0).astype(np.float64), mirror)
+    measured = (measures - space.measured_mean).T @ betas / (count - 1)
+    return replace(
+        space,
+        shapedirs=np.concatenate([space.shapedirs, further], -1),
+        betas=np.concatenate([space.betas, betas], 1),
+        measured_dirs=np.concatenate([space.measured_dirs, measured], 1),
+    )
+
+
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) a third of the area of the triangles (F,3) around each vertex, square metres."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    return np.bincount(faces.ravel(), np.repeat(area, 3), len(vertices))
+
+
+def skew_direction(space: ShapeSpace, measure: int, components: int) -> np.ndarray:
+    """(B,) direction of the first betas in which a measurement grows, as long as the people's
+    skewness along it.
+    """
+    line = space.measured_dirs[measure, :components]
+    line = line / np.linalg.norm(line)
+    along = space.betas[:, :components] @ line
+    return float(((along - along.mean()) ** 3).mean() / along.std() ** 3) * line
 
 
 def _symmetric(columns: np.ndarray, mirror: np.ndarray) -> np.ndarray:

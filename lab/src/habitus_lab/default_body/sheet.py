@@ -32,6 +32,7 @@ EYE = (0.95, 0.95, 0.97)
 LINING = (0.45, 0.45, 0.48)  # a grey figure, as of clay
 FAR = 20.0  # heights of the picture between camera and body: nearly parallel rays
 SEED = 4
+AGES = (1, 2, 3, 5, 8, 11, 13, 15, 20, 25, 40, 60, 80, 90)  # years
 ARMS_DOWN = {"left_shoulder": (0, 0, -68), "right_shoulder": (0, 0, 68), "left_collar": (0, 0, -8)}
 ARMS_DOWN |= {"right_collar": (0, 0, 8)}
 FIST = {
@@ -263,7 +264,7 @@ def people(bodies: dict[str, BodyModel]) -> Image.Image:
     crowd += [(bodies["female" if k % 2 else "male"], 5 + 10 * k / 23) for k in range(24)]
     for body, years in crowd:
         person = body if years is None else body.at_age(years)
-        v = posed(person, ARMS_DOWN, betas=rng.normal(size=body.num_betas))
+        v = posed(person, ARMS_DOWN, betas=body.draw_betas(1, rng)[0])
         pictures.append(
             _whole(v, 30, 120, 250, 2.05).picture(v, np.asarray(body.faces), _colours(body))
         )
@@ -271,16 +272,16 @@ def people(bodies: dict[str, BodyModel]) -> Image.Image:
 
 
 def ages(bodies: dict[str, BodyModel]) -> Image.Image:
-    """Mean women and men of 5 to 80 years."""
+    """Mean women and men of 1 to 90 years, then from the side."""
     pictures = []
     for name in ("female", "male"):
         body = bodies[name]
-        for years in (5, 8, 12, 16, 20, 25, 40, 60, 80):
-            v = posed(body.at_age(years), ARMS_DOWN)
-            pictures.append(
-                _whole(v, 30, 160, 320, 1.95).picture(v, np.asarray(body.faces), _colours(body))
-            )
-    return grid(pictures, 9)
+        for yaw in (30, 90):
+            for years in AGES:
+                v = posed(body.at_age(years), ARMS_DOWN)
+                view = _whole(v, yaw, 150, 320, 1.95)
+                pictures.append(view.picture(v, np.asarray(body.faces), _colours(body)))
+    return grid(pictures, len(AGES))
 
 
 def poses(bodies: dict[str, BodyModel]) -> Image.Image:

@@ -52,29 +52,33 @@ LOCAL_SECTIONS = (
     "stomach",
     "torso",
 )
-# Left out: sliders that break symmetry or shift a part like a pose would, and details a coarse body
-# cannot carry.
-LOCAL_SKIPPED = (
-    "trans-in-out",
+FACE_SECTIONS = ("cheek", "chin", "ears", "eyebrows", "eyes", "forehead", "mouth", "nose")
+# Sliders of LOCAL_SECTIONS that no measurement determines: they shift a part as a pose would, or
+# are details. They only widen the population (`people.py`).
+LOCAL_DETAILS = (
     "bulge",
     "nipple",
     "foot-trans",
     "head-trans",
-    "head-angle",
-    "hand-trans",
-    "neck-trans",
-    "hip-trans",
     "head-diamond",
+    "head-oval",
+    "head-rectangular",
+    "head-round",
     "head-triangular",
     "head-inverted",
     "head-square",
     "head-age",
+    "neck-trans",
+    "hip-trans",
     "torso-trans",
     "leg-valgus",
     # these move the spine's joint cubes by centimetres, away from the flesh
     "torso-scale-vert",
     "measure-waisttohip",
 )
+# Asymmetric sliders, whose symmetric part is nothing or a shear.
+ASYMMETRIC = ("nose-trans-in-out", "mouth-trans-in-out", "head-angle", "hand-trans")
+ASYMMETRIC += tuple(f"{part}-trans-in-out" for part in ("foot", "head", "hip", "neck", "torso"))
 
 
 @dataclass(frozen=True)
@@ -188,6 +192,15 @@ def _hat_weights(
     return {name: weight for name, weight in weights.items() if name}
 
 
+def widening_sliders(names: tuple[str, ...]) -> np.ndarray:
+    """(L,) True for the sliders that only widen the population: details, and the face's."""
+    faces = tuple(section.removesuffix("s") for section in FACE_SECTIONS)
+    return np.array(
+        [name.startswith(faces) or any(word in name for word in LOCAL_DETAILS) for name in names],
+        bool,
+    )
+
+
 def age_slider(years: np.ndarray) -> np.ndarray:
     """MakeHuman's age slider for nominal years: 25 is 0.5, 90 is 1; children's bodies need a table
     instead.
@@ -203,26 +216,32 @@ def read_morphs(source: Source, ages: tuple[str, ...] = ADULTS) -> MorphSpace:
     """
     targets = source.folder / "targets"
     factors, macro_files = _macro_files(targets, ages)
-    names, local_files = _local_files(targets)
-
-    def offsets(path: Path) -> np.ndarray:
-        return read_target(path, len(source.vertices)).astype(np.float32)
-
-    def symmetric(moved: np.ndarray) -> np.ndarray:
-        return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
-
-    none = np.zeros(source.vertices.shape, np.float32)
-    local = [
-        [symmetric(sum((offsets(p) for p in side), none)) for side in sides]
-        for sides in local_files
-    ]
+    names, local = local_offsets(source, LOCAL_SECTIONS + FACE_SECTIONS, ASYMMETRIC)
     return MorphSpace(
         base=source.vertices,
-        macro_offsets=np.stack([symmetric(offsets(p)) for p in macro_files]),
+        macro_offsets=np.stack([_symmetric_sum(source, [p]) for p in macro_files]),
         macro_factors=factors,
         local_names=names,
-        local_offsets=np.stack([np.stack(sides) for sides in local]),
+        local_offsets=local,
     )
+
+
+def local_offsets(
+    source: Source, sections: tuple[str, ...], skipped: tuple[str, ...]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Local sliders of some sections, but for names with a `skipped` word in them, and their
+    offsets (L, 2, 19158, 3) float32 at -1 and at +1, symmetric.
+    """
+    names, files = _local_files(source.folder / "targets", sections, skipped)
+    pairs = [np.stack([_symmetric_sum(source, side) for side in sides]) for sides in files]
+    return names, np.stack(pairs)
+
+
+def _symmetric_sum(source: Source, paths: list[Path]) -> np.ndarray:
+    moved = np.zeros(source.vertices.shape, np.float32)
+    for path in paths:
+        moved = moved + read_target(path, len(source.vertices)).astype(np.float32)
+    return 0.5 * (moved + moved[source.mirror] * np.array([-1, 1, 1], np.float32))
 
 
 def _macro_files(
@@ -241,13 +260,15 @@ def _macro_files(
     return tuple(factors), files
 
 
-def _local_files(targets: Path) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
+def _local_files(
+    targets: Path, chosen: tuple[str, ...], skipped: tuple[str, ...]
+) -> tuple[tuple[str, ...], list[tuple[list[Path], list[Path]]]]:
     sections = json.loads((targets / "target.json").read_text())
     names = []
     files = []
-    for section in LOCAL_SECTIONS:
+    for section in chosen:
         for category in sections[section]["categories"]:
-            if any(word in category["name"] for word in LOCAL_SKIPPED):
+            if any(word in category["name"] for word in skipped):
                 continue
             sides = category.get("opposites") or {"positive-unsided": category["targets"][0]}
             down, up = (

@@ -34,6 +34,7 @@ class Source:
     uv: np.ndarray  # (21334, 2) texture coordinates
     quad_uv: np.ndarray  # (Q, 4) corners of `quads` in `uv`
     eye_quad_uv: np.ndarray  # (140, 4) of `eye_quads`
+    helper_corners: dict[str, np.ndarray]  # helper group -> (Q, 4, 2) vertex and texture index
     groups: dict[str, np.ndarray]  # name -> vertex indices
     mirror: np.ndarray  # (19158,) index of each vertex's left-right twin
     rig: dict[str, dict]
@@ -73,6 +74,7 @@ def read_source(folder: str | Path | None = None) -> Source:
         uv=uv,
         quad_uv=corners["body"][:, :, 1],
         eye_quad_uv=eyes[:, :, 1],
+        helper_corners={name: quads for name, quads in corners.items() if "helper" in name},
         groups=_read_groups(root / "mesh_metadata" / "basemesh_vertex_groups.json"),
         mirror=_read_mirror(root / "mesh_metadata" / "hm08.mirror", len(vertices)),
         rig=json.loads((rigs / "rig.default.json").read_text()),
@@ -84,9 +86,9 @@ def read_target(path: Path, count: int) -> np.ndarray:
     """One sparse morph target as dense offsets (count, 3) in metres."""
     offsets = np.zeros((count, 3))
     with gzip.open(path, "rt") as lines:
-        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
-    if rows:
-        table = np.array(rows, dtype=float)
+        numbers = " ".join(line for line in lines if not line.startswith("#")).split()
+    if numbers:
+        table = np.array(numbers, dtype=float).reshape(-1, 4)
         offsets[table[:, 0].astype(int)] = table[:, 1:4] * DECIMETRE
     return offsets
 

@@ -20,6 +20,13 @@ CIVILIAN_AGE = (18.0, 80.0)
 # flat
 PROMINENCE = {True: (0.028, 0.008), False: (0.011, 0.002)}
 PROMINENCE_PER_BMI = {True: 0.001, False: 0.0002}
+# metres: menton to sellion and tragion to vertex overlap by this much; heads are then 218 and 232 mm
+# high on average (women, men)
+SELLION_ABOVE_TRAGION = 0.0217
+MIDTHIGH_SHARE = 0.90  # girth half-way down the thigh over that at the buttock's fold: no column
+# girth of the natural waist over that at the navel, women and men: no column. The survey of 1988 had
+# both (.91 and .97, from memory); the ring here need not lie at the narrowest place
+NATURAL_WAIST_SHARE = {"Female": 0.90, "Male": 0.965}
 # years by which a soldier's place among the ages is blurred before it becomes a civilian's age
 AGE_NOISE = 8.0
 MOST_DRAWN = 2.5  # no soldier is wanted more often than this
@@ -70,12 +77,24 @@ def read_survey(folder: str | Path, names: tuple[str, ...]) -> People:
         with path.open(encoding="latin-1", newline="") as lines:
             rows = list(csv.DictReader(lines))
         values += [
-            [float(row.get(n, np.nan)) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names]
+            [_value(row, n) * (0.1 if n == "weightkg" else MILLIMETRE) for n in names]
             for row in rows
         ]
         female += [sex == "FEMALE"] * len(rows)
         age += [float(row["Age"]) for row in rows]
     return People(names, np.array(values), np.array(female), np.array(age), np.arange(len(age)))
+
+
+def _value(row: dict[str, str], name: str) -> float:
+    """A column of a row, or what follows from others of it; nan where neither is known."""
+    if name == "headheight":
+        height = float(row["mentonsellionlength"]) + float(row["tragiontopofhead"])
+        return height - SELLION_ABOVE_TRAGION / MILLIMETRE
+    if name == "midthighcircumference":
+        return MIDTHIGH_SHARE * float(row["thighcircumference"])
+    if name == "naturalwaistcircumference":
+        return NATURAL_WAIST_SHARE[row["Gender"]] * float(row["waistcircumference"])
+    return float(row.get(name, np.nan))
 
 
 def draw_civilians(people: People, count: int, rng: np.random.Generator) -> People:

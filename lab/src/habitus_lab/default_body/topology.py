@@ -18,12 +18,11 @@ from scipy.sparse.csgraph import connected_components
 
 from .decimate import decimate
 from .landmarks import landmark_vertices
-from .rig import JOINTS, bone_joint, bone_weights
+from .rig import JOINTS, bone_joint, bone_weights, surface_places
 from .sliders import ANCHORS, MorphSpace
 from .sources import BODY_VERTICES, EYEBALLS, Source
 
 COARSE_VERTICES = 7500  # about, eyeballs included
-LIGHT_VERTICES = 700  # of the skin that weighs people
 LARGEST_POCKET = (
     450  # quads of a texture island: the mouth's pocket has 398, an eye's 293, a foot's over 1,000
 )
@@ -52,7 +51,6 @@ class Topology:
     )  # (2Q, 3) quads cut along the shorter diagonal of the average body, left and right alike
     coarse: np.ndarray  # (C,) sorted indices into the vertices
     coarse_faces: np.ndarray  # (F, 3) over 0..C-1
-    light_faces: np.ndarray  # triangles of a very coarse skin without eyeballs, over base vertices
 
     @cached_property
     def full_faces(self) -> np.ndarray:
@@ -60,8 +58,15 @@ class Topology:
         return self.faces[(self.faces < BODY_VERTICES).all(1)]
 
 
-def build_topology(source: Source, morphs: MorphSpace, vertices: int = COARSE_VERTICES) -> Topology:
-    """Both meshes; landmarks stay in the coarse one."""
+def build_topology(
+    source: Source,
+    morphs: MorphSpace,
+    vertices: int = COARSE_VERTICES,
+    coarse_faces: np.ndarray | None = None,
+) -> Topology:
+    """Both meshes; landmarks stay in the coarse one, which `coarse_faces` (F, 3) over the full
+    vertices gives where another file's is to be kept.
+    """
     eyes = np.concatenate([source.groups[name] for name in EYEBALLS])
     base = np.concatenate([np.arange(BODY_VERTICES), eyes])
     place = np.full(len(source.vertices), -1)
@@ -78,9 +83,9 @@ def build_topology(source: Source, morphs: MorphSpace, vertices: int = COARSE_VE
     left = split_quads(body, quads[_is_left(source.vertices[base], quads)])
     faces = np.concatenate([left, mirror[left][:, ::-1]])
     skin = left[(left < BODY_VERTICES).all(1)]
-    coarse_faces, light = _coarse(source, morphs, skin, (lining, rim), mirror, vertices - len(eyes))
-    eye_faces = faces[(faces >= BODY_VERTICES).all(1)]
-    coarse_faces = np.concatenate([coarse_faces, eye_faces])
+    if coarse_faces is None:
+        skin = _coarse(source, morphs, skin, (lining, rim), mirror, vertices - len(eyes))
+        coarse_faces = np.concatenate([skin, faces[(faces >= BODY_VERTICES).all(1)]])
     coarse = np.unique(coarse_faces)
     index = np.full(len(base), -1)
     index[coarse] = np.arange(len(coarse))
@@ -94,7 +99,6 @@ def build_topology(source: Source, morphs: MorphSpace, vertices: int = COARSE_VE
         faces=faces,
         coarse=coarse,
         coarse_faces=index[coarse_faces],
-        light_faces=light,
     )
 
 
@@ -135,25 +139,19 @@ def _coarse(
     pockets: tuple[np.ndarray, np.ndarray],
     mirror: np.ndarray,
     vertices: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Faces over full vertices of the coarse skin, and of the very coarse one; pockets: inner and
-    rim vertices.
-    """
+) -> np.ndarray:
+    """Faces over full vertices of the coarse skin; pockets: inner and rim vertices."""
     bodies = _extremes(morphs)[:, :BODY_VERTICES]
     midline = mirror[:BODY_VERTICES] == np.arange(BODY_VERTICES)
     fixed = np.zeros(BODY_VERTICES, bool)
     for space in ("female", "male"):
         fixed[list(landmark_vertices(source.mirror, space).values())] = True
+    fixed[list(surface_places("jaw", source.mirror))] = True
     weight = _importance(source)
     weight[pockets[0]] *= POCKET_IMPORTANCE
     weight[pockets[1]] *= RIM_IMPORTANCE
-    even = np.ones(BODY_VERTICES)
-    free = np.zeros(BODY_VERTICES, bool)
-    halves = (
-        decimate(bodies, left, weight, fixed, midline, vertices),
-        decimate(bodies, left, even, free, midline, LIGHT_VERTICES),
-    )
-    return tuple(np.concatenate([half, mirror[half][:, ::-1]]) for half in halves)
+    half = decimate(bodies, left, weight, fixed, midline, vertices)
+    return np.concatenate([half, mirror[half][:, ::-1]])
 
 
 def _importance(source: Source) -> np.ndarray:

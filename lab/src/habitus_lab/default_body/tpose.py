@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from .elastic import Elastic
+from .fair import Flank
 from .rig import FINGERS, JOINTS, bone_weights, joint_points, joint_weights, place_hips
 from .sources import EYEBALLS, Source
 
@@ -90,22 +91,19 @@ class RestPose:
         self.left = source.vertices[base, 0] > 1e-6
         self.mirror = mirror
         self.jaw = joint_weights(source, base, mirror)[:, JOINTS.index("jaw")]
+        self.flank = Flank(
+            self._skinned((self.points @ average)[None])[1][0], faces, self.weights, mirror
+        )
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (N,V,3) float32 and joints (N,55,3) in the T-pose, pelvis at the origin, from
         points (N,P,3).
         """
-        points = points.astype(float)
-        body, centres, extra = np.split(
-            points, [self.vertices, self.vertices + len(JOINTS)], axis=1
-        )
-        centres = place_hips(centres, body)
-        fan = TOE_FAN * self.toes_apart
-        posed, moved = to_tpose(self._lips_apart(body, centres), centres, extra, self.weights, fan)
+        body, posed, moved = self._skinned(points.astype(float))
         refined = [
             self.elastic.refine(rest, there) for rest, there in zip(body, posed, strict=True)
         ]
-        vertices = self._apart(np.array(refined, np.float32))
+        vertices = self._apart(self.flank(np.array(refined)).astype(np.float32))
         for side, flip in (("left", 1), ("right", -1)):
             moved[:, JOINTS.index(f"{side}_elbow")] = vertices[:, EPICONDYLES].mean(1) * [
                 flip,
@@ -113,6 +111,17 @@ class RestPose:
                 1,
             ]
         return vertices, moved
+
+    def _skinned(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (N,V,3) in the A-pose, and in the T-pose by skinning alone; joints (N,55,3)."""
+        body, centres, extra = np.split(
+            points, [self.vertices, self.vertices + len(JOINTS)], axis=1
+        )
+        centres = place_hips(centres, body)
+        fan = TOE_FAN * self.toes_apart
+        lips = self._lips_apart(body, centres)
+        posed, moved = to_tpose(lips, centres, extra, self.weights, fan)
+        return body, posed, moved
 
     def _lips_apart(self, vertices: np.ndarray, joints: np.ndarray) -> np.ndarray:
         arm = vertices - joints[:, None, JOINTS.index("jaw")]

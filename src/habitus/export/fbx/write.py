@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
+from habitus.export.faces import face_weights, with_face
 from habitus.export.fbx.body import add_channels, add_mesh, add_skeleton, add_skin
 from habitus.export.fbx.motion import add_motion
 from habitus.export.fbx.nodes import document
@@ -18,7 +19,12 @@ if TYPE_CHECKING:
 
 
 def write_fbx(
-    fit: "Moving", path: str | os.PathLike[str], *, correctives: str = "auto", detail: str = "full"
+    fit: "Moving",
+    path: str | os.PathLike[str],
+    *,
+    correctives: str = "auto",
+    detail: str = "full",
+    face: bool = False,
 ) -> Animation:
     """Write a motion as one binary .fbx, atomically; what was written comes back.
 
@@ -27,11 +33,14 @@ def write_fbx(
     are the body's joints under their names, all at rest turned like the world. Pose blend shapes
     and soft tissue are blend channels between 0 and 100 percent (``correctives``:
     `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft
-    tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted. Raises
+    tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted.
+    ``face``: with a blend channel for each of the face's units (`habitus.export.faces`). Raises
     HabitusError where pose blend shapes are not linear in vec(R - I), and where the file cannot be
     written.
     """
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
+    if face:
+        animation = with_face(animation, face_weights(fit))
     take = shown(fit.capture_name, 200)
     objects = Objects()
     limbs = add_skeleton(objects, animation)

@@ -41,7 +41,8 @@ over all frames. Weights are fields of `SequenceSettings`; `sequence_settings` m
     soft_tissue_acceleration  -        -       -         0 (off)      second difference of beta_t
 
 w is the weight of the sample: 1 if observed, `GapSettings.weight` (0.25) if it stands in for a
-missing one, 0 for misplaced markers. The loss is Geman-McClure's (thesis sec. 3.6) with the scale
+missing one, 0 for misplaced markers. In both energies E_theta of finger joints is multiplied by
+`FINGER_SHARE`. The loss is Geman-McClure's (thesis sec. 3.6) with the scale
 clip(noise_factor x noise of the marker, *robust_scale); robust_scale[1] while the noise is unknown.
 The two terms without a source are ours: the first carries trans over frames without markers, the
 second can be set in `SequenceSettings` only. Second differences x_t - 2 x_{t-1} + x_{t-2} are not
@@ -53,12 +54,13 @@ same motion costs 16 times as much a frame. acceleration = 0 switches all three 
 mode minimises the same energy of three frames, the first two held.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse
 from jaxtyping import Float, Int
 
+from habitus.body.hand_space import hand_joints
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.settings import MoshSettings, SequenceSettings
@@ -68,6 +70,22 @@ from habitus.observe.markers import LatentMarkers
 from habitus.residuals import shape_stage as shape_energy
 from habitus.residuals.shape_stage import diagonal
 from habitus.solve.terms import GemanMcClure, Term
+
+FINGER_SHARE = 0.07
+"""Of E_theta's weight, what finger joints take. E_D's weight allows for soft tissue, 11.5 mm of it
+(1 / sqrt(7500 per m^2)); a finger has about 3 mm, and its joints move finger markers alone, so that
+a prior of (3 / 11.5)^2 the weight does for them what weights of finger markers would, without
+these pulling at the arm.
+"""
+
+
+def for_markers(prior: PosePrior) -> PosePrior:
+    """The pose prior as E_theta takes it: finger joints at `FINGER_SHARE`."""
+    fingers = np.isin(prior.joint_names, hand_joints())
+    if not fingers.any():
+        return prior
+    root = np.where(fingers, FINGER_SHARE**-0.5, 1.0).repeat(3)
+    return replace(prior, covariance=root[:, None] * prior.covariance * root)
 
 
 @dataclass(frozen=True)
@@ -117,7 +135,10 @@ def shape_terms(
         ),
         "betas": shape_energy.shape_prior(body.num_betas, prior_scale * weight.betas),
         "pose": shape_energy.pose_prior(
-            prior.mean, prior.whitening, len(observed), prior_scale * weight.pose
+            prior.mean,
+            for_markers(prior).whitening,
+            len(observed),
+            prior_scale * weight.pose,
         ),
     }
 
@@ -193,7 +214,7 @@ def data(
 
 def pose_prior(prior: PosePrior, frames: int, weight: float) -> Term:
     """E_theta: 1/2 weight (theta - mu)^T P (theta - mu); the root is free."""
-    root = np.linalg.cholesky(prior.precision).T
+    root = np.linalg.cholesky(for_markers(prior).precision).T
     block = np.concatenate([np.zeros((len(root), 3)), root], axis=1)
     by_pose = diagonal(np.tile(block, (frames, 1, 1)))
 

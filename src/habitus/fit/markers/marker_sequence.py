@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.fit.markers.energy import for_markers
 from habitus.fit.markers.sequence_kernels import (
     LevelArrays,
     MarkerData,
@@ -319,7 +320,7 @@ def marker_data(
     mean = np.zeros(size)
     precision = np.zeros((size, size))
     body = slice(6, pose_end)
-    mean[body], precision[body, body] = _gaussian(prior, pose_end - 6)
+    mean[body], precision[body, body] = _gaussian(for_markers(prior), pose_end - 6)
     precision[body, body] *= settings.pose
     np.fill_diagonal(precision[pose_end:, pose_end:], settings.soft_tissue)
     return MarkerData(

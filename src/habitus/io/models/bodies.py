@@ -34,6 +34,7 @@ from habitus.io.models.details import (
     project_form,
     read_ages,
     read_dynamics,
+    read_face,
     read_hinges,
     read_mesh,
     read_pose_joints,
@@ -74,7 +75,9 @@ def load_body(
     """The body model in a file (npz or pkl; any of the SMPL family), or one that habitus brings
     along: ``"neutral"`` (``"default"`` is the same), ``"female"``, ``"male"``.
 
-    All shape directions are kept unless ``num_betas`` says how many. ``detail``: a file with two
+    ``num_betas`` says how many shape directions are kept; by itself those that markers determine
+    (24 of the bodies that come along, which have 100: the first ones are the same, the further ones
+    serve scans), all of files without further ones. ``detail``: a file with two
     levels of detail gives the "coarse" one, which holds the other as ``body.full``, or the "full"
     one alone; other files have one level. ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and
     eyes, too), as far as the file has them; by itself "smpl" of the bodies that come along, all
@@ -88,7 +91,8 @@ def load_body(
     source, name = (_shipped(shipped), str(path)) if shipped else (Path(path), Path(path).stem)
     try:
         content = read_file(source)
-        model = _read_body(content, name, detail, joints or ("smpl" if shipped else None))
+        joints = joints or ("smpl" if shipped else None)
+        model = _read_body(content, name, detail, joints, num_betas)
     except HabitusError as error:
         raise HabitusError(f"{source}: {error}") from error
     except OSError as error:
@@ -99,19 +103,21 @@ def load_body(
     return model if num_betas is None else model.with_betas(num_betas)
 
 
-def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> BodyModel:
-    """The body in a file's bytes; a coarse one keeps them, for its full level is read from them
-    when asked for.
+def _read_body(
+    content: bytes, name: str, detail: str, joints: str | None, num_betas: int | None
+) -> BodyModel:
+    """The body in a file's bytes, with at least ``num_betas`` shape directions where it has them; a
+    coarse one keeps the bytes, for its full level is read from them when asked for.
     """
     arrays = ModelArrays(BytesIO(content))
     if "coarse_vertices" in arrays and detail == "coarse":
         arrays, rows = coarse_level(arrays)
-        finer = partial(_read_body, content, name, "full", None)
-        model = replace(_own_body(arrays, name), full_vertices=rows, finer=finer)
+        finer = partial(_read_body, content, name, "full", None, num_betas)
+        model = replace(_own_body(arrays, name, num_betas), full_vertices=rows, finer=finer)
+    elif "skinning_index" in arrays:
+        model = _own_body(arrays, name, num_betas)
     else:
-        model = (
-            _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
-        )
+        model = _official_body(arrays, name)
     return model if joints is None else model.with_joints(joints)
 
 
@@ -229,7 +235,7 @@ def _joint_names(parents: tuple[int, ...]) -> tuple[str, ...]:
     return layout.joint_names if layout else tuple(f"joint_{k}" for k in range(len(parents)))
 
 
-def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
+def _own_body(arrays: ModelArrays, name: str, num_betas: int | None) -> BodyModel:
     v = len(arrays.number("v_template", None, 3))
     parents = _parents(arrays.number("parents", None, dtype=np.int64))
     j = len(parents)
@@ -246,7 +252,7 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     )
     np.add.at(regressor, (rows, columns), values)
     numbers = {
-        "shapedirs": arrays.number("shapedirs", v, 3, None),
+        "shapedirs": _own_shapes(arrays, v, num_betas),
         "joint_regressor": regressor,
         "skinning_value": value,
     }
@@ -278,6 +284,16 @@ def _own_body(arrays: ModelArrays, name: str) -> BodyModel:
     )
 
 
+def _own_shapes(arrays: ModelArrays, v: int, num_betas: int | None) -> np.ndarray:
+    """Shape directions (V, 3, B); further ones are read only where more are asked for than come
+    first.
+    """
+    first = arrays.number("shapedirs", v, 3, None)
+    if (num_betas or 0) <= first.shape[-1] or "further_shapedirs" not in arrays:
+        return first
+    return np.concatenate([first, arrays.number("further_shapedirs", v, 3, None)], -1)
+
+
 def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: dict) -> BodyModel:
     """A model from checked arrays and what both kinds of file may hold besides."""
     v = len(numbers["shapedirs"])
@@ -296,7 +312,7 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
         indices["part"] = _part(arrays, own["joint_names"], v)
     own |= {"landmarks": named_vertices(arrays, v), "extras": MappingProxyType(own["extras"])}
     own |= {"ages": read_ages(arrays, numbers["v_template"]), "dynamics": read_dynamics(arrays, v)}
-    own["hinges"] = read_hinges(arrays, v, j)
+    own |= {"hinges": read_hinges(arrays, v, j), "face": read_face(arrays, v, j)}
     if "pose_mean" in arrays and "pose_precision" in arrays:
         n = 3 * (j - 1)
         covariance = np.linalg.inv(arrays.number("pose_precision", n, n))
@@ -304,16 +320,35 @@ def _build(arrays: ModelArrays, name: str, numbers: dict, indices: dict, own: di
             own["joint_names"][1:], arrays.number("pose_mean", n), covariance
         )
     if "gender_weights" in arrays:
-        rows = arrays.number("gender_weights", b, b), arrays.number("gender_bias", b)
+        rows = _sex_rows(arrays, b)
         own |= {"female_rows": rows, "female_direction": (rows[0][-1], float(rows[1][-1]))}
     elif "female_weights" in arrays:
         own["female_direction"] = (
             arrays.number("female_weights", b),
             float(arrays.number("female_bias")),
         )
-    if "people_mean" in arrays:
-        own["people_mean"] = arrays.number("people_mean", b)
+    for key in ("people_mean", "people_skew"):
+        if key in arrays:
+            known = arrays.number(key, None)[:b]
+            own[key] = np.pad(known, (0, b - len(known)))
     return BodyModel(name=name, **{"posedirs": None, **numbers, **indices, **own})
+
+
+def _sex_rows(arrays: ModelArrays, b: int) -> tuple[np.ndarray, np.ndarray]:
+    """Classifiers (B, B) and their bias (B,) of each number of betas; further betas count for
+    nothing.
+    """
+    bias = arrays.number("gender_bias", None)[:b]
+    weights = arrays.number("gender_weights", None, None)[: len(bias), : len(bias)]
+    more = b - len(bias)
+    if len(weights) != len(bias) or weights.shape[0] != weights.shape[1]:
+        raise HabitusError(
+            f"gender_weights of shape {weights.shape} and gender_bias of {len(bias)}; expected a "
+            "row and a bias for each number of betas"
+        )
+    return np.pad(np.pad(weights, ((0, 0), (0, more))), ((0, more), (0, 0)), "edge"), np.pad(
+        bias, (0, more), "edge"
+    )
 
 
 def _pose_shapes(arrays: ModelArrays, v: int, j: int, own: dict) -> dict:

@@ -4,6 +4,7 @@ names or under the project's own.
 """
 
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from jaxtyping import Int
 
 from habitus.body.body_arrays import Ages, BodyMesh
 from habitus.body.dynamics import Dynamics, DynamicsRegressor
+from habitus.body.face import Face
 from habitus.body.model import BodyModel
 from habitus.body.pose_features import ENTRIES, Hinges
 from habitus.errors import HabitusError
@@ -48,14 +50,22 @@ def read_ages(arrays: ModelArrays, template: np.ndarray) -> Ages | None:
     if len(years) < 2 or not (np.diff(years) > 0).all():
         raise HabitusError(f"array 'age_years' is {years.tolist()}; expected ages that rise")
     directions = arrays.number("agedirs", *template.shape, len(years), dtype=np.float32)
+    spreads = np.ones(len(years))
+    if "age_spread" in arrays:
+        spreads = arrays.number("age_spread", len(years))
+        if not (spreads > 0).all():
+            raise HabitusError(
+                f"array 'age_spread' is {spreads.tolist()}; expected factors above 0"
+            )
     if "age_statures" in arrays:  # of a coarse level, which grows as the full one does
         return Ages(
             years,
             directions,
             arrays.number("age_statures", len(years)),
             float(arrays.number("age_adult")),
+            spreads,
         )
-    return Ages(years, directions, *_statures(template, directions))
+    return Ages(years, directions, *_statures(template, directions), spreads)
 
 
 def _statures(template: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, float]:
@@ -78,6 +88,44 @@ def read_hinges(arrays: ModelArrays, vertices: int, joints: int) -> Hinges | Non
     )
 
 
+def read_face(arrays: ModelArrays, vertices: int, joints: int) -> Face | None:
+    """Units and identity of the face, where the file has them; those of vertices beyond the body's
+    (its parts') are left out.
+    """
+    if "face_vertices" not in arrays:
+        return None
+    ids = arrays.number("face_vertices", None, dtype=np.int64)
+    names = arrays.text("face_unit_names")
+    driven = np.zeros(0, np.int64)
+    turns = np.zeros((len(names), 0, 3))
+    if "face_unit_joints" in arrays:
+        driven = arrays.index("face_unit_joints", joints, None)
+        turns = arrays.number("face_unit_turns", len(names), len(driven), 3)
+    own = (ids >= 0) & (ids < vertices)
+    return Face(
+        ids[own],
+        names,
+        arrays.number("face_unitdirs", len(ids), 3, len(names))[own],
+        tuple(driven.tolist()),
+        turns,
+        arrays.number("facedirs", len(ids), 3, None)[own],
+    )
+
+
+def face_form(face: Face | None) -> dict[str, np.ndarray]:
+    """The arrays that `read_face` reads."""
+    if face is None:
+        return {}
+    turning = {"face_unit_joints": np.array(face.joints), "face_unit_turns": face.turns}
+    return {
+        "face_vertices": face.vertices,
+        "face_unit_names": np.array(face.unit_names),
+        "face_unitdirs": face.unit_directions.astype(np.float32),
+        "facedirs": face.identity_directions.astype(np.float32),
+        **(turning if face.joints else {}),
+    }
+
+
 def hinges_form(hinges: Hinges | None) -> dict[str, np.ndarray]:
     """The arrays that `read_hinges` reads."""
     if hinges is None:
@@ -96,7 +144,7 @@ def ages_form(ages: Ages | None) -> dict[str, np.ndarray]:
     if ages is None:
         return {}
     named = {"age_years": ages.years, "agedirs": ages.directions, "age_statures": ages.statures}
-    return {**named, "age_adult": np.array(ages.adult)}
+    return {**named, "age_adult": np.array(ages.adult), "age_spread": ages.spreads}
 
 
 def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
@@ -114,6 +162,7 @@ def mesh_form(mesh: BodyMesh | None) -> dict[str, np.ndarray]:
 _ROWS = (
     "v_template",
     "shapedirs",
+    "further_shapedirs",
     "posedirs",
     "hingedirs",
     "expressiondirs",
@@ -145,6 +194,8 @@ def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"
         "faces": partial(arrays.index, "coarse_faces", len(rows), None, 3),
         **dict.fromkeys(_OF_THE_FULL),
     }
+    if "face_vertices" in arrays:
+        changes |= _coarse_face(arrays, rows, count)
     if "age_years" in arrays:
         directions = arrays.number(
             "agedirs", count, 3, None, dtype=np.float32
@@ -153,6 +204,21 @@ def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"
         changes |= {"age_statures": lambda: statures, "age_adult": lambda: np.array(adult)}
         changes["agedirs"] = lambda: directions[rows]
     return arrays.changed(changes), rows
+
+
+def _coarse_face(
+    arrays: ModelArrays, rows: np.ndarray, count: int
+) -> dict[str, Callable[[], np.ndarray]]:
+    """The face of the coarse level's vertices."""
+    place = np.full(count, -1)
+    place[rows] = np.arange(len(rows))
+    ids = arrays.number("face_vertices", None, dtype=np.int64)
+    own = (ids >= 0) & (ids < count)
+    kept = np.flatnonzero(own)[place[ids[own]] >= 0]
+    changes = {
+        key: partial(_rows_of, arrays, key, kept, len(ids)) for key in ("face_unitdirs", "facedirs")
+    }
+    return {**changes, "face_vertices": lambda: place[ids[kept]]}
 
 
 def _rows_of(arrays: ModelArrays, key: str, rows: np.ndarray, count: int) -> np.ndarray:
@@ -322,11 +388,11 @@ def _own_arrays(model: BodyModel) -> dict[str, np.ndarray]:
     arrays = {"joint_names": np.array(model.joint_names)}
     arrays |= {
         key: value
-        for key in ("part", "mirror", "people_mean")
+        for key in ("part", "mirror", "people_mean", "people_skew")
         if (value := getattr(model, key)) is not None
     }
     arrays |= ages_form(model.ages) | mesh_form(model.mesh) | dynamics_form(model.dynamics)
-    arrays |= hinges_form(model.hinges)
+    arrays |= hinges_form(model.hinges) | face_form(model.face)
     if model.pose_joints is not None:
         arrays["posedirs_joints"] = np.array(model.pose_joints, np.int64)
     if model.landmarks:
