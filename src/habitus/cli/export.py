@@ -46,6 +46,8 @@ class Export:
     """Of .obj and .ply: this frame, from 0 on, instead of the person at rest."""
     npz_style: Literal["habitus", "amass"] = "habitus"
     """Of .npz: all results, or the columns that AMASS scripts read (docs/amass.md)."""
+    skin: Annotated[str, metavar("none|light|medium|dark|0..1")] = "none"
+    """Skin of a default body's mesh: a tone from 0 (light) to 1 (dark); none: a plain material."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -69,6 +71,7 @@ def run(options: Export, console: "Console | None" = None) -> None:
         detail=options.detail,
         frame=options.frame,
         npz_style=options.npz_style,
+        skin=options.skin,
     )
     if found.morphs or found.worst:
         worst = f"{1e3 * found.worst:.2g} mm" if found.worst else "less than 0.01 mm"
@@ -84,6 +87,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
             f"how bones drive them in any pose (for Unity, Maya, Unreal): {plain(found.drivers)}",
             "note",
         )
+    if options.skin != "none" and not found.skinned:
+        say(console, "plain material: skin is for the full mesh of the default bodies", "note")
     size = f", {found.path.stat().st_size / 1e6:.1f} MB" if found.path.is_file() else ""
     what = "one mesh" if found.frames == 1 else f"{found.frames} frames at {found.rate_hz:g} Hz"
     say(console, f"{what}{size}: {plain(found.path)}")

@@ -22,6 +22,7 @@ def export_file(
     detail: str = "full",
     frame: int | None = None,
     npz_style: str = "habitus",
+    skin: str | float | None = None,
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
@@ -39,6 +40,7 @@ def export_file(
         detail=detail,
         frame=frame,
         npz_style=npz_style,
+        skin=skin,
     )
 
 

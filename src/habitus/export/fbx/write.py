@@ -11,6 +11,7 @@ from habitus.export.fbx.body import add_channels, add_mesh, add_skeleton, add_sk
 from habitus.export.fbx.motion import add_motion
 from habitus.export.fbx.nodes import document
 from habitus.export.fbx.scene import Objects, top_nodes
+from habitus.export.skins import painted
 from habitus.files import atomic_write
 
 if TYPE_CHECKING:
@@ -18,7 +19,12 @@ if TYPE_CHECKING:
 
 
 def write_fbx(
-    fit: "Moving", path: str | os.PathLike[str], *, correctives: str = "auto", detail: str = "full"
+    fit: "Moving",
+    path: str | os.PathLike[str],
+    *,
+    correctives: str = "auto",
+    detail: str = "full",
+    skin: str | float | None = None,
 ) -> Animation:
     """Write a motion as one binary .fbx, atomically; what was written comes back.
 
@@ -27,15 +33,17 @@ def write_fbx(
     are the body's joints under their names, all at rest turned like the world. Pose blend shapes
     and soft tissue are blend channels between 0 and 100 percent (``correctives``:
     `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft
-    tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted. Raises
-    HabitusError where pose blend shapes are not linear in vec(R - I), and where the file cannot be
-    written.
+    tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted.
+    ``skin``: as for `habitus.export.glb.write_glb`; the texture is in the file. Raises HabitusError
+    for another skin, where pose blend shapes are not linear in vec(R - I), and where the file
+    cannot be written.
     """
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
     take = shown(fit.capture_name, 200)
     objects = Objects()
     limbs = add_skeleton(objects, animation)
-    mesh, geometry = add_mesh(objects, animation, "body")
+    covered = painted(animation, skin)
+    mesh, geometry = add_mesh(objects, covered.animation, "body", covered.picture)
     add_skin(objects, animation, mesh, geometry, limbs)
     channels = add_channels(objects, animation, geometry)
     add_motion(objects, animation, take, limbs, channels)
