@@ -16,7 +16,6 @@ from habitus.body.skin import (
     skin_mesh,
     skin_of,
     skin_tone,
-    vertex_colours,
 )
 from habitus.errors import HabitusError
 
@@ -45,10 +44,12 @@ def texels(uv, size):
     return (uv * [size, -size] + [0, size]).astype(int).clip(0, size - 1).T
 
 
-def at_vertices(mask, mesh, count):
-    """A mask (0 to 1) at vertices: the mean over a vertex' places in the layout."""
-    grey = np.repeat((255 * (mask / 63.0)).astype(np.uint8)[..., None], 3, axis=2)
-    return vertex_colours(grey, mesh, count)[:, 0] / 255.0
+def at_vertices(image, mesh, count):
+    """An image's values (n, n, ...) at vertices: the mean over a vertex' places in the layout."""
+    column, row = texels(mesh.uv[mesh.quad_uv.ravel()], len(image))
+    values = image[row, column].reshape(len(row), -1).astype(float)
+    sums = np.stack([np.bincount(mesh.quads.ravel(), each, count) for each in values.T], axis=1)
+    return np.squeeze(sums / np.bincount(mesh.quads.ravel(), minlength=count)[:, None])
 
 
 def test_the_same_tone_gives_the_same_picture():
@@ -121,20 +122,20 @@ def test_seams_do_not_show(mesh):
 
 
 def test_lips_are_between_nose_and_chin(body, mesh, masks):
-    found = at_vertices(masks["mask_lips"], mesh, body.num_vertices) > 0.5
+    found = at_vertices(masks["mask_lips"] / 63, mesh, body.num_vertices) > 0.5
     found[np.unique(mesh.quads[mesh.hidden])] = False
     places = body.v_template[found]
     nose, chin = (body.v_template[body.landmarks[name]] for name in ("nose_tip", "chin"))
     assert found.sum() > 50
     assert (places[:, 1] < nose[1]).all() and (places[:, 1] > chin[1]).all()
     assert abs(places[:, 0]).max() < 0.035 and (places[:, 2] > chin[2] - 0.03).all()
-    colours = vertex_colours(paint_skin(TONES["light"]), mesh, body.num_vertices).astype(float)
+    colours = skin_of(body.mesh, "light").colours.astype(float)
     redness = colours[found].mean(axis=0) / colours[body.landmarks["forehead"]]
     assert redness[0] > redness[1] + 0.05 and redness[0] > redness[2] + 0.05
 
 
 def test_nails_are_on_the_ends_of_fingers_and_toes(body, mesh, masks):
-    found = at_vertices(masks["mask_nails"], mesh, body.num_vertices) > 0.4
+    found = at_vertices(masks["mask_nails"] / 63, mesh, body.num_vertices) > 0.4
     places = body.v_template[found]
     tips = [body.v_template[row] for name, row in body.landmarks.items() if name.endswith("_tip")]
     toes = [row for name, row in body.landmarks.items() if "toe" in name or "hallux" in name]
@@ -178,13 +179,20 @@ def faces_of(mesh, faces):
     return faces
 
 
-def test_palms_of_dark_skin_are_lighter_than_backs_of_hands(body, mesh):
-    colours = vertex_colours(paint_skin(TONES["dark"]), mesh, body.num_vertices) @ LUMINANCE
+def test_palms_of_dark_skin_are_lighter_than_backs_of_hands(body):
+    colours = skin_of(body.mesh, "dark").colours @ LUMINANCE
     back = body.landmarks["left_hand_back"]
     near = np.linalg.norm(body.v_template - body.v_template[back], axis=1) < 0.05
     palm = near & (body.v_template[:, 1] < body.v_template[back, 1] - 0.02)
     assert palm.sum() > 10
     assert colours[palm].mean() > 1.3 * colours[back]
+
+
+def test_colours_of_vertices_are_those_of_the_texture(body, mesh):
+    skin = skin_of(body.mesh, 0.3)
+    apart = np.abs(skin.colours - at_vertices(skin.image, mesh, body.num_vertices)).max(axis=1)
+    assert skin.colours.shape == (body.num_vertices, 3)
+    assert np.median(apart) <= 2 and np.percentile(apart, 95) <= 16
 
 
 def test_size_changes_detail_and_not_colour():

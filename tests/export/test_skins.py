@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from synthetic_fit import synthetic_fit, tube_body
 
 from habitus import load_body
-from habitus.body.skin import TONES, paint_skin, skin_mesh, skin_of, vertex_colours
+from habitus.body.skin import TONES, paint_skin, skin_mesh, skin_of
 from habitus.errors import HabitusError
 from habitus.export import write_glb
 from habitus.export.motion import export_motion
@@ -58,7 +58,7 @@ def seen_at(uv, picture):
 
 def check_coordinates(uv, source, picture, full):
     """The file's coordinates show each vertex the colour that the body's own places have."""
-    known = vertex_colours(picture, skin_mesh(full.mesh), full.num_vertices)
+    known = skin_of(full.mesh, "medium").colours
     apart = np.abs(seen_at(uv, picture).astype(int) - known[source]).max(axis=1)
     assert np.median(apart) <= 2 and (apart < 40).mean() > 0.98
 
@@ -165,10 +165,10 @@ def test_obj_has_material_and_texture_beside_it(tmp_path, person, picture):
     assert np.array_equal(np.asarray(mesh.visual.material.image.convert("RGB")), picture)
 
 
-def test_ply_has_colours_of_vertices(tmp_path, person, picture, full):
+def test_ply_has_colours_of_vertices(tmp_path, person, full):
     export_motion(person, tmp_path / "a.ply", skin="medium")
     mesh = trimesh.load(tmp_path / "a.ply", process=False)
-    known = vertex_colours(picture, skin_mesh(full.mesh), full.num_vertices)
+    known = skin_of(full.mesh, "medium").colours
     assert np.array_equal(np.asarray(mesh.visual.vertex_colors)[:, :3], known)
     export_motion(person, tmp_path / "b.ply")
     assert trimesh.load(tmp_path / "b.ply", process=False).visual.kind is None

@@ -7,9 +7,9 @@ picture. It is a drawing, not a photograph: its tones are chosen, not measured.
 """
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from scipy.ndimage import map_coordinates
 
 from habitus.body.body_arrays import BodyMesh
 from habitus.errors import HabitusError
@@ -80,12 +81,27 @@ _PUPIL_EDGE, _IRIS_EDGE = 8.0, 22.0
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A texture in sRGB, row 0 on top, and the mesh whose ``uv`` it is for: the body's own, with
-    larger eyeballs in the layout.
+    """A tone on a mesh in the skin's layout: the body's own ``uv``, with larger eyeballs. ``size``:
+    pixels of the texture's sides.
     """
 
-    image: UInt8[np.ndarray, "N N 3"]
+    tone: float
     mesh: BodyMesh
+    size: int = 1024
+
+    @cached_property
+    def image(self) -> UInt8[np.ndarray, "N N 3"]:
+        """The texture for ``mesh.uv``, sRGB, row 0 on top."""
+        return paint_skin(self.tone, self.size)
+
+    @cached_property
+    def colours(self) -> UInt8[np.ndarray, "V 3"]:
+        """Colours of the mesh's vertices, sRGB: means over a vertex' places in the layout."""
+        rows = _painted(lambda name: _sampled(_mask(name), self.mesh.uv), self.tone, 0.7)
+        corners, places = self.mesh.quads.ravel(), self.mesh.quad_uv.ravel()
+        sums = [np.bincount(corners, rows[places, channel]) for channel in range(3)]
+        means = np.stack(sums, axis=1) / np.bincount(corners).clip(1)[:, None]
+        return np.round(means).clip(0, 255).astype(np.uint8)
 
 
 def skin_tone(skin: str | float | None) -> float | None:
@@ -128,7 +144,7 @@ def skin_of(mesh: BodyMesh | None, skin: str | float | None, size: int = 1024) -
     if tone is None:
         return None
     own = skin_mesh(mesh)
-    return None if own is None else Skin(paint_skin(tone, size), own)
+    return None if own is None else Skin(tone, own, size)
 
 
 def layout_checksum(mesh: BodyMesh) -> int:
@@ -145,37 +161,37 @@ def paint_skin(tone: float, size: int = 1024) -> UInt8[np.ndarray, "N N 3"]:
     """
     if not 0 <= tone <= 1:
         raise HabitusError(f"tone is {tone}; expected a number from 0 (light) to 1 (dark)")
-    if not SIZES[0] <= size <= SIZES[1]:
+    if size not in range(SIZES[0], SIZES[1] + 1):
         raise HabitusError(f"size is {size} pixels; expected {SIZES[0]} to {SIZES[1]}")
-    masks = _Masks(size)
-    colours = {name: _at_tone(rows, tone) for name, rows in _COLOURS.items()}
-    image = np.broadcast_to(colours["skin"], (size, size, 3)).astype(np.float32)
-    image *= 1 + np.float32(BLOTCHES) * (masks["blotches"][:, :, None] - np.float32(0.5))
-    for mask, colour, cover in _LAYERS:
-        _mix(image, colours[colour], cover * masks[mask])
-    _paint_eyes(image, masks, colours["iris"])
-    image[~masks.painted] = colours["skin"]
+    painted = resized(np.unpackbits(_arrays()["painted"], axis=1).astype(np.float32), size) > 0
+    image = _painted(lambda name: resized(_mask(name), size), tone, 90.0 * 8 / size)
+    image[~painted] = _at_tone("skin", tone)
     return np.round(image).clip(0, 255).astype(np.uint8)
 
 
-def vertex_colours(
-    image: UInt8[np.ndarray, "N N 3"], mesh: BodyMesh, count: int
-) -> UInt8[np.ndarray, "V 3"]:
-    """The texture's colours at ``count`` vertices of a mesh, sRGB: means over a vertex' places in
-    the layout.
-    """
-    size = len(image)
-    column, row = (mesh.uv * [size, -size] + [0, size]).astype(int).clip(0, size - 1).T
-    corners, places = mesh.quads.ravel(), mesh.quad_uv.ravel()
-    seen = image[row, column].astype(np.float64)[places]
-    number = np.bincount(corners, minlength=count).clip(1)
-    sums = [np.bincount(corners, seen[:, channel], count) for channel in range(3)]
-    return np.round(np.stack(sums, axis=1) / number[:, None]).astype(np.uint8)
+def _painted(
+    masks: Callable[[str], Float[np.ndarray, "*shape"]], tone: float, edge: float
+) -> Float[np.ndarray, "*shape 3"]:
+    """Colours of a tone where masks have their values; edges of irises take ``edge`` degrees."""
+    shade = 1 + np.float32(BLOTCHES) * (masks("blotches") - np.float32(0.5))
+    image = shade[..., None] * _at_tone("skin", tone)
+    for mask, colour, cover in _LAYERS:
+        _mix(image, _at_tone(colour, tone), cover * masks(mask))
+    angle, eyes = 90 * masks("gaze"), masks("eyes")
+    iris = _at_tone("iris", tone)
+    within = ((_IRIS_EDGE - angle) / edge + 0.5).clip(0, 1) * eyes
+    ring = ((angle - _PUPIL_EDGE) / (_IRIS_EDGE - _PUPIL_EDGE)).clip(0, 1)
+    _mix(image, _SCLERA, eyes)
+    _mix(image, _SCLERA_RED, eyes * ((angle - 35) / 45).clip(0, 1))
+    _mix(image, iris, within)
+    _mix(image, 0.4 * iris, within * ring**4)
+    _mix(image, _PUPIL, ((_PUPIL_EDGE - angle) / edge + 0.5).clip(0, 1) * eyes)
+    return image
 
 
-def _at_tone(rows: tuple[tuple[int, int, int], ...], tone: float) -> Float[np.ndarray, "3"]:
-    table = np.array(rows, np.float64)
-    return np.array([np.interp(tone, _KNOTS, column) for column in table.T])
+def _at_tone(region: str, tone: float) -> Float[np.ndarray, " 3"]:
+    table = np.array(_COLOURS[region], np.float64)
+    return np.array([np.interp(tone, _KNOTS, column) for column in table.T], np.float32)
 
 
 def _mix(image: np.ndarray, colour: Any, cover: np.ndarray) -> None:
@@ -184,34 +200,21 @@ def _mix(image: np.ndarray, colour: Any, cover: np.ndarray) -> None:
     image[at] += cover[at][:, None] * (np.asarray(colour, np.float32) - image[at])
 
 
-def _paint_eyes(image: np.ndarray, masks: "_Masks", iris: np.ndarray) -> None:
-    angle, eyes = 90 * masks["gaze"], masks["eyes"]
-    soft = 90.0 / len(image) * 8  # degrees that edges take
-    _mix(image, _SCLERA, eyes)
-    _mix(image, _SCLERA_RED, eyes * ((angle - 35) / 45).clip(0, 1))
-    within = ((_IRIS_EDGE - angle) / soft + 0.5).clip(0, 1) * eyes
-    ring = ((angle - _PUPIL_EDGE) / (_IRIS_EDGE - _PUPIL_EDGE)).clip(0, 1)
-    _mix(image, iris, within)
-    _mix(image, 0.4 * iris, within * ring**4)
-    _mix(image, _PUPIL, ((_PUPIL_EDGE - angle) / soft + 0.5).clip(0, 1) * eyes)
-
-
 @cache
 def _arrays() -> Mapping[str, np.ndarray]:
     with np.load(MASKS) as stored:
         return MappingProxyType({name: stored[name] for name in stored.files})
 
 
-class _Masks:
-    """Masks between 0 and 1 at a size."""
+def _mask(name: str) -> Float[np.ndarray, "n n"]:
+    """A mask between 0 and 1, row 0 on top."""
+    return _arrays()[f"mask_{name}"].astype(np.float32) / LEVELS
 
-    def __init__(self, size: int) -> None:
-        self.size = size
-        painted = np.unpackbits(_arrays()["painted"], axis=1).astype(np.float32)
-        self.painted = resized(painted, size) > 0
 
-    def __getitem__(self, name: str) -> Float[np.ndarray, "N N"]:
-        return resized(_arrays()[f"mask_{name}"].astype(np.float32) / LEVELS, self.size)
+def _sampled(image: Float[np.ndarray, "n n"], uv: Float[np.ndarray, "U 2"]) -> np.ndarray:
+    """A square image's values (U,) at texture coordinates, bilinear."""
+    places = uv[:, ::-1] * [-len(image), len(image)] + [len(image), 0] - 0.5
+    return map_coordinates(image, places.T, order=1, mode="nearest")
 
 
 def resized(image: Float[np.ndarray, "n n"], size: int) -> Float[np.ndarray, "N N"]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.body.skin import Skin, skin_of, vertex_colours
+from habitus.body.skin import Skin, skin_of
 from habitus.body.state import BodySurface
 from habitus.body.surface_files import face_lines, obj_lines, ply, write_textured
 from habitus.export.animation import Animation
@@ -88,7 +88,7 @@ def _obj(vertices: np.ndarray, faces: np.ndarray, path: Path, skin: Skin) -> Non
 def _ply(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], path: Path, skin: Skin
 ) -> None:
-    colours = vertex_colours(skin.image, skin.mesh, len(vertices))
+    colours = skin.colours
     with atomic_write(path) as temporary:
         temporary.write_bytes(ply(vertices, faces, colours))
 
