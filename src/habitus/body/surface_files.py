@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pygltflib as gl
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from habitus import __version__
 from habitus.arrays import to_numpy
@@ -70,17 +70,34 @@ def write_surface(
         temporary.write_bytes(content(vertices, triangles, mesh))
 
 
-def _ply(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None
+def ply(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    colours: UInt8[np.ndarray, "V 3"] | None = None,
 ) -> bytes:
+    """A binary PLY file's content (m); colours: sRGB of each vertex."""
+    points = np.zeros(len(vertices), dtype=[("place", "<f4", 3), ("colour", "u1", 3)])
+    points["place"] = vertices
+    named = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    if colours is not None:
+        points["colour"] = colours
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment metres\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"{'' if colours is None else named}element face {len(faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
     )
     rows = np.zeros(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, faces
-    return header.encode("ascii") + vertices.astype("<f4").tobytes() + rows.tobytes()
+    return header.encode("ascii") + (
+        (points["place"] if colours is None else points).tobytes() + rows.tobytes()
+    )
+
+
+def _ply(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], mesh: BodyMesh | None
+) -> bytes:
+    return ply(vertices, faces)
 
 
 def _obj(
@@ -103,24 +120,19 @@ def write_textured(
     albedo: Float[np.ndarray, "V 3"],
     mesh: BodyMesh | None = None,
     picture: bytes | None = None,
+    roughness: float = 0.9,
 ) -> None:
     """Write a mesh (m, +y up) as .glb, atomically. albedo: linear, 0..1, of each vertex. picture: a
     PNG in sRGB, row 0 at the top, for the coordinates of ``mesh``; with it the vertices' own albedo
-    is left out.
+    is left out. roughness: of the material, 0 to 1.
     """
     textured = picture is not None and mesh is not None and mesh.triangle_uv(faces) is not None
     document = mesh_document(vertices, faces, mesh if textured else None)
-    roughness = document.materials[0].pbrMetallicRoughness or gl.PbrMetallicRoughness()
-    document.materials[0].pbrMetallicRoughness = roughness
-    roughness.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
-    roughness.roughnessFactor = 0.9
     if textured:
         assert picture is not None
-        document.images = [gl.Image(bufferView=_add(document, picture), mimeType="image/png")]
-        document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
-        document.textures = [gl.Texture(source=0, sampler=0)]
-        roughness.baseColorTexture = gl.TextureInfo(index=0)
+        add_picture(document, picture, roughness)
     else:
+        _white_material(document, roughness)
         colours = np.ascontiguousarray(albedo.clip(0.0, 1.0), dtype="<f4")
         view = _add(document, colours.tobytes(), gl.ARRAY_BUFFER)
         document.accessors.append(
@@ -129,6 +141,24 @@ def write_textured(
         document.meshes[0].primitives[0].attributes.COLOR_0 = len(document.accessors) - 1
     with atomic_write(path) as temporary:
         temporary.write_bytes(b"".join(document.save_to_bytes()))
+
+
+def _white_material(document: gl.GLTF2, roughness: float) -> gl.PbrMetallicRoughness:
+    """The document's material, white until its picture or its vertices colour it."""
+    material = document.materials[0].pbrMetallicRoughness or gl.PbrMetallicRoughness()
+    document.materials[0].pbrMetallicRoughness = material
+    material.baseColorFactor = [1.0, 1.0, 1.0, 1.0]
+    material.roughnessFactor = roughness
+    return material
+
+
+def add_picture(document: gl.GLTF2, picture: bytes, roughness: float) -> None:
+    """Give a document's material a texture: a PNG in sRGB, row 0 at the top."""
+    document.images = [gl.Image(bufferView=_add(document, picture), mimeType="image/png")]
+    document.samplers = [gl.Sampler(magFilter=gl.LINEAR, minFilter=gl.LINEAR_MIPMAP_LINEAR)]
+    document.textures = [gl.Texture(source=0, sampler=0)]
+    material = _white_material(document, roughness)
+    material.baseColorTexture = gl.TextureInfo(index=0)
 
 
 def _add(document: gl.GLTF2, data: bytes, target: int | None = None) -> int:

@@ -48,6 +48,8 @@ class Export:
     """Of .npz: all results, or the columns that AMASS scripts read (docs/amass.md)."""
     face: bool = False
     """Of meshes: a blend shape for each face unit, with ARKit's names."""
+    skin: Annotated[str, metavar("none|light|medium|dark|0..1")] = "none"
+    """Skin of a default body's mesh: a tone from 0 (light) to 1 (dark); none: a plain material."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
@@ -72,6 +74,7 @@ def run(options: Export, console: "Console | None" = None) -> None:
         frame=options.frame,
         npz_style=options.npz_style,
         face=options.face,
+        skin=options.skin,
     )
     if exported.morphs or exported.worst:
         worst = f"{1e3 * exported.worst:.2g} mm" if exported.worst else "less than 0.01 mm"
@@ -93,6 +96,8 @@ def run(options: Export, console: "Console | None" = None) -> None:
             f"{plain(exported.drivers)}",
             "note",
         )
+    if options.skin != "none" and not exported.skinned:
+        say(console, "plain material: skin is for the full mesh of the default bodies", "note")
     size = f", {exported.path.stat().st_size / 1e6:.1f} MB" if exported.path.is_file() else ""
     what = (
         "one mesh"

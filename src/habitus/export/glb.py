@@ -11,6 +11,7 @@ import pygltflib as gl
 from habitus import __version__
 from habitus.body.surface_files import (
     GltfBuffer,
+    add_picture,
     gltf_material,
     gltf_primitive,
     unit_float32,
@@ -19,6 +20,7 @@ from habitus.errors import shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.faces import face_weights, with_face
 from habitus.export.seams import seams_of
+from habitus.export.skins import ROUGHNESS, painted
 from habitus.files import atomic_write
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ def write_glb(
     correctives: str = "auto",
     detail: str = "full",
     face: bool = False,
+    skin: str | float | None = None,
 ) -> Animation:
     """Write a ``MarkerFit`` as one .glb file, atomically.
 
@@ -52,8 +55,9 @@ def write_glb(
     every joint has a translation track, because shape moves joints. glTF knows linear blend
     skinning only, so a "dqbs" body is approximate near strongly twisted joints. ``detail``: "full",
     or "coarse", the mesh that was fitted. ``face``: with a morph target for each of the face's
-    units (`habitus.export.faces`). What was written comes back. Raises HabitusError where
-    the file cannot be written.
+    units (`habitus.export.faces`). ``skin``: a tone of the default body's skin as its texture
+    (`habitus.body.skin.skin_tone`); other bodies and the coarse mesh stay plain. What was written
+    comes back. Raises HabitusError for another skin, and where the file cannot be written.
     """
     shown_body = body_at(fit, detail)
     animation = one_sided(
@@ -61,10 +65,12 @@ def write_glb(
     )
     if face:
         animation = with_face(animation, face_weights(fit, stride or glb_stride(fit)))
+    covered = painted(animation, skin)
+    document = _document(covered.animation, shown(fit.capture_name, 200))
+    if covered.picture is not None:
+        add_picture(document, covered.picture, ROUGHNESS)
     with atomic_write(path) as temporary:
-        temporary.write_bytes(
-            b"".join(_document(animation, shown(fit.capture_name, 200)).save_to_bytes())
-        )
+        temporary.write_bytes(b"".join(document.save_to_bytes()))
     return animation
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from habitus.arrays import first_not_finite
 from habitus.body.motion import BodyMotion, Moving
 from habitus.body.recentred import recentred_arrays
+from habitus.body.skin import skin_mesh, skin_of, skin_tone
+from habitus.body.state import BodySurface
 from habitus.body.surface_files import write_surface
 from habitus.errors import HabitusError
 from habitus.export.animation import Animation, body_at
@@ -22,6 +24,7 @@ from habitus.export.mot import write_mot
 from habitus.export.npz import check_npz_style, motion_arrays, write_amass, write_arrays, write_npz
 from habitus.export.obj import write_obj_sequence
 from habitus.export.rates import at_rate
+from habitus.export.skins import write_painted_surface
 from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.fit.markers.result import MarkerFit
@@ -31,7 +34,7 @@ from habitus.rotations import up_rotation
 @dataclass(frozen=True)
 class WriteOptions:
     """What a file shall show of a motion: its blend shapes, its level of detail, of a still one
-    which frame, and of an npz which style.
+    which frame, of an npz which style, and its skin.
     """
 
     correctives: str = "auto"
@@ -39,6 +42,7 @@ class WriteOptions:
     frame: int | None = None
     npz_style: str = "habitus"
     face: bool = False
+    skin: str | float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class Exported:
 
     ``drivers``: the file beside it that says how bones drive them (`habitus.export.driven`), where
     they do; ``elsewhere`` (m): how far they leave a vertex at the worst in poses that people take.
+    ``skinned``: whether the mesh has a skin.
     """
 
     path: Path
@@ -57,6 +62,7 @@ class Exported:
     worst: float = 0.0
     drivers: Path | None = None
     elsewhere: float = 0.0
+    skinned: bool = False
 
 
 def write_motion(motion: BodyMotion, path: str | os.PathLike[str]) -> None:
@@ -85,18 +91,31 @@ def _still(moving: Moving, path: Path, options: WriteOptions) -> None:
     """One surface, +y up: of a frame, or the person at rest."""
     body = body_at(moving, options.detail)
     if options.frame is None:
-        write_surface(body(moving.betas), path)
+        _write_surface(body(moving.betas), path, options.skin)
         return
     if not 0 <= options.frame < len(moving.pose):
         raise HabitusError(f"frame is {options.frame}; expected 0 to {len(moving.pose) - 1}")
     surface = next(moving.surfaces([options.frame], body=body))
     turned = surface.vertices[0] @ up_rotation(moving.up_axis).T
-    write_surface(replace(surface, vertices=turned, joints=surface.joints[0]), path)
+    _write_surface(replace(surface, vertices=turned, joints=surface.joints[0]), path, options.skin)
+
+
+def _write_surface(surface: BodySurface, path: Path, skin: str | float | None) -> None:
+    texture = skin_of(surface.mesh, skin)
+    if texture is None:
+        write_surface(surface, path)
+    else:
+        write_painted_surface(surface, path, texture)
 
 
 def _meshed(writer: Callable[..., Animation]) -> "_Writer":
     return lambda moving, path, wanted: writer(
-        moving, path, correctives=wanted.correctives, detail=wanted.detail, face=wanted.face
+        moving,
+        path,
+        correctives=wanted.correctives,
+        detail=wanted.detail,
+        face=wanted.face,
+        skin=wanted.skin,
     )
 
 
@@ -112,10 +131,14 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".obj": (_still, "one mesh"),
     ".ply": (_still, "one mesh"),
     "": (
-        lambda moving, path, wanted: write_obj_sequence(moving, path),
+        lambda moving, path, wanted: write_obj_sequence(moving, path, skin=wanted.skin),
         "a folder with an OBJ mesh a frame",
     ),
 }
+
+
+MESHES = (".glb", ".fbx", *ENDINGS, ".obj", ".ply", "")
+SKINNED = ", ".join(MESHES[:-1]) + ", a folder of OBJ"
 
 
 def export_motion(
@@ -128,6 +151,7 @@ def export_motion(
     frame: int | None = None,
     npz_style: str = "habitus",
     face: bool = False,
+    skin: str | float | None = None,
 ) -> Exported:
     """Write a fit or a motion as one file, by its ending, and say what was written.
 
@@ -142,8 +166,10 @@ def export_motion(
     bones drive them lies beside it (`habitus.export.driven`). detail: "full", or "coarse", the mesh
     that was fitted. npz_style: "habitus", or "amass", the columns of AMASS's scripts
     (`habitus.export.npz.write_amass`), for .npz only. face: a mesh has a blend shape for each of
-    the face's units, with ARKit's names (`habitus.export.faces`). Raises HabitusError for other
-    endings and options, for a missing extra, and where the file cannot be written.
+    the face's units, with ARKit's names (`habitus.export.faces`). skin: of a mesh of the default
+    bodies a tone, "light", "medium", "dark" or a number from 0 (light) to 1 (dark); by itself,
+    "none", it is plain (`habitus.body.skin`). Raises HabitusError for other endings and options,
+    for a missing extra, and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)
@@ -151,13 +177,17 @@ def export_motion(
     check_npz_style(npz_style, motion.body)
     if npz_style != "habitus" and target.suffix.lower() != ".npz":
         raise HabitusError(f"{target.name}: npz_style is for a name that ends in .npz")
+    tone = skin_tone(skin)
+    if tone is not None and target.suffix.lower() not in MESHES:
+        raise HabitusError(f"{target.name}: skin is for files that hold a mesh ({SKINNED})")
     _check_finite(motion)
     moving = at_rate(motion, fps)
     written = _WRITERS[target.suffix.lower()][0](
-        moving, target, WriteOptions(correctives, detail, frame, npz_style, face)
+        moving, target, WriteOptions(correctives, detail, frame, npz_style, face, tone)
     )
     frames = 1 if _WRITERS[target.suffix.lower()][0] is _still else len(moving.pose)
-    exported = Exported(target, frames, float(moving.rate_hz))
+    mesh = skin_mesh(body_at(moving, detail).mesh) if tone is not None else None
+    exported = Exported(target, frames, float(moving.rate_hz), skinned=mesh is not None)
     if not isinstance(written, Animation):
         return exported
     return replace(

@@ -6,19 +6,20 @@ import zlib
 import numpy as np
 from jaxtyping import UInt8
 
-_COLOURS = 6
+_COLOURS = {3: 2, 4: 6}
+"""PNG's number of a pixel of so many channels."""
 _PALETTE = 3
 
 
-def png(image: UInt8[np.ndarray, "H W 4"]) -> bytes:
-    """A PNG file's content."""
-    height, width = image.shape[:2]
+def png(image: UInt8[np.ndarray, "H W C"]) -> bytes:
+    """A PNG file's content; three channels, or four with how opaque a pixel is."""
+    height, width, channels = image.shape
     values = np.ascontiguousarray(image).reshape(height, -1)
     values = np.diff(
         values, axis=0, prepend=np.zeros_like(values[:1])
     )  # filter 2: each row less the one above
     rows = np.concatenate([np.full((height, 1), 2, np.uint8), values], 1)
-    return _file(width, height, 8, _COLOURS, [], rows)
+    return _file(width, height, 8, _COLOURS[channels], [], rows)
 
 
 def small_png(levels: UInt8[np.ndarray, "H W"], palette: UInt8[np.ndarray, "16 3"]) -> bytes:

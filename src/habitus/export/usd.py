@@ -20,6 +20,7 @@ from habitus.errors import HabitusError, require_extra, shown
 from habitus.export.animation import Animation, animate, body_at, one_sided
 from habitus.export.faces import face_weights, with_face
 from habitus.export.seams import polygons_of
+from habitus.export.skins import ROUGHNESS, painted, picture_beside, write_picture
 from habitus.files import atomic_write
 from habitus.mesh.normals import vertex_normals
 from habitus.rotations import up_rotation
@@ -42,15 +43,17 @@ def write_usd(
     correctives: str = "auto",
     detail: str = "full",
     face: bool = False,
+    skin: str | float | None = None,
 ) -> Animation:
     """Write a motion as .usd, .usdc, .usda or .usdz, atomically; what was written comes back.
 
     Metres, +y up, time codes are the motion's frames from 0 on, at its rate. One SkelRoot with a
     mesh (quads and texture coordinates where the body has them), a skeleton of the body's joints,
     and an animation of joints and blend shapes; the latter as for
-    `habitus.export.fbx.write.write_fbx`. Needs usd-core: ``pip install 'habitus[usd]'``. Raises
-    HabitusError where that is missing, where pose blend shapes are not linear in vec(R - I), and
-    where the file cannot be written.
+    `habitus.export.fbx.write.write_fbx`. ``skin``: as for `habitus.export.glb.write_glb`; the
+    texture is in the .usdz, and beside the other files as ``…_skin.png``. Needs usd-core: ``pip
+    install 'habitus[usd]'``. Raises HabitusError where that is missing, for another skin, where
+    pose blend shapes are not linear in vec(R - I), and where the file cannot be written.
     """
     require_extra("pxr", "USD files", "usd")
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
@@ -58,15 +61,21 @@ def write_usd(
         animation = with_face(animation, face_weights(fit))
     reach = _reach(fit)
     target = Path(path)
+    covered = painted(animation, skin)
     with atomic_write(target) as temporary:
-        layer = temporary if target.suffix.lower() != ".usdz" else temporary.with_suffix(".usdc")
+        packed = target.suffix.lower() == ".usdz"
+        layer = temporary.with_suffix(".usdc") if packed else temporary
+        picture = picture_beside(layer if packed else target)
         try:
-            _write_stage(animation, layer, shown(fit.capture_name, 200), reach)
-            if layer != temporary:
+            if covered.picture is not None:
+                write_picture(picture, covered.picture)
+            textured = None if covered.picture is None else f"./{picture.name}"
+            _write_stage(covered.animation, layer, shown(fit.capture_name, 200), reach, textured)
+            if packed:
                 _package(layer, temporary, target.stem)
         finally:
-            if layer != temporary:
-                layer.unlink(missing_ok=True)
+            for left in (layer, picture) if packed else ():
+                left.unlink(missing_ok=True)
     return animation
 
 
@@ -89,7 +98,9 @@ def _package(layer: Path, target: Path, name: str) -> None:
         )
 
 
-def _write_stage(animation: Animation, layer: Path, name: str, reach: np.ndarray) -> None:
+def _write_stage(
+    animation: Animation, layer: Path, name: str, reach: np.ndarray, picture: str | None
+) -> None:
     from pxr import Usd, UsdGeom, UsdSkel
 
     layer.unlink(missing_ok=True)
@@ -105,6 +116,7 @@ def _write_stage(animation: Animation, layer: Path, name: str, reach: np.ndarray
     root.GetPrim().SetDisplayName(name)
     joints = _skeleton(stage, animation)
     mesh = _mesh(stage, animation)
+    _material(stage, mesh, picture)
     shapes = _blend_shapes(stage, mesh, animation)
     _motion(stage, animation, joints, shapes)
     extent = root.CreateExtentAttr()
@@ -138,7 +150,7 @@ def _skeleton(stage: Any, animation: Animation) -> list[str]:
 
 
 def _mesh(stage: Any, animation: Animation) -> Any:
-    from pxr import Gf, Sdf, UsdGeom, UsdShade, UsdSkel, Vt
+    from pxr import Gf, Sdf, UsdGeom, UsdSkel, Vt
 
     faces = polygons_of(animation.body)
     points = animation.rest_vertices
@@ -169,14 +181,37 @@ def _mesh(stage: Any, animation: Animation) -> Any:
         if animation.body.skinning == "lbs"
         else UsdSkel.Tokens.dualQuaternion
     )
-    material = UsdShade.Material.Define(stage, f"{_ROOT}/skin")
-    shader = UsdShade.Shader.Define(stage, f"{_ROOT}/skin/surface")
+    return mesh
+
+
+def _material(stage: Any, mesh: Any, picture: str | None) -> None:
+    """Plain skin, or the texture at a path beside the layer."""
+    from pxr import Gf, Sdf, UsdShade
+
+    path, kinds = f"{_ROOT}/skin", Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, path)
+    shader = UsdShade.Shader.Define(stage, f"{path}/surface")
     shader.CreateIdAttr("UsdPreviewSurface")
-    shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).Set(Gf.Vec3f(*SKIN_COLOUR[:3]))
-    shader.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.7)
+    colour = shader.CreateInput("diffuseColor", kinds.Color3f)
+    shader.CreateInput("roughness", kinds.Float).Set(0.7 if picture is None else ROUGHNESS)
     material.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
-    return mesh
+    if picture is None:
+        colour.Set(Gf.Vec3f(*SKIN_COLOUR[:3]))
+        return
+    reader = UsdShade.Shader.Define(stage, f"{path}/coordinates")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", kinds.String).Set("st")
+    reader.CreateOutput("result", kinds.Float2)
+    texture = UsdShade.Shader.Define(stage, f"{path}/texture")
+    texture.CreateIdAttr("UsdUVTexture")
+    texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(picture))
+    texture.CreateInput("sourceColorSpace", kinds.Token).Set("sRGB")
+    for axis in ("wrapS", "wrapT"):
+        texture.CreateInput(axis, kinds.Token).Set("clamp")
+    texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    texture.CreateOutput("rgb", kinds.Float3)
+    colour.ConnectToSource(texture.ConnectableAPI(), "rgb")
 
 
 def _influences(animation: Animation) -> tuple[np.ndarray, np.ndarray]:

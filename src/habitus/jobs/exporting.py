@@ -23,6 +23,7 @@ def export_file(
     frame: int | None = None,
     npz_style: str = "habitus",
     face: bool = False,
+    skin: str | float | None = None,
 ) -> Exported:
     """Write a fit, a motion, or the npz of one as the format that the ending of ``to`` names.
 
@@ -41,6 +42,7 @@ def export_file(
         frame=frame,
         npz_style=npz_style,
         face=face,
+        skin=skin,
     )
 
 

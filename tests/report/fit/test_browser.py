@@ -15,6 +15,8 @@ from browser import chromium, visit
 from PIL import Image
 from synthetic_fit import synthetic_fit, tube_body
 
+from habitus.body.skin import skin_of
+from habitus.io.models.bodies import load_body
 from habitus.observe.markers import MarkerAttachment
 from habitus.report.fit.page import report_page
 from habitus.rotations import up_rotation
@@ -376,3 +378,32 @@ def test_a_picture_and_a_turn_of_the_body_can_be_saved(folder):
     told = json.loads(tag["filmed"])
     assert told["size"] == told["canvas"] and told["colours"] > 50
     assert told["started"] and told["back"] and told["idle"] and 5.9 < told["widest"] < 2 * np.pi
+
+
+def test_skin_of_a_default_body_is_shown_on_demand(folder):
+    """The page holds three bytes a vertex; the button paints the body, and others have none."""
+    script = """
+const { player, arrays } = habitusReport, { canvas, scene } = player, { gl } = scene;
+const mean = () => {
+  player.draw();
+  const { width, height } = canvas, pixels = new Uint8Array(4 * width * height);
+  gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const sums = [0, 0, 0];
+  for (let i = 0; i < pixels.length; i++) if (i % 4 < 3) sums[i % 4] += pixels[i];
+  return sums;
+};
+player.set({ layers: { body: true }, follow: true });
+const plain = mean();
+player.toggle('skin');
+found.warmer = (v => v[0] - v[2])(mean()) - (plain[0] - plain[2]);
+found.colours = arrays.has('colours') ? arrays.shape('colours') : null;
+found.first = arrays.has('colours') ? [...arrays.get('colours').slice(0, 3)] : null;
+found.button = Boolean(document.querySelector('[data-layer=skin]'));
+"""
+    body = load_body("female")
+    found = probed(folder, synthetic_fit(4, body=body), script)
+    known = skin_of(body.full.mesh, "medium").colours[body.full_vertices]
+    assert found["colours"] == list(known.shape) and found["first"] == known[0].tolist()
+    assert found["button"] and found["warmer"] > 1e5
+    found = probed(folder, synthetic_fit(4), script)
+    assert found["colours"] is None and not found["button"] and found["warmer"] == 0

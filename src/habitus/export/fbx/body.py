@@ -11,6 +11,7 @@ from habitus.export.seams import polygons_of
 from habitus.mesh.normals import vertex_normals
 
 CM = 100.0
+PICTURE = "skin.png"
 _SKINNING = {"lbs": "Linear", "dqbs": "DualQuaternion"}
 
 
@@ -29,15 +30,40 @@ def add_skeleton(objects: Objects, animation: Animation) -> list[np.int64]:
     return models
 
 
-def add_mesh(objects: Objects, animation: Animation, name: str) -> tuple[np.int64, np.int64]:
-    """The body's mesh at rest, with its material; the numbers of its model and its geometry."""
+def add_mesh(
+    objects: Objects, animation: Animation, name: str, picture: bytes | None = None
+) -> tuple[np.int64, np.int64]:
+    """The body's mesh at rest, with its material, and a PNG as its texture where one is given; the
+    numbers of its model and its geometry.
+    """
     model = objects.add("Model", name, "Mesh", _model_nodes(np.zeros(3)))
     geometry = objects.add("Geometry", name, "Mesh", _geometry_nodes(animation))
-    material = objects.add("Material", "skin", "", _material_nodes())
+    material = objects.add("Material", "skin", "", _material_nodes(picture is not None))
     objects.link(model, ROOT)
     objects.link(geometry, model)
     objects.link(material, model)
+    if picture is not None:
+        _add_texture(objects, material, picture)
     return model, geometry
+
+
+def _add_texture(objects: Objects, material: np.int64, picture: bytes) -> None:
+    """A picture inside the file, and the texture that shows it."""
+    files = [Node(name, (PICTURE,)) for name in ("FileName", "RelativeFilename")]
+    path = props(prop("Path", "KString", "XRefUrl", "", PICTURE))
+    clip = [Node("Type", ("Clip",)), path, Node("UseMipMap", (0,)), *files]
+    video = objects.add("Video", "skin", "Clip", [*clip, Node("Content", (picture,))])
+    nodes = [
+        Node("Type", ("TextureVideoClip",)),
+        Node("Version", (202,)),
+        Node("TextureName", ("skin\0\1Texture",)),
+        props(prop("UVSet", "KString", "", "", "UVMap"), prop("UseMaterial", "bool", "", "", 1)),
+        Node("Media", ("skin\0\1Video",)),
+        *files,
+    ]
+    texture = objects.add("Texture", "skin", "", nodes)
+    objects.link(texture, material, "DiffuseColor")
+    objects.link(video, texture)
 
 
 def add_skin(
@@ -164,8 +190,8 @@ def _layer(name: str, called: str, mapping: str, reference: str, *values: Node) 
     )
 
 
-def _material_nodes() -> list[Node]:
-    colour = SKIN_COLOUR[:3]
+def _material_nodes(textured: bool) -> list[Node]:
+    colour = (1.0, 1.0, 1.0) if textured else SKIN_COLOUR[:3]
     return [
         Node("Version", (102,)),
         Node("ShadingModel", ("lambert",)),

@@ -12,6 +12,7 @@ from habitus.export.fbx.body import add_channels, add_mesh, add_skeleton, add_sk
 from habitus.export.fbx.motion import add_motion
 from habitus.export.fbx.nodes import document
 from habitus.export.fbx.scene import Objects, top_nodes
+from habitus.export.skins import painted
 from habitus.files import atomic_write
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def write_fbx(
     correctives: str = "auto",
     detail: str = "full",
     face: bool = False,
+    skin: str | float | None = None,
 ) -> Animation:
     """Write a motion as one binary .fbx, atomically; what was written comes back.
 
@@ -34,8 +36,9 @@ def write_fbx(
     and soft tissue are blend channels between 0 and 100 percent (``correctives``:
     `habitus.export.correctives.morphs_of`), forth and back where they go both ways; with soft
     tissue joints move, too. ``detail``: "full", or "coarse", the mesh that was fitted.
-    ``face``: with a blend channel for each of the face's units (`habitus.export.faces`). Raises
-    HabitusError where pose blend shapes are not linear in vec(R - I), and where the file cannot be
+    ``face``: with a blend channel for each of the face's units (`habitus.export.faces`). ``skin``:
+    as for `habitus.export.glb.write_glb`; the texture is in the file. Raises HabitusError for
+    another skin, where pose blend shapes are not linear in vec(R - I), and where the file cannot be
     written.
     """
     animation = one_sided(animate(fit, correctives=correctives, body=body_at(fit, detail)))
@@ -44,7 +47,8 @@ def write_fbx(
     take = shown(fit.capture_name, 200)
     objects = Objects()
     limbs = add_skeleton(objects, animation)
-    mesh, geometry = add_mesh(objects, animation, "body")
+    covered = painted(animation, skin)
+    mesh, geometry = add_mesh(objects, covered.animation, "body", covered.picture)
     add_skin(objects, animation, mesh, geometry, limbs)
     channels = add_channels(objects, animation, geometry)
     add_motion(objects, animation, take, limbs, channels)

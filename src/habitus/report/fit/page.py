@@ -139,10 +139,16 @@ def _player(scene: Scene) -> str:
         '<button type="button" data-layer="tapes" class="placement-only" '
         'title="The tapes of the measurements"><i class="swatch tapes"></i>Tapes</button>'
     )
+    skin = (
+        '<button type="button" data-layer="skin" title="Painted skin of the default body">'
+        "Skin</button>"
+    )
     facts = scene.facts
     layers = Template(asset("player_fit.html")).substitute(
         stages=stages if len(facts["stages"]) > 1 else "",
-        some=unobserved * bool(facts["guessed"]) + tapes * bool(facts["tapes"]),
+        some=unobserved * bool(facts["guessed"])
+        + tapes * bool(facts["tapes"])
+        + skin * facts["skin"],
     )
     keys = "<dt>V</dt><dd>motion, placement</dd><dt>S</dt><dd>soft tissue</dd>"
     hint = f"<p class='hint placement-only'>{texts.PLACEMENT_HINT}</p>"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from habitus.body.joint_angles import joint_angles
+from habitus.body.skin import skin_of
 from habitus.export.animation import STAGES, Animation, Track, animate
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.solution import UNCERTAINTY
@@ -22,6 +23,8 @@ from habitus.rotations import up_rotation
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
 
+SKIN = "medium"
+"""The tone that the player shows where one asks for skin."""
 PLAYER_HZ = 62.0
 """Frames a second that the player holds at most: a little more than screens show."""
 PLAYER_BYTES = 5_000_000
@@ -72,6 +75,7 @@ def add_scene(fit: "Moving", blob: Blob, last_stage: bool = False) -> Scene:
     stride = player_stride(fit, len(stages))
     animation = animate(fit, stages, max_morphs=MORPHS, tolerance=MORPH_TOLERANCE, stride=stride)
     _add_mesh(animation, blob)
+    colours = _add_colours(fit, blob)
     for stage, track in zip(stages, animation.tracks, strict=True):
         _add_track(stage, track, blob)
     if isinstance(fit, MarkerFit):
@@ -81,6 +85,7 @@ def add_scene(fit: "Moving", blob: Blob, last_stage: bool = False) -> Scene:
         _add_no_markers(stages, blob)
     facts = {
         **_parts(None if last_stage else fit, animation, blob),
+        "skin": colours,
         "stages": list(stages),
         "rate": animation.rate_hz,
         "stride": stride,
@@ -130,6 +135,19 @@ def _add_mesh(animation: Animation, blob: Blob) -> None:
         np.round(animation.morphs / scale[:, None, None]).astype("i1"),
         scale=scale.tolist(),
     )
+
+
+def _add_colours(fit: "Moving", blob: Blob) -> bool:
+    """Three bytes a vertex of a default body: its skin, which the page shows where one asks for
+    it.
+    """
+    full, rows = fit.finest_body, fit.body.full_vertices
+    skin = skin_of(full.mesh, SKIN)
+    if skin is None:
+        return False
+    colours = skin.colours if rows is None else skin.colours[rows]
+    blob.add("colours", colours, steps=True)
+    return True
 
 
 def _add_track(stage: str, track: Track, blob: Blob) -> None:

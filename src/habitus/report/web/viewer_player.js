@@ -14,7 +14,7 @@ class Player extends EventTarget {
     this.pose = { bones: new Float32Array(16 * this.rest.length / 3), weights: new Float32Array(16) };
     this.state = {
       frame: 0, playing: false, speed: 1, view: 'motion', stage: report.scene.stages.at(-1), follow: true, selected: -1, hovered: -1,
-      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false, guessed: true, tapes: false },
+      layers: { body: true, glass: false, observed: true, predicted: true, errors: true, skeleton: false, names: false, trails: false, guessed: true, tapes: false, skin: false },
       tape: null,
     };
     this.camera = new Camera(this.canvas, () => this.redraw());

@@ -95,7 +95,7 @@ class Scene {
     for (const { skin, pose, albedo: own } of view.bodies) {
       this.programs.body.use({
         ...shared, ...skin.use(pose), uAlbedo: own ?? albedo, uSky: sky, uGround: ground, uKey: key, uAlpha: alpha, uGuess: guess,
-        uStripes: view.stripes ?? 1,
+        uStripes: view.stripes ?? 1, uPainted: Number(skin.painted && Boolean(view.show.skin)),
       });
       skin.draw();
     }

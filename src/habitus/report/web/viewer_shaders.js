@@ -3,11 +3,12 @@
 const SKIN_VERTEX = `#version 300 es
 precision highp float; precision highp int; precision highp isampler2D;
 layout(location=0) in vec3 aPosition; layout(location=1) in vec3 aNormal;
-layout(location=2) in uvec4 aJoints; layout(location=3) in vec4 aWeights;
+layout(location=2) in uvec4 aJoints; layout(location=3) in vec4 aWeights; layout(location=4) in vec3 aColor;
 uniform mat4 uViewProjection; uniform highp sampler2D uBones; uniform isampler2D uMorphs;
 uniform float uMorphWeights[16]; uniform int uMorphCount; uniform int uVertexCount;
-out vec3 vWorld; out vec3 vNormal; out float vGuess;
+out vec3 vWorld; out vec3 vNormal; out vec3 vColor; out float vGuess;
 void main() {
+  vColor = aColor;
   vec3 p = aPosition;
   for (int k = 0; k < uMorphCount; k++) {
     int i = k * uVertexCount + gl_VertexID;
@@ -30,7 +31,7 @@ void main() {
 
 const SHADOW_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vWorld; in vec3 vNormal; in float vGuess;
+in vec3 vWorld; in vec3 vNormal; in vec3 vColor; in float vGuess;
 void main() {}`;
 
 // Soft shadow: sixteen taps on a disc, turned from pixel to pixel.
@@ -49,8 +50,8 @@ float lit(vec3 world, float spread) {
 
 const BODY_FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 vWorld; in vec3 vNormal; in float vGuess;
-uniform vec3 uEye, uLight, uAlbedo, uSky, uGround, uGuess; uniform float uAlpha, uFloor, uKey, uStripes;
+in vec3 vWorld; in vec3 vNormal; in vec3 vColor; in float vGuess;
+uniform vec3 uEye, uLight, uAlbedo, uSky, uGround, uGuess; uniform float uAlpha, uFloor, uKey, uStripes, uPainted;
 out vec4 color;
 ${SHADOW_LOOKUP}
 void main() {
@@ -63,7 +64,7 @@ void main() {
   float gloss = pow(max(dot(n, normalize(uLight + v)), 0.), 28.) * shade * step(0., facing);
   float fill = max(dot(n, normalize(v + vec3(0, .3, 0))), 0.);
   float band = smoothstep(.42, .58, abs(fract((gl_FragCoord.x + gl_FragCoord.y) / 14.) - .5) * 2.);
-  vec3 own = mix(uAlbedo, uGuess, vGuess * mix(1., .25 + .75 * band, uStripes));
+  vec3 own = mix(mix(uAlbedo, pow(vColor, vec3(2.2)), uPainted), uGuess, vGuess * mix(1., .25 + .75 * band, uStripes));
   vec3 c = own * (ambient + uKey * key * vec3(1., .965, .92) + .20 * fill) + .055 * gloss + rim * .16 * uSky;
   color = vec4(pow(c / (1. + .18 * c), vec3(1. / 2.2)), mix(uAlpha, 1., rim * .6 * step(uAlpha, .99)));
 }`;

@@ -44,6 +44,12 @@ class Skin {
     buffer(gl, arrays.get('weights'));
     gl.enableVertexAttribArray(3);
     gl.vertexAttribPointer(3, 4, gl.UNSIGNED_SHORT, true, 0, 0);
+    this.painted = arrays.has('colours');
+    if (this.painted) {
+      buffer(gl, arrays.get('colours'));
+      gl.enableVertexAttribArray(4);
+      gl.vertexAttribPointer(4, 3, gl.UNSIGNED_BYTE, true, 0, 0);
+    }
     buffer(gl, faces, gl.ELEMENT_ARRAY_BUFFER);
     gl.bindVertexArray(null);
   }
