@@ -39,6 +39,7 @@ from habitus.io.models.details import (
     read_mesh,
     read_pose_joints,
 )
+from habitus.io.models.parts import has_parts, parts_level
 from habitus.mesh.template import check_parents
 
 _EXTRAS = (
@@ -60,6 +61,8 @@ _EXTRAS = (
     "ft",
     "uv",
     "uv_faces",
+    "part_names",
+    "part_index",
 )
 SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
 """The bodies that come along, by the names they are asked for."""
@@ -77,11 +80,12 @@ def load_body(
 
     All shape directions are kept unless ``num_betas`` says how many. ``detail``: a file with two
     levels of detail gives the "coarse" one, which holds the other as ``body.full``, or the "full"
-    one alone; other files have one level. ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and
-    eyes, too), as far as the file has them; by itself "smpl" of the bodies that come along, all
-    joints of other files. Hands are full joint rotations; their mean pose and components go to
-    ``extras``. Raises HabitusError, with the file named, where it is no body model, is damaged, has
-    not those joints, or asks for anything but arrays.
+    one alone, or that with teeth, tongue and lashes where the file has such ("parts", also
+    ``body.full.full``); other files have one level. ``joints``: "smpl", "smplh" (fingers) or
+    "smplx" (jaw and eyes, too), as far as the file has them; by itself "smpl" of the bodies that
+    come along, all joints of other files. Hands are full joint rotations; their mean pose and
+    components go to ``extras``. Raises HabitusError, with the file named, where it is no body
+    model, is damaged, has not those joints, or asks for anything but arrays.
     """
     if detail not in DETAILS:
         raise HabitusError(f"detail is {detail!r}; expected one of {', '.join(DETAILS)}")
@@ -100,19 +104,26 @@ def load_body(
     return model if num_betas is None else model.with_betas(num_betas)
 
 
-def _read_body(content: bytes, name: str, detail: str, joints: str | None) -> BodyModel:
+def _read_body(
+    content: bytes, name: str, detail: str, joints: str | None, *, alone: bool = True
+) -> BodyModel:
     """The body in a file's bytes; a coarse one keeps them, for its full level is read from them
-    when asked for.
+    when asked for, and so does a full one that is not ``alone``, for its parts.
     """
     arrays = ModelArrays(BytesIO(content))
     if "coarse_vertices" in arrays and detail == "coarse":
         arrays, rows = coarse_level(arrays)
-        finer = partial(_read_body, content, name, "full", None)
+        finer = partial(_read_body, content, name, "full", None, alone=False)
         model = replace(_own_body(arrays, name), full_vertices=rows, finer=finer)
+    elif detail == "parts" and has_parts(arrays):
+        model = _own_body(parts_level(arrays), name)
     else:
         model = (
             _own_body(arrays, name) if "skinning_index" in arrays else _official_body(arrays, name)
         )
+        if detail == "full" and not alone and has_parts(arrays):
+            finer = partial(_read_body, content, name, "parts", None)
+            model = replace(model, full_vertices=np.arange(model.num_vertices), finer=finer)
     return model if joints is None else model.with_joints(joints)
 
 
