@@ -40,8 +40,8 @@ class Export:
     """Blend shapes: the fewest that keep every vertex within 0.1 mm, all of the body's own, a
     number (live: that bones can drive), or none.
     """
-    detail: Literal["full", "coarse"] = "full"
-    """The mesh: the body's full level, or the one that was fitted."""
+    detail: Literal["full", "parts", "coarse"] = "full"
+    """The mesh: the body's full level, that with teeth, tongue and lashes, or the one fitted."""
     frame: Annotated[int | None, unset("K")] = None
     """Of .obj and .ply: this frame, from 0 on, instead of the person at rest."""
     npz_style: Literal["habitus", "amass"] = "habitus"

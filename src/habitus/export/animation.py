@@ -94,11 +94,13 @@ class _Motion:
 
 
 def body_at(fit: "Moving", detail: str) -> BodyModel:
-    """The body that files show: "full", its full level of detail where it has one, or "coarse", the
-    fitted one.
+    """The body that files show: "full", its full level of detail where it has one, "parts", that
+    with teeth, tongue and lashes where it has such, or "coarse", the fitted one.
     """
-    if detail not in ("full", "coarse"):
-        raise HabitusError(f"detail is {detail!r}; expected full or coarse")
+    if detail not in ("full", "parts", "coarse"):
+        raise HabitusError(f"detail is {detail!r}; expected full, parts or coarse")
+    if detail == "parts":
+        return fit.finest_body.full or fit.finest_body
     return fit.finest_body if detail == "full" else fit.body
 
 

@@ -163,13 +163,14 @@ def export_motion(
     fps: another rate than the motion's (`habitus.export.rates.at_rate`); a fit loses its markers by
     it. correctives: which blend shapes a mesh is given, "auto", "all", "none", "live:96" or
     "pca:16" (`habitus.export.correctives.morphs_of`); with "all" and "live" a file that says how
-    bones drive them lies beside it (`habitus.export.driven`). detail: "full", or "coarse", the mesh
-    that was fitted. npz_style: "habitus", or "amass", the columns of AMASS's scripts
-    (`habitus.export.npz.write_amass`), for .npz only. face: a mesh has a blend shape for each of
-    the face's units, with ARKit's names (`habitus.export.faces`). skin: of a mesh of the default
-    bodies a tone, "light", "medium", "dark" or a number from 0 (light) to 1 (dark); by itself,
-    "none", it is plain (`habitus.body.skin`). Raises HabitusError for other endings and options,
-    for a missing extra, and where the file cannot be written.
+    bones drive them lies beside it (`habitus.export.driven`). detail: "full", "parts", that with
+    teeth, tongue and lashes, or "coarse", the mesh that was fitted. npz_style: "habitus", or
+    "amass", the columns of AMASS's scripts (`habitus.export.npz.write_amass`), for .npz only. face:
+    a mesh has a blend shape for each of the face's units, with ARKit's names
+    (`habitus.export.faces`). skin: of a mesh of the default bodies a tone, "light", "medium",
+    "dark" or a number from 0 (light) to 1 (dark); by itself, "none", it is plain
+    (`habitus.body.skin`). Raises HabitusError for other endings and options, for a missing extra,
+    and where the file cannot be written.
     """
     target = Path(path)
     check_motion_path(target)

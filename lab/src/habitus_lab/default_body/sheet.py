@@ -5,7 +5,7 @@ looking at.
 
 One PNG a subject: form (four sides, face, hand, foot), expressions, components (each at -2 and +2
 standard deviations), people (24 random women, men and children), ages, poses, flesh (skinning alone
-beside the learned pose blend shapes), hands.
+beside the learned pose blend shapes), hands, face-units (all units, blink, jaw, faces at random).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from habitus_lab.repository import BODIES, REPOSITORY
 
 SKIN = (0.70, 0.71, 0.73)
 EYE = (0.95, 0.95, 0.97)
+PARTS = {"lashes": (0.2, 0.2, 0.2), "tongue": (0.62, 0.52, 0.53)}
 LINING = (0.45, 0.45, 0.48)  # a grey figure, as of clay
 FAR = 20.0  # heights of the picture between camera and body: nearly parallel rays
 SEED = 4
@@ -168,11 +169,18 @@ def _colours(body: BodyModel) -> np.ndarray:
         )
     )
     colours[eyes] = EYE
+    if "part_index" in body.extras:
+        of_parts = body.extras["part_index"]
+        names = body.extras["part_names"][of_parts].tolist()
+        first = body.num_vertices - len(of_parts)
+        colours[first:] = [PARTS.get(name, EYE) for name in names]
     return colours
 
 
 def posed(
-    body: BodyModel, pose: dict[str, tuple[float, float, float]], **more: np.ndarray
+    body: BodyModel,
+    pose: dict[str, tuple[float, float, float]],
+    **more: np.ndarray | dict[str, float],
 ) -> np.ndarray:
     """Vertices (V, 3); turns by joint, degrees."""
     turns = {name: np.radians(turn) for name, turn in pose.items()}
@@ -238,6 +246,31 @@ def expressions(bodies: dict[str, BodyModel]) -> Image.Image:
     shown = [posed(body, {"jaw": (angle, 0, 0)}) for angle in (0, 10, 20)]
     pictures += [view.picture(face, np.asarray(body.faces), colours) for face in shown]
     return grid(pictures, 10)
+
+
+def face_units(bodies: dict[str, BodyModel]) -> Image.Image:
+    """The 52 units of the neutral body at full strength; then a blink and an opening jaw in steps,
+    a smile, closed lips over an open jaw, and random weights of all units; last, faces of random
+    identity.
+    """
+    body = bodies["parts"]
+    colours = _colours(body)
+    rest = _mark(body, posed(body, {}), "head_top") - [0, 0.14, -0.02]
+    both = ("Left", "Right")
+    rows = [{name: 1.0} for name in body.face_unit_names]
+    rows += [{f"eyeBlink{side}": weight for side in both} for weight in (0.0, 0.5, 1.0)]
+    rows += [{"jawOpen": weight} for weight in (0.5, 1.0)]
+    rows += [{f"mouthSmile{side}": 1.0 for side in both}, {"jawOpen": 1.0, "mouthClose": 1.0}]
+    rng = np.random.default_rng(SEED)
+    for _ in range(6):
+        some = rng.choice(len(body.face_unit_names), 5, replace=False)
+        rows.append({body.face_unit_names[k]: float(rng.uniform(0.3, 0.9)) for k in some})
+    faces = [posed(body, {}, face=row) for row in rows]
+    faces += [posed(body, {"jaw": (angle, 0, 0)}) for angle in (10, 20, 25)]
+    count = body.num_face_betas
+    faces += [posed(body, {}, face_betas=rng.normal(size=count)) for _ in range(10)]
+    view = View(20, 0, rest, 0.27, 150, 175)
+    return grid([view.picture(each, np.asarray(body.faces), colours) for each in faces], 13)
 
 
 def components(bodies: dict[str, BodyModel]) -> Image.Image:
@@ -330,6 +363,7 @@ def hands(bodies: dict[str, BodyModel]) -> Image.Image:
 SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "form": form,
     "expressions": expressions,
+    "face-units": face_units,
     "components": components,
     "people": people,
     "ages": ages,
@@ -352,6 +386,7 @@ def main() -> None:
         name: load_body(options.bodies / f"{name}.npz", detail="full", joints="smplx")
         for name in ("female", "male", "neutral")
     }
+    bodies["parts"] = load_body(options.bodies / "neutral.npz", detail="parts", joints="smplx")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only.split(","):
         path = options.out / f"default-body-{name}.png"

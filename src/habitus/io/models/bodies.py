@@ -39,6 +39,7 @@ from habitus.io.models.details import (
     read_mesh,
     read_pose_joints,
 )
+from habitus.io.models.parts import has_parts, parts_level
 from habitus.mesh.template import check_parents
 
 _EXTRAS = (
@@ -60,6 +61,8 @@ _EXTRAS = (
     "ft",
     "uv",
     "uv_faces",
+    "part_names",
+    "part_index",
 )
 SHIPPED = {"default": "neutral", "neutral": "neutral", "female": "female", "male": "male"}
 """The bodies that come along, by the names they are asked for."""
@@ -79,11 +82,12 @@ def load_body(
     (24 of the bodies that come along, which have 100: the first ones are the same, the further ones
     serve scans), all of files without further ones. ``detail``: a file with two
     levels of detail gives the "coarse" one, which holds the other as ``body.full``, or the "full"
-    one alone; other files have one level. ``joints``: "smpl", "smplh" (fingers) or "smplx" (jaw and
-    eyes, too), as far as the file has them; by itself "smpl" of the bodies that come along, all
-    joints of other files. Hands are full joint rotations; their mean pose and components go to
-    ``extras``. Raises HabitusError, with the file named, where it is no body model, is damaged, has
-    not those joints, or asks for anything but arrays.
+    one alone, or that with teeth, tongue and lashes where the file has such ("parts", also
+    ``body.full.full``); other files have one level. ``joints``: "smpl", "smplh" (fingers) or
+    "smplx" (jaw and eyes, too), as far as the file has them; by itself "smpl" of the bodies that
+    come along, all joints of other files. Hands are full joint rotations; their mean pose and
+    components go to ``extras``. Raises HabitusError, with the file named, where it is no body
+    model, is damaged, has not those joints, or asks for anything but arrays.
     """
     if detail not in DETAILS:
         raise HabitusError(f"detail is {detail!r}; expected one of {', '.join(DETAILS)}")
@@ -104,20 +108,32 @@ def load_body(
 
 
 def _read_body(
-    content: bytes, name: str, detail: str, joints: str | None, num_betas: int | None
+    content: bytes,
+    name: str,
+    detail: str,
+    joints: str | None,
+    num_betas: int | None,
+    *,
+    alone: bool = True,
 ) -> BodyModel:
     """The body in a file's bytes, with at least ``num_betas`` shape directions where it has them; a
-    coarse one keeps the bytes, for its full level is read from them when asked for.
+    coarse one keeps the bytes, for its full level is read from them when asked for, and so does a
+    full one that is not ``alone``, for its parts.
     """
     arrays = ModelArrays(BytesIO(content))
     if "coarse_vertices" in arrays and detail == "coarse":
         arrays, rows = coarse_level(arrays)
-        finer = partial(_read_body, content, name, "full", None, num_betas)
+        finer = partial(_read_body, content, name, "full", None, num_betas, alone=False)
         model = replace(_own_body(arrays, name, num_betas), full_vertices=rows, finer=finer)
-    elif "skinning_index" in arrays:
-        model = _own_body(arrays, name, num_betas)
-    else:
+    elif "skinning_index" not in arrays:
         model = _official_body(arrays, name)
+    elif detail == "parts" and has_parts(arrays):
+        model = _own_body(parts_level(arrays), name, num_betas)
+    else:
+        model = _own_body(arrays, name, num_betas)
+        if detail == "full" and not alone and has_parts(arrays):
+            finer = partial(_read_body, content, name, "parts", None, num_betas)
+            model = replace(model, full_vertices=np.arange(model.num_vertices), finer=finer)
     return model if joints is None else model.with_joints(joints)
 
 

@@ -22,7 +22,7 @@ from habitus.io.archives import NpzArchive
 from habitus.io.limits import open_file
 from habitus.io.models.arrays import ModelArrays
 
-DETAILS = ("coarse", "full")
+DETAILS = ("coarse", "full", "parts")
 
 
 def read_pose_joints(arrays: ModelArrays, joints: int) -> tuple[int, ...] | None:
