@@ -5,7 +5,8 @@ looking at.
 
 One PNG a subject: form (four sides, face, hand, foot), expressions, components (each at -2 and +2
 standard deviations), people (24 random women, men and children), ages, poses, flesh (skinning alone
-beside the learned pose blend shapes), hands, face-units (all units, blink, jaw, faces at random).
+beside the learned pose blend shapes), hands, face-units (all units, blink, jaw, faces at random),
+skins (three tones).
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from PIL import Image
 from habitus import load_body
 from habitus.body.hands import HAND_POSES, hand_pose
 from habitus.body.model import BodyModel
+from habitus.body.skin import Skin, skin_of
 from habitus.observe.camera import Camera
 from habitus.render.draw import draw
+from habitus.render.textures import Texture
 from habitus_lab.repository import BODIES, REPOSITORY
 
 SKIN = (0.70, 0.71, 0.73)
@@ -34,6 +37,7 @@ LINING = (0.45, 0.45, 0.48)  # a grey figure, as of clay
 FAR = 20.0  # heights of the picture between camera and body: nearly parallel rays
 SEED = 4
 AGES = (1, 2, 3, 5, 8, 11, 13, 15, 20, 25, 40, 60, 80, 90)  # years
+GAMMA = 2.2
 ARMS_DOWN = {"left_shoulder": (0, 0, -68), "right_shoulder": (0, 0, 68), "left_collar": (0, 0, -8)}
 ARMS_DOWN |= {"right_collar": (0, 0, 8)}
 FIST = {
@@ -142,6 +146,26 @@ class View:
             torch.as_tensor(light[:, None] * colours), background=torch.ones(3, dtype=torch.float64)
         )
         return (255 * image.clamp(0, 1)).byte().numpy()
+
+    def painted(self, vertices: np.ndarray, body: BodyModel, skin: Skin) -> np.ndarray:
+        """(rows, width, 3) bytes of a body in its skin, lit as `picture` is, in linear light."""
+        right, down, forward = self.axes
+        normals = _normals(vertices, np.asarray(body.faces))
+        light = (
+            0.35
+            + 0.6 * _lit(normals, -forward + 0.5 * right - 0.6 * down)
+            + 0.2 * _lit(normals, -forward - right)
+        )
+        seen = (vertices - self.centre) @ self.axes.T + [0, 0, self.away]
+        faces = torch.as_tensor(np.asarray(body.faces, np.int64))
+        image = draw(self.camera, torch.as_tensor(seen), faces).textured(
+            Texture.of((skin.image / 255.0) ** GAMMA),
+            torch.as_tensor(skin.mesh.uv.astype(np.float64)),
+            torch.as_tensor(skin.mesh.triangle_uv(body.faces)),
+            torch.as_tensor(light[:, None]),
+            background=torch.ones(3, dtype=torch.float64),
+        )
+        return (255 * image.clamp(0, 1) ** (1 / GAMMA)).byte().numpy()
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -360,6 +384,24 @@ def hands(bodies: dict[str, BodyModel]) -> Image.Image:
     return grid(pictures, len(HAND_POSES))
 
 
+def skins(bodies: dict[str, BodyModel]) -> Image.Image:
+    """Light, medium and dark skin: front, back, face, hand, palm, foot."""
+    pictures = []
+    for name, tone in (("female", "light"), ("male", "medium"), ("female", "dark")):
+        body = bodies[name]
+        skin = skin_of(body.mesh, tone)
+        v, still = posed(body, ARMS_DOWN), posed(body, {})
+        hand = _mark(body, still, "left_middle_tip") - [0.09, 0, 0]
+        foot = _mark(body, still, "left_toe_tip") - [0, 0, 0.1]
+        head = _mark(body, v, "head_top") - [0, 0.13, -0.02]
+        shots = [(_whole(v, yaw, 210, 400), v) for yaw in (0, 180)]
+        shots += [(View(yaw, 0, head, 0.3, 320, 400), v) for yaw in (0, 50)]
+        shots += [(View(90, pitch, hand, 0.26, 220, 400), still) for pitch in (89, -89)]
+        shots += [(View(25, 50, foot, 0.27, 260, 400), still)]
+        pictures.append(np.concatenate([view.painted(at, body, skin) for view, at in shots], 1))
+    return grid(pictures, 1)
+
+
 SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "form": form,
     "expressions": expressions,
@@ -370,7 +412,12 @@ SHEETS: dict[str, Callable[[dict[str, BodyModel]], Image.Image]] = {
     "poses": poses,
     "flesh": flesh,
     "hands": hands,
+    "skins": skins,
 }
+
+
+COLOURED = ("skins",)
+"""Sheets of more colours than a palette holds."""
 
 
 def main() -> None:
@@ -389,8 +436,10 @@ def main() -> None:
     bodies["parts"] = load_body(options.bodies / "neutral.npz", detail="parts", joints="smplx")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only.split(","):
-        path = options.out / f"default-body-{name}.png"
-        SHEETS[name](bodies).quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+        sheet = SHEETS[name](bodies)
+        path = options.out / f"default-body-{name}.{'jpg' if name in COLOURED else 'png'}"
+        few = sheet if name in COLOURED else sheet.quantize(128, dither=Image.Dither.NONE)
+        few.save(path, optimize=True, quality=88)
         print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
 
 
