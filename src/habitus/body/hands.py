@@ -79,18 +79,22 @@ HAND_POSES: Mapping[str, HandPose] = MappingProxyType(
             (20, 25, 10), (25, 30, 12), (30, 32, 14), (32, 32, 14), (5, 10, 10), 10
         ),
         "fist": HandPose(
-            (68, 88, 45), (71, 88, 45), (73, 88, 45), (75, 85, 45), (12, 32, 45), 36,
+            (57, 67, 60), (57, 65, 42), (55, 82, 54), (69, 71, 53), (6, 16, 24), 18,
             (-4, 0, 4, 6),
         ),
         "grip": HandPose(
-            (45, 55, 30), (48, 55, 30), (50, 55, 30), (52, 55, 30), (15, 20, 20), 40
+            (45, 55, 30), (48, 55, 30), (50, 55, 30), (52, 55, 30), (8, 16, 21), 32
         ),
         "pinch": HandPose(
             (55, 56, 36), (25, 30, 12), (25, 30, 12), (25, 30, 12), (-4, 23, 27), 32
         ),
     }
 )  # fmt: skip
-"""Named poses of a hand. A gripped cylinder is about 5 cm wide."""
+"""Named poses of a hand. A gripped cylinder is about 5 cm wide. The fist is as tight as skinned
+fingers close without skin through skin: each joint bends up to the fold of its own crease, tips
+come near the palm, the thumb lies before index and middle finger. A real fist bends a finger by 30 to 60
+degrees more, over its three joints.
+"""
 
 
 def hand_pose(
