@@ -92,8 +92,8 @@ HAND_POSES: Mapping[str, HandPose] = MappingProxyType(
 )  # fmt: skip
 """Named poses of a hand. A gripped cylinder is about 5 cm wide. The fist is as tight as skinned
 fingers close without skin through skin: each joint bends up to the fold of its own crease, tips
-come near the palm, the thumb lies before index and middle finger. A real fist bends a finger by 30 to 60
-degrees more, over its three joints.
+come near the palm, the thumb lies before index and middle finger. A real fist bends a finger by
+some 60 degrees more over its three joints.
 """
 
 
@@ -212,11 +212,15 @@ def _bones(
     rest: Mapping[str, np.ndarray],
     finger: str,
 ) -> Float[np.ndarray, "3 3"]:
-    """Directions of a finger's three bones at rest; the last one ends at its farthest vertices."""
+    """Directions of a finger's three bones at rest; the last one ends at its farthest vertices,
+    without any it goes on as the one before.
+    """
     first, second, third = (rest[f"{finger}{k}"] for k in (1, 2, 3))
     weight = np.asarray(body.skinning_weights)[:, body.joint_names.index(f"{finger}3")]
     skin = vertices[weight > 0.5]
     along = _unit(third - second)
+    if not len(skin):
+        return np.array([_unit(second - first), along, along])
     reach = (skin - third) @ along
     tip = skin[reach > reach.max() - 0.004].mean(axis=0)
     return np.array([_unit(second - first), along, _unit(tip - third)])
@@ -234,4 +238,4 @@ def _rest_flexion(
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
