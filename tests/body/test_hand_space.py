@@ -27,7 +27,7 @@ def test_presets_are_hands_of_the_space_and_within_the_limits(name):
     coordinates = HAND_SPACE.coordinates(pose)
     assert np.abs(coordinates).max() < 2.5
     off = np.abs(HAND_SPACE.pose(coordinates).angles - pose.angles)
-    assert off.mean() < 2.5 and off.max() < 12.0
+    assert off.mean() < 6.0 and off.max() < 20.0
     assert np.all(HAND_SPACE.low <= pose.angles) and np.all(pose.angles <= HAND_SPACE.high)
 
 

@@ -11,7 +11,7 @@ import habitus as hb
 from habitus.body.hands import FINGERS, HAND_POSES, HandPose, hand_pose
 from habitus.mesh.intersections import intersecting_pairs
 
-CUTS = {"flat": 0, "relaxed": 0, "fist": 340, "grip": 25, "pinch": 5}
+CUTS = {"flat": 0, "relaxed": 0, "fist": 20, "grip": 8, "pinch": 8}
 """Pairs of triangles that may cut each other, of both hands, beyond those at rest."""
 ANGLES = st.tuples(*(st.floats(-15.0, 95.0) for _ in range(3)))
 
@@ -90,18 +90,18 @@ def test_a_fist_is_closed_and_a_pinch_meets(side):
     fist = tips(hand_pose(body(), "fist"), side)
     for finger in FINGERS:
         far, near = (np.linalg.norm(each[finger] - middle) for each in (flat, fist))
-        assert near < 0.06 < 0.09 < far
+        assert near < 0.07 < 0.09 < far
     pinch = tips(hand_pose(body(), "pinch"), side)
     assert np.linalg.norm(pinch["index"] - pinch["thumb"]) < 0.02
 
 
-@pytest.mark.parametrize("name", HAND_POSES)
-def test_few_triangles_cut_each_other(name):
-    cuts = [
-        len(intersecting_pairs(np.asarray(body()(pose=pose).vertices), body().faces))
-        for pose in ({}, hand_pose(body(), name))
-    ]
-    assert cuts[1] - cuts[0] <= CUTS[name]
+@pytest.mark.parametrize("which", ["neutral", "female", "male"])
+def test_few_triangles_cut_each_other(which):
+    model = hb.load_body(which, joints="smplh")
+    rest = len(intersecting_pairs(model.rest_vertices(), model.faces))
+    for name, most in CUTS.items():
+        posed = model(pose=hand_pose(model, name)).vertices
+        assert len(intersecting_pairs(np.asarray(posed), model.faces)) - rest <= most, name
 
 
 def test_a_body_without_fingers_and_unknown_names_are_refused():

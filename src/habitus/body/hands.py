@@ -79,18 +79,22 @@ HAND_POSES: Mapping[str, HandPose] = MappingProxyType(
             (20, 25, 10), (25, 30, 12), (30, 32, 14), (32, 32, 14), (5, 10, 10), 10
         ),
         "fist": HandPose(
-            (68, 88, 45), (71, 88, 45), (73, 88, 45), (75, 85, 45), (12, 32, 45), 36,
+            (57, 67, 60), (57, 65, 42), (55, 82, 54), (69, 71, 53), (6, 16, 24), 18,
             (-4, 0, 4, 6),
         ),
         "grip": HandPose(
-            (45, 55, 30), (48, 55, 30), (50, 55, 30), (52, 55, 30), (15, 20, 20), 40
+            (45, 55, 30), (48, 55, 30), (50, 55, 30), (52, 55, 30), (8, 16, 21), 32
         ),
         "pinch": HandPose(
             (55, 56, 36), (25, 30, 12), (25, 30, 12), (25, 30, 12), (-4, 23, 27), 32
         ),
     }
 )  # fmt: skip
-"""Named poses of a hand. A gripped cylinder is about 5 cm wide."""
+"""Named poses of a hand. A gripped cylinder is about 5 cm wide. The fist is as tight as skinned
+fingers close without skin through skin: each joint bends up to the fold of its own crease, tips
+come near the palm, the thumb lies before index and middle finger. A real fist bends a finger by
+some 60 degrees more over its three joints.
+"""
 
 
 def hand_pose(
@@ -210,11 +214,15 @@ def _bones(
     rest: Mapping[str, np.ndarray],
     finger: str,
 ) -> Float[np.ndarray, "3 3"]:
-    """Directions of a finger's three bones at rest; the last one ends at its farthest vertices."""
+    """Directions of a finger's three bones at rest; the last one ends at its farthest vertices,
+    without any it goes on as the one before.
+    """
     first, second, third = (rest[f"{finger}{k}"] for k in (1, 2, 3))
     weight = np.asarray(body.skinning_weights)[:, body.joint_names.index(f"{finger}3")]
     skin = vertices[weight > 0.5]
     along = _unit(third - second)
+    if not len(skin):
+        return np.array([_unit(second - first), along, along])
     reach = (skin - third) @ along
     tip = skin[reach > reach.max() - 0.004].mean(axis=0)
     return np.array([_unit(second - first), along, _unit(tip - third)])
@@ -232,4 +240,4 @@ def _rest_flexion(
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / np.linalg.norm(vector)
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)

@@ -178,8 +178,8 @@ class SubjectOptions:
     age: Annotated[Age, unset("YEARS|auto")] = None
     """Age of the person, 1 to 90; "auto" takes it from the capture's file. An adult by default."""
     joints: Literal["auto", "smpl", "smplh", "smplx"] = "auto"
-    """Joints of the body: 24, 52 with fingers, 55 with jaw and eyes; "auto" takes fingers where
-    they carry markers.
+    """Joints of the body: 24, 52 with fingers, 55 with jaw and eyes; "auto" takes fingers where one
+    hand's carry three markers.
     """
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second, where the file gives none or a wrong one."""
