@@ -25,6 +25,7 @@ from habitus.export.rates import at_rate
 from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.fit.markers.result import MarkerFit
+from habitus.parallel.blocks import drop_pages
 from habitus.rotations import up_rotation
 
 
@@ -105,7 +106,7 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".glb": (_meshed(write_glb), "animated mesh"),
     ".fbx": (_meshed(write_fbx), "animated mesh"),
     **{ending: (_meshed(write_usd), "animated mesh") for ending in ENDINGS},
-    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path).body, "skeleton"),
+    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path), "skeleton"),
     ".trc": (lambda moving, path, wanted: write_points(moving, path), "joints and markers"),
     ".mot": (lambda moving, path, wanted: write_mot(moving, path), "OpenSim's joint angles"),
     ".obj": (_still, "one mesh"),
@@ -159,6 +160,8 @@ def export_motion(
         return exported
     return replace(
         exported,
+        frames=len(found.tracks[0].quaternions),
+        rate_hz=found.rate_hz,
         morphs=len(found.morphs),
         worst=found.morph_worst,
         drivers=write_drivers(found, target),
@@ -172,6 +175,7 @@ def _check_finite(motion: Moving) -> None:
     arrays |= {"soft_tissue": motion.soft_tissue, "dynamics": motion.dynamics}
     for name, array in arrays.items():
         at = None if array is None else first_not_finite(np.asarray(array))
+        drop_pages(array)
         if at is not None:
             raise HabitusError(
                 f"{motion.capture_name}: {name} at {'coefficient' if name == 'betas' else 'frame'} "
