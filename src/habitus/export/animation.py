@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 
 STAGES = ("pose", "soft_tissue")
+MOST_FRAMES = 100_000
+"""Frames of an animation, at most: each takes 20 kB of memory here, and readers hold every key."""
 ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 """The entries of a joint's R - I, by row and column, in the order of the pose blend shapes."""
 
@@ -120,9 +122,11 @@ def animate(
     Keeps the fewest morphs whose RMS residual is below ``tolerance`` (metres), at most
     ``max_morphs``; with ``correctives`` those that `habitus.export.correctives.morphs_of` gives.
     ``body`` is shown in the place of the fitted one: its full level of detail. Raises HabitusError
-    where pose blend shapes are not linear in vec(R - I) alone, hinges apart.
+    where pose blend shapes are not linear in vec(R - I) alone, hinges apart, and for more than
+    `MOST_FRAMES` frames.
     """
     check_driven_by_rotations(fit.body, "animations", hinges=True)
+    _check_length(fit, stride)
     body = body or fit.body
     betas = np.asarray(fit.betas, np.float64)
     chosen = stages or (STAGES[fit.soft_tissue is not None],)
@@ -131,13 +135,27 @@ def animate(
     morphs = _morphs(body, betas, motions, correctives, max_morphs, tolerance)
     world = up_rotation(fit.up_axis)
     tracks = (
-        Track(_turn_root(m.quaternions, world), _joint_translations(body, joints, m, world), w)
+        Track(
+            _continuous(turned_root(m.quaternions, world)),
+            _joint_translations(body, joints, m, world),
+            w,
+        )
         for m, w in zip(motions, morphs.weights, strict=True)
     )
     rest = body.v_template + body.shapedirs @ betas
     rate = float(fit.rate_hz) / stride
     shown = body, rest, joints, morphs.shapes, tuple(tracks), morphs.residual, rate
     return Animation(*shown, morphs.names, morphs.drivers, morphs.worst, morphs.elsewhere)
+
+
+def _check_length(fit: "Moving", stride: int) -> None:
+    frames = -(-len(fit.pose) // stride)
+    if frames > MOST_FRAMES:
+        fps = float(f"{fit.rate_hz * MOST_FRAMES / len(fit.pose):.2g}")
+        raise HabitusError(
+            f"{fit.capture_name}: {frames:,} frames are too many for one animation; expected at "
+            f"most {MOST_FRAMES:,}: choose a lower rate (--fps {0.9 * fps:.2g}), .bvh or .npz"
+        )
 
 
 def _morphs(
@@ -191,10 +209,11 @@ def _continuous(quaternions: np.ndarray) -> np.ndarray:
     return np.concatenate([quaternions[:1], quaternions[1:] * sign[..., None]])
 
 
-def _turn_root(quaternions: np.ndarray, world: np.ndarray) -> np.ndarray:
+def turned_root(quaternions: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """Local quaternions (T, J, 4) in a world turned by a rotation (3, 3)."""
     turned = quaternions.copy()
     turned[:, 0] = (Rotation.from_matrix(world) * Rotation.from_quat(quaternions[:, 0])).as_quat()
-    return _continuous(turned)
+    return turned
 
 
 def _joint_translations(

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from habitus.export.animation import Animation, animate
+from habitus.export.animation import local_quaternions, turned_root
 from habitus.export.euler import continuous_angles
 from habitus.files import atomic_write
+from habitus.parallel.blocks import blocks, drop_pages
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
@@ -24,9 +25,9 @@ _STILL = 2e-5
 _TIP = 0.05
 
 
-def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> Animation:
-    """Write the skeleton in motion as .bvh, atomically: centimetres, +y up; what was written comes
-    back.
+def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> None:
+    """Write the skeleton in motion as .bvh, atomically, a block of frames at a time: centimetres,
+    +y up.
 
     Offsets are those of the fitted person's joints at rest, a T-pose facing +z; the root's are
     zero, and its position channels hold its place. Rotations are in degrees, in the order of
@@ -34,81 +35,100 @@ def write_bvh(fit: "Moving", path: str | os.PathLike[str]) -> Animation:
     channels, too, which take the place of its offset, as MotionBuilder and Blender read them.
     Raises HabitusError where the file cannot be written.
     """
-    animation = animate(fit, correctives="none", body=fit.body)
-    joints = animation.rest_joints
-    parents = animation.body.parents
-    offsets = joints - np.where(np.array(parents)[:, None] < 0, 0.0, joints[np.maximum(parents, 0)])
-    places = _places(fit, offsets)
-    moves = np.abs(places - offsets).max(axis=(0, 2)) > _STILL
+    body = fit.body
+    joints = body.rest_joints(np.asarray(fit.betas, np.float64))
+    parents = np.array(body.parents)
+    offsets = joints - np.where(parents[:, None] < 0, 0.0, joints[np.maximum(parents, 0)])
+    moved = [
+        np.abs(_places(fit, offsets, part) - offsets).max(axis=(0, 2))
+        for part in blocks(fit.num_frames)
+    ]
+    moves = np.max(moved, axis=0) > _STILL
     moves[0] = True
-    offsets[0] = 0.0
-    text = "\n".join(_joint(animation, 0, CM * offsets, moves, 0))
-    values = _channels(animation, CM * places, moves)
+    at_root = np.where(np.arange(len(joints))[:, None] == 0, 0.0, offsets)
+    text = "\n".join(_joint(fit, 0, CM * at_root, moves, 0))
     with (
         atomic_write(path) as temporary,
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         file.write(f"HIERARCHY\n{text}\nMOTION\n")
-        file.write(f"Frames: {len(values)}\nFrame Time: {1.0 / animation.rate_hz:.9f}\n")
-        line = " ".join(["%.5f"] * values.shape[1]) + "\n"
-        file.writelines(line % tuple(row) for row in values.tolist())
-    return animation
+        file.write(f"Frames: {fit.num_frames}\nFrame Time: {1.0 / fit.rate_hz:.9f}\n")
+        for values in _channels(fit, offsets, moves):
+            line = " ".join(["%.5f"] * values.shape[1]) + "\n"
+            file.writelines(line % tuple(row) for row in values.tolist())
 
 
-def _places(fit: "Moving", offsets: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "T J 3"]:
-    """Where joints are from those above them (m), soft tissue included; the root in the world."""
-    places = np.tile(offsets, (len(fit.pose), 1, 1))
+def _places(
+    fit: "Moving", offsets: Float[np.ndarray, "J 3"], part: slice
+) -> Float[np.ndarray, "T J 3"]:
+    """Where joints are from those above them (m), soft tissue included, in some frames; the root in
+    the world.
+    """
+    trans = np.asarray(fit.trans[part], np.float64)
+    places = np.tile(offsets, (len(trans), 1, 1))
     if fit.soft_tissue is not None:
-        moved = np.einsum("jcb,tb->tjc", fit.body.joint_shapedirs, fit.soft_tissue)
+        moved = np.einsum("jcb,tb->tjc", fit.body.joint_shapedirs, fit.soft_tissue[part])
         places += moved
         places[:, 1:] -= moved[:, list(fit.body.parents[1:])]
-    places[:, 0] = (places[:, 0] + fit.trans) @ up_rotation(fit.up_axis).T
+    places[:, 0] = (places[:, 0] + trans) @ up_rotation(fit.up_axis).T
+    drop_pages(fit.trans, fit.soft_tissue)
     return places
 
 
 def _joint(
-    animation: Animation, joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int
+    fit: "Moving", joint: int, offsets: np.ndarray, moves: np.ndarray, depth: int
 ) -> Iterator[str]:
     """The lines of a joint and of all that hang on it."""
     space = "\t" * depth
-    parents = animation.body.parents
+    parents = fit.body.parents
     turns = " ".join(f"{axis}rotation" for axis in ORDER)
     places = "Xposition Yposition Zposition " if moves[joint] else ""
-    yield f"{space}{'JOINT' if depth else 'ROOT'} {animation.body.joint_names[joint]}"
+    yield f"{space}{'JOINT' if depth else 'ROOT'} {fit.body.joint_names[joint]}"
     yield f"{space}{{"
     yield f"{space}\tOFFSET {_triple(offsets[joint])}"
     yield f"{space}\tCHANNELS {6 if moves[joint] else 3} {places}{turns}"
     below = [child for child, parent in enumerate(parents) if parent == joint]
     for child in below:
-        yield from _joint(animation, child, offsets, moves, depth + 1)
+        yield from _joint(fit, child, offsets, moves, depth + 1)
     if not below:
         yield f"{space}\tEnd Site"
         yield f"{space}\t{{"
-        yield f"{space}\t\tOFFSET {_triple(_tip(animation, joint))}"
+        yield f"{space}\t\tOFFSET {_triple(_tip(fit, joint))}"
         yield f"{space}\t}}"
     yield f"{space}}}"
 
 
-def _tip(animation: Animation, joint: int) -> Float[np.ndarray, " 3"]:
+def _tip(fit: "Moving", joint: int) -> Float[np.ndarray, " 3"]:
     """Where a limb ends (cm from its joint): twice as far as the middle of what it carries."""
-    carried = animation.body.skinning_weights[:, joint]
+    betas = np.asarray(fit.betas, np.float64)
+    joints = fit.body.rest_joints(betas)
+    carried = fit.body.skinning_weights[:, joint]
     if carried.max() < 0.5:
-        parent = animation.body.parents[joint]
-        way = animation.rest_joints[joint] - animation.rest_joints[max(parent, 0)]
+        way = joints[joint] - joints[max(fit.body.parents[joint], 0)]
         return CM * _TIP * way / max(float(np.linalg.norm(way)), 1e-9)
-    middle = np.average(animation.rest_vertices, axis=0, weights=carried)
-    return 2.0 * CM * (middle - animation.rest_joints[joint])
+    middle = np.average(fit.body.rest_vertices(betas), axis=0, weights=carried)
+    return 2.0 * CM * (middle - joints[joint])
 
 
 def _channels(
-    animation: Animation, places: Float[np.ndarray, "T J 3"], moves: Bool[np.ndarray, " J"]
-) -> Float[np.ndarray, "T C"]:
-    """The motion, channel by channel, joints in the order of the hierarchy."""
-    angles = continuous_angles(animation.tracks[0].quaternions, ORDER)
-    columns = []
-    for joint in _depth_first(animation.body.parents, 0):
-        columns += [places[:, joint], angles[:, joint]] if moves[joint] else [angles[:, joint]]
-    return np.concatenate(columns, axis=1)
+    fit: "Moving", offsets: Float[np.ndarray, "J 3"], moves: Bool[np.ndarray, " J"]
+) -> Iterator[Float[np.ndarray, "T C"]]:
+    """The motion, channel by channel, joints in the order of the hierarchy, a block of frames at a
+    time.
+    """
+    world = up_rotation(fit.up_axis)
+    order = list(_depth_first(fit.body.parents, 0))
+    last = None
+    for part in blocks(fit.num_frames):
+        quaternions = local_quaternions(np.asarray(fit.pose[part], np.float64))
+        angles = continuous_angles(turned_root(quaternions, world), ORDER, last)
+        last = angles[-1]
+        places = CM * _places(fit, offsets, part)
+        columns = []
+        for joint in order:
+            columns += [places[:, joint], angles[:, joint]] if moves[joint] else [angles[:, joint]]
+        yield np.concatenate(columns, axis=1)
+        drop_pages(fit.pose)
 
 
 def _depth_first(parents: tuple[int, ...], joint: int) -> Iterator[int]:

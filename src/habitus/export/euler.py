@@ -10,14 +10,16 @@ from scipy.spatial.transform import Rotation
 
 
 def continuous_angles(
-    quaternions: Float[np.ndarray, "T J 4"], order: str
+    quaternions: Float[np.ndarray, "T J 4"],
+    order: str,
+    last: Float[np.ndarray, "J 3"] | None = None,
 ) -> Float[np.ndarray, "T J 3"]:
     """Angles (degrees) about three different axes, as near to those of the frame before as they can
     be.
 
     Of the two triples that make a rotation the nearer is taken, whole turns added: what lies
     between two frames is then as short a way as three angles know. ``order`` is SciPy's: "xyz"
-    about the parent's axes, "ZXY" about the joint's.
+    about the parent's axes, "ZXY" about the joint's. last: angles of the frame before the first.
     """
     shape = quaternions.shape[:-1]
     with warnings.catch_warnings():
@@ -32,7 +34,7 @@ def continuous_angles(
     other = first * [1.0, -1.0, 1.0] + 180.0
     both = np.stack([first, other], axis=1)
     out = np.empty_like(first)
-    last = np.zeros_like(first[0])
+    last = np.zeros(first.shape[1:]) if last is None else last
     for t, pair in enumerate(both):
         near = pair + 360.0 * np.round((last - pair) / 360.0)
         way = np.abs(near - last).sum(axis=-1)

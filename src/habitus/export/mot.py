@@ -14,6 +14,7 @@ from habitus.body.joint_angles import Chains, joint_angles
 from habitus.errors import HabitusError, shown
 from habitus.export.euler import continuous_angles
 from habitus.files import atomic_write
+from habitus.parallel.blocks import blocks
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ def write_mot(fit: "Moving", path: str | os.PathLike[str]) -> tuple[str, ...]:
         temporary.open("w", encoding="utf-8", newline="\n") as file,
     ):
         file.write("\n".join([*head, note, "endheader", "\t".join(["time", *table]), ""]))
-        file.writelines(line % tuple(row) for row in columns.tolist())
+        for part in blocks(len(columns)):
+            file.writelines(line % tuple(row) for row in columns[part].tolist())
     return tuple(table)
 
 
@@ -85,7 +87,8 @@ def coordinates(fit: "Moving") -> dict[str, Float[np.ndarray, " T"]]:
         world * Rotation.from_rotvec(pose[:, root]),
         None,
     )
-    place = fit.joints()[:, root] @ up_rotation(fit.up_axis).T
+    roots = [fit.joints(part)[:, root] for part in blocks(fit.num_frames)]
+    place = np.concatenate(roots) @ up_rotation(fit.up_axis).T
     angles |= dict(zip(("pelvis_tx", "pelvis_ty", "pelvis_tz"), place.T, strict=True))
     bent = joint_angles(body, np.asarray(fit.betas, np.float64), pose).get("elbow flexion", {})
     for side, end in (("right", "r"), ("left", "l")):

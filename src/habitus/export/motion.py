@@ -28,6 +28,7 @@ from habitus.export.skins import write_painted_surface
 from habitus.export.trc import write_points
 from habitus.export.usd import ENDINGS, write_usd
 from habitus.fit.markers.result import MarkerFit
+from habitus.parallel.blocks import drop_pages
 from habitus.rotations import up_rotation
 
 
@@ -125,7 +126,7 @@ _WRITERS: Mapping[str, tuple[_Writer, str]] = {
     ".glb": (_meshed(write_glb), "animated mesh"),
     ".fbx": (_meshed(write_fbx), "animated mesh"),
     **{ending: (_meshed(write_usd), "animated mesh") for ending in ENDINGS},
-    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path).body, "skeleton"),
+    ".bvh": (lambda moving, path, wanted: write_bvh(moving, path), "skeleton"),
     ".trc": (lambda moving, path, wanted: write_points(moving, path), "joints and markers"),
     ".mot": (lambda moving, path, wanted: write_mot(moving, path), "OpenSim's joint angles"),
     ".obj": (_still, "one mesh"),
@@ -193,6 +194,8 @@ def export_motion(
         return exported
     return replace(
         exported,
+        frames=len(written.tracks[0].quaternions),
+        rate_hz=written.rate_hz,
         morphs=len(written.morphs),
         worst=written.morph_worst,
         drivers=write_drivers(written, target),
@@ -206,6 +209,7 @@ def _check_finite(motion: Moving) -> None:
     arrays |= {"soft_tissue": motion.soft_tissue, "dynamics": motion.dynamics, "face": motion.face}
     for name, array in arrays.items():
         at = None if array is None else first_not_finite(np.asarray(array))
+        drop_pages(array)
         if at is not None:
             raise HabitusError(
                 f"{motion.capture_name}: {name} at {'coefficient' if name == 'betas' else 'frame'} "

@@ -3,6 +3,7 @@ two frames.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError
 from habitus.io.captures.read import SLOWEST_HZ
+from habitus.parallel.blocks import mapped
 
 if TYPE_CHECKING:
     from habitus.body.motion import Moving
@@ -43,7 +45,7 @@ def at_rate(moving: "Moving", fps: float | None) -> "Moving":
     after = np.minimum(before + 1, last)
     return replace(
         motion,
-        pose=_turned(np.asarray(motion.pose), before, after, part),
+        pose=mapped(partial(_turned, np.asarray(motion.pose)), before, after, part),
         trans=_between(motion.trans, before, after, part),
         soft_tissue=None
         if motion.soft_tissue is None

@@ -11,6 +11,7 @@ from habitus.errors import HabitusError, shown
 from habitus.files import atomic_write
 from habitus.io.captures.read import Capture
 from habitus.io.captures.trc import FIT_EXPORT
+from habitus.parallel.blocks import blocks, drop_pages, empty_array
 from habitus.rotations import up_rotation
 
 if TYPE_CHECKING:
@@ -124,6 +125,7 @@ def _rows(capture: Capture, turn: Float[np.ndarray, "3 3"], decimals: int) -> It
             [numbers + 1, numbers / capture.rate_hz, block.reshape(len(block), width)]
         )
         yield "".join(line % tuple(row) for row in table.tolist()).replace("nan", "")
+        drop_pages(capture.markers)
 
 
 def _without_zeros(points: Float[np.ndarray, "T M 3"], least: float) -> Float[np.ndarray, "T M 3"]:
@@ -149,13 +151,12 @@ def write_points(fit: "Moving", path: str | os.PathLike[str]) -> Capture:
     carried = getattr(fit, "predicted_pose_stage", None) if carried is None else carried
     labels = () if carried is None else tuple(fit.labels)  # type: ignore[attr-defined]
     names = tuple(f"{name}_joint" if name in labels else name for name in fit.body.joint_names)
-    points = [fit.joints()] if carried is None else [np.asarray(carried, np.float64), fit.joints()]
-    capture = Capture(
-        fit.capture_name,
-        (*labels, *names),
-        np.concatenate(points, axis=1),
-        fit.rate_hz,
-        fit.up_axis,
-    )
+    points = empty_array((fit.num_frames, len(labels) + len(names), 3))
+    for part in blocks(fit.num_frames):
+        if carried is not None:
+            points[part, : len(labels)] = carried[part]
+        points[part, len(labels) :] = fit.joints(part)
+        drop_pages(points, carried, fit.pose, fit.trans, fit.soft_tissue)
+    capture = Capture(fit.capture_name, (*labels, *names), points, fit.rate_hz, fit.up_axis)
     _write(capture, _writable_labels(capture), path, "mm", True, (FIT_EXPORT,))
     return capture

@@ -17,6 +17,7 @@ import numpy as np
 
 from habitus.errors import HabitusError, shown
 from habitus.io.limits import Allowance, array_size, check_present, open_file
+from habitus.parallel.blocks import IN_MEMORY, blocks, drop_pages, empty_array
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
 _MAX_HEADER = 10_000
@@ -155,7 +156,7 @@ class NpzArchive:
                 )
             self.allowance.take(header.weight, header.dtype.itemsize, "it")
             with self._zip.open(self._entries[name]) as stream:
-                return checked_texts(np.lib.format.read_array(stream, allow_pickle=False))
+                return checked_texts(_array(stream, header))
 
     def raw(self, name: str) -> bytes:
         """What follows the header of an array: the pickle of an array of objects."""
@@ -181,6 +182,22 @@ class NpzArchive:
             place = entry.header_offset + 30 + sum(lengths) + header.begins
             check_present(place + header.bytes, self._stored, "it")
             return place
+
+
+def _array(stream: Any, header: ArrayHeader) -> np.ndarray:
+    """The array of an npy stream; a large one is file-backed (`habitus.parallel.blocks`) and read a
+    block of rows at a time.
+    """
+    if header.bytes <= IN_MEMORY or header.fortran or header.dtype.kind not in "biuf":
+        return np.lib.format.read_array(stream, allow_pickle=False)
+    stream.read(header.begins)
+    out = empty_array(header.shape, header.dtype)
+    row = header.bytes // len(out)
+    for part in blocks(len(out), max(1, IN_MEMORY // row)):
+        found = np.frombuffer(stream.read((part.stop - part.start) * row), header.dtype)
+        out[part] = found.reshape(out[part].shape)
+        drop_pages(out)
+    return out
 
 
 def _is_stored(entry: zipfile.ZipInfo) -> bool:

@@ -13,6 +13,7 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.suspects import Suspect
 from habitus.io.captures.read import FASTEST_HZ, SLOWEST_HZ
 from habitus.observe.markers import MarkerAttachment, predict_markers
+from habitus.parallel.blocks import drop_pages, mapped
 from habitus.rotations import UP_AXES
 
 MAX_NUMBER = 1e6
@@ -38,12 +39,12 @@ def marker_fit(arrays: Mapping[str, np.ndarray], body: BodyModel) -> MarkerFit:
     """The fit whose arrays these are, on its body."""
     pose = arrays["poses"].reshape(len(arrays["poses"]), -1, 3)
     trans = arrays["trans"]
-    predicted = arrays["markers_sim"].astype(np.float64)
+    predicted = _float64(arrays["markers_sim"])
     soft = arrays.get("soft_tissue_betas")
     pose_stage, predicted_pose_stage = (pose, trans), predicted
     if soft is not None:
         pose_stage = arrays["poses_pose_stage"].reshape(pose.shape), arrays["trans_pose_stage"]
-        predicted_pose_stage = arrays["markers_sim_pose_stage"].astype(np.float64)
+        predicted_pose_stage = _float64(arrays["markers_sim_pose_stage"])
     return MarkerFit(
         capture_name=str(arrays["capture"]),
         body_name=str(arrays["surface_model_type"]),
@@ -60,10 +61,10 @@ def marker_fit(arrays: Mapping[str, np.ndarray], body: BodyModel) -> MarkerFit:
         soft_tissue=soft,
         dynamics=arrays.get("soft_tissue_dynamics"),
         pose_stage=pose_stage,
-        observed_markers=arrays["markers_obs"].astype(np.float64),
+        observed_markers=_float64(arrays["markers_obs"]),
         predicted_pose_stage=predicted_pose_stage,
         predicted_soft_tissue=None if soft is None else predicted,
-        marker_weights=arrays["marker_weights"].astype(np.float64),
+        marker_weights=_float64(arrays["marker_weights"]),
         marker_noise=arrays["marker_noise"],
         flagged_frames=arrays["flagged_frames"],
         suspects=_suspects(arrays),
@@ -75,6 +76,10 @@ def marker_fit(arrays: Mapping[str, np.ndarray], body: BodyModel) -> MarkerFit:
         female_probability=_number(arrays.get("female_probability")),
         **_evidence(arrays),
     )
+
+
+def _float64(array: np.ndarray) -> np.ndarray:
+    return mapped(lambda part: part.astype(np.float64), array)
 
 
 def _suspects(arrays: Mapping[str, np.ndarray]) -> tuple[Suspect, ...]:
@@ -145,6 +150,7 @@ def check_finite(name: str, array: np.ndarray) -> None:
     if array.size and not max(array.max(), -array.min()) <= bound:
         largest = max(array.max(), -array.min())
         raise ValueError(f"{name} reach {largest:.3g}; expected a person's, within {bound:g}")
+    drop_pages(array)
 
 
 def _number(value: np.ndarray | None) -> float | None:
