@@ -24,7 +24,8 @@ def test_further_shapes_leave_the_first_alone_and_close_the_space():
     area = rng.uniform(0.5, 2, 20)
     area = area + area[mirror]
     first = principal_shapes(people, 4, mirror, measures)
-    every = with_further_shapes(first, people, 8, mirror, measures, area)
+    nobody = np.zeros((0, 20, 3))
+    every = with_further_shapes(first, people, 8, mirror, measures, area, nobody, 0.3)
     np.testing.assert_array_equal(every.shapedirs[..., :4], first.shapedirs)
     np.testing.assert_array_equal(every.betas[:, :4], first.betas)
     spread = np.cov(every.betas.T)
@@ -35,6 +36,24 @@ def test_further_shapes_leave_the_first_alone_and_close_the_space():
     square = weighed.T @ weighed
     np.testing.assert_allclose(square, np.diag(np.diag(square)), atol=1e-4 * square.max())
     assert (np.diff(np.diag(square)) < 0).all()
+
+
+def test_others_widen_the_space_and_leave_the_first_shapes_alone():
+    rng = np.random.default_rng(2)
+    people, mirror, measures = _people(rng)
+    first = principal_shapes(people, 4, mirror, measures)
+    left = rng.normal(size=(10, 3))
+    bump = np.concatenate([left, left * [-1, 1, 1]])  # what no person varies by
+    others = people[:9] + rng.normal(size=(9, 1, 1)) * bump
+    arguments = people, 9, mirror, measures, np.ones(20)
+    without = with_further_shapes(first, *arguments, others[:0], 1.0)
+    wider = with_further_shapes(first, *arguments, others, 1.0)
+    np.testing.assert_array_equal(wider.shapedirs[..., :4], first.shapedirs)
+
+    def miss(space):
+        return np.abs(space.bodies(space.fit(others)) - others).max()
+
+    assert miss(wider) < 1e-3 < 0.1 < miss(without)
 
 
 def test_blocks_times_betas_are_the_same_for_new_betas():

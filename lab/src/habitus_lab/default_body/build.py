@@ -14,7 +14,7 @@ import json
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,7 +25,7 @@ from habitus_lab.default_body import checks
 from habitus_lab.default_body.ages import Variation, age_directions, age_spaces
 from habitus_lab.default_body.asset import FIRST_SHAPES, write_asset
 from habitus_lab.default_body.contacts import Meetings, apart
-from habitus_lab.default_body.crowd import Crowd, gather
+from habitus_lab.default_body.crowd import Crowd, gather, tposed
 from habitus_lab.default_body.face_arrays import face_maker
 from habitus_lab.default_body.form import form_arrays
 from habitus_lab.default_body.growth import AGES
@@ -42,7 +42,13 @@ from habitus_lab.default_body.shape_space import (
     vertex_areas,
     with_further_shapes,
 )
-from habitus_lab.default_body.sliders import MorphSpace, read_morphs
+from habitus_lab.default_body.sliders import (
+    ANCHORS,
+    RACES,
+    MorphSpace,
+    read_morphs,
+    widening_sliders,
+)
 from habitus_lab.default_body.sources import BODY_VERTICES, Source, read_source
 from habitus_lab.default_body.survey import WORLD_SPREAD, People, draw_civilians, read_survey
 from habitus_lab.default_body.topology import Topology, build_topology
@@ -53,6 +59,11 @@ from habitus_lab.repository import BODIES
 SPACES = ("female", "male", "neutral")
 COUNTS = (5, 10, 16, 20, 24)
 SURFACE_COUNTS = (10, 24, 50, 75, 100)
+WIDER = 120  # women, and men, of any phenotype for the further shapes
+WIDER_SHARE = 0.3  # of what the first shapes leave of them: people stay as near as without them
+WIDER_RANGE = (0.2, 0.8)  # of the macro sliders, of age's slider, deviation of details' sliders
+WIDER_AGES = (0.5, 0.8)
+WIDER_DETAIL = 0.15
 WAIST = list(TOLERANCE).index("waistcircumference")
 BIACROMIAL = MEASURES.index("biacromialbreadth")
 CHEST = MEASURES.index("chestcircumference")
@@ -68,6 +79,7 @@ class Bench:
     clean: np.ndarray  # (V, 3) a body in the T-pose whose skin does not meet itself
     components: int
     seed: int
+    wider: dict[bool, np.ndarray] | None = None  # women (True) and men (K, V, 3) of any phenotype
 
     @property
     def skin(self) -> np.ndarray:
@@ -104,7 +116,17 @@ class Bench:
         if self.components > first:
             area = vertex_areas(found.mean, self.visible)
             further = self.components - first
-            found = with_further_shapes(found, crowd.vertices, further, mirror, measures, area)
+            others = [self.wider[bool(woman)] for woman in np.unique(crowd.female)]
+            found = with_further_shapes(
+                found,
+                crowd.vertices,
+                further,
+                mirror,
+                measures,
+                area,
+                np.concatenate(others),
+                WIDER_SHARE,
+            )
         skins = self.skin, self.coarse_skin
         return apart(found, skins, mirror, self.clean, np.random.default_rng(self.seed), known)
 
@@ -128,6 +150,8 @@ def main() -> None:
     say(f"mesh: {len(topology.base)} vertices, {len(topology.coarse)} of them in the coarse mesh")
     rest = RestPose(source, topology.base, topology.faces, topology.mirror, morphs.average())
     crowd, bench, numbers = _people(source, topology, morphs, rest, options, rng)
+    wider = _wider(morphs, rest, np.random.default_rng(options.seed + 3))
+    bench = replace(bench, wider=wider)
     say(f"people: {len(crowd.vertices)}, all in the T-pose")
     everybody = {
         space: crowd if space == "neutral" else crowd[crowd.female == (space == "female")]
@@ -197,6 +221,24 @@ def _people(
     clean = crowd.vertices[crowd.female].mean(0, dtype=float)
     bench = Bench(source, topology, tapes, clean, options.components, options.seed)
     return crowd, bench, _population(survey, residual)
+
+
+def _wider(morphs: MorphSpace, rest: RestPose, rng: np.random.Generator) -> dict[bool, np.ndarray]:
+    """Bodies (K, V, 3) of women (True) and men whose phenotype and details are drawn evenly, as no
+    population has them.
+    """
+    found = {}
+    for woman in (True, False):
+        macro = {name: rng.uniform(*WIDER_RANGE, WIDER) for name in ANCHORS}
+        macro |= {
+            "gender": np.full(WIDER, 0.0 if woman else 1.0),
+            "age": rng.uniform(*WIDER_AGES, WIDER),
+        }
+        detail = WIDER_DETAIL * widening_sliders(morphs.local_names)
+        local = detail * rng.normal(size=(WIDER, len(detail)))
+        sliders = Sliders(macro, rng.dirichlet(np.ones(len(RACES)), WIDER), local)
+        found[woman] = tposed(morphs.at(rest.points), rest, sliders)[0]
+    return found
 
 
 def _rebuilt(

@@ -119,24 +119,35 @@ def with_further_shapes(
     mirror: np.ndarray,
     measures: np.ndarray,
     area: np.ndarray,
+    others: np.ndarray,
+    share: float,
 ) -> ShapeSpace:
     """The space and `components` further ones: principal, weighed by surface, of what the first
-    leave of the same bodies (N,V,3), whose measurements are `measures` (N,M). `area` (V,): surface
-    that each vertex stands for.
+    leave of the same bodies (N,V,3), whose measurements are `measures` (N,M), and of `others`
+    (K,V,3), whose rest counts for `share` of its size. `area` (V,): surface that each vertex stands
+    for.
 
-    What is left is uncorrelated with the betas, so the further ones are, too.
+    What is left is uncorrelated with the betas, so the further ones are, too; `others` make their
+    variance among the people less than 1.
     """
     count = len(vertices)
-    left = (vertices - vertices.mean(0, dtype=np.float64)).astype(np.float32)
-    flat = left.reshape(count, -1)
-    flat -= (space.betas / (count - 1)).astype(np.float32) @ (
-        space.betas.T.astype(np.float32) @ flat
+    mean = vertices.mean(0, dtype=np.float64)
+    root = np.repeat(np.sqrt(area / area.sum()), 3).astype(np.float32)
+    first = space.shapedirs.reshape(-1, space.shapedirs.shape[-1]).astype(np.float32)
+    left = (vertices - mean).astype(np.float32).reshape(count, -1)
+    left -= (space.betas / (count - 1)).astype(np.float32) @ (
+        space.betas.T.astype(np.float32) @ left
     )
-    weighed = flat * np.repeat(np.sqrt(area / area.sum()), 3).astype(np.float32)
+    far = (others - mean).astype(np.float32).reshape(len(others), left.shape[1])
+    basis = first * root[:, None]
+    far -= np.linalg.solve(basis.T @ basis, basis.T @ (far * root).T).T @ first.T
+    flat = np.concatenate([left, np.float32(share) * far])
+    weighed = flat * root
     _, vectors = np.linalg.eigh((weighed @ weighed.T).astype(np.float64))
-    betas = vectors[:, ::-1][:, :components] * np.sqrt(count - 1)
-    shapes = (betas.T.astype(np.float32) @ flat / (count - 1)).reshape(components, -1, 3)
+    scores = vectors[:, ::-1][:, :components] * np.sqrt(count - 1)
+    shapes = (scores.T.astype(np.float32) @ flat / (count - 1)).reshape(components, -1, 3)
     further = _symmetric(shapes.transpose(1, 2, 0).astype(np.float64), mirror)
+    betas = scores[:count]
     measured = (measures - space.measured_mean).T @ betas / (count - 1)
     return replace(
         space,
