@@ -14,7 +14,7 @@ from habitus.export.animation import animate, one_sided
 from habitus.export.faces import with_face as with_shapes
 from habitus.export.motion import export_motion, write_motion
 from habitus.io.models.bodies import load_body, save_body
-from habitus.io.people import load_motion
+from habitus.io.people import read_motion
 
 FRAMES = 4
 
@@ -64,7 +64,7 @@ def test_fbx_and_usd_take_them(motion, tmp_path):
 def test_weights_travel_in_the_npz_and_at_another_rate(motion, tmp_path):
     save_body(motion.body, tmp_path / "body.npz")
     write_motion(motion, tmp_path / "motion.npz")
-    again = load_motion(tmp_path / "motion.npz", load_body(tmp_path / "body.npz"))
+    again = read_motion(tmp_path / "motion.npz", load_body(tmp_path / "body.npz"))
     np.testing.assert_array_equal(again.face, motion.face)
     np.testing.assert_allclose(again.vertices(2), motion.vertices(2), atol=1e-6)
     plain = replace(motion, face=None)

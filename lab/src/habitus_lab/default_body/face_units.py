@@ -27,6 +27,8 @@ JAW_UNITS = ("jawOpen", "mouthClose")  # turns of the lower teeth; lips that fol
 CLOSED = 1e-4  # metres between the rims of a closed eye
 OVER_EYE = 4e-4  # metres that a closed lid keeps from the eyeball
 EYEBALL = 72  # vertices of the left one, behind those of the body
+HELD_BACK = 0.6  # teeth and tongue, of the way from the pack's open jaw to this axis': they follow
+# the jaw more firmly than the skin of the chin, and would come through it
 ROUNDS = 8
 SPRING = 0.5  # of vertices that would cut each other, growing by as much a round
 SMALLEST = 2e-5  # metres: what moves less is left out
@@ -121,6 +123,7 @@ def face_units(
     scale = head_scale(source.vertices[base], rest, weights)
     turns = np.zeros((len(given), len(TURNING), 3))
     found = {}
+    count = binding.shape[1]
     jaw = JOINTS.index("jaw")
     turn, pivot = _turn(source, given["jawOpen"], "helper-lower-teeth")
     for k, (name, offsets) in enumerate(given.items()):
@@ -129,7 +132,10 @@ def face_units(
             there = source.vertices[base]
             if name == "jawOpen":
                 turns[k, 0] = turn
-                moved -= _turned(turn, pivot, there, weights[:, jaw])
+                packs = _turned(turn, pivot, there, weights[:, jaw])
+                further = _turned(turn, joints[jaw], rest, weights[:, jaw]) / scale - packs
+                moved -= packs
+                moved[count:] -= HELD_BACK * further[count:]
             else:  # from lips opened about this body's axis to lips opened about the pack's
                 moved += _turned(turn, pivot, there, weights[:, jaw])
                 moved -= _turned(turn, joints[jaw], rest, weights[:, jaw]) / scale
@@ -142,7 +148,6 @@ def face_units(
         found[name] = scale * moved
     found = _symmetric(found, mirror)
     turns = _symmetric_turns(list(found), turns)
-    count = binding.shape[1]
     lines = face_lines(rest[:count], *quads)
     head = weights[:count, [JOINTS.index("head"), jaw]].sum(1) > 0.5
     skin = faces[(faces < BODY_VERTICES).all(1) & head[faces].all(1)]

@@ -273,7 +273,7 @@ def expressions(bodies: dict[str, BodyModel]) -> Image.Image:
 
 
 def face_units(bodies: dict[str, BodyModel]) -> Image.Image:
-    """The 52 units of the neutral body at full strength; then a blink and an opening jaw in steps,
+    """The 52 units of the woman at full strength; then a blink and an opening jaw in steps,
     a smile, closed lips over an open jaw, and random weights of all units; last, faces of random
     identity.
     """
@@ -433,7 +433,7 @@ def main() -> None:
         name: load_body(options.bodies / f"{name}.npz", detail="full", joints="smplx")
         for name in ("female", "male", "neutral")
     }
-    bodies["parts"] = load_body(options.bodies / "neutral.npz", detail="parts", joints="smplx")
+    bodies["parts"] = load_body(options.bodies / "female.npz", detail="parts", joints="smplx")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only.split(","):
         sheet = SHEETS[name](bodies)
