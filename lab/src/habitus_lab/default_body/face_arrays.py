@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from .contacts import Meetings
+from .contacts import Meetings, apart, without_meetings
 from .face_identity import drawn_faces, face_space
 from .face_lines import FaceLines, face_lines
 from .face_lips import closed_lips
@@ -18,6 +18,7 @@ from .face_parts import Parts, face_parts, part_arrays
 from .face_units import TURNING, face_units, head_scale
 from .people import Sliders
 from .rig import JOINTS, joint_weights, surface_places
+from .shape_space import ShapeSpace
 from .sliders import ANCHORS, MorphSpace
 from .sources import BODY_VERTICES, Source
 
@@ -132,7 +133,36 @@ def _closed(
     every = np.concatenate([arrays[name] for name in names], -1)
     closed = closed_lips(arrays | {"shapedirs": every}, _lines(arrays), skins)
     ends = np.cumsum([arrays[name].shape[-1] for name in names])[:-1]
-    return closed | dict(zip(names, np.split(closed["shapedirs"], ends, -1), strict=True))
+    closed |= dict(zip(names, np.split(closed["shapedirs"], ends, -1), strict=True))
+    return closed | kept_apart(arrays | closed, skins)
+
+
+def kept_apart(
+    arrays: dict[str, np.ndarray], skins: tuple[np.ndarray, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Shape directions and ages with springs where lips that are closed at rest would pass through
+    each other in random people, or in the mean person of an age, which takes on the adult's gaps.
+    """
+    names = [name for name in ("shapedirs", "further_shapedirs") if name in arrays]
+    every = np.concatenate([arrays[name] for name in names], -1).astype(float)
+    rest = arrays["v_template"].astype(float)
+    mirror = arrays["mirror"]
+    count = every.shape[-1]
+    nothing = np.zeros(1), np.zeros((1, count))
+    space = ShapeSpace(rest, every, np.zeros((1, count)), np.ones(count), 0.0, *nothing)
+    found, _ = apart(space, skins, mirror, rest, np.random.default_rng(0))
+    ends = np.cumsum([arrays[name].shape[-1] for name in names])[:-1]
+    parts = np.split(found.shapedirs, ends, -1)
+    changed = {n: part.astype(arrays[n].dtype) for n, part in zip(names, parts, strict=True)}
+    if "agedirs" not in arrays:
+        return changed
+    ages = arrays["agedirs"].astype(float)
+    height = np.ptp(rest[:, 1])
+    opened = []
+    for offset in np.moveaxis(ages, -1, 0):
+        clean = rest * (np.ptp(rest[:, 1] + offset[:, 1]) / height)
+        opened.append(without_meetings(rest + offset, skins, mirror, clean) - rest)
+    return changed | {"agedirs": np.stack(opened, -1).astype(arrays["agedirs"].dtype)}
 
 
 def _drawn(

@@ -3,13 +3,13 @@ measurements begin.
 
     python -m habitus_lab.default_body.population --ansur SURVEY_FOLDER [--write]
 
-The tapes of the finished body (`habitus.body.tapes`) lie level on each sex's own template; those
-that soldiers were fitted with (`measure.py`) lay level on one mean of all bodies, which on women
-slopes up at the flanks. So the women's template is 26 mm too wide at the level of the navel. The
-betas of a mean person who measures what civilians drawn from the soldiers do (`survey.py`; every
-sixth soldier left out for `benchmarks/body_from_measurements.py`) put that right: the likeliest
-ones with the measurements that survey and body take by one rule. ``--write`` puts them into the
-files.
+Soldiers were fitted in the survey's postures (`measure.py`); the finished body's tapes
+(`habitus.body.tapes`) lie on the T-pose, where men's chests are 30 mm wider around than with arms
+down, and its hands end elsewhere. The template is the mean of the civilians that were drawn; the
+betas of a mean person who measures by the body's tapes what civilians drawn from the soldiers do
+(`survey.py`; without every sixth soldier, for `benchmarks/body_from_measurements.py`) are small: the
+likeliest ones with the measurements that survey and body take by one rule. ``--write`` puts them
+into the files.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .survey import draw_civilians, read_survey
 
 PEOPLE = 1200
 HELD_OUT = 6  # every sixth soldier
-NOISE = 0.05  # of a measurement's spread: how near the mean person comes to the mean
+NOISE = 0.25  # of a measurement's spread: how near the mean person comes to the mean
 STEPS = 5
 ALIKE = (
     "height_m",
