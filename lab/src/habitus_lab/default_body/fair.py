@@ -55,12 +55,16 @@ class Flank:
 
 
 def _region(rest: np.ndarray, weights: dict[str, np.ndarray]) -> np.ndarray:
-    """Vertices of the left flank, from below the breast's level up to the arm's underside."""
+    """Vertices of the left flank, from below the breast's level up to the arm's underside.
+
+    Trunk, collar and upper arm alone: the sector and the levels hold the hand, too.
+    """
+    torso = sum(weights[name] for name in ("trunk", "left_collar", "left_upper_arm")) > 0.999
     breast = rest[LEFT["breast"]]
     spread = rest[:, 0] - AXIS
     middle = 0.5 * (breast[2] + rest[LEFT["scapula_lower"], 2])
     angle = np.arctan2(rest[:, 2] - middle, spread)
-    near = (spread > 0) & (angle > SECTOR[0]) & (angle < SECTOR[1])
+    near = torso & (spread > 0) & (angle > SECTOR[0]) & (angle < SECTOR[1])
     armpit = rest[(weights["left_upper_arm"] > 0.5) & near, 1].min()
     level = (rest[:, 1] > breast[1] - BELOW_BREAST) & (rest[:, 1] < armpit + 0.04)
     return np.flatnonzero(near & level & (weights["left_upper_arm"] < ARM))
