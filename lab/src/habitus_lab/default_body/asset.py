@@ -31,6 +31,7 @@ TWIST_ALONE = "share twist along forearm, upper arm and thigh"  # as built, befo
 LEARNED = "are learned from simulated flesh"
 DAMPED = LEARNED + ", damped where no pose was simulated"
 FOLDED = DAMPED + ", with hinge channels at knees and elbows"
+LIMITED = FOLDED + ", limited beyond the ranges of joints"
 
 
 def asset_arrays(

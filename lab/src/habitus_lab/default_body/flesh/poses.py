@@ -171,6 +171,28 @@ MORE_LEG: dict[str, Stops] = {
 """Units of a further round: hinges through all angles of their folds, and about axes that the first
 rounds leave out.
 """
+SHRUGS: dict[str, Stops] = {
+    "shrug": tuple(
+        {"shoulder": (0, 0, z), "collar": (0, 0, c)}
+        for z, c in ((-70, -8), (-76, 8), (-82, 20), (-88, 33), (-60, -14), (-82, 2))
+    ),
+    "shrug_fore": tuple(
+        {"shoulder": (0, 0, -76), "collar": (0, y, c)}
+        for y, c in ((-14, 0), (-28, 0), (-20, 18), (14, -6), (26, 0), (12, 18))
+    ),
+    "collar_alone": _bends(
+        "collar", (0, 0, 20), (0, 0, 36), (0, -28, 0), (0, 28, 0), (22, 0, 0), (-22, 0, 0)
+    ),
+    "reach": (
+        {"shoulder": (0, 0, 30), "collar": (0, 0, 32)},
+        {"shoulder": (0, 0, 65), "collar": (0, 0, 10)},
+        {"shoulder": (0, -60, 0), "collar": (0, 0, 24)},
+        {"shoulder": (0, -90, 0), "collar": (0, -28, 0)},
+        {"shoulder": (0, 25, -20), "collar": (0, 22, 0)},
+        {"shoulder": (0, 35, -50), "collar": (0, 10, 20)},
+    ),
+}
+"""Units of a round for collars: shrugs with arms down, collars alone, and with arms raised."""
 LANES = ("left_arm", "right_arm", "left_leg", "right_leg", "trunk", "neck")
 MIDDLE = ("spine1", "spine2", "spine3", "neck", "head", "pelvis", "jaw")
 BOTH_LEGS = ("squat",)
@@ -244,6 +266,21 @@ def further_sessions(
         }
         found.append(_session(rng, f"further{k:02d}", lanes, joint_names))
     return found
+
+
+def shrug_sessions(seed: int, person: int, sex: str, joint_names: tuple[str, ...]) -> list[Session]:
+    """The sessions of one person's round for collars: every unit of `SHRUGS` on one side."""
+    rng = np.random.default_rng([seed, person, SEXES.index(sex), ROUNDS + 2])
+    arms = _shuffled(rng, SHRUGS)
+    return [
+        _session(
+            rng,
+            f"shrugs{k // 2:02d}",
+            {"left_arm": (SHRUGS, arms[k]), "right_arm": (SHRUGS, arms[k + 1])},
+            joint_names,
+        )
+        for k in range(0, len(arms), 2)
+    ]
 
 
 def rounds_of_sessions(

@@ -25,6 +25,7 @@ from habitus_lab.default_body.flesh.poses import (
     Session,
     further_sessions,
     rounds_of_sessions,
+    shrug_sessions,
 )
 from habitus_lab.default_body.flesh.simulate import Task, Workshop, simulate
 from habitus_lab.default_body.flesh.studio import open_studio
@@ -45,13 +46,17 @@ def tasks(options: argparse.Namespace) -> list[Task]:
         body = load_body(sex, detail="full", joints="smplx")
         for k, shape in enumerate(people(body, sex, options.people, options.seed)):
             given = (options.seed, k, sex, body.joint_names)
+            if options.shrugs:
+                last = shrug_sessions(*given)
+                found += [(k // BLOCK, 0, k, Task(sex, shape, one)) for one in last]
+                continue
             rounds = [] if options.further else list(rounds_of_sessions(*given))
             for turn, all_of in enumerate([*rounds, further_sessions(*given)]):
                 found += [(k // BLOCK, turn, k, Task(sex, shape, one)) for one in all_of]
             rng = np.random.default_rng([options.seed, k, SEXES.index(sex), ROUNDS])
             moments = _from_motions(options, rng, len(body.joint_names))
             found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in moments]
-        for k, shape in enumerate(ends(body, sex), start=FIRST_END):
+        for k, shape in enumerate([] if options.shrugs else ends(body, sex), start=FIRST_END):
             last = further_sessions(options.seed, k, sex, body.joint_names)
             found += [(k // BLOCK, 1, k, Task(sex, shape, one)) for one in last]
     return [row[-1] for row in sorted(found, key=lambda row: row[:3])]
@@ -95,6 +100,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--further", action="store_true", help="only the further round: folds and rare axes"
     )
+    parser.add_argument("--shrugs", action="store_true", help="only the round for collars")
     parser.add_argument(
         "--motions", nargs="*", type=Path, default=[], help="fitted motions (npz with `poses`)"
     )
