@@ -11,7 +11,7 @@ import habitus as hb
 from habitus.body.hands import FINGERS, HAND_POSES, HandPose, hand_pose
 from habitus.mesh.intersections import intersecting_pairs
 
-CUTS = {"flat": 0, "relaxed": 0, "fist": 340, "grip": 25, "pinch": 5}
+CUTS = {"flat": 0, "relaxed": 0, "fist": 340, "grip": 25, "pinch": 6}
 """Pairs of triangles that may cut each other, of both hands, beyond those at rest."""
 ANGLES = st.tuples(*(st.floats(-15.0, 95.0) for _ in range(3)))
 
@@ -92,7 +92,7 @@ def test_a_fist_is_closed_and_a_pinch_meets(side):
         far, near = (np.linalg.norm(each[finger] - middle) for each in (flat, fist))
         assert near < 0.06 < 0.09 < far
     pinch = tips(hand_pose(body(), "pinch"), side)
-    assert np.linalg.norm(pinch["index"] - pinch["thumb"]) < 0.02
+    assert np.linalg.norm(pinch["index"] - pinch["thumb"]) < 0.025
 
 
 @pytest.mark.parametrize("name", HAND_POSES)
