@@ -132,7 +132,7 @@ def test_hinges_that_do_not_fit_are_refused(body):
     with pytest.raises(HabitusError, match="which drive no pose blend shapes"):
         replace(body, hinges=root)
     with pytest.raises(HabitusError, match="shape coefficients"):
-        replace(body, shapedirs=body.shapedirs[..., :1], people_mean=None)
+        replace(body, shapedirs=body.shapedirs[..., :1], people_mean=None, people_skew=None)
     with pytest.raises(HabitusError, match="'rotations' and no shape_features"):
         thirds = body.posedirs[..., : 3 * len(body.drivers)]
         replace(body, posedirs=thirds, pose_features="angles")
