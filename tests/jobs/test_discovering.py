@@ -74,7 +74,7 @@ def test_what_is_not_decided_makes_a_fit_doubtful_and_is_kept_with_it(capture, f
 @pytest.mark.parametrize("asked", [{"hold_out": ("m3",)}, {"hold_out_every": 5}])
 def test_markers_that_tell_their_own_places_cannot_be_held_out(capture, asked):
     with pytest.raises(
-        HabitusError, match=r"each tells its own place; fit again with the layout.toml"
+        HabitusError, match=r"each determines its own place; fit again with the layout.toml"
     ):
         hb.Mosh(layout="discover", **asked).fit(capture, person())
 

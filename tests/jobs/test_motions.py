@@ -103,7 +103,7 @@ def test_whom_a_motion_is_retargeted_to(real, tmp_path):
     )
     for wrong, said in (
         (tmp_path / "tube.obj", "register"),
-        ("nobody", "nobody to retarget"),
+        ("nobody", "no body to retarget"),
         ([1.0] * 25, "24"),
         ("1e6,0", "within 100 standard deviations"),
     ):

@@ -127,7 +127,7 @@ def test_registrations_under_another_subjects_name_are_found_and_no_other(surfac
     ]
     assert [name for _, name, _ in errors] == [f"scan {k}" for k in rows]
     for k, (_, _, message) in zip(rows, errors, strict=True):
-        assert f"said to be {subject[k]} but is built like {honest[k]}" in message
+        assert f"subject is {subject[k]} but its build is that of {honest[k]}" in message
 
 
 def test_good_registrations_that_share_a_name_with_a_stranger_are_not_blamed(surfaces, template):

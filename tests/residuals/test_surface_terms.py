@@ -172,3 +172,46 @@ def test_rays_go_through_pixel_centres():
     along = rays(camera(), np.array([0, 121]))
     pixels, _ = camera().project_camera_points(torch.from_numpy(2.0 * along))[:2]
     np.testing.assert_allclose(np.asarray(pixels)[0], [0.5, 0.5], atol=1e-9)
+
+
+def information(term, vertices):
+    """Of each observation the largest eigenvalue of its information (1/m^2), and its point."""
+    points = term.matched(vertices).points
+    corners = vertices[person().faces[points.face]]
+    place = np.einsum("nk,nkc->nc", points.barycentric, corners)
+    return np.linalg.norm(points.directions, ord=2, axis=(1, 2)) ** 2, place, points
+
+
+def test_an_outline_counts_a_quarter_at_its_reach():
+    """Geman-McClure's weight of the distance in pixels, and 1 / noise^2 of a pixel at the surface's
+    distance from the camera.
+    """
+    _, vertices = planted()
+    mask = np.roll(seen_depth(vertices) > 0.0, 6, axis=1)
+    given = {"stride": 1, "share": 1.0, "noise": 2.0}
+    near, place, points = information(
+        Silhouette(person(), camera(), mask, reach=8.0, **given), vertices
+    )
+    plain, *_ = information(Silhouette(person(), camera(), mask, reach=1e6, **given), vertices)
+    eye = np.array([0.6, 0.3, 3.0])
+    pixel = np.linalg.norm(place - eye, axis=1) / (1.3 * 120)  # metres there
+    distance = np.linalg.norm(place - points.target, axis=1) / pixel
+    assert distance.max() > 4.0
+    np.testing.assert_allclose(plain, 1.0 / (2.0 * pixel) ** 2, rtol=1e-6)
+    np.testing.assert_allclose(near / plain, (1.0 + (distance / 8.0) ** 2) ** -2, rtol=1e-6)
+
+
+def test_depth_of_oblique_skin_counts_more_where_noise_is_along_the_ray():
+    """The noise of depth moves a point off the surface by the cosine of ray and normal."""
+    _, vertices = planted()
+    depth = seen_depth(vertices)
+    given = {"stride": 1, "matching": "pixel", "model_sd": 1e-9}
+    straight, place, points = information(Depth(person(), camera(), depth, **given), vertices)
+    oblique, *_ = information(Depth(person(), camera(), depth, min_cosine=0.3, **given), vertices)
+    corners = vertices[person().faces[points.face]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    ray = place - np.array([0.6, 0.3, 3.0])
+    lengths = np.linalg.norm(normal, axis=1) * np.linalg.norm(ray, axis=1)
+    cosine = np.maximum(np.abs((normal * ray).sum(1)) / lengths, 0.3)
+    assert cosine.min() == 0.3 and cosine.max() > 0.9
+    np.testing.assert_allclose(oblique / straight, cosine**-2.0, rtol=1e-5)

@@ -16,7 +16,7 @@ from habitus.errors import HabitusError
 from habitus.solve.arrow_terms import arrow_problem
 from habitus.solve.minimize import METHODS, minimize
 from habitus.solve.objective import Differentiation, Objective, least_squares_problem
-from habitus.solve.terms import GemanMcClure, Term, Unknowns
+from habitus.solve.terms import GemanMcClure, Term, Unknowns, geman_mcclure_weight
 
 
 def points(kind, count=30, outliers=5, seed=0):
@@ -241,3 +241,14 @@ def test_blocks_that_meet_or_do_not_match_are_refused():
         minimize(joined, start, blocks=["pose"])
     with pytest.raises(HabitusError, match="same first axis"):
         minimize(joined, start, blocks=["pose", "betas"])
+
+
+def test_the_weight_of_geman_mcclure_is_the_slope_of_its_loss():
+    """d rho / d (d^2), by central differences; a quarter at the scale, none far away."""
+    scale, distance, step = 0.3, np.linspace(0.0, 1.5, 16)[1:], 1e-6
+    loss = GemanMcClure(scale).loss
+    above, below = (loss(np.sqrt(distance**2 + h)[:, None]) for h in (step, -step))
+    weight = geman_mcclure_weight(distance, scale)
+    np.testing.assert_allclose(weight, (above - below) / (2 * step), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(weight, GemanMcClure(scale).weights(distance[:, None]), rtol=1e-12)
+    assert geman_mcclure_weight(np.array([0.0, scale]), scale).tolist() == [1.0, 0.25]

@@ -13,7 +13,7 @@ UNDECIDED = "undecided"
 SURE = 0.8
 """Less than this, of either sex, says nothing."""
 BETA_ERROR = 0.5
-"""Standard deviation of a coefficient's error where none is told."""
+"""Standard deviation of a coefficient's error where none is given."""
 
 
 def female_probability(

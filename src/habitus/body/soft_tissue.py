@@ -134,7 +134,7 @@ def exaggerated(motion: BodyMotion, factor: float) -> BodyMotion:
             f"{motion.capture_name}: holds no soft tissue to exaggerate; fit with it (leave out "
             "--soft-tissue none)"
         )
-    note = f"soft tissue {factor:g} times as far from its mean as it was found (exaggerated)"
+    note = f"soft tissue {factor:g} times as far from its mean as it was fitted (exaggerated)"
     return replace(
         motion,
         soft_tissue=_scaled(motion.soft_tissue, factor),

@@ -216,9 +216,9 @@ def _twin_share(everything: Iterable[Seen], means: Mapping[str, np.ndarray], fre
     twins.
     """
     both = [
-        (one.offset, one.twin, means[one.place])
-        for one in everything
-        if one.twin is not None and is_free(one.marker) == free
+        (group.offset, group.twin, means[group.place])
+        for group in everything
+        if group.twin is not None and is_free(group.marker) == free
     ]
     own = np.array([np.subtract(offset, mean) for offset, _, mean in both]).reshape(-1, 3)
     twin = np.array([np.subtract(twin, mean) for _, twin, mean in both]).reshape(-1, 3)
@@ -286,8 +286,8 @@ def _trusted(group: _Group, variances: Variances, freedom: float) -> _Group:
 
 
 def _groups(everything: Iterable[Seen]) -> list[_Group]:
-    def row(one: Seen) -> tuple[str, str, str, str]:
-        return one.place, one.label, one.person, one.marker.label
+    def row(sample: Seen) -> tuple[str, str, str, str]:
+        return sample.place, sample.label, sample.person, sample.marker.label
 
     rows = []
     for (at, label, person, _), same in groupby(sorted(everything, key=row), key=row):

@@ -100,7 +100,7 @@ class Checkpoint:
                 raise HabitusError(
                     f"{folder}: it belongs to a training with other {other}; expected the same to "
                     "go on from there: "
-                    "choose another folder, or throw it away with --restart"
+                    "choose another folder, or discard it with --restart"
                 )
         else:
             for left in ("progress.npz", "surfaces.json"):
@@ -277,7 +277,7 @@ def _write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def _damaged(path: Path, error: Exception) -> HabitusError:
     return HabitusError(
-        f"{path}: damaged ({reason(error)}); throw it away with --restart, or choose another folder"
+        f"{path}: damaged ({reason(error)}); discard it with --restart, or choose another folder"
     )
 
 

@@ -34,9 +34,6 @@ from habitus.jobs.subjects import Person, person_of
 from habitus.markers.layouts import MarkerLayout
 from habitus.types import PathLike
 
-DOUBTFUL = 0.9
-"""Confidence below which a label is called doubtful."""
-
 
 @dataclass(frozen=True)
 class LabelledCapture:
@@ -133,7 +130,7 @@ def label(
         names = tuple(f"person{k + 1}:{name}" for k in range(people) for name in names)
     notes = _alike(chosen) if options.like is None else ()
     source = replace(source, warnings=(*source.warnings, *notes))
-    result = _labelled(source, clouds, names, named, options.min_confidence, how)
+    result = _labelled(source, clouds, names, named, options.min_confidence, settings, how)
     if out is not None:
         result.save(out, None if isinstance(capture, Capture) else capture)
     return result
@@ -237,6 +234,7 @@ def _labelled(
     names: tuple[str, ...],
     labels: Named,
     sure: float,
+    settings: LabelSettings,
     how: dict[str, Any],
 ) -> LabelledCapture:
     """Points under their names, those less sure than asked for without."""
@@ -245,7 +243,7 @@ def _labelled(
     confidence = np.full(markers.shape[:2], np.nan)
     confidence[clouds.frame[named >= 0], named[named >= 0]] = labels.confidence[named >= 0]
     others = packed(clouds, labels.tracklet, named < 0)
-    report = _report(source, clouds, names, labels, named, how)
+    report = _report(source, clouds, names, labels, named, settings.doubtful, how)
     return LabelledCapture(source, names, markers, confidence, others, report)
 
 
@@ -255,10 +253,11 @@ def _report(
     names: tuple[str, ...],
     labels: Named,
     named: np.ndarray,
+    doubtful_below: float,
     how: dict[str, Any],
 ) -> dict[str, Any]:
     known: Bool[np.ndarray, " P"] = named >= 0
-    doubtful = known & (labels.confidence < DOUBTFUL)
+    doubtful = known & (labels.confidence < doubtful_below)
     frames = np.bincount(named[known], minlength=len(names))
     count = max(1, len(named))
     worst = sorted(

@@ -19,7 +19,7 @@ from habitus.export.motion import export_motion
 from habitus.fit.markers.gaps import MarkerTargets
 from habitus.fit.markers.live import LiveFrame, Quality
 from habitus.fit.markers.recipe import PoseStage, assemble, warm_up
-from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
+from habitus.fit.markers.recordings import MIN_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.settings import MoshSettings
@@ -46,9 +46,9 @@ from habitus.jobs.results import save_fit
 from habitus.solve.terms import geman_mcclure_weight
 from habitus.types import PathLike
 
-MOST_LOST_S = 60.0
+MAX_LOST_S = 60.0
 """Frames that are missing for longer are not filled in: the result has no time for them."""
-_MOST_NOTES = 40
+_MAX_NOTES = 40
 
 
 class Now(NamedTuple):
@@ -143,7 +143,7 @@ class Follower:
 
     def _bridged(self, missing: int) -> int:
         """How many missing frames are filled in."""
-        most = int(MOST_LOST_S * self._rate)
+        most = int(MAX_LOST_S * self._rate)
         if missing > 0.1 * self._rate:
             self._note(f"{missing} frames were lost at {self.seconds:.1f} s", "warning:")
         if missing > most:
@@ -180,12 +180,12 @@ class Follower:
         )
         text += f"; gone: {listed(labels[k] for k in gone)}" if gone else ""
         text += f"; not used, as their places are not known: {listed(new)}" if new else ""
-        text += "; too few to follow anybody: start anew" if left < FEWEST_MARKERS else ""
+        text += "; too few to follow a person: start again" if left < MIN_MARKERS else ""
         self._note(text, "warning:")
 
     def _note(self, text: str, mark: str) -> None:
         self._say(text, mark)
-        if len(self.notes) < _MOST_NOTES:
+        if len(self.notes) < _MAX_NOTES:
             self.notes.append(text)
 
     def _none(self) -> np.ndarray:
@@ -277,6 +277,7 @@ def _held(valid: np.ndarray) -> np.ndarray:
 
 
 STATUS_S = 1.0
+"""Seconds between lines about the state of the stream."""
 REHEARSED = 0.7
 """Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next
 frame comes.

@@ -16,7 +16,7 @@ from habitus.body.prior import prior_of
 from habitus.errors import HabitusError, listed
 from habitus.fit.markers.live import LiveFrame, Tracker, saved_subject, subject_of
 from habitus.fit.markers.recipe import warm_up
-from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording
+from habitus.fit.markers.recordings import MIN_MARKERS, Recording
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings
 from habitus.fit.markers.shape import Subject
@@ -32,17 +32,17 @@ from habitus.jobs.subjects import LayoutChoice, Person, gather
 from habitus.kernels.threads import one_blas_thread
 from habitus.types import PathLike
 
-FEWEST = 6
+MIN_POINTS = 6
 """Points that must be seen before anybody is looked for: fewer tell no layout."""
 KNOWN_S = 0.5
 """Seconds of frames that tell which marker is which where the subject is known."""
-MOST_MISSING = 30
+MAX_MISSING = 30
 """Frames missing in a row among those that are gathered: with more, gathering begins anew."""
 IDLE_S = 0.2
 _SILENCE_S = 3.0
 
 Say = Callable[[str, str], None]
-"""Told a text and a word before it, "" or "warning:"."""
+"""Called with a text and a word before it, "" or "warning:"."""
 
 
 LATE_S = 0.1
@@ -207,11 +207,11 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
             heard = silence(stream.source, heard, say)
             continue
         (frame, missing), heard = received, time.perf_counter()
-        if gathered and (frame.heading is not gathered[-1].heading or missing > MOST_MISSING):
+        if gathered and (frame.heading is not gathered[-1].heading or missing > MAX_MISSING):
             gathered.clear()
         if gathered:
             gathered += [frame._replace(points=np.full_like(frame.points, np.nan))] * missing
-        if gathered or np.isfinite(frame.points[:, 0]).sum() >= FEWEST:
+        if gathered or np.isfinite(frame.points[:, 0]).sum() >= MIN_POINTS:
             gathered.append(frame)
         rate = _rate(gathered, start.rate_hz, stream.stride)
         if rate and len(gathered) >= max(2.0, needed * rate):
@@ -219,7 +219,7 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
     rate = _rate(gathered, start.rate_hz, stream.stride)
     if len(gathered) < 2 or not rate:
         raise HabitusError(
-            f"{name}: it ended before {FEWEST} or more labelled points were seen; check that "
+            f"{name}: it ended before {MIN_POINTS} or more labelled points were seen; check that "
             "markers are streamed"
         )
     return Gathered(tuple(gathered), rate)
@@ -335,11 +335,11 @@ def known_subject(
     """
     chosen = _chosen(captures, options.subject)
     shared = [label for label in fit.labels if label in chosen.labels]
-    if len(shared) < FEWEST_MARKERS:
+    if len(shared) < MIN_MARKERS:
         raise HabitusError(
             f"of the saved subject's markers ({listed(fit.labels, 6)}) the stream has "
             f"{len(shared)}; it has "
-            f"{listed(chosen.labels, 6)}; expected at least {FEWEST_MARKERS}: the same labels as "
+            f"{listed(chosen.labels, 6)}; expected at least {MIN_MARKERS}: the same labels as "
             f"in {fit.capture_name}"
         )
     people = gather([[chosen]], _layout_of(fit, options), None, fit.body)
@@ -366,7 +366,7 @@ def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:
         if (capture.subject or "").lower() == name.lower():
             return capture
     raise HabitusError(
-        f"the stream holds nobody called {name!r}; it holds "
+        f"the stream has no person called {name!r}; it holds "
         f"{listed(c.subject or '(unnamed)' for c in captures)}"
     )
 

@@ -51,7 +51,7 @@ def find_target(
         return _betas(motion, np.array([float(word) for word in text.split(",")]))
     except ValueError:
         raise HabitusError(
-            f"{shown(text)}: nobody to retarget to; expected a person or body (.npz), a "
+            f"{shown(text)}: no body to retarget to; expected a person or body (.npz), a "
             "character's mesh (.obj, .ply), "
             "neutral, female or male, or betas with commas between, such as 1.5,-0.5"
         ) from None

@@ -399,15 +399,14 @@ def check_layout(
     layout: LayoutChoice, hold_out: Sequence[str] = (), every: int | None = None
 ) -> None:
     """Raises HabitusError for a layout that is neither there nor to be found, and where markers are
-    to be held out that would tell their own places.
+    to be held out that would determine their own places.
     """
     if isinstance(layout, str | os.PathLike) and str(layout) not in ("auto", DISCOVER):
         load_layout(layout)
     if asks_to_discover(layout) and (hold_out or every is not None):
         raise HabitusError(
-            "markers cannot be held out where their places are discovered, since each tells its "
-            "own place; "
-            "fit again with the layout.toml that was found"
+            "markers cannot be held out where their places are discovered, since each determines "
+            "its own place; fit again with the layout.toml of the discovery"
         )
 
 

@@ -86,8 +86,7 @@ def open_training_data(
     known = data.where(sex=sexes)
     if not len(known):
         raise HabitusError(
-            f"no registration is said to be {' or '.join(sexes)}; tell their sex, or train --sex "
-            "all"
+            f"no registration has the sex {' or '.join(sexes)}; give it, or train with --sex all"
         )
     unknown = len(data.where(sex=""))
     if unknown:

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-_MOST: ContextVar[int | None] = ContextVar("most threads", default=None)
+_MAX_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 
 @contextmanager
@@ -20,19 +20,19 @@ def one_thread() -> Iterator[None]:
     """Everything within is done on the thread that asks for it: who works on many things at once
     has one for each.
     """
-    before = _MOST.set(1)
+    before = _MAX_THREADS.set(1)
     try:
         with one_core():
             yield
     finally:
-        _MOST.reset(before)
+        _MAX_THREADS.reset(before)
 
 
 def num_threads() -> int:
     """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
     process may use.
     """
-    most = _MOST.get()
+    most = _MAX_THREADS.get()
     if most is not None:
         return most
     for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):

@@ -31,7 +31,7 @@ _UNITS = {
     0.01: "a hundred times too small (metres taken for centimetres)",
     0.001: "a thousand times too small (metres taken for millimetres)",
 }
-_MOST_NAMED = 5  # errors in a message
+_MAX_NAMED = 5  # errors in a message
 
 
 def check_registrations(
@@ -80,9 +80,9 @@ def refuse(findings: Sequence[Finding]) -> None:
     """Raise HabitusError, in one line, where there are errors among the findings."""
     errors = [str(finding) for finding in findings if finding.kind == "error"]
     if errors:
-        more = f"; and {len(errors) - _MOST_NAMED} more" if len(errors) > _MOST_NAMED else ""
+        more = f"; and {len(errors) - _MAX_NAMED} more" if len(errors) > _MAX_NAMED else ""
         count = "1 error" if len(errors) == 1 else f"{len(errors)} errors"
-        raise HabitusError(f"{count} in the registrations: {'; '.join(errors[:_MOST_NAMED])}{more}")
+        raise HabitusError(f"{count} in the registrations: {'; '.join(errors[:_MAX_NAMED])}{more}")
 
 
 def other_topology(registrations: Registrations, template: Template) -> str | None:

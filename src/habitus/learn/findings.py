@@ -134,7 +134,7 @@ def subject_findings(registrations: Registrations) -> list[Finding]:
     for subject, by_sex in sexes.items():
         if len(by_sex) > 1:
             counts = sorted(
-                ((len(names), sex or "not told", names[0]) for sex, names in by_sex.items()),
+                ((len(names), sex or "unknown", names[0]) for sex, names in by_sex.items()),
                 reverse=True,
             )
             words = " and ".join(f"{sex} in {count} (first {name})" for count, sex, name in counts)
@@ -184,8 +184,8 @@ def mislabelled(
             name = registrations.subjects[subject[k]]
             alike = registrations.subjects[nearest]
             message = (
-                f"it is said to be {name} but is built like {alike} ({others[nearest]:.2f} "
-                "spreads away, "
+                f"its subject is {name} but its build is that of {alike} ({others[nearest]:.2f} "
+                "spreads from it, "
                 f"{mine[i]:.2f} from {name}); check its subject"
             )
             findings.append(Finding("error", registrations.name[rows[k]], message))
@@ -310,7 +310,8 @@ def duplicates(
     ]
     count = "1 mesh is" if len(same) == 1 else f"{len(same)} meshes are"
     message = (
-        f"{count} there twice ({named(pairs)}); leave copies out: they tell nothing and count again"
+        f"{count} there twice ({named(pairs)}); leave copies out: they add no information and "
+        "count twice"
     )
     return [Finding("warning", "the registrations", message)]
 

@@ -87,6 +87,8 @@ class TrainSettings:
     regressor_ridges: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 3.0)
     """Strengths, tried by cross-validation, that keep a signed regressor row near its convex
     one."""
+    regressor_min_people: int = 3
+    """With fewer people rows stay convex: nobody is left to try a signed one on."""
     regressor_gain: float = 0.9
     """With ``regressor`` "auto" a row is signed where that lowers the error on held-out people to
     this share or less.

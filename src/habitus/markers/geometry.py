@@ -319,16 +319,16 @@ def _exchanged(
             continue
         expected = [direction for direction in expect(scene, side) if direction is not None]
         order = pair_order(scene.markers[:, a], scene.markers[:, b], expected)
-        one = layout.markers[a]
+        marker = layout.markers[a]
         two = layout.markers[b]
         if order.swapped:
             text = (
-                f"{one.label} and {two.label} are exchanged ({one.label} is at {two.place}): "
+                f"{marker.label} and {two.label} are exchanged ({marker.label} is at {two.place}): "
                 "so are their places"
             )
-            yield Correction("exchanged pair", text, (one.moved_to(two), two.moved_to(one)))
+            yield Correction("exchanged pair", text, (marker.moved_to(two), two.moved_to(marker)))
         if order.odd_frames.any():
-            text = exchange_text(one.label, two.label, order.odd_frames)
+            text = exchange_text(marker.label, two.label, order.odd_frames)
             yield Correction("pair changes places", text, exchange=Exchange(a, b, order.odd_frames))
 
 

@@ -22,7 +22,7 @@ from habitus.markers.labels import fragment_of, normalised, spellings, without_s
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.parallel.blocks import blocks, drop_pages, empty_array, mapped
 
-FEWEST_MARKERS = 6
+MIN_MARKERS = 6
 LEAST_CONFIDENCE = 0.35
 _ALIAS = 0.85  # an alias is weaker evidence for a set than its own spelling
 _UNDERSTOOD = 0.5  # share of the labels that mean something: no need to leave off what they share
@@ -187,7 +187,7 @@ def interpreted(labels: Sequence[str], candidates: Sequence[MarkerLayout]) -> _M
         return best
     for shared, plain in without_shared(labels):
         other = _interpreted(plain, candidates)
-        if len(other.markers) > max(2 * len(best.markers), FEWEST_MARKERS - 1):
+        if len(other.markers) > max(2 * len(best.markers), MIN_MARKERS - 1):
             names = dict(zip(plain, labels, strict=True))
             left_out = {names[label]: why for label, why in other.left_out.items()}
             doubts = {names[label]: why for label, why in other.doubts.items()}
@@ -293,10 +293,10 @@ def _refuse_if_unsure(labels: Sequence[str], meaning: _Meaning, confidence: floa
         else ""
     )
     help_ += "give --layout NAME, or run `habitus layout new` to write a layout for these labels"
-    if count < FEWEST_MARKERS:
+    if count < MIN_MARKERS:
         raise HabitusError(
             f"only {count} of {len(labels)} labels ({arrived or 'none'}) are known to "
-            f"{f'layout {name}' if single else 'any layout'}; expected at least {FEWEST_MARKERS}; "
+            f"{f'layout {name}' if single else 'any layout'}; expected at least {MIN_MARKERS}; "
             f"{help_}"
         )
     if confidence < LEAST_CONFIDENCE and not single:

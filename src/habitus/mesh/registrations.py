@@ -39,7 +39,7 @@ class Registrations:
     """N registrations in one topology, read one by one: their vertices may lie on disk.
 
     ``vertices`` (N, V, 3) are in metres, in the frame of the template (y up, facing +z).
-    ``subject``, ``sex`` ("female", "male" or "" where it is not told), ``set`` ("pose": one of many
+    ``subject``, ``sex`` ("female", "male" or "" where it is unknown), ``set`` ("pose": one of many
     poses of its subject, "shape": one of many subjects in about one pose, "test": kept out of the
     training) and ``name`` (for messages) have one word a registration. A vertex that is not a
     number was not seen: a hole. ``weights``, from 0 (a hole as well) to 1, say how far vertices are

@@ -235,12 +235,16 @@ class PointSolver:
         """
         each = [self.at(betas, *state) for state in zip(pose, trans, observations, strict=True)]
         head = self.body.num_betas
-        shared = sum((one.matrix[:head, :head] for one in each), np.zeros((head, head)))
-        top = sum((one.gradient[:head] for one in each), np.zeros(head))
-        border = np.stack([one.matrix[head:, :head] for one in each])
-        blocks = np.stack([one.matrix[head:, head:] for one in each])
-        gradient = np.concatenate([top, *(one.gradient[head:] for one in each)])
-        return sum(one.cost for one in each), gradient, ArrowMatrix(shared, border, blocks)
+        shared = sum((equations.matrix[:head, :head] for equations in each), np.zeros((head, head)))
+        top = sum((equations.gradient[:head] for equations in each), np.zeros(head))
+        border = np.stack([equations.matrix[head:, :head] for equations in each])
+        blocks = np.stack([equations.matrix[head:, head:] for equations in each])
+        gradient = np.concatenate([top, *(equations.gradient[head:] for equations in each)])
+        return (
+            sum(equations.cost for equations in each),
+            gradient,
+            ArrowMatrix(shared, border, blocks),
+        )
 
     def _corners(self, observations: PointObservations) -> Int[np.ndarray, " n"]:
         """The vertices that the points lie between."""

@@ -89,7 +89,7 @@ def total_cost(outcomes: Collection[tuple[BoundTerm, Outcome]]) -> float:
 Block = Any
 """A float64 array, a float64 tensor or a scipy.sparse array, (R, n)."""
 
-MOST = 2**28
+MAX_DENSE = 2**28
 """Numbers that a dense Jacobian or matrix may have: 2 GiB."""
 CROWDED = 0.05
 """Share of entries from which on a sparse Jacobian multiplies faster as a dense one."""
@@ -126,7 +126,7 @@ def too_large(objective: Objective) -> str | None:
     columns = objective.unknowns.columns
     for term in objective.active:
         width = sum(columns[name].stop - columns[name].start for name in objective.free(term))
-        if not term.explicit and max(term.count or 0, width) * width > MOST:
+        if not term.explicit and max(term.count or 0, width) * width > MAX_DENSE:
             return term.name
     return None
 
@@ -355,7 +355,7 @@ def _block(term: BoundTerm, name: str, given: Any, width: int, crowded: float) -
         )
     if not sparse:
         return given.reshape(rows, width)
-    if crowded * rows * width < given.nnz and rows * width <= MOST:
+    if crowded * rows * width < given.nnz and rows * width <= MAX_DENSE:
         return np.asarray(given.toarray(), dtype=float)
     return given if given.format in ("csr", "bsr") else scipy.sparse.csr_array(given, dtype=float)
 

@@ -11,7 +11,7 @@ from rgbd_scene_small import small_scene
 from habitus.body.state import BodyState
 from habitus.fit.offsets import along_normals, offset_spread
 from habitus.fit.points.correspondences import Footpads
-from habitus.fit.points.depth import fit_state, limbs_tried_again
+from habitus.fit.points.depth import fit_state, retry_limbs
 from habitus.fit.points.depth_energy import DepthEnergy
 from habitus.fit.points.depth_settings import RgbdSettings
 from habitus.fit.points.depth_start import arm_poses
@@ -64,7 +64,7 @@ def test_soles_have_no_offset(body, field):
 
 
 def test_clothes_and_hair_lie_where_they_are_clothing(body):
-    layer = clothing(body, 0.001, 0.003)
+    layer = clothing(body, RgbdSettings(clothes=0.001, hair=0.003))
     rest = body.rest_vertices(np.zeros(body.num_betas))
     assert np.isclose(layer[rest[:, 1].argmax()], 0.003, atol=2e-4)
     head = body.skinning_weights[:, body.joint_names.index("head")] > 0.9
@@ -177,7 +177,7 @@ def test_an_arm_that_one_view_lost_is_found_again(fitted, body):
     pose = found.state.pose.copy()
     arm = [body.joint_names.index(name) for name in ("left_shoulder", "left_elbow")]
     pose[1, arm] = next(arm_poses(body, ((-60.0, 40.0, 0.0),)))[arm]
-    again, _ = limbs_tried_again(energy, replace(state, pose=pose), pose)
+    again, _ = retry_limbs(energy, replace(state, pose=pose), pose)
     true = scene.surfaces[1] @ found.prepared_views[1].turn.T + found.prepared_views[1].shift
     before, after = (energy.surfaces(one)[1] for one in (replace(state, pose=pose), again))
     away = [np.linalg.norm(surface - true, axis=1).mean() for surface in (before, after)]
@@ -188,7 +188,7 @@ def test_where_no_limb_is_in_doubt_none_moves(fitted, body):
     _, found = fitted
     energy = DepthEnergy.of(body, found.prepared_views[1:], SETTINGS)
     alone = BodyState(found.state.betas, found.state.pose[1:], found.state.trans[1:])
-    same, means = limbs_tried_again(energy, alone, alone.pose)
+    same, means = retry_limbs(energy, alone, alone.pose)
     assert same is alone and means is alone.pose
 
 

@@ -120,9 +120,7 @@ def test_poses_that_the_body_cannot_take_are_refused():
         replace(one, pose=pose, joint_names=names).for_body(body)
     with pytest.raises(HabitusError, match="a pose of 9 joints without names"):
         replace(one, pose=one.pose[:, :9]).for_body(body)
-    with pytest.raises(
-        HabitusError, match="tells no trans; expected betas, pose and trans, or none"
-    ):
+    with pytest.raises(HabitusError, match="has no trans; expected betas, pose and trans, or none"):
         replace(one, trans=None).for_body(body)
     with pytest.raises(HabitusError, match="betas of shape"):
         replace(one, betas=np.zeros(5)).for_body(body)

@@ -83,7 +83,7 @@ def test_known_people_are_held_while_poses_are_found():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"pose": None}, "poses fixed, but those of 15 of 15 .* are not told"),
+        ({"pose": None}, "poses fixed, but those of 15 of 15 .* are unknown"),
         ({"betas": None}, "people fixed, but those of 3 of 3 .*expected betas or rest"),
         ({"betas": np.zeros((15, BETAS + 1))}, "betas have 3 rows of numbers, small has 2"),
         ({"pose": np.zeros((15, 4, 3))}, "pose have 4 rows of numbers, small has 6"),

@@ -58,7 +58,8 @@ def describe(
         *_poor(mean, words.poor),
     )
     notes = tuple(_notes(body, labels, seated, known, left_out, 2 * words.reach))
-    layout = MarkerLayout("discovered", markers, "Found by fitting", num_vertices=len(template))
+    title = "Discovered by fitting"
+    layout = MarkerLayout("discovered", markers, title, num_vertices=len(template))
     return Discovery(layout, left_out, doubts, notes, groups, margin, 1e3 * mean)
 
 
@@ -69,11 +70,11 @@ def _undecided(margin: float | None, named: float | None, decided: float) -> lis
     if named is not None and named > 0.5:
         return [
             f"Left and right, or front and back, are taken from the labels' names: {how}; bending "
-            "joints would tell."
+            "joints would decide it."
         ]
     return [
         f"Left and right, or front and back, are not decided: {how}; a capture with bending "
-        "joints would tell."
+        "joints would decide it."
     ]
 
 

@@ -145,24 +145,26 @@ def _decided(
     """
     best = readings[0]
     other = [
-        bool(np.linalg.norm(one.places - best.places, axis=1).mean() > settings.other_reading)
-        for one in readings
+        bool(np.linalg.norm(reading.places - best.places, axis=1).mean() > settings.other_reading)
+        for reading in readings
     ]
-    alike = [one for one, differs in zip(readings, other, strict=True) if not differs][
+    alike = [reading for reading, differs in zip(readings, other, strict=True) if not differs][
         : settings.alike
     ]
     others = [
-        one
-        for one, differs in zip(readings, other, strict=True)
-        if differs and one.cost - best.cost < settings.close * len(labels)
+        reading
+        for reading, differs in zip(readings, other, strict=True)
+        if differs and reading.cost - best.cost < settings.close * len(labels)
     ][:1]
     results: list[list[Seated]] = [[], []]
-    for index, one in enumerate((*alike, *others)):
+    for index, reading in enumerate((*alike, *others)):
         progress("discover: places", 0.6 + 0.3 * index / (len(alike) + len(others)))
-        start = (one.betas, one.pose, one.trans, what)
+        start = (reading.betas, reading.pose, reading.trans, what)
         here = seated(body, fine, frames, prior, *start, settings.place_spreads[:1], settings)
         results[index >= len(alike)].append(here)
-    cheapest, rival = (min(some, key=lambda one: one.cost, default=None) for some in results)
+    cheapest, rival = (
+        min(some, key=lambda reading: reading.cost, default=None) for some in results
+    )
     first, margin = _cheaper(body, labels, cheapest, rival, settings)
     progress("discover: places", 0.9)
     shape = first.shape
@@ -184,12 +186,12 @@ def _cheaper(
     assert best is not None
     if other is None:
         return best, None
-    best, other = sorted((best, other), key=lambda one: one.cost)
+    best, other = sorted((best, other), key=lambda seated: seated.cost)
     margin = other.cost / best.cost - 1.0
     words = settings.description
     sides = named_sides(labels, words)
     across = np.asarray(body.v_template)[:, 0]
-    agreements = [agreement(sides, across[one.vertices], words) for one in (best, other)]
+    agreements = [agreement(sides, across[seated.vertices], words) for seated in (best, other)]
     if (
         margin < settings.decided
         and agreements[0] is not None

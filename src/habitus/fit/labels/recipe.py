@@ -77,7 +77,7 @@ class Convergence(NamedTuple):
     @staticmethod
     def of_all(each: Sequence["Convergence"]) -> "Convergence":
         """Of several people: the worst status, and sums."""
-        status = min((one.status for one in each), key=WORST_FIRST.index)
+        status = min((convergence.status for convergence in each), key=WORST_FIRST.index)
         return Convergence(status, *(sum(column) for column in list(zip(*each, strict=True))[1:]))
 
 

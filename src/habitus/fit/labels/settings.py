@@ -118,6 +118,8 @@ class PeopleSettings:
 class LabelSettings:
     """Settings of labelling, a section for each step; fit: of the shape stage and the poses."""
 
+    doubtful: float = 0.9
+    """Confidence below which a label is reported as doubtful."""
     heights: tuple[float, ...] = (1.25, 1.45, 1.6, 1.75, 1.9)
     """Bodies that single frames are tried on."""
     sizing_frames: int = 8

@@ -13,7 +13,7 @@ from habitus.body.prior import PosePrior
 from habitus.fit.markers.hold_out import held_out_errors
 from habitus.fit.markers.judge import may_improve
 from habitus.fit.markers.recipe import fit_recording, iterate_fits, known_subject
-from habitus.fit.markers.recordings import FEWEST_MARKERS, Recording, few_markers
+from habitus.fit.markers.recordings import MIN_MARKERS, Recording, few_markers
 from habitus.fit.markers.result import MarkerFit
 from habitus.fit.markers.settings import MoshSettings, RetrySettings
 from habitus.fit.markers.shape import Subject
@@ -203,7 +203,7 @@ def worst_labels(fit: MarkerFit, settings: RetrySettings) -> tuple[str, ...]:
     count = np.maximum(fit.visible.sum(axis=0), 1)
     low = mapped(lambda part: part < settings.min_weight, fit.marker_weights)
     share = (fit.visible & low).sum(axis=0) / count
-    order = np.argsort(-share, kind="stable")[: max(0, len(fit.labels) - FEWEST_MARKERS)]
+    order = np.argsort(-share, kind="stable")[: max(0, len(fit.labels) - MIN_MARKERS)]
     return tuple(fit.labels[k] for k in order if share[k] > settings.distrusted)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from habitus.body.prior import PosePrior
 from habitus.fit.markers.marker_sequence import marker_sequence
-from habitus.fit.markers.recordings import FEWEST_MARKERS
+from habitus.fit.markers.recordings import MIN_MARKERS
 from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, shortened
 from habitus.fit.markers.settings import LIVE, LiveSettings, SequenceSettings
@@ -82,7 +82,7 @@ class CausalSolver:
         seen = np.all(np.isfinite(observed), axis=1, keepdims=True)
         problem.data.observed[0] = np.where(seen, observed, 0.0)
         problem.data.weights[0] = np.where(seen[:, 0], 1.0 if weights is None else weights, 0.0)
-        blind = np.count_nonzero(problem.data.weights[0]) < FEWEST_MARKERS
+        blind = np.count_nonzero(problem.data.weights[0]) < MIN_MARKERS
         self._advance(self.live.velocity_decay if blind else 1.0)
         if blind and self.frames:
             level.costs[2] = problem.cost(level.frames[2:], level.states[2:])[0]

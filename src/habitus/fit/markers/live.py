@@ -18,7 +18,7 @@ from habitus.fit.markers.causal import CausalFrame, CausalSolver
 from habitus.fit.markers.judge import LIMITS, SENTENCES
 from habitus.fit.markers.recipe import fit_subject
 from habitus.fit.markers.recordings import (
-    FEWEST_MARKERS,
+    MIN_MARKERS,
     Recording,
     ever_seen,
     of_markers,
@@ -126,7 +126,7 @@ class Tracker:
         observed = exchange(observed[None], self._subject.exchanged)[0]
         observed[list(self._subject.misplaced)] = np.nan
         seen = int(np.isfinite(observed[:, 0]).sum())
-        self._blind = 0 if seen >= FEWEST_MARKERS else self._blind + 1
+        self._blind = 0 if seen >= MIN_MARKERS else self._blind + 1
         if self._blind > self._gone:
             self._solver = None
         if self._solver is None:
@@ -157,7 +157,7 @@ class Tracker:
         """The first frame of a person, when half of the markers are seen, or for some time enough
         of them.
         """
-        self._waited = self._waited + 1 if seen >= FEWEST_MARKERS else 0
+        self._waited = self._waited + 1 if seen >= MIN_MARKERS else 0
         if not self._waited or (
             seen < self._settings.live.complete * len(observed) and self._waited < self._wait
         ):

@@ -23,7 +23,7 @@ from habitus.fit.markers.suspects import Suspect, find_flips, put_back, undo_swa
 from habitus.mesh.proximity import farthest_points
 from habitus.parallel.blocks import blocks, joined, mapped
 
-FEWEST_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
+MIN_MARKERS = 4  # a frame with fewer keeps the prior's motion and is flagged
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ def check_recordings(recordings: Sequence[Recording]) -> None:
     most_visible = max(
         (int(visible_markers(r.observed).max(initial=0)) for r in recordings), default=0
     )
-    if most_visible < FEWEST_MARKERS:
+    if most_visible < MIN_MARKERS:
         raise HabitusError(
             f"{', '.join(r.name for r in recordings)}: at most {most_visible} known markers are "
             "visible in any frame; "
-            f"expected at least {FEWEST_MARKERS}; check the labels with `habitus layout check`"
+            f"expected at least {MIN_MARKERS}; check the labels with `habitus layout check`"
         )
 
 
@@ -89,8 +89,8 @@ def shape_frames(
 
 
 def few_markers(observed: Float[np.ndarray, "T M 3"]) -> Bool[np.ndarray, " T"]:
-    """Frames with fewer than `FEWEST_MARKERS`."""
-    return visible_markers(observed) < FEWEST_MARKERS
+    """Frames with fewer than `MIN_MARKERS`."""
+    return visible_markers(observed) < MIN_MARKERS
 
 
 def visible_markers(observed: Float[np.ndarray, "T M 3"]) -> Int[np.ndarray, " T"]:
@@ -122,7 +122,7 @@ def flag_warning(few: Bool[np.ndarray, " T"]) -> tuple[str, ...]:
     if not few.any():
         return ()
     return (
-        f"{int(few.sum())} of {len(few)} frames hold fewer than {FEWEST_MARKERS} markers; they "
+        f"{int(few.sum())} of {len(few)} frames hold fewer than {MIN_MARKERS} markers; they "
         "keep the prior's motion",
     )
 

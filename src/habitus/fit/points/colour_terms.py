@@ -67,9 +67,9 @@ class ColourEquations:
     def after(self, look: Look, step: Float[np.ndarray, " n"]) -> Look:
         """What the person looks like a step further."""
         log = np.log(look.albedo)
-        for c, one in enumerate(self.eliminated):
-            change = -one.solved[:, -1] - one.solved[:, :-1] @ step[one.columns]
-            log[one.vertices, c] += np.clip(change, -1.0, 1.0)
+        for c, channel in enumerate(self.eliminated):
+            change = -channel.solved[:, -1] - channel.solved[:, :-1] @ step[channel.columns]
+            log[channel.vertices, c] += np.clip(change, -1.0, 1.0)
         albedo = np.exp(log).clip(self.settings.min_albedo, self.settings.max_albedo)
         light = look.light + step[-30:-3].reshape(3, 9).T
         return Look(albedo, light, look.shift + step[-3:])

@@ -107,7 +107,7 @@ def _fitted(
     chosen = _chosen(rivals, settings.body_margin) or _coarse(first, energy, start, means)
     energy = chosen.energy
     field = SkinField.of(energy.body, settings)
-    state, means = limbs_tried_again(energy, chosen.state, means)
+    state, means = retry_limbs(energy, chosen.state, means)
     fine = energy.minimized(state, means, settings.stages[-1:])
     state = fine.state
     clock.append(time.perf_counter())
@@ -129,7 +129,7 @@ def _fitted(
         appearance=shown,
         costs=history if ended is settled else (*history, *ended.history),
         terms=dict(ended.costs),
-        tried={one.name: one.history[-1] for one in rivals},
+        tried={rival.name: rival.history[-1] for rival in rivals},
         start_misfit=tuple(misfits),
         seconds=seconds,
         status=ended.status,
@@ -156,7 +156,7 @@ def _prepared(
         except HabitusError as error:
             errors.append(error)
     if not prepared:
-        more = f" ({len(errors)} views are alike)" if len(errors) > 1 else ""
+        more = f" ({len(errors)} views like this)" if len(errors) > 1 else ""
         raise HabitusError(f"{errors[0]}{more}")
     return prepared, kept, tuple(f"a view was left out: {error}" for error in errors)
 
@@ -274,8 +274,8 @@ def _who(fit: ViewsFit) -> str:
     """Which body was taken, and why."""
     if fit.kind not in fit.tried:
         return (
-            "women's and men's bodies explain the views alike: the neutral one was kept; "
-            "--body female or male tells"
+            "women's and men's bodies explain the views equally well: the neutral one was kept; "
+            "choose with --body female or male"
         )
     return (
         f"the {fit.kind} body explains the views best; --body neutral, female or male "
@@ -315,7 +315,7 @@ def _stride(energy: DepthEnergy, k: int) -> int:
     return int(np.clip(np.sqrt(energy.views[k].mask.sum() / pixels), 1, 4))
 
 
-def limbs_tried_again(
+def retry_limbs(
     energy: DepthEnergy, state: BodyState, means: Float[np.ndarray, "K J 3"]
 ) -> tuple[BodyState, Float[np.ndarray, "K J 3"]]:
     """The state with limbs in doubt where they explain their views best, and what the pose's prior
@@ -423,9 +423,9 @@ def _best_way(
     coarse = replace(settings.search.coarse[-1][1], stride=2 * stride)
     fine = replace(settings.limbs.fine, stride=stride)
     tried = [_stepped(energy, k, _held(now, way, rows), coarse) for way in ways]
-    tried = sorted(tried, key=lambda one: one.misfit)[: settings.limbs.kept]
-    stays, *others = (_stepped(energy, k, one, fine) for one in (now, *tried))
-    best = min(others, key=lambda one: one.misfit)
+    tried = sorted(tried, key=lambda start: start.misfit)[: settings.limbs.kept]
+    stays, *others = (_stepped(energy, k, start, fine) for start in (now, *tried))
+    best = min(others, key=lambda start: start.misfit)
     return best if best.misfit < settings.limbs.improvement * stays.misfit else now
 
 
@@ -449,10 +449,12 @@ def _held(now: Tried, way: Float[np.ndarray, "J 3"], rows: Int[np.ndarray, " j"]
     return replace(now, state=replace(now.state, pose=pose), mean=mean)
 
 
-def _stepped(energy: DepthEnergy, k: int, one: Tried, stage: DepthStage) -> Tried:
+def _stepped(energy: DepthEnergy, k: int, start: Tried, stage: DepthStage) -> Tried:
     """Some steps further; the misfit on finer pixels."""
     fine = energy.views[k].grid(_stride(energy, k))
-    prepared = energy.body.prepare(one.state.betas)
-    one = refined(energy, k, prepared, one, stage)
-    surface = prepared(one.state.pose[0], one.state.trans[0]).vertices
-    return replace(one, misfit=misfit(fine, look(fine, surface, energy.triangles), energy.settings))
+    prepared = energy.body.prepare(start.state.betas)
+    start = refined(energy, k, prepared, start, stage)
+    surface = prepared(start.state.pose[0], start.state.trans[0]).vertices
+    return replace(
+        start, misfit=misfit(fine, look(fine, surface, energy.triangles), energy.settings)
+    )

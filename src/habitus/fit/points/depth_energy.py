@@ -349,8 +349,8 @@ class DepthEnergy:
         terms = {}
         for name in ("depth", "outline", "floor"):
             frames = [view.get(name) for view in views]
-            frames = [None if one is None or not len(one.face) else one for one in frames]
-            if any(one is not None for one in frames):
+            frames = [None if frame is None or not len(frame.face) else frame for frame in frames]
+            if any(frame is not None for frame in frames):
                 terms[name] = points_around(self.solver, state, frames)
         return terms
 

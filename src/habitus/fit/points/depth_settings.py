@@ -353,6 +353,10 @@ class RgbdSettings:
     """Thickness in metres of tight clothes on trunk and thighs, which is taken off."""
     hair: float = 0.003
     """Thickness in metres of flat hair under a cap, which is taken off."""
+    clothed: tuple[str, ...] = ("pelvis", "spine1", "spine2", "spine3", "hip", "collar")
+    """Joints, of both sides, whose skin the tight clothes cover."""
+    hairline: float = 0.5
+    """Share of the way from the head's joint to its top from which hair grows in front."""
     min_cosine: float = 0.3
     """Between ray and surface, at which the noise of depth is evaluated at least."""
     seen_through: float = 0.08

@@ -122,26 +122,26 @@ def _best(
     posed = pose_of_keypoints(body, view, betas, settings) if given is None else None
     if posed is not None:
         pose, trans = posed
-        one = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
-        return refined(energy, k, prepared, one, settings.coarse[-1][1])
+        start = Tried(BodyState(betas, pose[None], trans[None]), pose, np.inf)
+        return refined(energy, k, prepared, start, settings.coarse[-1][1])
     started = [
         _placed(energy, grid, prepared(pose), betas, pose, degrees)
         for pose in poses
         for degrees in turns
     ]
 
-    def penalised(one: Tried) -> float:
+    def penalised(start: Tried) -> float:
         """Misfit, and a little for who turns their back."""
-        return one.misfit + settings.facing * (1.0 - np.cos(one.yaw)) / 2.0
+        return start.misfit + settings.facing * (1.0 - np.cos(start.yaw)) / 2.0
 
     for kept, stage in settings.coarse:
-        started = sorted(started, key=lambda one: one.misfit)[:kept]
-        started = [refined(energy, k, prepared, one, stage) for one in started]
+        started = sorted(started, key=lambda start: start.misfit)[:kept]
+        started = [refined(energy, k, prepared, start, stage) for start in started]
     started = sorted(started, key=penalised)
-    opposite = [one for one in started if np.cos(one.yaw - started[0].yaw) < 0.0]
+    opposite = [start for start in started if np.cos(start.yaw - started[0].yaw) < 0.0]
     rivals = started[:1] + opposite[:1]
     if len(rivals) > 1:
-        rivals = [refined(energy, k, prepared, one, settings.fine) for one in rivals]
+        rivals = [refined(energy, k, prepared, start, settings.fine) for start in rivals]
     return min(rivals, key=penalised)
 
 
@@ -277,12 +277,12 @@ def _middle(points: np.ndarray) -> Float[np.ndarray, " 3"]:
 
 
 def refined(
-    energy: DepthEnergy, k: int, prepared: PreparedBody, one: Tried, stage: DepthStage
+    energy: DepthEnergy, k: int, prepared: PreparedBody, start: Tried, stage: DepthStage
 ) -> Tried:
     """A candidate of view k after the steps of a stage, by depth and outline."""
     settings = energy.settings
     grid = energy.views[k].grid(stage.stride)
-    prior = energy.priors(one.mean[None])["pose"]
+    prior = energy.priors(start.mean[None])["pose"]
 
     def drawn_at(state: BodyState) -> Drawn:
         surface = prepared(state.pose[0], state.trans[0]).vertices
@@ -296,14 +296,14 @@ def refined(
 
     solved = alternate(
         terms_at,
-        one.state,
+        start.state,
         [freed(stage, energy.body, settings)],
         steps=Levenberg(settings.damping),
         blocks=BLOCKS,
     )
     drawn = drawn_at(solved.state)
     worst = misfit(grid, drawn, settings) if len(drawn.points) else np.inf
-    return Tried(solved.state, one.mean, worst)
+    return Tried(solved.state, start.mean, worst)
 
 
 def pose_of_keypoints(

@@ -165,7 +165,9 @@ def _anew(guesser: Guesser, state: BodyState, cloud: Cloud, limb: Limb) -> BodyS
     """A limb and its parts as the bank has them, then turned about itself, then hand or foot."""
     fitter = guesser.fitter
     names = guesser.fitter.body.joint_names
-    parts = [one for one in guesser.limbs if np.isin(one.joints, limb.joints).all()]
+    parts = [
+        limb_parts for limb_parts in guesser.limbs if np.isin(limb_parts.joints, limb.joints).all()
+    ]
     state = fitter.fit(guesser.scene(cloud).limbs(state, parts), [cloud], fitter.settings.stages)
     for tries in (ARMS, EXTREMITIES):
         own = {

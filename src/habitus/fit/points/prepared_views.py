@@ -161,7 +161,7 @@ def segment(view: DepthView, settings: SegmentationSettings = SEGMENTATION) -> S
     mask = _one_person(_without_flying(person, view.depth), points, settings)
     if mask.sum() < settings.min_pixels:
         raise HabitusError(
-            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were found by "
+            f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were segmented by "
             f"{FOUND_BY[segmentation]}; expected {settings.min_pixels} or more: check that "
             f"{CHECK[segmentation]}"
         )

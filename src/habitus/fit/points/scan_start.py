@@ -254,33 +254,42 @@ def find_start(
 def _search(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
     """The same with ``wide`` times as many candidates."""
     settings = guesser.settings
-    best = [_with_limbs(guesser, cloud, one) for one in _scored(guesser, cloud, turns, wide)]
-    rough = [_roughly(guesser, cloud, one) for one in best]
-    rough = _distinct(sorted(rough, key=lambda one: one.misfit))[: settings.refined]
-    rough = [one for one in rough if one.misfit < settings.max_misfit_ratio * rough[0].misfit]
-    return sorted((_finely(guesser, cloud, one) for one in rough), key=lambda one: one.misfit)
+    best = [
+        _with_limbs(guesser, cloud, candidate) for candidate in _scored(guesser, cloud, turns, wide)
+    ]
+    rough = [_roughly(guesser, cloud, candidate) for candidate in best]
+    rough = _distinct(sorted(rough, key=lambda candidate: candidate.misfit))[: settings.refined]
+    rough = [
+        candidate
+        for candidate in rough
+        if candidate.misfit < settings.max_misfit_ratio * rough[0].misfit
+    ]
+    return sorted(
+        (_finely(guesser, cloud, candidate) for candidate in rough),
+        key=lambda candidate: candidate.misfit,
+    )
 
 
-def _finely(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+def _finely(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:
     """Limbs tried anew, and more steps, twice."""
-    scene = guesser.scene(_turned(cloud, one.turn))
+    scene = guesser.scene(_turned(cloud, candidate.turn))
     for _ in range(2):
-        one = replace(one, state=scene.limbs(one.state))
-        one = _refined(guesser, cloud, one, guesser.settings.fine)
-    return one
+        candidate = replace(candidate, state=scene.limbs(candidate.state))
+        candidate = _refined(guesser, cloud, candidate, guesser.settings.fine)
+    return candidate
 
 
-def _about_face(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+def _about_face(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:
     """A person upright in the same place who looks the other way; shape and pose are sought from
     the mean.
     """
-    ahead = matrix_from_rotvec(one.state.pose[0, 0])[:, 2]
+    ahead = matrix_from_rotvec(candidate.state.pose[0, 0])[:, 2]
     pose = np.concatenate([np.zeros((1, 3)), guesser.fitter.prior.mean.reshape(-1, 3)])
     pose[0, 1] = np.arctan2(ahead[0], ahead[2]) + np.pi
-    state = BodyState(np.zeros_like(one.state.betas), pose[None], one.state.trans)
-    scene = guesser.scene(_turned(cloud, one.turn))
-    one = _roughly(guesser, cloud, replace(one, state=scene.limbs(state)))
-    return _finely(guesser, cloud, one)
+    state = BodyState(np.zeros_like(candidate.state.betas), pose[None], candidate.state.trans)
+    scene = guesser.scene(_turned(cloud, candidate.turn))
+    candidate = _roughly(guesser, cloud, replace(candidate, state=scene.limbs(state)))
+    return _finely(guesser, cloud, candidate)
 
 
 def _scored(guesser: Guesser, cloud: Cloud, turns: np.ndarray, wide: int) -> list[Candidate]:
@@ -357,45 +366,46 @@ def _placed(
     return Candidate(state, turn, np.inf)
 
 
-def _with_limbs(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+def _with_limbs(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:
     """Arms and legs tried anew before any step: a step would bend what is near towards an arm that
     is elsewhere.
     """
-    scene = guesser.scene(_turned(cloud, one.turn))
+    scene = guesser.scene(_turned(cloud, candidate.turn))
     return replace(
-        one, state=scene.limbs(one.state, guesser.limbs[: guesser.settings.arms_and_legs])
+        candidate,
+        state=scene.limbs(candidate.state, guesser.limbs[: guesser.settings.arms_and_legs]),
     )
 
 
-def _roughly(guesser: Guesser, cloud: Cloud, one: Candidate) -> Candidate:
+def _roughly(guesser: Guesser, cloud: Cloud, candidate: Candidate) -> Candidate:
     """The rough stages; in the first the prior is about the pose of the candidate."""
     fitter = guesser.fitter
     first, *rest = guesser.settings.rough
-    held = replace(fitter, prior=replace(fitter.prior, mean=one.state.pose[0, 1:].ravel()))
-    state = held.fit(one.state, [_turned(cloud, one.turn)], [first])
-    return _refined(guesser, cloud, replace(one, state=state), rest)
+    held = replace(fitter, prior=replace(fitter.prior, mean=candidate.state.pose[0, 1:].ravel()))
+    state = held.fit(candidate.state, [_turned(cloud, candidate.turn)], [first])
+    return _refined(guesser, cloud, replace(candidate, state=state), rest)
 
 
 def _refined(
-    guesser: Guesser, cloud: Cloud, one: Candidate, stages: Sequence[ScanStage]
+    guesser: Guesser, cloud: Cloud, candidate: Candidate, stages: Sequence[ScanStage]
 ) -> Candidate:
     """Some stages further."""
-    turned = _turned(cloud, one.turn)
-    state = guesser.fitter.fit(one.state, [turned], stages)
-    return Candidate(state, one.turn, guesser.scene(turned).misfit(state))
+    turned = _turned(cloud, candidate.turn)
+    state = guesser.fitter.fit(candidate.state, [turned], stages)
+    return Candidate(state, candidate.turn, guesser.scene(turned).misfit(state))
 
 
 def _distinct(candidates: list[Candidate]) -> list[Candidate]:
     """Those that are not nearly the same as a better one."""
     kept: list[Candidate] = []
-    for one in candidates:
+    for candidate in candidates:
         same = any(
-            np.array_equal(one.turn, other.turn)
-            and np.abs(one.state.pose - other.state.pose).max() < 0.15
+            np.array_equal(candidate.turn, other.turn)
+            and np.abs(candidate.state.pose - other.state.pose).max() < 0.15
             for other in kept
         )
         if not same:
-            kept.append(one)
+            kept.append(candidate)
     return kept
 
 

@@ -118,7 +118,10 @@ class Registrar:
 
     def settled(self, fit: ScanFit) -> "Registrar":
         """With the body of a fit alone."""
-        return replace(next(one for one in (self, *self.others) if one.body is fit.body), others=())
+        return replace(
+            next(registrar for registrar in (self, *self.others) if registrar.body is fit.body),
+            others=(),
+        )
 
     def after(self, fit: ScanFit) -> "Registrar":
         """The same for the next frame of a sequence, coupled to this one in shape, pose and skin
@@ -236,11 +239,11 @@ class Registrar:
         close = (distances < search.followed_distance).mean() > search.followed_share
         return [Candidate(state, turn, np.inf)] if close else []
 
-    def _differ(self, one: Candidate, other: Candidate) -> bool:
+    def _differ(self, candidate: Candidate, other: Candidate) -> bool:
         """Whether two candidates are different poses: some joint is elsewhere."""
         joints = [
             self.body(each.state.betas, each.state.pose[0], each.state.trans[0]).joints @ each.turn
-            for each in (one, other)
+            for each in (candidate, other)
         ]
         distance = np.linalg.norm(joints[0] - joints[1], axis=1).max()
         return float(distance) > self.settings.search.distinct
@@ -256,10 +259,14 @@ class Registrar:
         first = joined([scan.state for scan in scans])
         stages = self.settings.offset_stages
         tried = []
-        for one in (self, *self.others):
-            state = first if one is self else carried(self.body, one.body, first, self.settings)
-            fit = one.fitter.fit_with_offsets(state, clouds, stages[:-1])
-            tried.append((energy(one.fitter, fit, clouds), one, fit))
+        for registrar in (self, *self.others):
+            state = (
+                first
+                if registrar is self
+                else carried(self.body, registrar.body, first, self.settings)
+            )
+            fit = registrar.fitter.fit_with_offsets(state, clouds, stages[:-1])
+            tried.append((energy(registrar.fitter, fit, clouds), registrar, fit))
         _, best, fit = min(tried, key=lambda each: each[0])
         begin = [replace(scan, state=fit.state[k : k + 1]) for k, scan in enumerate(scans)]
         return best, best._fitted(begin, stages[-1:])
@@ -417,9 +424,9 @@ def compared(
 def joined(states: Sequence[BodyState]) -> BodyState:
     """One state of several scans; the shape is the mean."""
     return BodyState(
-        np.mean([one.betas for one in states], axis=0),
-        np.concatenate([one.pose for one in states]),
-        np.concatenate([one.trans for one in states]),
+        np.mean([state.betas for state in states], axis=0),
+        np.concatenate([state.pose for state in states]),
+        np.concatenate([state.trans for state in states]),
     )
 
 

@@ -209,8 +209,8 @@ class _Rounds:
     def texture(self, light: Float[np.ndarray, "K 9 3"]) -> "_Rounds":
         """With the texture of tones without light and gain."""
         tones = [
-            cloud.tones - shape @ one - gain
-            for cloud, shape, one, gain in zip(
+            cloud.tones - shape @ light_of_scan - gain
+            for cloud, shape, light_of_scan, gain in zip(
                 self.clouds, self.shapes, light, self.gains, strict=True
             )
         ]
@@ -234,8 +234,8 @@ class _Rounds:
         if not self.seen.any():
             return self
         left = [
-            each - shape @ one
-            for each, shape, one in zip(self.left, self.shapes, light, strict=True)
+            each - shape @ light_of_scan
+            for each, shape, light_of_scan in zip(self.left, self.shapes, light, strict=True)
         ]
         gains = [
             _gain(self.coarse, *scan, self.settings)

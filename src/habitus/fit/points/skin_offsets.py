@@ -34,11 +34,6 @@ from habitus.mesh.proximity import farthest_points
 from habitus.residuals.points import PointObservations, points_on_surface
 from habitus.solve.terms import Quadratic, Term
 
-COVERED = ("pelvis", "spine1", "spine2", "spine3", "hip", "collar")
-"""Parts that tight clothes cover."""
-BROW = 0.5
-"""Share of the way from the head's joint to its top from which hair grows, in front."""
-
 
 @dataclass(frozen=True, eq=False)
 class SkinField:
@@ -63,7 +58,7 @@ class SkinField:
         pads = Footpads.of(body)
         if pads is not None:
             basis[body.faces[pads.face, pads.corner]] = 0.0
-        return SkinField(body, basis, clothing(body, settings.clothes, settings.hair))
+        return SkinField(body, basis, clothing(body, settings))
 
     @property
     def count(self) -> int:
@@ -81,7 +76,7 @@ class SkinField:
         return along_normals(surfaces, self.offset(numbers) + self.layer, self.body)
 
 
-def clothing(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, " V"]:
+def clothing(body: BodyModel, settings: RgbdSettings) -> Float[np.ndarray, " V"]:
     """Metres of tight clothes on trunk and thighs, and of hair above the brow and behind."""
     names = body.joint_names
     points = body.rest_vertices(np.zeros(body.num_betas))
@@ -93,7 +88,7 @@ def clothing(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, 
         [
             k
             for k, name in enumerate(names)
-            if name.removeprefix("left_").removeprefix("right_") in COVERED
+            if name.removeprefix("left_").removeprefix("right_") in settings.clothed
         ],
     ]
     head = weights[:, names.index("head")]
@@ -102,7 +97,8 @@ def clothing(body: BodyModel, clothes: float, hair: float) -> Float[np.ndarray, 
     share = (points[:, 1] - joint[1]) / (top - joint[1]) + np.maximum(
         joint[2] - points[:, 2], 0.0
     ) / 0.1
-    return clothes * covered.sum(1) + hair * head * np.clip((share - BROW) / 0.2, 0.0, 1.0)
+    grown = np.clip((share - settings.hairline) / 0.2, 0.0, 1.0)
+    return settings.clothes * covered.sum(1) + settings.hair * head * grown
 
 
 def moved_back(

@@ -131,9 +131,9 @@ def _root(square: Float[np.ndarray, " T"], soft: float) -> Float[np.ndarray, " T
     return square / np.sqrt(np.abs(square) + soft**2)
 
 
-def _onto(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "T 3 3"]:
-    """The smallest rotations that take the directions of ``one`` to those of ``other``."""
-    a, b = (v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12) for v in (one, other))
+def _onto(bone: np.ndarray, other: np.ndarray) -> Float[np.ndarray, "T 3 3"]:
+    """The smallest rotations that take the directions of ``bone`` to those of ``other``."""
+    a, b = (v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12) for v in (bone, other))
     axis = np.cross(a, b)
     cosine = (a * b).sum(1)
     sine = np.linalg.norm(axis, axis=1)

@@ -116,12 +116,12 @@ def retargeted(
     return Retargeting(made, scale, seconds, slips, below)
 
 
-def _check(one: BodyModel, other: BodyModel) -> None:
-    if one.joint_names != other.joint_names or one.num_betas != other.num_betas:
+def _check(body: BodyModel, other: BodyModel) -> None:
+    if body.joint_names != other.joint_names or body.num_betas != other.num_betas:
         raise HabitusError(
             f"{other.name} has {other.num_joints} joints and {other.num_betas} betas; the "
-            f"motion's body {one.name} has "
-            f"{one.num_joints} and {one.num_betas}; expected another shape of the same body"
+            f"motion's body {body.name} has "
+            f"{body.num_joints} and {body.num_betas}; expected another shape of the same body"
         )
     missing = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
     missing = [name for name in missing if name not in other.joint_names]

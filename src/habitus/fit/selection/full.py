@@ -86,8 +86,8 @@ def best_states(
 ) -> tuple[Posed, ...]:
     """Each person at the state that fits many ``vertices`` of their surface best."""
     return tuple(
-        fit_surface(body, prior, one, vertices, one.surface[vertices], noise).person
-        for one in people
+        fit_surface(body, prior, person, vertices, person.surface[vertices], noise).person
+        for person in people
     )
 
 
@@ -106,12 +106,12 @@ def full_error(
     ``offsets`` (m) is the noise that each vertex would have as a marker.
     """
     squares = []
-    for one, off in zip(people, offsets, strict=True):
+    for person, off in zip(people, offsets, strict=True):
         fitted = fit_surface(
-            body, prior, one, chosen, one.surface[chosen] + off[chosen], noise
+            body, prior, person, chosen, person.surface[chosen] + off[chosen], noise
         ).person
         here = body(fitted.betas, fitted.pose, fitted.trans, vertices=judged).vertices
-        squares.append(((here - one.surface[judged]) ** 2).sum(-1).mean())
+        squares.append(((here - person.surface[judged]) ** 2).sum(-1).mean())
     return float(np.sqrt(np.mean(squares)))
 
 

@@ -61,7 +61,7 @@ def choose_poses(
         np.mean([_error(known + information[some[: k + 1]].sum(0), before) for some in drawn])
         for k in range(count)
     ]
-    alone = np.array([_error(known + one, before) for one in information])
+    alone = np.array([_error(known + pose_information, before) for pose_information in information])
     chosen = [int(np.argmin(alone))]
     errors = [float(alone.min())]
     while len(chosen) < min(count, len(poses)):

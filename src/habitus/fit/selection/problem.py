@@ -161,8 +161,8 @@ def linearised(
     """
     rows = 3 * max(map(len, candidates.groups))
     parts = [
-        _of_person(body, one, candidates, rows, noise, *_goal(body, one, goal, region))
-        for one in people
+        _of_person(body, person, candidates, rows, noise, *_goal(body, person, goal, region))
+        for person in people
     ]
     markers, unexplained, constant, linear, quadratic = (
         np.stack(each) for each in zip(*parts, strict=True)

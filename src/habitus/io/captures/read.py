@@ -105,7 +105,7 @@ def read_capture(
     markers and a warning.
 
     ``fps`` overrides the file's frame rate. Raises HabitusError where the file is of an unknown
-    kind or damaged, holds no physical markers, names no rate, or holds nobody called ``subject``.
+    kind or damaged, holds no physical markers, names no rate, or has no person called ``subject``.
     """
     captures = read_captures(path, fps)
     names = [capture.subject or "one without a name" for capture in captures]

@@ -150,7 +150,7 @@ def discovered_layout_text(discovery: Discovery, capture_name: str) -> str:
         _FOUND_HEADER.format(capture=name),
         *(f"# NOT SURE: {shown(doubt, 300)}" for doubt in discovery.doubts),
         f"name = {quoted(f'discovered in {name}')}",
-        f"title = {quoted(f'Found by fitting a body to {name}')}",
+        f"title = {quoted(f'Discovered by fitting a body to {name}')}",
         *([] if layout.num_vertices is None else [f"num_vertices = {layout.num_vertices}"]),
         "",
         "[markers]",

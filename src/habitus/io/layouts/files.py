@@ -38,7 +38,7 @@ from habitus.io.models.bodies import load_body
 from habitus.io.names import inside, plain_name
 from habitus.markers.layouts import MarkerLayout
 from habitus.markers.matching import (
-    FEWEST_MARKERS,
+    MIN_MARKERS,
     LayoutMatch,
     best_match,
     interpreted,
@@ -87,11 +87,11 @@ def layout_of_labels(
     """
     check_count(len(labels), MAX_LABELS, f"labels in the layout file {where}")
     meaning = interpreted(labels, known)
-    if len(meaning.markers) < FEWEST_MARKERS:
+    if len(meaning.markers) < MIN_MARKERS:
         raise HabitusError(
             f"layout file {where}: {len(meaning.markers)} of its {len(labels)} labels "
             f"({listed(labels) or 'none'}) are "
-            f"known to any layout; expected at least {FEWEST_MARKERS}; let --layout discover find "
+            f"known to any layout; expected at least {MIN_MARKERS}; let --layout discover find "
             "where they sit"
         )
     markers = tuple(

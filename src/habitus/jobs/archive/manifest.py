@@ -256,7 +256,7 @@ def open_manifest(folder: Path) -> Iterator[Manifest]:
         yield Manifest(connection)
     except (sqlite3.Error, UnicodeDecodeError) as error:  # damaged pages, damaged texts in them
         raise HabitusError(
-            f"{path}: {shown(error, 160)}; free some room, or remove the file to begin anew"
+            f"{path}: {shown(error, 160)}; free some room, or remove the file to start again"
         ) from error
     finally:
         if connection is not None:
@@ -270,7 +270,7 @@ def _readable() -> Iterator[None]:
         yield
     except (ValueError, TypeError, KeyError, IndexError, zlib.error, RecursionError) as error:
         raise HabitusError(
-            f"{FILE}: its rows cannot be read ({shown(error, 80)}); remove the file to begin anew"
+            f"{FILE}: its rows cannot be read ({shown(error, 80)}); remove the file to start again"
         ) from error
 
 

@@ -47,7 +47,7 @@ from habitus.jobs.subjects import Agreed, Person, check_each, gather
 from habitus.kernels.threads import one_thread
 from habitus.report.archive import motion_picture, shape_picture
 
-MOST_FRAMES = 200_000
+MAX_FRAMES = 200_000
 """Frames of a subject's captures that its shape stage looks at: more are left out, capture by
 capture.
 """
@@ -153,7 +153,7 @@ def _some_captures(
     bad: dict[int, str] = {}
     frames = 0
     for k in _spread_order(len(taken)):
-        if frames >= MOST_FRAMES:
+        if frames >= MAX_FRAMES:
             break
         try:
             captures[k] = _read(job, taken[k])

@@ -56,8 +56,7 @@ class MovingSurface:
             return self
         if self.pose is None or self.betas is None or self.trans is None:
             raise HabitusError(
-                f"{self.name}: tells no {missing[0]}; expected betas, pose and trans, or none of "
-                "them"
+                f"{self.name}: has no {missing[0]}; expected betas, pose and trans, or none of them"
             )
         frames = len(self)
         if len(self.betas) > body.num_betas or self.betas.ndim != 1:
@@ -104,7 +103,7 @@ class MovingSurface:
             raise HabitusError(
                 f"{self.name}: registrations of {count} vertices; {body.name} has "
                 f"{body.num_vertices} (its full level, "
-                "if it has two); tell with vertex_ids which of them these are"
+                "if it has two); name these vertices with vertex_ids"
             )
 
 

@@ -18,7 +18,6 @@ from habitus.learn.options import REGRESSORS, SETTINGS, TrainSettings
 
 SUM_WEIGHT = 1.0
 """Metres: of the sum-to-one term. The rows are the same with any; see `fit_joint_regressor`."""
-MIN_PEOPLE = 3
 
 
 def fit_joint_regressor(
@@ -75,7 +74,7 @@ def fit_joint_regressor(
         chosen = np.flatnonzero(allowed[k])
         offsets = templates[:, chosen] - joints[:, None, k]
         row = _row(offsets, nearness)
-        if signs != "convex" and people >= MIN_PEOPLE:
+        if signs != "convex" and people >= settings.regressor_min_people:
             row = row + _correction(
                 offsets,
                 row,

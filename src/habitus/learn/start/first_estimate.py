@@ -232,7 +232,7 @@ def check_known(problem: Problem, body: BodyModel | None) -> None:
             raise HabitusError(
                 f"{word} fixed, but those of {int((~is_known).sum())} of {len(is_known)} (first "
                 f"{names_of[int((~is_known).argmax())]}) "
-                f"are not told; expected {'betas or rest' if word == 'people' else 'pose'} in the "
+                f"are unknown; expected {'betas or rest' if word == 'people' else 'pose'} in the "
                 "dataset"
             )
 
