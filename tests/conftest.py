@@ -37,9 +37,9 @@ for package in (
 bodies = importlib.import_module("habitus.io.models.bodies")
 _read_body = bodies._read_body
 _read_once = lru_cache(maxsize=8)(_read_body)
-bodies._read_body = lambda content, name, *level: (
+bodies._read_body = lambda content, name, *level, **part: (
     _read_once if name in bodies.SHIPPED else _read_body
-)(content, name, *level)
+)(content, name, *level, **part)
 
 # Begun first, so that no worker ends with one of them alone. The second compiles no kernels: the
 # other worker finds those of the first on disk.

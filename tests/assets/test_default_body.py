@@ -277,7 +277,7 @@ DRAWN = 4
 CUT = {("female", 1): 1, ("female", 2): 2, ("female", 90): 2}
 
 
-@pytest.mark.parametrize("detail", ["coarse", "full"])
+@pytest.mark.parametrize("detail", ["coarse", "full", "parts"])
 @pytest.mark.parametrize("space", SPACES)
 def test_further_betas_are_asked_for_and_leave_the_first_ones_alone(space, detail) -> None:
     usual = load_body(space, detail=detail)

@@ -65,14 +65,16 @@ class Face:
 
         ``rest``, ``rest_joints`` and skinning ``weights`` are those of the body before.
         """
-        directions = self.unit_directions
+        directions = self.unit_directions.copy()
         lost = [k for k, joint in enumerate(self.joints) if joint not in kept]
         for k in lost:
-            arm = (rest[self.vertices] - rest_joints[self.joints[k]])[..., None]
             share = weights[self.vertices, self.joints[k]]
-            turn = matrix_from_rotvec(self.turns[:, k]) - np.eye(3)
-            directions = directions + np.einsum(
-                "h,uij,hju->hiu", share, turn, arm + self.unit_directions
+            carried, turning = np.flatnonzero(share), np.flatnonzero(self.turns[:, k].any(-1))
+            rows = np.ix_(carried, range(3), turning)
+            arm = (rest[self.vertices[carried]] - rest_joints[self.joints[k]])[..., None]
+            turn = matrix_from_rotvec(self.turns[turning, k]) - np.eye(3)
+            directions[rows] += np.einsum(
+                "h,uij,hju->hiu", share[carried], turn, arm + self.unit_directions[rows]
             )
         stay = [k for k in range(len(self.joints)) if k not in lost]
         return replace(

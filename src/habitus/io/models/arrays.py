@@ -74,11 +74,14 @@ class ModelArrays:
                 f"array {key!r} is {array.dtype} of shape {array.shape}; expected numbers of "
                 f"shape ({want})"
             )
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
+        with np.errstate(invalid="ignore"):  # NaN as an integer, refused below
+            numbers = np.array(array, dtype=dtype, order="C")
+        floats = numbers if numbers.dtype.kind == "f" else array  # half precision is slow to check
+        if array.dtype.kind == "f" and not np.isfinite(floats).all():
             raise HabitusError(
                 f"array {key!r} holds numbers that are not finite; get the file again"
             )
-        return np.array(array, dtype=dtype, order="C")
+        return numbers
 
     def index(self, key: str, size: int, *shape: int | None) -> np.ndarray:
         """An integer array with values from 0 to size - 1."""

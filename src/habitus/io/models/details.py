@@ -182,7 +182,9 @@ def coarse_level(arrays: ModelArrays) -> tuple[ModelArrays, Int[np.ndarray, " V"
 
     Reading an array raises HabitusError where those vertices do not suffice for it.
     """
-    count = len(arrays["v_template"])
+    template = arrays["v_template"]
+    arrays = arrays.changed({"v_template": lambda: template})
+    count = len(template)
     rows = arrays.index("coarse_vertices", count, None)
     if not (np.diff(rows) > 0).all():
         raise HabitusError("array 'coarse_vertices' does not rise; expected sorted vertex numbers")

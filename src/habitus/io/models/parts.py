@@ -13,7 +13,7 @@ from scipy import sparse
 
 from habitus.io.models.arrays import ModelArrays
 
-_FOLLOWED = ("v_template", "shapedirs", "agedirs")
+_FOLLOWED = ("v_template", "shapedirs", "further_shapedirs", "agedirs")
 _STILL = ("posedirs", "hingedirs", "expressiondirs", "dynamicsdirs")
 
 
