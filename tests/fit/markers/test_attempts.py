@@ -5,7 +5,8 @@ import planted as p
 import pytest
 
 from habitus.fit.markers.attempts import iterate_attempts
-from habitus.fit.markers.recipe import Recording, known_subject
+from habitus.fit.markers.recipe import Recording, fit_recording, known_subject
+from habitus.solve.sequence import Level
 
 WRONG = ("LFHD", "RTOE", "LFIN", "RKNE", "C7", "LHEE", "STRN")
 HASTY = p.settings(annealing=(10.0,), frames=2, soft_tissue=False)
@@ -64,3 +65,28 @@ def test_a_shape_that_no_sound_fit_comes_of_is_not_settled(clean):
         subject = known_subject(clean.body, clean.prior, clean.layout, recordings, which)[1]
         iterations[rough] = subject.shape.iterations
     assert iterations[p.settings().rough] < 0.8 * iterations[np.inf]
+
+
+def test_poses_after_a_hopeless_shape_take_at_most_twice_the_work_of_sound_ones(clean, monkeypatch):
+    """Frames visited by the solver; before, none converged and all sweeps were made."""
+    order = np.random.default_rng(0).permutation(len(clean.layout))
+    which = p.settings(frames=2)
+    plain_sweep = Level.sweep
+    visits = {}
+    for kind, observed in (("sound", clean.observed), ("hopeless", clean.observed[:, order])):
+        recordings = [Recording("planted", observed, p.RATE_HZ, "+y")]
+        (recording,), subject = known_subject(
+            clean.body, clean.prior, clean.layout, recordings, which
+        )
+        assert subject.hopeless == (kind == "hopeless")
+        counts = []
+
+        def counted(level, active, counts=counts):
+            counts.append(int(np.sum(active)))
+            return plain_sweep(level, active)
+
+        monkeypatch.setattr(Level, "sweep", counted)
+        fit_recording(recording, subject, which)
+        monkeypatch.undo()
+        visits[kind] = sum(counts)
+    assert visits["hopeless"] <= 2 * visits["sound"], visits

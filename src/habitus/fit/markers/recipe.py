@@ -270,19 +270,23 @@ def _pose_stage(
     observed = undo_swaps(observed, swaps)
     noise = marker_noise(distances(observed, predicted), settings.suspects)
     scale = np.clip(settings.noise_factor * noise, *settings.robust_scale)
-    stage_settings = sequence_settings(settings, warm=True)
-    drifts = find_drifts(
-        subject.body,
-        subject.shape.attachment,
-        subject.rig,
-        observed,
-        scale,
-        rate_hz,
-        subject.prior,
-        result,
-        stage_settings,
-        settings.drift,
-        settings.suspects.large_residual,
+    stage_settings = sequence_settings(settings, warm=True, hopeless=subject.hopeless)
+    drifts = (
+        ()
+        if subject.hopeless
+        else find_drifts(
+            subject.body,
+            subject.shape.attachment,
+            subject.rig,
+            observed,
+            scale,
+            rate_hz,
+            subject.prior,
+            result,
+            stage_settings,
+            settings.drift,
+            settings.suspects.large_residual,
+        )
     )
     targets, pose, trans = bridged(
         subject.rig,
@@ -353,7 +357,7 @@ def _first_poses(
         subject.prior,
         pose,
         trans,
-        sequence_settings(settings),
+        sequence_settings(settings, hopeless=subject.hopeless),
         longest=settings.longest,
         cut=settings.windows,
     )
@@ -370,7 +374,7 @@ def _soft_tissue_stage(
     body = subject.body
     soft = marked_body(body, subject.shape.betas, subject.shape.attachment, settings.soft_space)
     still = np.zeros((len(posed.observed), soft.num_betas))
-    stage_settings = sequence_settings(settings, warm=True)
+    stage_settings = sequence_settings(settings, warm=True, hopeless=subject.hopeless)
     given = (posed.result.pose, posed.result.trans, stage_settings, still)
     return fit_long(
         soft,

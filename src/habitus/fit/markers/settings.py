@@ -10,7 +10,7 @@ their spoilt copies of `benchmarks/mosh_faults.py`, `benchmarks/mosh_fault_kinds
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any, get_type_hints
 
 from habitus.errors import HabitusError
@@ -329,6 +329,10 @@ class MoshSettings:
     hopeless_step: int = 2
     """Steps of the annealing after which ``hopeless`` is checked: the first still leaves poses
     rough."""
+    hopeless_sweeps: int = 3
+    """Sweeps, at most, of the coarsest and the finest level of the solves after a hopeless shape
+    stage: poses of a body that is not the person's do not converge in the usual 30, and only show
+    how far off it is."""
     rough: float = 0.02
     """Metres: the last step is solved once, and roughly, where half of the markers are further from
     the body before it: no sound fit comes of it, and to settle it took most of the time of captures
@@ -405,12 +409,17 @@ class SequenceSettings:
     """Of the solver."""
 
 
-def sequence_settings(settings: MoshSettings, warm: bool = False) -> SequenceSettings:
+def sequence_settings(
+    settings: MoshSettings, warm: bool = False, hopeless: bool = False
+) -> SequenceSettings:
     """The paper's weights in metres; ``warm`` starts are solved at the finest level at once, with
-    little damping.
+    little damping; ``hopeless`` ones in a few sweeps.
     """
     weights = settings.pose
     options = SequenceOptions(strides=(1,), damping=1.0) if warm else SequenceOptions()
+    if hopeless:
+        few = settings.hopeless_sweeps
+        options = replace(options, coarse_sweeps=few, sweeps=few)
     return SequenceSettings(
         per_m2(weights.data),
         weights.pose,

@@ -20,6 +20,9 @@ from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
 from habitus.solve.terms import geman_mcclure_weight
 
+HOPELESS = "hopeless"
+"""Status of a shape stage that ended early: the markers are no person's, by these labels."""
+
 
 @dataclass(frozen=True)
 class ShapeFit:
@@ -61,6 +64,11 @@ class Subject:
         """Shape coefficients (B,)."""
         return self.shape.betas
 
+    @property
+    def hopeless(self) -> bool:
+        """Whether the shape stage ended early, so that no sound fit follows."""
+        return self.shape.status == HOPELESS
+
     @cached_property
     def rig(self) -> MarkedBody:
         """The body of this shape with its markers attached."""
@@ -72,10 +80,6 @@ class Subject:
         places = default_markers(self.body, self.shape.betas, vertices, self.layout.distances())
         distance = np.linalg.norm(self.shape.latent_markers - places, axis=1)
         return distance / self.layout.place_spreads()
-
-
-HOPELESS = "hopeless"
-"""Status of a shape stage that ended early: the markers are no person's, by these labels."""
 
 
 def shape_stage(
