@@ -121,6 +121,8 @@ def _read_body(
     full one that is not ``alone``, for its parts.
     """
     arrays = ModelArrays(BytesIO(content))
+    if detail != "parts":
+        arrays = arrays.changed({"part_names": None, "part_index": None})
     if "coarse_vertices" in arrays and detail == "coarse":
         arrays, rows = coarse_level(arrays)
         finer = partial(_read_body, content, name, "full", None, num_betas, alone=False)
