@@ -70,7 +70,7 @@ class Face:
         for k in lost:
             share = weights[self.vertices, self.joints[k]]
             carried, turning = np.flatnonzero(share), np.flatnonzero(self.turns[:, k].any(-1))
-            rows = np.ix_(carried, range(3), turning)
+            rows = np.ix_(carried, np.arange(3), turning)
             arm = (rest[self.vertices[carried]] - rest_joints[self.joints[k]])[..., None]
             turn = matrix_from_rotvec(self.turns[turning, k]) - np.eye(3)
             directions[rows] += np.einsum(

@@ -71,8 +71,9 @@ def _row(
     abduction: float = 0,
     spread: tuple[float, float, float, float] = (0, 0, 0, 0),
 ) -> Float[np.ndarray, "20"]:
-    four = fingers if len(fingers) == len(FINGERS) else [*fingers] * len(FINGERS)
-    return HandPose(*four, thumb, abduction, spread).angles
+    alike = [*fingers] * len(FINGERS)
+    index, middle, ring, pinky = fingers if len(fingers) == len(FINGERS) else alike
+    return HandPose(index, middle, ring, pinky, thumb, abduction, spread).angles
 
 
 HAND_SPACE = HandSpace(

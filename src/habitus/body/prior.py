@@ -60,7 +60,7 @@ class PosePrior:
         return PosePrior(
             (*rest.joint_names, *other.joint_names),
             np.concatenate([rest.mean, other.mean]),
-            block_diag(rest.covariance, other.covariance),
+            np.asarray(block_diag(rest.covariance, other.covariance)),
         )
 
     @property

@@ -112,7 +112,7 @@ def skin_tone(skin: str | float | None) -> float | None:
     if skin is None or skin == NONE:
         return None
     try:
-        tone = TONES[skin] if skin in TONES else float(skin)
+        tone = TONES[skin] if isinstance(skin, str) and skin in TONES else float(skin)
     except (TypeError, ValueError):
         tone = np.nan
     if not 0 <= tone <= 1:
@@ -149,8 +149,8 @@ def skin_of(mesh: BodyMesh | None, skin: str | float | None, size: int = 1024) -
 
 def layout_checksum(mesh: BodyMesh) -> int:
     """A number that tells layouts of textures apart."""
-    uv = np.ascontiguousarray(mesh.uv, "<f4")
-    return zlib.crc32(np.ascontiguousarray(mesh.quad_uv, "<i4"), zlib.crc32(uv))
+    uv = np.ascontiguousarray(mesh.uv, "<f4").tobytes()
+    return zlib.crc32(np.ascontiguousarray(mesh.quad_uv, "<i4").tobytes(), zlib.crc32(uv))
 
 
 def paint_skin(tone: float, size: int = 1024) -> UInt8[np.ndarray, "N N 3"]:
