@@ -327,12 +327,12 @@ class MoshSettings:
     two steps of the annealing, and nothing more is tried. Sound captures have 0.011 there at most,
     those with a third of the labels wrong 0.07, and with all of them wrong 0.24."""
     hopeless_step: int = 2
-    """Steps of the annealing after which ``hopeless`` is checked: the first still leaves poses
-    rough."""
+    """Steps of the annealing from which on that is checked: the first leaves poses rough."""
+    tallest: float = 2.8
+    """Metres: of anybody. A taller body ends the shape stage in the same way: a wrong unit."""
     hopeless_sweeps: int = 3
-    """Sweeps, at most, of the coarsest and the finest level of the solves after a hopeless shape
-    stage: poses of a body that is not the person's do not converge in the usual 30, and only show
-    how far off it is."""
+    """Sweeps, at most, of the coarsest and the finest level after that: poses of a body that is not
+    the person's do not converge in the usual 30, and only show how far off it is."""
     rough: float = 0.02
     """Metres: the last step is solved once, and roughly, where half of the markers are further from
     the body before it: no sound fit comes of it, and to settle it took most of the time of captures

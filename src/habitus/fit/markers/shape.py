@@ -21,7 +21,8 @@ from habitus.solve.minimize import minimize
 from habitus.solve.terms import geman_mcclure_weight
 
 HOPELESS = "hopeless"
-"""Status of a shape stage that ended early: the markers are no person's, by these labels."""
+"""Status of a shape stage that ended early: the markers are no person's, by these labels or in this
+unit of length."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ def shape_stage(
         markers = LatentMarkers(body, _attached(body, unknowns).triangles)
         residual = markers(**unknowns) - filled
         off = _median_distance(residual, visible)
-        if step == settings.hopeless_step and off > settings.hopeless:
+        lost = step == settings.hopeless_step and off > settings.hopeless
+        if lost or (step >= settings.hopeless_step and _stature(body, unknowns) > settings.tallest):
             status = HOPELESS
             break
         rough = off > settings.rough
@@ -146,6 +148,11 @@ def shape_stage(
 
 def _attached(body: BodyModel, unknowns: dict[str, np.ndarray]) -> MarkerAttachment:
     return attach(unknowns["latent_markers"], body.rest_vertices(unknowns["betas"]), body.faces)
+
+
+def _stature(body: BodyModel, unknowns: dict[str, np.ndarray]) -> float:
+    """Height (m) in the rest pose."""
+    return float(np.ptp(body.rest_vertices(unknowns["betas"])[:, 1]))
 
 
 def _median_distance(residual: np.ndarray, visible: np.ndarray) -> float:
