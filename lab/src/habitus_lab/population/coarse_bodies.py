@@ -34,7 +34,7 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
     Template, shape directions and weights are those of the vertices kept; joints are regressed anew
     from the vertices near them: within 1 mm of the template's own, further off for unusual people.
     Eyes and other parts apart from the skin are left out, as are landmarks whose vertex is gone,
-    pose blend shapes (for others to be planted), ages, expressions and dynamics. Raises
+    pose blend shapes (for others to be planted), ages, faces, expressions and dynamics. Raises
     HabitusError where the body has no exact mirror image or so few vertices cannot be reached.
     """
     if body.mirror is None:
@@ -65,6 +65,7 @@ def coarse_body(body: BodyModel, vertices: int) -> BodyModel:
         part=None if body.part is None else body.part[keep],
         mirror=partner,
         expressiondirs=None,
+        face=None,
         dynamics=None,
         ages=None,
         mesh=None,
