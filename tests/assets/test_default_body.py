@@ -274,7 +274,7 @@ GROWTH |= {
 DRAWN = 4
 # of these, women who cut themselves (a few pairs, at the lips at 2 years): ages were given room
 # before lips were closed
-CUT = {("female", 1): 1, ("female", 2): 2, ("female", 90): 2}
+CUT = {("female", 1): 1, ("female", 2): 2, ("female", 90): 2, ("neutral", 1): 3}
 
 
 @pytest.mark.parametrize("detail", ["coarse", "full", "parts"])

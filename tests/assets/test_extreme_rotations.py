@@ -45,8 +45,8 @@ TRAINED = {  # simulated to about this angle: flesh does move so far, or so much
     ("shoulder", "z", 60): (49, 0.3),
 }
 EXTRAPOLATED = {  # a hip far back, legs crossed sideways, a knee turned, a lowered collar
-    ("hip", "x", 60): (54, 1.1),
-    ("hip", "z", -60): (28, 1.3),
+    ("hip", "x", 60): (54, 1.15),
+    ("hip", "z", -60): (30, 1.3),
     ("spine3", "x", -30): (43, 0.1),
     ("spine3", "z", -30): (28, 0.5),
     ("knee", "y", -60): (19, 0.4),

@@ -14,8 +14,9 @@ def with_face(body):
     """A body whose face was drawn at random: two units, of which one turns the jaw, one an eye."""
     rng = np.random.default_rng(3)
     head = np.flatnonzero(body.skinning_weights[:, body.joint_names.index("head")] > 0.5)[::3]
-    jaw = np.flatnonzero(body.skinning_weights[:, body.joint_names.index(JAW)] > 0)
-    vertices = np.union1d(head, jaw)
+    turned = [body.joint_names.index(name) for name in (JAW, EYE)]
+    carried = np.flatnonzero(body.skinning_weights[:, turned].any(axis=1))
+    vertices = np.union1d(head, carried)
     turns = np.zeros((3, 2, 3))
     turns[1, 0] = [0.35, 0, 0]
     turns[2, 1] = [0.1, 0.2, 0]
@@ -23,7 +24,7 @@ def with_face(body):
         vertices,
         ("smile", "jawOpen", "eyeLookOutLeft"),
         0.004 * rng.normal(size=(len(vertices), 3, 3)),
-        tuple(body.joint_names.index(name) for name in (JAW, EYE)),
+        tuple(turned),
         turns,
         0.002 * rng.normal(size=(len(vertices), 3, 4)),
     )

@@ -33,7 +33,9 @@ def scene(frames=12, seed=0, markers=25, noise=0.001, **kind):
     size = 3 * len(body.parents) - 3
     spread = rng.normal(size=(size, size))
     prior = SimpleNamespace(
-        mean=0.2 * rng.normal(size=size), precision=spread @ spread.T / size + np.eye(size)
+        mean=0.2 * rng.normal(size=size),
+        precision=spread @ spread.T / size + np.eye(size),
+        joint_names=body.joint_names[1:],
     )
     time = np.arange(frames) / 30
     phase = rng.uniform(0, 6, (size + 3, 1))

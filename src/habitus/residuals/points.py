@@ -7,10 +7,9 @@
 Markers, scan points, depth pixels, keypoints and registered vertices all say this, with 3x3
 information A (1 / m^2) in place of a noise: a marker or registered vertex I / s^2, a scan or depth
 point n n' / s^2 and a little along the surface, a keypoint the sum over cameras of G' G / s^2, G
-being the derivative of its pixel. A is kept as its square roots n_pd. What a point is matched to,
-its triangle, weights b and A are held. Derivatives are exact, those of the pose blend shapes
-included. A point is moved by few joints: the rows of the points of one part of the body are a small
-dense matrix over the joints that move that part, and nothing as wide as the body is ever made.
+being the derivative of its pixel. A is kept as its square roots n_pd. Matches, weights b and A are
+held. Derivatives are exact, those of the pose blend shapes included. A point is moved by few
+joints: the rows of one part's points are a small dense matrix over the joints that move that part.
 """
 
 from collections.abc import Sequence

@@ -93,7 +93,7 @@ def test_quads_and_texture_coordinates_of_the_full_level(tmp_path):
     assert np.abs(found.vertices(2) - expected @ up_rotation(fit.up_axis).T).max() < 1.2e-4
     write_fbx(fit, tmp_path / "b.fbx", detail="coarse")
     assert len(Fbx(tmp_path / "b.fbx").vertices(0)) == fit.body.num_vertices
-    with pytest.raises(HabitusError, match="expected full or coarse"):
+    with pytest.raises(HabitusError, match="expected full, parts or coarse"):
         write_fbx(fit, tmp_path / "c.fbx", detail="fine")
 
 

@@ -51,8 +51,10 @@ class EvidenceSettings:
     """Robust weight from which on a sample determines where a limb is."""
     carried: float = 0.5
     """Share of a marker's skinning weights by which a joint, or what hangs from it, carries it."""
-    straight: float = 0.97
-    """Distance from ankles to neck over the way by knees, hips and pelvis: who stands has more."""
+    straight: float = 0.987
+    """Distance from ankles to neck over the way by knees, hips and pelvis, as a share of the same
+    at rest: who stands has more.
+    """
     standing: float = 0.1
     """Share of straight frames above which tilt is measured over these alone."""
     close: float = 0.15
@@ -302,17 +304,19 @@ def _tilt(fit: MarkerSolution, settings: EvidenceSettings) -> tuple[float | None
     if not all(name in names for part in chain for name in part):
         return None, False
     rows = settings.rows(fit.num_frames)
-    joints = np.asarray(fit.joints(rows.tolist()))
+    rest = np.asarray(fit.body.rest_joints(fit.betas))
+    joints = np.concatenate([np.asarray(fit.joints(rows.tolist())), rest[None]])
     points = np.stack(
         [joints[:, [names[name] for name in part]].mean(axis=1) for part in chain], axis=1
     )
     way = points[:, -1] - points[:, 0]
-    legs = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
-    length = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    lengths = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    shares = lengths / np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    way, length = way[:-1], lengths[:-1]
     sign = -1.0 if fit.up_axis.startswith("-") else 1.0
     axis = "xyz".index(fit.up_axis[-1])
     angle = np.degrees(np.arccos(np.clip(sign * way[:, axis] / length, -1, 1)))
-    straight = length > settings.straight * legs
+    straight = shares[:-1] > settings.straight * shares[-1]
     standing = bool(straight.mean() > settings.standing)
     return float(np.median(angle[straight] if standing else angle)), standing
 
