@@ -29,7 +29,7 @@ def template():
 @pytest.fixture(scope="module")
 def surfaces():
     """Five people in six poses each that bend every joint, with a millimetre of noise."""
-    body, rng = skinned(), np.random.default_rng(0)
+    body, rng = skinned(), np.random.default_rng(3)
     betas = torch.tensor(rng.normal(size=(SUBJECTS, body.num_betas))).repeat_interleave(POSES, 0)
     pose = torch.tensor(rng.normal(size=(SUBJECTS * POSES, 24, 3)) * 0.4)
     vertices = body(
@@ -168,7 +168,7 @@ def test_a_subject_with_one_pose_is_reported(surfaces, template):
 )
 def test_a_joint_that_hardly_bends_is_named(template, joint, straight):
     """Its neighbours do not turn along the limb, at that axis: flesh hands such a twist on over the joint."""
-    body, rng = skinned(), np.random.default_rng(1)
+    body, rng = skinned(), np.random.default_rng(3)
     pose = rng.normal(size=(12, 24, 3)) * 0.4
     k = body.joint_names.index(joint)
     pose[:, k] = [0.0, 0.4, 0.1] + 0.02 * rng.normal(size=(12, 3))  # always bent alike is not bent
