@@ -36,7 +36,8 @@ def test_people_cut_out_of_their_background_are_fitted_and_a_view_without_them_i
     assert len(fit.pose) == 1 and fit.evidence.segmentation == "mask"
     assert any("nobody here" in note and "0 pixels" in note for note in fit.warnings)
     assert not any("walls" in note for note in fit.warnings)
-    assert fit.verdict.level != "failed"
+    (seen,) = fit.evidence.views  # outlines of such small images overlap by 71 to 77 %
+    assert seen.median_mm < 4.0 and seen.explained > 0.95 and seen.overlap > 0.65
 
 
 def test_no_person_in_any_view_is_refused_in_one_line():
