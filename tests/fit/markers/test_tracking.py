@@ -20,7 +20,7 @@ def s():
 
 
 def tracker(s, exchanged=(), misplaced=()):
-    prior = SimpleNamespace(**vars(s.prior), joint_names=("a", "b", "c", "d"))
+    prior = s.prior
     subject = SimpleNamespace(
         prior=prior,
         rig=s.rig,
