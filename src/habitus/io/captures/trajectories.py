@@ -166,6 +166,7 @@ def join_fragments(tracks: Tracks) -> Tracks:
     kept: dict[str, np.ndarray] = {}
     dropped: list[tuple[str, str]] = []
     renamed: list[str] = []
+    numbers: dict[str, int] = {}  # that the next point of a label tries
     for column, label in _whole_names_first(tracks.labels):
         track = tracks.points[:, column].copy()
         base = label if label in kept else _stem(label)
@@ -180,7 +181,7 @@ def join_fragments(tracks: Tracks) -> Tracks:
         elif _JOINT.fullmatch(label):
             dropped.append((label, "the second point of this name is the joint's centre"))
         else:
-            name = _next_name(label, present, kept)
+            name, numbers[label] = _next_name(label, numbers.get(label, 2), present, kept)
             kept[name] = track
             renamed.append(name)
     order = [label for label in dict.fromkeys((*tracks.labels, *kept)) if label in kept]
@@ -207,12 +208,13 @@ def _agree(one: np.ndarray, other: np.ndarray) -> bool:
     return not (np.linalg.norm(one - other, axis=1) > _AGREE_M).any()
 
 
-def _next_name(label: str, present: Collection[str], kept: Collection[str]) -> str:
-    """The label with the first number that is free."""
-    count = 2
-    while (name := f"{label}_{count}") in present or name in kept:
-        count += 1
-    return name
+def _next_name(
+    label: str, number: int, present: Collection[str], kept: Collection[str]
+) -> tuple[str, int]:
+    """The label with the first free number from this one on, and the number after it."""
+    while (name := f"{label}_{number}") in present or name in kept:
+        number += 1
+    return name, number + 1
 
 
 _SAME_M = 0.0002
