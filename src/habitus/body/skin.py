@@ -148,7 +148,7 @@ def skin_of(mesh: BodyMesh | None, skin: str | float | None, size: int = 1024) -
 
 
 def layout_checksum(mesh: BodyMesh) -> int:
-    """A number that tells layouts of textures apart."""
+    """Checksum of a texture layout."""
     uv = np.ascontiguousarray(mesh.uv, "<f4").tobytes()
     return zlib.crc32(np.ascontiguousarray(mesh.quad_uv, "<i4").tobytes(), zlib.crc32(uv))
 

@@ -45,7 +45,7 @@ def main() -> None:
         between, left = 1000 * made["face_numbers"]
         print(
             f"{path.name}: {before / 1e6:.2f} -> {path.stat().st_size / 1e6:.2f} MB; faces "
-            f"{between:.1f} mm rms apart, held-out ones leave {left:.1f} mm",
+            f"{between:.1f} mm rms from the mean, error on held-out faces {left:.1f} mm",
             flush=True,
         )
 

@@ -339,7 +339,7 @@ class RgbdSettings:
     """
     skin_stride: int = 2
     """Full-size pixels along the side of one that is used with skin offsets: half the resolution of
-    an Azure Kinect, about a point for each vertex.
+    an Azure Kinect; chosen by hand for speed.
     """
     skin_steps: int = 4
     """Steps with skin offsets by depth alone, before those with colour."""
