@@ -3,13 +3,12 @@ address, from another page or by another name of the machine; a browser that ope
 """
 
 import http.client
-import subprocess
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from browser import FLAGS, chromium
+from browser import live_dom
 from injection import HOSTILE, TEXTS
 
 from habitus.errors import HabitusError
@@ -143,22 +142,9 @@ def test_a_websocket_without_the_token_or_by_another_name_is_refused(page):
 
 def test_a_browser_shows_the_scene_by_the_whole_address_only(page, tmp_path):
     server, _ = page
-
-    def seen(url):
-        command = [
-            chromium(),
-            *" ".join(FLAGS).split(),
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--timeout=15000",
-            "--virtual-time-budget=6000",
-            "--dump-dom",
-            url,
-        ]
-        done = subprocess.run(command, capture_output=True, timeout=120, text=True)
-        return done.stdout
-
-    assert SECRET in seen(server.address)
-    assert SECRET not in seen(f"http://127.0.0.1:{server.port}/")
+    assert SECRET in live_dom(server.address, tmp_path, SECRET)
+    without_token = f"http://127.0.0.1:{server.port}/"
+    assert SECRET not in live_dom(without_token, tmp_path, SECRET, seconds=8)
 
 
 def test_names_out_of_files_stay_text(tmp_path):
@@ -172,13 +158,10 @@ def test_names_out_of_files_stay_text(tmp_path):
         gui.add_dropdown(HOSTILE, TEXTS)
         gui.add_checkbox(HOSTILE, False)
     server.viser.scene.add_label("/name", HOSTILE)
-    command = [
-        chromium(), *" ".join(FLAGS).split(), f"--user-data-dir={tmp_path / 'profile'}",
-        "--timeout=15000", "--virtual-time-budget=6000", "--dump-dom", server.address,
-    ]  # fmt: skip
-    seen = subprocess.run(command, capture_output=True, timeout=120, text=True).stdout
+    shown = "&lt;b id=injected&gt;bold&lt;/b&gt;"
+    seen = live_dom(server.address, tmp_path, shown)
     server.stop()
-    assert "&lt;b id=injected&gt;bold&lt;/b&gt;" in seen
+    assert shown in seen
     root = seen[seen.index("<html") :].partition(">")[0]
     assert (
         "data-ran" not in root
