@@ -52,10 +52,11 @@ to come.
 
 
 def contestants(
-    arrays: dict, device: str = "cpu", body: BodyModel | None = None
+    arrays: dict, device: str = "cpu", body: BodyModel | None = None, gradients: bool = False
 ) -> dict[str, Callable]:
     """The same model in both libraries, and perhaps another ``body``: functions of betas (b, 10),
-    pose (b, 24, 3) and trans (b, 3) to vertices.
+    pose (b, 24, 3) and trans (b, 3) to vertices, or with ``gradients`` to the gradient of a
+    weighted sum of vertices to all three.
     """
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         path = write_official(Path(folder) / "SMPL_NEUTRAL.pkl", arrays)
@@ -64,10 +65,15 @@ def contestants(
 
     def peer(betas: torch.Tensor, pose: torch.Tensor, trans: torch.Tensor) -> torch.Tensor:
         flat = pose.flatten(1)
-        with torch.no_grad():
-            return theirs(
-                betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans
-            ).vertices
+        return theirs(
+            betas=betas, global_orient=flat[:, :3], body_pose=flat[:, 3:], transl=trans
+        ).vertices
+
+    if gradients:
+        bodies = {OURS[0]: ours} | ({} if body is None else {OWN: body})
+        slopes = {name: Slopes(lambda *s, b=one: b(*s).vertices) for name, one in bodies.items()}
+        return slopes | {"smplx": Slopes(peer)}
+    peer = torch.no_grad()(peer)
 
     def tensors(*state: torch.Tensor) -> torch.Tensor:
         with torch.no_grad():
@@ -90,6 +96,24 @@ def contestants(
     }
 
 
+class Slopes:
+    """Vertices forwards, and back the gradient to betas, pose and trans, side by side (b, 85)."""
+
+    def __init__(self, vertices: Callable) -> None:
+        self.vertices = vertices
+        self.weights: dict[int, torch.Tensor] = {}
+
+    def __call__(self, *state: torch.Tensor) -> torch.Tensor:
+        """One call, forwards and back."""
+        leaves = [part.detach().requires_grad_() for part in state]
+        vertices = self.vertices(*leaves)
+        if len(vertices) not in self.weights:
+            ramp = torch.linspace(-1, 1, vertices.numel(), device=vertices.device)
+            self.weights[len(vertices)] = ramp.view_as(vertices)
+        slopes = torch.autograd.grad(vertices, leaves, self.weights[len(vertices)])
+        return torch.cat([slope.flatten(1) for slope in slopes], 1)
+
+
 def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str = "cpu") -> dict:
     """Take turns until the time is up: medians (ms a call) and the median ratios of neighbours."""
     torch.manual_seed(batch)
@@ -103,6 +127,7 @@ def duel(functions: dict[str, Callable], batch: int, seconds: float, device: str
     ]
     functions.get(OWN, lambda *_: None)(*state)
     gap = max(float((surface - surfaces[-1]).abs().max()) for surface in surfaces)
+    gap /= max(1.0, float(surfaces[-1].abs().max()))
     times: dict[str, list[float]] = {name: [] for name in functions}
     end = time.perf_counter() + seconds
     while time.perf_counter() < end or len(times["smplx"]) < 5:
@@ -147,9 +172,12 @@ def main() -> None:
     arguments.add_argument(
         "--body", help="a body of habitus to race as well: default, female, male, or a file"
     )
+    arguments.add_argument(
+        "--gradients", action="store_true", help="forwards and back, to betas, pose and trans"
+    )
     options = arguments.parse_args()
     body = None if options.body is None else load_body(options.body, joints="smpl")
-    functions = contestants(official_arrays("smpl"), options.device, body)
+    functions = contestants(official_arrays("smpl"), options.device, body, options.gradients)
     batches = BATCHES[options.device]
     rows = [
         duel(functions, batch, options.seconds / len(batches), options.device) for batch in batches
@@ -167,7 +195,8 @@ def main() -> None:
     )
     found = {"machine": machine, "torch": torch.__version__, "sizes": sizes, "rows": rows}
     options.out.write_text(json.dumps(found, indent=1))
-    table = Table(title=f"body forward, float32, ms and times as fast as smplx: {machine}")
+    kind = "forward and back" if options.gradients else "forward"
+    table = Table(title=f"body {kind}, float32, ms and times as fast as smplx: {machine}")
     for heading in ("batch", *reversed(functions), "rounds", "apart (m)"):
         table.add_column(heading, justify="right")
     for row in rows:

@@ -122,7 +122,9 @@ def test_ctrl_c_leaves_a_checkpoint_to_go_on_from(run, tmp_path, monkeypatch):
 def test_spoilt_registrations_are_named_and_nothing_is_trained(kind, run, tmp_path):
     planted = toy()[1]
     write_registrations(spoil(planted, kind, 9).registrations, tmp_path / "spoilt.npz")
-    words = {"millimetres": "in millimetres", "mislabelled": "its build is that of"}.get(kind, "edges")
+    words = {"millimetres": "in millimetres", "mislabelled": "its build is that of"}.get(
+        kind, "edges"
+    )
     refused(run(data=tmp_path / "spoilt.npz"), planted.registrations.name[9], words)
     assert not (tmp_path / "out").exists()
 

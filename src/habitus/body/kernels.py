@@ -140,7 +140,9 @@ FEW = 3
 CHUNK = 64
 """Bodies of a chunk: what the product of coefficients and blend shapes needs to be fast."""
 VERTICES = 512
-"""Vertices of a tile, whose rest positions stay in a core's own cache."""
+"""Vertices of a tile, whose rest positions stay in a core's own cache. Tiles do not depend on the
+number of threads, so that vertices are the same bit for bit with any.
+"""
 STREAMS = 16
 """Bodies whose vertices are written side by side."""
 
@@ -174,12 +176,14 @@ def posed_vertices(
     value: Float[np.ndarray, "N I"],
     skinning: str,
     local: tuple[LocalShapes, Float[np.ndarray, "b F"]] | None = None,
+    kept: Float[np.ndarray, "b 3N"] | None = None,
 ) -> Float[np.ndarray, "b N 3"]:
     """Vertices (m) of b bodies: blend shapes added to a surface at rest that all share, skinned,
     moved.
 
     Surfaces are rows of x, then y, then z. All floating arrays have one dtype and are contiguous.
-    ``local``: further blend shapes and the features that drive them.
+    ``local``: further blend shapes and the features that drive them. ``kept``: memory for the
+    surfaces at rest, which `habitus.body.kernels_vjp` needs (`rest_of_tile` finds them there).
     """
     base, coefficients, rows, trans, index, value = _read_only(
         base, coefficients, rows, trans, index, value
@@ -196,20 +200,33 @@ def posed_vertices(
         skin = _skin_dual
         _dual_quaternions(motions, carriers)
 
-    def some_vertices(_: int, begin: int, end: int) -> None:
-        room = np.empty(min(bodies, CHUNK) * 3 * min(VERTICES, end - begin), out.dtype)
-        for first in range(begin, end, VERTICES):
-            last = min(first + VERTICES, end)
+    def some_tiles(_: int, begin: int, end: int) -> None:
+        room = np.empty(min(bodies, CHUNK) * 3 * min(VERTICES, count), out.dtype)
+        for first in range(begin * VERTICES, min(end * VERTICES, count), VERTICES):
+            last = min(first + VERTICES, count)
             for body in range(0, bodies, CHUNK):
                 few = slice(body, min(body + CHUNK, bodies))
                 rest = add(base, coefficients[few], rows, room, first, last)
                 if local is not None:
                     local[0].add(rest, local[1][few], first, last, side_by_side=bodies > FEW)
+                if kept is not None:
+                    rest_of_tile(kept, few, first, last)[:] = rest
                 skin(rest, carriers[few], trans[few], index, value, out[few], first, last)
 
     with one_blas_thread():
-        run_chunks(some_vertices, count, least=1024, pieces=2)
+        run_chunks(some_tiles, -(-count // VERTICES), least=2, pieces=2)
     return out
+
+
+def rest_of_tile(
+    kept: Float[np.ndarray, "b 3N"], few: slice, first: int, last: int
+) -> Float[np.ndarray, "c 3n"]:
+    """Where the vertices first..last of some bodies lie at rest, in one piece of ``kept``; many
+    bodies lie side by side.
+    """
+    count = len(kept[few])
+    rows = kept[few].reshape(-1)[3 * first * count : 3 * last * count]
+    return rows.reshape(count, -1) if len(kept) <= FEW else rows.reshape(-1, count).T
 
 
 def _add_rows(base, coefficients, rows, room, begin: int, end: int) -> Float[np.ndarray, "b 3n"]:
@@ -375,6 +392,8 @@ def _skin_side_by_side(rest, moves, places, blended, index, value, begin, end):
             blended[3, s], blended[7, s], blended[11, s] = places[0, s], places[1, s], places[2, s]
         for k in range(index.shape[1]):
             share = value[i, k]
+            if share == 0.0:
+                continue
             m = moves[index[i, k]]
             for e in range(12):
                 for s in range(bodies):

@@ -158,8 +158,11 @@ class PreparedBody:
         turns: Array = self._turned(model.full_pose(pose, kind))
         place = model.full_trans(trans, kind)
         batch = broadcast_shapes(turns.shape[:-2], self.coefficients.shape[:-1], place.shape[:-1])
-        if are_plain(kind, turns, place, self.rest_joints, self.coefficients):
+        inputs = turns, place, self.rest_joints, self.coefficients
+        if are_plain(kind, *inputs):
             return self._surface(*self._compiled(turns, place, batch))
+        if model.skinning == "lbs" and are_concrete(kind, *inputs):
+            return self._surface(*self._with_gradient(turns, place, batch))
         return self._surface(
             *self._readable(self.shaped, self.rest_joints, self.betas, turns, place, batch)
         )
@@ -213,6 +216,37 @@ class PreparedBody:
         rest = (self.rows, one, self.rest_joints, model.parents, self.coefficients)
         return posed_surface(*rest, driven, model.skinning, pose, place, batch, self.kind)
 
+    def _with_gradient(
+        self,
+        pose: Float[Array, "*#batch J 3"],
+        place: Float[Array, "*#batch 3"],
+        batch: tuple[int, ...],
+    ) -> tuple[Float[Array, "*batch N 3"], Float[Array, "*batch J 3"]]:
+        """As `_compiled`, for tensors of which some want a gradient (`habitus.body.gradients`)."""
+        from habitus.body.gradients import moving_joints, moving_vertices
+
+        model = self.model
+        count = int(np.prod(batch, dtype=int))
+
+        def stacked(array: Array, last: int) -> Any:
+            shape = array.shape[array.ndim - last :]
+            whole = self.kind.xp.broadcast_to(array, (*batch, *shape))
+            return whole.reshape(count, *shape).contiguous()
+
+        turns, joints = stacked(pose, 2), stacked(self.rest_joints, 2)
+        places, shape = stacked(place, 1), stacked(self.coefficients, 1)
+        motions, posed, entries = moving_joints(turns, joints, model.parents)
+        features = None
+        if self.rows.posedirs is not None:
+            rotations = entries + self.kind.array(np.eye(3))
+            driven = (model.features, model.hinges, model.shape_features, model.drivers)
+            features = pose_coefficients(*driven, turns, rotations, shape[:, : model.num_betas])
+        vertices = moving_vertices(self.rows, shape, features, motions, places)
+        return (
+            unflatten(vertices, 0, batch) if batch else vertices[0],
+            unflatten(posed + places[:, None], 0, batch) if batch else (posed + places[:, None])[0],
+        )
+
     def _readable(
         self,
         rest: Float[Array, "*#batch M"],
@@ -248,17 +282,27 @@ def are_plain(kind: Kind, *arrays: Array | None) -> bool:
     """
     if kind.xp is np:
         return True
-    torch = sys.modules["torch"]
-    if (
-        kind.device.type != "cpu"
-        or kind.dtype not in (torch.float32, torch.float64)
-        or torch.compiler.is_compiling()
-    ):
+    if not are_concrete(kind, *arrays):
         return False
     given = [array for array in arrays if array is not None]
-    if torch.is_grad_enabled() and any(array.requires_grad for array in given):
+    torch = sys.modules["torch"]
+    return not torch.is_grad_enabled() or not any(array.requires_grad for array in given)
+
+
+def are_concrete(kind: Kind, *arrays: Array | None) -> bool:
+    """Whether these tensors hold numbers that compiled code can read: on the CPU, not traced, no
+    transform of torch wraps them.
+    """
+    if kind.xp is np:
         return False
-    return torch.autograd.forward_ad._current_level < 0 and not any(map(_is_wrapped, given))
+    torch = sys.modules["torch"]
+    return (
+        kind.device.type == "cpu"
+        and kind.dtype in (torch.float32, torch.float64)
+        and not torch.compiler.is_compiling()
+        and torch.autograd.forward_ad._current_level < 0
+        and not any(_is_wrapped(array) for array in arrays if array is not None)
+    )
 
 
 def _is_wrapped(array: Any) -> bool:

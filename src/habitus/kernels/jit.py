@@ -22,6 +22,7 @@ FILES = (
     "mesh/normal_kernels.py",
     "mesh/intersection_kernels.py",
     "body/kernels.py",
+    "body/kernels_vjp.py",
     "observe/marker_rig.py",
     "observe/marker_kernels.py",
     "observe/marker_jacobian_kernels.py",
