@@ -131,6 +131,24 @@ def bodies_on_device(seconds: float, device: str) -> dict:
     return {"rows": rows, "goal_bodies_a_second_at_256": GOAL_FORWARD}
 
 
+def compiled(seconds: float, device: str) -> dict:
+    """The forward pass of 256 bodies under `torch.compile`, with the device's graphs"""
+    body = hb.load_body("default", joints="smpl")
+    state = states(body, 256, device, torch.float32)
+    began = time.perf_counter()
+    fast = torch.compile(lambda *s: body(*s).vertices, mode="reduce-overhead")
+    with torch.no_grad():
+        gap = float((fast(*state) - body(*state).vertices).abs().max())
+        compiling = time.perf_counter() - began
+        forward = timed(lambda: fast(*state), seconds, device)
+    return {
+        "forward_ms": forward,
+        "bodies_a_second": 256e3 / forward,
+        "compiling_s": compiling,
+        "difference_m": gap,
+    }
+
+
 def agreement(device: str) -> dict:
     """Largest differences between the device and the CPU, float64 (m)."""
     body = hb.load_body("default", joints="smpl")
@@ -241,6 +259,10 @@ def measure(options: argparse.Namespace) -> dict:
         found["agreement"] = part(agreement, "cuda")
         found["images"] = part(images, options.seconds, "cuda")
     found["cores"] = part(on_cores, options.seconds, counts)
+    if torch.cuda.is_available():
+        if options.json is not None:
+            write_json(options.json, found)
+        found["compiled"] = part(compiled, options.seconds, "cuda")
     return found
 
 
@@ -257,7 +279,7 @@ def main() -> None:
         rows = rows.get("rows", [rows]) if isinstance(rows, dict) else rows
         if rows:
             show_table(name, rows)
-    for name in ("agreement", "images"):
+    for name in ("agreement", "images", "compiled"):
         if name in found:
             print(name, found[name])
     if options.json is not None:
