@@ -306,7 +306,7 @@ def _pick(names: list[str], k: int) -> str | None:
 def _session(
     rng: np.random.Generator, name: str, lanes: dict, joint_names: tuple[str, ...]
 ) -> Session:
-    legs = [lanes[lane][1] for lane in ("left_leg", "right_leg")]
+    legs = [lanes[lane][1] for lane in ("left_leg", "right_leg") if lane in lanes]
     for both in BOTH_LEGS:
         if both in legs:
             lanes = {**lanes, "left_leg": (LEG, both), "right_leg": (LEG, both)}
