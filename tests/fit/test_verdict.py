@@ -1,11 +1,17 @@
 """Verdicts: the worst level decides, limits of people depend on age, sentences are filled in."""
 
+import csv
+from pathlib import Path
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from habitus.fit.verdict import (
     ADULTS,
+    ADULTS_MEAN,
+    ADULTS_WHITENING,
     BODY,
     DOUBTFUL,
     FAILED,
@@ -15,6 +21,7 @@ from habitus.fit.verdict import (
     PARTS,
     PEOPLE,
     Bound,
+    PeopleLimits,
     Reason,
     Verdict,
     above,
@@ -24,11 +31,13 @@ from habitus.fit.verdict import (
     measurement_reasons,
     part_of_joint,
     percent,
+    proportion_reasons,
     verdict_of,
     weigh,
     words,
     worst,
 )
+from habitus.io.models.bodies import load_body
 
 SENTENCES = {"a": "{x:.1f} m.", "b": "B.", "c": "C."}
 
@@ -150,3 +159,47 @@ def test_an_entry_holds_each_part():
     found = verdict_of([Reason(FAILED, "b", {}, HANDS)], SENTENCES).entry()
     assert found["level"] == DOUBTFUL and set(found["parts"]) == set(PARTS)
     assert found["parts"][HANDS] == {"level": FAILED, "reasons": ["B."]}
+
+
+CLOSE = PeopleLimits(proportions=Bound(5.5, np.inf))
+
+
+@pytest.mark.parametrize("stretch", [(1.3, 1.0, 1.0), (1.0, 1.0, 0.7), (1.0, 1.35, 1.0)])
+def test_a_person_stretched_along_an_axis_has_nobodys_proportions(stretch):
+    body = load_body("female")
+    rest = body.rest_vertices(body.people_mean)
+
+    def reasons(scale):
+        return list(proportion_reasons(body.measure_rest(rest * scale), None, CLOSE))
+
+    assert not reasons(1.0) and not reasons(1.08)
+    (reason,) = reasons(stretch)
+    assert reason.level == DOUBTFUL and reason.values["distance"] > 5.5
+    assert not list(proportion_reasons(body.measure_rest(rest * stretch), 8.0, CLOSE))
+
+
+@pytest.mark.parametrize("sex", ["female", "male"])
+def test_drawn_people_have_peoples_proportions(sex):
+    body = load_body(sex)
+    people = body.draw_betas(100, np.random.default_rng(0)) + body.people_mean
+    rare = [
+        list(proportion_reasons(body.measure_rest(body.rest_vertices(one)), None, CLOSE))
+        for one in people
+    ]
+    assert sum(map(bool, rare)) <= 1
+
+
+def test_proportions_are_those_of_the_survey():
+    folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "ansur"
+    if not folder.exists():
+        pytest.skip("the survey's tables are not here")
+    columns = ("stature", "headlength", "headbreadth", "footlength", "footbreadthhorizontal")
+    rows = []
+    for path in sorted(folder.glob("*.csv")):
+        with path.open(encoding="latin1") as file:
+            rows += [[float(row[name]) for name in columns] for row in csv.DictReader(file)]
+    logs = np.log(np.array(rows) / 1000)
+    np.testing.assert_allclose(ADULTS_MEAN, logs.mean(0), atol=1e-4)
+    inverse = np.linalg.inv(np.cov(logs.T))
+    np.testing.assert_allclose(ADULTS_WHITENING.T @ ADULTS_WHITENING, inverse, atol=2.0)
+    assert np.linalg.norm((logs - ADULTS_MEAN) @ ADULTS_WHITENING.T, axis=1).max() < 5.5

@@ -190,6 +190,23 @@ ADULTS: Mapping[str, Range] = MappingProxyType(
     }
 )
 
+RIGID = ("height_m", "head_length_m", "head_breadth_m", "foot_length_m", "foot_breadth_m")
+"""Measurements that change neither with the pose nor much with fat."""
+ADULTS_MEAN = np.array([0.5377, -1.6289, -1.8835, -1.3377, -2.3163])
+ADULTS_WHITENING = np.array(
+    [
+        [36.37, -5.05, -0.33, -21.05, -1.62],
+        [0.0, 29.79, -4.47, -7.58, -3.79],
+        [0.0, 0.0, 28.03, -2.9, -5.94],
+        [0.0, 0.0, 0.0, 23.16, -17.42],
+        [0.0, 0.0, 0.0, 0.0, 14.77],
+    ]
+)
+"""Mean of the logarithms of `RIGID` over the 6,068 adults of ANSUR II (stature, headlength,
+headbreadth, footlength, footbreadthhorizontal; m), and W with W' W their inverse covariance. The
+adult furthest from the mean lies at 5.36 standard deviations (from one half of the survey to the
+other: 5.0 to 5.3)."""
+
 
 @dataclass(frozen=True)
 class PeopleLimits:
@@ -202,6 +219,9 @@ class PeopleLimits:
     above: Bound = Bound(0.05, 0.15)
     below: Bound = Bound(0.05, 0.60)
     adults: Mapping[str, Range] = field(default_factory=lambda: ADULTS)
+    proportions: Bound = Bound(np.inf, np.inf)
+    """How far an adult's `RIGID` measurements may lie from the survey's mean, in standard
+    deviations."""
 
     def ranges(self, age: float | None, stature: float) -> Mapping[str, Range]:
         """What people of an age (years) measure: adults (None), or children of a mean stature (m).
@@ -268,6 +288,21 @@ def measurement_reasons(
     yield Reason(LEVELS[outside[name][0]], "measurement", values)
 
 
+def proportion_reasons(
+    measurements: Mapping[str, float], age: float | None, limits: PeopleLimits
+) -> Iterator[Reason]:
+    """Head and feet of an adult in a proportion that nobody has: data stretched along an axis give
+    a body that fits well and whose every measurement somebody has.
+    """
+    if (age is not None and age < ADULT) or any(name not in measurements for name in RIGID):
+        return
+    logs = np.log(np.maximum([measurements[name] for name in RIGID], 1e-6))
+    distance = float(np.linalg.norm(ADULTS_WHITENING @ (logs - ADULTS_MEAN)))
+    level = above(distance, limits.proportions)
+    if level != GOOD:
+        yield Reason(level, "proportions", {"distance": distance})
+
+
 def shape_reasons(
     largest: float, rms: float, largest_limit: Bound, rms_limit: Bound
 ) -> Iterator[Reason]:
@@ -282,11 +317,15 @@ def shape_reasons(
 PEOPLE_SENTENCES: Mapping[str, str] = MappingProxyType(
     {
         "measurement": "The body's {name} is {value}; {people} have {least} to {most}{more}.",
+        "proportions": "Height, head and feet are {distance:.1f} standard deviations from the mean "
+        "adult's proportions; no adult of a survey is beyond 5.4: data may be stretched along an "
+        "axis.",
         "shape": "The shape is rare: its coefficients reach {largest:.1f} standard deviations "
         "({rms:.1f} RMS).",
     }
 )
-"""Sentences of `measurement_reasons` and `shape_reasons`, for a recipe's own to be joined to."""
+"""Sentences of `measurement_reasons`, `proportion_reasons` and `shape_reasons`, for a recipe's own to
+be joined to."""
 
 
 def words(name: str) -> str:

@@ -33,13 +33,18 @@ from habitus.fit.verdict import (
     above,
     below,
     measurement_reasons,
+    proportion_reasons,
     vertex_parts,
     weigh,
     worst,
 )
 
-SCANNED_PEOPLE = PeopleLimits(above=Bound(0.05, np.inf), below=Bound(0.05, np.inf))
-"""Measurements outside those of people are a doubt: clothes and hair are measured, too."""
+SCANNED_PEOPLE = PeopleLimits(
+    above=Bound(0.05, np.inf), below=Bound(0.05, np.inf), proportions=Bound(5.5, np.inf)
+)
+"""Measurements outside those of people are a doubt: clothes and hair are measured, too.
+Proportions: a scan stretched by 1.3 across lies at 6.7, one squeezed by 0.7 in depth at 6.3, six
+surfaces of people whom no body of ours made at 1.9 to 4.0."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,9 @@ class ScanLimits:
     3.4 (the jumper).
     """
     largest_beta: Bound = Bound(5.0, np.inf)
-    """Largest of the betas: a person stretched by 1.3 across has one of 5.7, one squeezed by 0.7 in
-    depth one of 5.1. Set on these two; the four have 2.7, 3.9, 7.2 and 8.3: right bodies may be
-    doubtful by it, and a wider limit would call those two good."""
+    """Largest of the betas. By hand; on bodies 3.0 six surfaces of people whom no body of ours made
+    have 2.8 to 4.9, and scans stretched by 1.3 across or squeezed by 0.7 in depth 3.8 and 3.5:
+    `PeopleLimits.proportions` finds those."""
     pose: Bound = Bound(2.2, 3.5)
     """Root mean square of the pose in the prior's standard deviations. Simulated; the jumper, whose
     limbs are right but for the hands, has 2.8, the others 0.7 to 1.0."""
@@ -165,6 +170,7 @@ def _reasons(fit: "ScanFit", limits: ScanLimits) -> Iterator[Reason]:
     if fit.measurements:
         stature = float(np.ptp(fit.body.v_template[:, 1]))
         yield from measurement_reasons(fit.measurements, fit.body.age, stature, limits.people)
+        yield from proportion_reasons(fit.measurements, fit.body.age, limits.people)
 
 
 def _lost(fit: "ScanFit", limits: ScanLimits) -> Reason:
