@@ -324,8 +324,8 @@ PEOPLE_SENTENCES: Mapping[str, str] = MappingProxyType(
         "({rms:.1f} RMS).",
     }
 )
-"""Sentences of `measurement_reasons`, `proportion_reasons` and `shape_reasons`, for a recipe's own to
-be joined to."""
+"""Sentences of `measurement_reasons`, `proportion_reasons` and `shape_reasons`, for a recipe's own
+to be joined to."""
 
 
 def words(name: str) -> str:
