@@ -29,6 +29,7 @@ from habitus.io.models.details import (
     add_dynamics,
     coarse_level,
     has_levels,
+    has_parts,
     is_official,
     official_form,
     project_form,
@@ -39,7 +40,7 @@ from habitus.io.models.details import (
     read_mesh,
     read_pose_joints,
 )
-from habitus.io.models.parts import has_parts, parts_level
+from habitus.io.models.parts import parts_level
 from habitus.mesh.template import check_parents
 
 _EXTRAS = (

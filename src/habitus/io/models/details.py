@@ -25,6 +25,11 @@ from habitus.io.models.arrays import ModelArrays
 DETAILS = ("coarse", "full", "parts")
 
 
+def has_parts(arrays: ModelArrays) -> bool:
+    """Whether a file binds teeth, tongue and lashes to its body (`habitus.io.models.parts`)."""
+    return "part_rows" in arrays
+
+
 def read_pose_joints(arrays: ModelArrays, joints: int) -> tuple[int, ...] | None:
     """The joints that drive the pose blend shapes, where a file names some."""
     if "posedirs_joints" not in arrays:

@@ -17,11 +17,6 @@ _FOLLOWED = ("v_template", "shapedirs", "further_shapedirs", "agedirs")
 _STILL = ("posedirs", "hingedirs", "expressiondirs", "dynamicsdirs")
 
 
-def has_parts(arrays: ModelArrays) -> bool:
-    """Whether a file binds parts to its body."""
-    return "part_rows" in arrays
-
-
 def parts_level(arrays: ModelArrays) -> ModelArrays:
     """The arrays of a file's full level with the vertices of its parts behind the body's.
 
