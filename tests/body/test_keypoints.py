@@ -22,6 +22,14 @@ def test_the_conventions_are_the_detectors_own():
     assert len(openpose) == 25 and openpose[8] == "mid_hip" and openpose[19] == "left_big_toe"
     assert openpose[24] == "right_heel"
     assert set(COCO) < set(openpose)
+    body25b, halpe = CONVENTIONS["body25b"], CONVENTIONS["halpe26"]
+    assert list(body25b[:17]) == list(halpe[:17]) == COCO
+    assert body25b[17:] == (
+        *("upper_neck", "head_top", "left_big_toe", "left_small_toe", "left_heel"),
+        *("right_big_toe", "right_small_toe", "right_heel"),
+    )
+    assert halpe[17:22] == ("head_top", "neck", "mid_hip", "left_big_toe", "right_big_toe")
+    assert CONVENTIONS["wholebody23"] == (*COCO, *body25b[19:])
 
 
 @pytest.mark.parametrize("joints", ["smpl", "smplx"])
@@ -64,7 +72,9 @@ def test_what_a_body_lacks_is_said():
         HabitusError, match="neither a joint nor a landmark 'nose_tip', where coco17 has nose"
     ):
         body.keypoints("coco17", body())
-    with pytest.raises(HabitusError, match="keypoints 'coco'; expected one of coco17, openpose25"):
+    with pytest.raises(
+        HabitusError, match="keypoints 'coco'; expected one of coco17, openpose25, body25b"
+    ):
         body.keypoints("coco", body())
     with pytest.raises(HabitusError, match="evaluate it at all its vertices"):
         body.keypoints("coco17", body(vertices=[1, 2]))

@@ -3,12 +3,15 @@ are none.
 """
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from habitus.body.keypoints import CONVENTIONS
 from habitus.errors import HabitusError
+from habitus.io.models.bodies import load_body
 from habitus.io.rgbd.keypoints import read_keypoints
 from habitus.io.rgbd.read import read_views
 
@@ -125,15 +128,61 @@ def test_spoilt_folders_say_what_is_wrong(tmp_path, spoil, words):
     assert "\n" not in str(raised.value)
 
 
-def test_keypoints_of_openpose_and_coco(tmp_path):
-    openpose = {
-        "people": [
-            {"pose_keypoints_2d": [0.0] * 75},
-            {"pose_keypoints_2d": [3.0, 4.0, 0.9] + [0.0] * 72},
-        ]
-    }
-    (tmp_path / "a_keypoints.json").write_text(json.dumps(openpose))
-    assert read_keypoints(tmp_path / "a_keypoints.json") == {"nose": (3.5, 4.5, 0.9)}
+def detected(convention, *, hide=()):
+    """u, v, confidence of a person's keypoints in a picture, in that convention's order."""
+    body = load_body("default")
+    pose = {"left_elbow": (0.0, -1.0, 0.0), "right_hip": (-0.6, 0.0, 0.0)}
+    points = body.keypoints(convention, body(pose=pose, trans=[0.0, 0.0, 4.0]))
+    uv = 640 + 900 * points[:, :2] / points[:, 2:] * [1, -1]
+    rows = np.hstack([uv, np.full((len(uv), 1), 0.8)])
+    rows[list(hide)] = 0.0
+    return rows
+
+
+def keypoint_file(path, *people):
+    path.write_text(
+        json.dumps({"people": [{"pose_keypoints_2d": p.ravel().tolist()} for p in people]})
+    )
+    return path
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_keypoints_are_read_in_the_order_that_makes_a_person(convention, tmp_path):
+    rows = detected(convention, hide=[3, 7])
+    small = detected(convention)
+    small[:, 2] *= 0.3
+    found = read_keypoints(keypoint_file(tmp_path / "a_keypoints.json", small, rows))
+    names = CONVENTIONS[convention]
+    assert list(found) == [name for k, name in enumerate(names) if k not in (3, 7)]
+    for name, point in found.items():
+        assert np.allclose(point, rows[names.index(name)] + [0.5, 0.5, 0.0])
+
+
+def test_keypoints_in_an_order_that_gives_no_person_are_refused(tmp_path):
+    rows = detected("openpose25")
+    mixed = rows[np.random.default_rng(0).permutation(25)]
+    for path, words in (
+        (keypoint_file(tmp_path / "a.json", mixed), "order that gives no person; expected that of"),
+        (keypoint_file(tmp_path / "b.json", rows[:, :] * (np.arange(25) < 3)[:, None]), "too few"),
+        (keypoint_file(tmp_path / "c.json", rows[:24]), "24 keypoints a person; expected"),
+    ):
+        with pytest.raises(HabitusError, match=words) as raised:
+            read_keypoints(path)
+        assert "\n" not in str(raised.value) and path.name in str(raised.value)
+
+
+def test_keypoints_of_real_detections_are_body_25b():
+    folder = Path(__file__).resolve().parents[4] / "shared" / "keypoints" / "pose2sim"
+    files = sorted(folder.glob("*/pose/cam0*_json/*.json"))[::37]
+    if not files:
+        pytest.skip("the real detections are not here")
+    for path in files:
+        found = read_keypoints(path)
+        assert "head_top" in found and "mid_hip" not in found
+        assert found["head_top"][1] < found["left_hip"][1] < found["left_ankle"][1] + 200
+
+
+def test_keypoints_of_coco(tmp_path):
     coco = {"annotations": [{"keypoints": [0.0] * 48 + [1.0, 2.0, 2.0]}]}
     (tmp_path / "b.json").write_text(json.dumps(coco))
     assert read_keypoints(tmp_path / "b.json") == {"right_ankle": (1.5, 2.5, 1.0)}

@@ -1,32 +1,46 @@
-"""Keypoints of a person in a picture, as OpenPose and COCO write them."""
+"""Keypoints of a person in a picture, as OpenPose, COCO and detectors of their forms write them."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from habitus.body.keypoints import CONVENTIONS
+import numpy as np
+from jaxtyping import Float
+
+from habitus.body.keypoints import CONVENTIONS, convention_of
 from habitus.errors import HabitusError
 from habitus.io.rgbd.files import read_description
 
 MAX_PIXEL = 1e6
 """A keypoint further from the image's corner, or at no number, is one that was not seen."""
-_BY_COUNT = {len(names): names for names in CONVENTIONS.values()}
 
 
 def read_keypoints(path: Path) -> dict[str, tuple[float, float, float]]:
     """u, v (pixels) and confidence of each keypoint that was seen, of the clearest person in a
     file.
 
-    OpenPose's (people, pose_keypoints_2d; 25 points) and COCO's (annotations or a list, keypoints;
-    17 points). Raises HabitusError for other files.
+    OpenPose's (people, pose_keypoints_2d) and COCO's (annotations or a list, keypoints), in any of
+    the orders `habitus.body.keypoints.CONVENTIONS`: which, their anatomy says
+    (`habitus.body.keypoints.convention_of`). Raises HabitusError for other files.
     """
-    people = [located for one in _people(read_description(path)) if (located := _points(one))]
+    people = [row for one in _people(read_description(path)) if (row := _row(one)) is not None]
     if not people:
         raise HabitusError(
             f"{path}: holds no person; expected OpenPose's people or COCO's annotations with "
             "keypoints"
         )
-    return max(people, key=lambda points: sum(point[2] for point in points.values()))
+    clearest = max(people, key=lambda row: row[:, 2].sum())
+    together = np.stack([row for row in people if len(row) == len(clearest)])
+    try:
+        names = CONVENTIONS[convention_of(together[..., :2], together[..., 2])]
+    except HabitusError as error:
+        raise HabitusError(f"{path}: {error}") from error
+    # these conventions count pixels' centres as whole numbers
+    return {
+        names[k]: (float(u) + 0.5, float(v) + 0.5, float(sure))
+        for k, (u, v, sure) in enumerate(clearest)
+        if sure > 0
+    }
 
 
 def _people(table: Any) -> list[Any]:
@@ -38,24 +52,20 @@ def _people(table: Any) -> list[Any]:
     return table if isinstance(table, list) else []
 
 
-def _points(person: Any) -> dict[str, tuple[float, float, float]]:
+def _row(person: Any) -> Float[np.ndarray, "K 3"] | None:
+    """u, v and confidence (0: not seen) of a person's keypoints; None where none was seen."""
     if not isinstance(person, Mapping):
-        return {}
+        return None
     given = next((person[key] for key in ("pose_keypoints_2d", "keypoints") if key in person), None)
     try:
-        flat = [float(value) for value in given] if given is not None else []
+        flat = np.array(given, np.float64).ravel() if given is not None else np.zeros(0)
     except (TypeError, ValueError, OverflowError):
-        return {}
-    names = _BY_COUNT.get(len(flat) // 3, ())
-    if len(flat) != 3 * len(names):
-        return {}
-    rows = zip(names, zip(flat[::3], flat[1::3], flat[2::3], strict=True), strict=True)
-    scale = (
-        0.5 if max(flat[2::3], default=0.0) > 1.0 else 1.0
-    )  # COCO's annotators write 2 for visible
-    # these conventions count pixels' centres as whole numbers
-    return {
-        name: (u + 0.5, v + 0.5, min(scale * sure, 1.0))
-        for name, (u, v, sure) in rows
-        if sure > 0 and abs(u) < MAX_PIXEL and abs(v) < MAX_PIXEL
-    }
+        return None
+    if len(flat) == 0 or len(flat) % 3:
+        return None
+    row = flat.reshape(-1, 3)
+    seen = (row[:, 2] > 0) & (np.abs(row[:, :2]) < MAX_PIXEL).all(1)
+    scale = 0.5 if row[:, 2].max() > 1.0 else 1.0  # COCO's annotators write 2 for visible
+    row[:, 2] = np.where(seen, np.minimum(scale * row[:, 2], 1.0), 0.0)
+    row[~seen] = 0.0
+    return row if seen.any() else None
