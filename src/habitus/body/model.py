@@ -273,8 +273,8 @@ class BodyModel(BodyArrays, Measured):
         return PreparedBody(self, rows, self._in(kind).rest_joints(shape), shape, kind, ids)
 
     def keypoints(self, convention: str, surface: BodySurface) -> Float[Array, "*batch K 3"]:
-        """The points (m) that a detector of people names: "coco17", "openpose25", "body25b", "halpe26" or "wholebody23"
-        (`habitus.body.keypoints`).
+        """The points (m) that a detector of people names: "coco17", "openpose25", "body25b",
+        "halpe26" or "wholebody23" (`habitus.body.keypoints`).
 
         ``surface`` is this body's, with all its vertices. Raises HabitusError for other names, and
         for a body without the landmarks that they need.
