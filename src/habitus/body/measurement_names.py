@@ -28,7 +28,9 @@ class Definition:
 DEFINITIONS = MappingProxyType(
     {
         "height_m": Definition("sole to crown", "stature", "stature"),
-        "mass_kg": Definition("volume at 1,000 kg/m³", "body mass", "weightkg"),
+        "mass_kg": Definition(
+            "volume times 1,090 - 141 waist / height, kg/m³", "body mass", "weightkg"
+        ),
         "inseam_m": Definition(
             "sole to crotch", "inside leg height, crotch height", "crotchheight"
         ),

@@ -32,9 +32,16 @@ from habitus.body.tapes import (
 from habitus.errors import HabitusError
 from habitus.types import Array, ArrayLike
 
-# kg/m^3, lungs half full: what the shapes of the default body were fitted to the scales of a survey
-# with
 DENSITY = 1000.0
+"""kg/m^3, lungs half full: a person's of whom no waist is known, and that with which bodies of
+known ages were fitted to published weights."""
+LEAN_DENSITY, LESS = 1090.0, -141.0
+"""kg/m^3 of an adult, lungs half full: ``LEAN_DENSITY + LESS * waist / height``, as fat is light.
+Fitted to scales and volumes of 220 adults of ANSUR II (bodies from 13 lengths and girths, without
+the weight). Fitted to one half of them, masses of the other have a bias of .1 and .2 kg and an
+error of 2.2 and 2.1 % (women, men; RMS); with 1,000 kg/m^3 of -.9 and -1.1 kg, 2.7 and 2.6 %."""
+WAISTS = (0.40, 0.72)
+"""Waist over height of those adults."""
 SEAT = 1.0105  # sitting height as a share of stature less crotch height: the mean of ANSUR II
 # acromion to the radius' head, as a share of the way between the centres of shoulder and elbow
 ACROMION = 1.22
@@ -93,6 +100,11 @@ class MeasurableBody(Protocol):
     @property
     def mirror(self) -> Int[np.ndarray, " V"] | None:
         """Each vertex' partner across the body."""
+        ...
+
+    @property
+    def age(self) -> float | None:
+        """That the body was brought to (years)."""
         ...
 
     @property
@@ -165,8 +177,6 @@ def measure_many(
     height = vertices[..., 1]
     sole = height.min(axis=-1)
     measured = {"height_m": np.ptp(height, axis=-1)}
-    if kit.closed:
-        measured["mass_kg"] = DENSITY * volume(vertices, body.faces)
     if len(kit.midline):
         measured["inseam_m"] = height[:, kit.midline].min(axis=-1) - sole
         measured["sitting_height_m"] = SEAT * (measured["height_m"] - measured["inseam_m"])
@@ -181,10 +191,19 @@ def measure_many(
     arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
     measured["upper_arm_length_m"] = None if arms is None else ACROMION * arms
     measured |= _of_feet(kit, vertices) | _around(kit, vertices)
+    if kit.closed:
+        waist = None if body.age is not None else measured.get("waist_circumference_m")
+        density = DENSITY if waist is None else density_of(waist / measured["height_m"])
+        measured["mass_kg"] = density * volume(vertices, body.faces)
     if kit.standing is not None:
         joints = np.stack([places[name] for name in body.joint_names], axis=1)
         measured |= kit.standing.measure(vertices, joints, sole)
     return {name: values for name, values in measured.items() if values is not None}
+
+
+def density_of(waist_over_height: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+    """kg/m^3 of adults, lungs half full."""
+    return LEAN_DENSITY + LESS * np.clip(waist_over_height, *WAISTS)
 
 
 def volume(
