@@ -34,6 +34,8 @@ from habitus_lab.population.scans import BONY, STANCES, Scanner, scanned, stance
 
 FLESH = 0.002
 """Metres (sd) that a pose's flesh lies off the surface that our body would bend into."""
+SIDES = tuple((np.sin(a), h, np.cos(a)) for a in np.arange(6) * np.pi / 3 for h in (-0.3, 0.6))
+"""Where the scanner's cameras stand: nothing is seen within folds."""
 PARTS = {
     "torso": ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
     "arms": ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow"),
@@ -85,7 +87,8 @@ def person_rows(path: Path, options: argparse.Namespace) -> list[dict]:
         surface = in_pose(first, stance(name, body.joint_names, rng), rng)
         foreign = at(surface, faces, tied)
         posed.append((name, foreign))
-        scans.append(scanned(foreign, source.faces, Scanner(options.points), rng, name))
+        scanner = Scanner(options.points, sides=SIDES)
+        scans.append(scanned(foreign, source.faces, scanner, rng, name))
     began = time.perf_counter()
     fits = hb.register_scans(scans, body)
     seconds = (time.perf_counter() - began) / len(scans)

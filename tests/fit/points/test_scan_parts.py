@@ -184,7 +184,7 @@ def test_the_verdict_follows_the_numbers():
     assert judge_scan(SimpleNamespace(**good)).level == "good"
     for change, level in (
         ({"matched": 0.85}, "doubtful"), ({"lost": 0.004}, "doubtful"), ({"lost": 0.01}, "failed"),
-        ({"matched": 0.5}, "failed"), ({"cuts": {"body": 60}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
+        ({"matched": 0.5}, "failed"), ({"cuts": {"body": 150}}, "doubtful"), ({"cuts": {"body": 2000}}, "failed"),
         ({"rival": 1.01}, "doubtful"), ({"islands": 0.4}, "doubtful"), ({"head_seen": 0.1}, "doubtful"),
         ({"measurements": {"height_m": 2.4}}, "doubtful"),
         ({"seen": 0.4}, "doubtful"), ({"betas": np.full(4, 9.0)}, "doubtful"),
@@ -211,12 +211,20 @@ def test_one_wrong_hand_fails_the_hands_and_not_the_person():
     assert judge_scan(scan_evidence(lost=0.007)).level == "failed"
 
 
+@pytest.mark.parametrize(("part", "share"), [("hands", 0.004), ("head", 0.011)])
+def test_what_is_a_little_off_at_an_end_is_a_doubt_on_that_end_alone(part, share):
+    verdict = judge_scan(scan_evidence(lost=share, lost_part=part))
+    assert verdict.level == "good" and verdict.parts[part].level == "doubtful"
+    assert part in verdict.reasons[0]
+    assert judge_scan(scan_evidence(lost=share)).level != "good"
+
+
 def test_a_rare_shape_is_a_doubt_by_degree_and_no_failure():
     betas = [
         np.array([5.0, -3.0, 3.5, *np.zeros(13)]),
         np.full(4, 2.6),
         np.full(4, 9.0),
-        np.array([5.7, *np.zeros(23)]),
+        np.array([8.7, *np.zeros(23)]),
     ]
     levels = [judge_scan(scan_evidence(betas=each)).level for each in betas]
     assert levels == ["good", "doubtful", "doubtful", "doubtful"]
