@@ -5,7 +5,7 @@ use.
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.kernels.threads import num_threads, one_thread
+from habitus.kernels.threads import MOST, num_threads, one_thread
 from habitus.parallel.queue import Here, open_queue
 
 
@@ -33,3 +33,13 @@ def test_one_thread_is_one_and_ends_with_its_block(monkeypatch):
         assert num_threads() == 1
         raise ZeroDivisionError
     assert num_threads() == 7
+
+
+def test_many_cores_are_not_all_used_unless_asked_for(monkeypatch):
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+    for cores, expected in ((1, 1), (3, 3), (64, MOST)):
+        monkeypatch.setattr("os.sched_getaffinity", lambda _, n=cores: set(range(n)), raising=False)
+        assert num_threads() == expected
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "20")
+    assert num_threads() == 20

@@ -14,6 +14,11 @@ from threadpoolctl import ThreadpoolController
 
 _MAX_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
+MOST = 8
+"""Threads at most where nobody says otherwise: on 16 cores the pose stage of a capture took 485,
+407, 267, 225 and 296 ms with 1, 2, 4, 8 and 16 (`benchmarks/on_gpu.py`), images and bodies alike. Who
+has many captures has a process for each core."""
+
 
 @contextmanager
 def one_thread() -> Iterator[None]:
@@ -30,7 +35,7 @@ def one_thread() -> Iterator[None]:
 
 def num_threads() -> int:
     """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
-    process may use.
+    process may use, up to `MOST`.
     """
     most = _MAX_THREADS.get()
     if most is not None:
@@ -39,7 +44,10 @@ def num_threads() -> int:
         text = os.environ.get(name, "")
         if text.isdigit() and int(text) > 0:
             return int(text)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    return min(cores, MOST)
 
 
 def run_chunks(
