@@ -16,8 +16,8 @@ _MAX_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
 MOST = 8
 """Threads at most where nobody says otherwise: on 16 cores the pose stage of a capture took 485,
-407, 267, 225 and 296 ms with 1, 2, 4, 8 and 16 (`benchmarks/on_gpu.py`), images and bodies alike. Who
-has many captures has a process for each core."""
+407, 267, 225 and 296 ms with 1, 2, 4, 8 and 16 (`benchmarks/on_gpu.py`), images and bodies alike.
+Who has many captures has a process for each core."""
 
 
 @contextmanager
