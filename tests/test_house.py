@@ -1,5 +1,6 @@
 """The house: imports run one way, importing costs nothing, documents are true to what is there."""
 
+import ast
 import importlib.metadata
 import re
 import subprocess
@@ -36,6 +37,82 @@ def test_the_package_knows_nothing_of_the_lab():
     for path in (ROOT / "src").rglob("*.py"):
         assert "import habitus_lab" not in (text := path.read_text()), path
         assert "from habitus_lab" not in text, path
+
+
+POSIX_MODULES = {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
+POSIX_ONLY = {
+    "os": {
+        *("chown", "chroot", "fchmod", "fchown", "fork", "forkpty", "getegid", "geteuid", "getgid"),
+        *("getgroups", "getloadavg", "getpgid", "getpriority", "getresuid", "getsid", "getuid"),
+        *("killpg", "lchown", "mkfifo", "mknod", "nice", "openpty", "pipe2", "pread", "pwrite"),
+        *("sched_getaffinity", "sched_setaffinity", "setpgid", "setpriority", "setsid", "statvfs"),
+        *("sync", "sysconf", "uname", "wait", "wait3", "wait4", "waitid", "WNOHANG"),
+        *("O_CLOEXEC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK"),
+    },
+    "signal": {"SIGALRM", "SIGHUP", "SIGKILL", "SIGPIPE", "SIGUSR1", "SIGUSR2", "pause", "alarm"},
+    "time": {"clock_gettime", "tzset"},
+}
+"""What the standard library has on POSIX systems alone."""
+
+
+def posix_calls(text: str) -> list[str]:
+    """Uses of `POSIX_ONLY` and imports of `POSIX_MODULES` that no ``hasattr`` in the same function
+    (or at the module's top) guards.
+    """
+    tree = ast.parse(text)
+    found = []
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    guarded = {
+        id(inner)
+        for part in functions
+        for name in [ast.unparse(part)]
+        for inner in ast.walk(part)
+        if isinstance(inner, ast.Attribute) and f"hasattr(os, '{inner.attr}')" in name
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            module = getattr(node, "module", None)
+            names = [module] if module else [alias.name for alias in node.names]
+            found += [name for name in names if name in POSIX_MODULES]
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.attr in POSIX_ONLY.get(node.value.id, ())
+            and id(node) not in guarded
+        ):
+            found.append(f"{node.value.id}.{node.attr}")
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("import os\ndef f():\n    return len(os.sched_getaffinity(0))", ["os.sched_getaffinity"]),
+        ("import os\ndef f():\n    if hasattr(os, 'nice'):\n        os.nice(5)", []),
+        ("import fcntl", ["fcntl"]),
+        ("import os\nos.replace('a', 'b')", []),
+    ],
+)
+def test_posix_calls_are_found(text, expected):
+    assert posix_calls(text) == expected
+
+
+def test_nothing_is_of_posix_systems_alone():
+    """The package runs on Windows and macOS: whatever they lack is asked for first."""
+    for path in (ROOT / "src").rglob("*.py"):
+        assert not posix_calls(path.read_text(encoding="utf-8")), path
+
+
+def test_files_are_opened_with_an_encoding():
+    """Windows' own is not UTF-8."""
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            given = {keyword.arg for keyword in node.keywords}
+            least = {"read_text": 1, "write_text": 2}.get(node.func.attr)
+            if least is not None and isinstance(node.func.value, ast.Name | ast.BinOp | ast.Call):
+                assert "encoding" in given or len(node.args) >= least, f"{path}:{node.lineno}"
 
 
 def test_style():

@@ -21,6 +21,7 @@ FILES = (
     "mesh/closest_kernels.py",
     "mesh/normal_kernels.py",
     "mesh/intersection_kernels.py",
+    "body/dual_kernels.py",
     "body/kernels.py",
     "body/kernels_vjp.py",
     "observe/marker_rig.py",

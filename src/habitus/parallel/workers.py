@@ -2,7 +2,6 @@
 with the same results; workers are opened by what a caller names.
 """
 
-import os
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
@@ -12,7 +11,7 @@ from functools import partial
 from typing import Any, Protocol, TypeVar
 
 from habitus.errors import HabitusError, require_extra
-from habitus.kernels.threads import one_core
+from habitus.kernels.threads import one_core, usable_cores
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -215,7 +214,7 @@ def thread_count(threads: int | None) -> int:
     """The number asked for, or that of the cores this process may use. Raises HabitusError for
     fewer than one.
     """
-    count = len(os.sched_getaffinity(0)) if threads is None else threads
+    count = usable_cores() if threads is None else threads
     if count < 1:
         raise HabitusError(f"{count} threads asked for; expected 1 or more")
     return count
