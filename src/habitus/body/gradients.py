@@ -6,7 +6,7 @@ A gradient that is to be differentiated again goes through the readable form ins
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -58,10 +58,9 @@ class _JointMotions(torch.autograd.Function):
         pose, rest_joints, motions = ctx.saved_tensors
         if torch.is_grad_enabled():
             return *_again(_readable_motions(ctx.parents), (pose, rest_joints), gradients), None
-        arrays = [part.numpy() for part in (pose, rest_joints)]
         to_motions, to_posed, to_entries = (part.numpy() for part in gradients)
         found = joint_motions_vjp(
-            *arrays, np.array(ctx.parents), motions.numpy(),
+            pose.numpy(), rest_joints.numpy(), np.array(ctx.parents), motions.numpy(),
             to_motions, to_posed, to_entries.reshape(*pose.shape[:2], 9),
         )  # fmt: skip
         return *(torch.from_numpy(array) for array in found), None
@@ -73,13 +72,15 @@ class _PosedVertices(torch.autograd.Function):
         ctx: Any, rows: VertexRows, shape: Tensor, features: Tensor, motions: Tensor, trans: Tensor
     ) -> Tensor:
         ctx.rows = rows
-        base, bases, skinning = _arrays(rows, shape, features)
+        base, bases, index, value = _arrays(rows, shape, features)
         parts = [shape.numpy()] if rows.local is not None else [shape.numpy(), features.numpy()]
         coefficients = np.ascontiguousarray(np.concatenate(parts, axis=-1))
         local = None if rows.local is None else (rows.local, features.contiguous().numpy())
         kept = np.empty((len(shape), len(base)), base.dtype)
-        given = (base, coefficients, bases, motions.numpy(), trans.numpy(), *skinning)
-        vertices = posed_vertices(*given, "lbs", local, kept)
+        vertices = posed_vertices(
+            base, coefficients, bases, motions.numpy(), trans.numpy(), index, value, "lbs", local,
+            kept,
+        )  # fmt: skip
         ctx.save_for_backward(shape, features, motions, trans, torch.from_numpy(kept))
         return torch.from_numpy(vertices)
 
@@ -90,12 +91,12 @@ class _PosedVertices(torch.autograd.Function):
         if torch.is_grad_enabled():
             return None, *_again(_readable_vertices(rows), tuple(inputs), (gradient,))
         shape, features, motions, _ = inputs
-        _, bases, skinning = _arrays(rows, shape, features)
+        _, bases, index, value = _arrays(rows, shape, features)
         local = None if rows.local is None else (rows.local, features.shape[1])
         with_shape = ctx.needs_input_grad[1] or (local is None and features.shape[1] > 0)
         to_coefficients, to_local, to_motions = posed_vertices_vjp(
-            gradient.contiguous().numpy(), kept.numpy(), bases, motions.numpy(), *skinning, local,
-            with_shape=with_shape,
+            gradient.contiguous().numpy(), kept.numpy(), bases, motions.numpy(), index, value,
+            local, with_shape,
         )  # fmt: skip
         to_shape = to_features = None
         if to_coefficients is not None:
@@ -106,11 +107,20 @@ class _PosedVertices(torch.autograd.Function):
         return None, to_shape, to_features, torch.from_numpy(to_motions), gradient.sum(1)
 
 
-def _arrays(rows: VertexRows, shape: Tensor, features: Tensor) -> tuple:
+class _Arrays(NamedTuple):
     """The template, the blend shapes that are not local, and the skinning weights."""
+
+    base: np.ndarray
+    bases: np.ndarray
+    index: np.ndarray
+    value: np.ndarray
+
+
+def _arrays(rows: VertexRows, shape: Tensor, features: Tensor) -> _Arrays:
     count = shape.shape[1] + (features.shape[1] if rows.local is None else 0)
-    skinning = rows.influences.index.numpy(), rows.influences.value.numpy()
-    return rows.template.numpy(), rows.blend_shapes.numpy()[:count], skinning
+    weights = rows.influences.index, rows.influences.value
+    arrays: Any = rows.template, rows.blend_shapes[:count], *weights
+    return _Arrays(*(array.numpy() for array in arrays))
 
 
 def _readable_motions(parents: tuple[int, ...]) -> Callable[..., tuple[Tensor, ...]]:
