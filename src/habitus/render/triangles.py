@@ -17,6 +17,7 @@ from torch import Tensor
 from habitus.errors import HabitusError
 from habitus.kernels.threads import run_chunks
 from habitus.render.kernels import images as image_kernels
+from habitus.render.kernels.samples import LONG
 from habitus.render.kernels.structs import EdgeLists
 from habitus.render.transforms import outside
 
@@ -420,3 +421,18 @@ def list_pixels_reference(
 def pixel_centres(pixel: Int[Tensor, " K"], width: int) -> Float[Tensor, "K 2"]:
     """The centres (u, v) of pixels given by row * width + column."""
     return torch.stack([pixel % width, pixel // width], -1).double() + 0.5
+
+
+def share_of_pixel(corners: Float[Tensor, "N 3 2"]) -> Float[Tensor, " N"]:
+    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by
+    length, up to 1.
+
+    A sliver seen at a pixel's centre covers little of the pixel, but its values change without
+    bounds as it moves: the fewer the pixels that meet it, the more. Only as much of that counts as
+    it covers. Lengths beyond `LONG` are taken as that, so that small triangles are slivers by their
+    form, not by their size.
+    """
+    sides = corners.roll(-1, 1) - corners
+    double_area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
+    length = sides.norm(dim=-1).amax(1)
+    return (2.0 * double_area / (length * length.clamp(max=LONG))).clamp(max=1.0)

@@ -20,7 +20,7 @@ from torch import Tensor
 from habitus.errors import HabitusError
 from habitus.render.frame import AVERAGED, Frame
 from habitus.render.kernels.images import HUGE
-from habitus.render.reference.images import share_of_pixel
+from habitus.render.triangles import share_of_pixel
 
 Array: TypeAlias = np.ndarray
 Csr: TypeAlias = Any

@@ -10,10 +10,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from habitus.render.kernels.samples import LONG
 from habitus.render.reference.faces import Nearest, box_pixels, drawn_faces
 from habitus.render.reference.segments import edge_fragments
-from habitus.render.triangles import EdgeFragments, Triangles, Visibility, pixel_centres
+from habitus.render.triangles import (
+    EdgeFragments,
+    Triangles,
+    Visibility,
+    pixel_centres,
+    share_of_pixel,
+)
 
 __all__ = [
     "barycentrics",
@@ -85,21 +90,6 @@ def barycentrics(
     before = away.roll(-2, 1)
     share = (after[..., 0] * before[..., 1] - after[..., 1] * before[..., 0]) / at[..., 2]
     return (share / share.sum(-1, keepdim=True)).to(screen.dtype)
-
-
-def share_of_pixel(corners: Float[Tensor, "N 3 2"]) -> Float[Tensor, " N"]:
-    """How much of a pixel a triangle on the screen can speak for, 1 but on slivers: twice height by
-    length, up to 1.
-
-    A sliver seen at a pixel's centre covers little of the pixel, but its values change without
-    bounds as it moves: the fewer the pixels that meet it, the more. Only as much of that counts as
-    it covers. Lengths beyond `LONG` are taken as that, so that small triangles are slivers by their
-    form, not by their size.
-    """
-    sides = corners.roll(-1, 1) - corners
-    double_area = (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).abs()
-    length = sides.norm(dim=-1).amax(1)
-    return (2.0 * double_area / (length * length.clamp(max=LONG))).clamp(max=1.0)
 
 
 def interpolate(
