@@ -176,6 +176,7 @@ def test_the_verdict_follows_the_numbers():
         "person": True,
         "lost_part": "body",
         "cuts": {"body": 3, "head": 20},
+        "limbs": {},
         "islands": 0.02,
         "head_seen": 0.9,
         "measurements": {"height_m": 1.75},
@@ -199,7 +200,7 @@ def scan_evidence(**changes):
     good = {"betas": np.zeros(4), "to_surface": np.full(100, 5e-4), "to_model": np.full(100, 3e-3)}
     good |= {"matched": 0.99, "lost": 0.0, "pose_distance": 1.0, "seen": 0.9, "rival": None}
     good |= {"person": True, "lost_part": "body", "cuts": {"body": 0, "head": 0, "hands": 0}}
-    good |= {"islands": 0.0, "head_seen": 1.0, "measurements": {}}
+    good |= {"limbs": {}, "islands": 0.0, "head_seen": 1.0, "measurements": {}}
     return SimpleNamespace(**(good | changes))
 
 

@@ -42,6 +42,7 @@ from habitus.fit.points.scan_result import (
     LIMITS,
     ScanFit,
     at_rest,
+    limbs_compared,
     lost_piece,
     lost_share,
     part_around,
@@ -172,14 +173,16 @@ class Registrar:
                 fitted = best._limbs_searched(fitted)
         done = dict(zip(people, fitted, strict=True))
         seconds = {name: each / len(scans) for name, each in clock.seconds.items()}
-        return [
-            replace(
-                (best if k in done else self)._result(done.get(k, scan)),
-                stage_seconds=seconds,
-                notes=(*scan.scan.notes, *_notes(scan, k in done, self, best)),
-            )
-            for k, scan in enumerate(started)
-        ]
+        return limbs_compared(
+            [
+                replace(
+                    (best if k in done else self)._result(done.get(k, scan)),
+                    stage_seconds=seconds,
+                    notes=(*scan.scan.notes, *_notes(scan, k in done, self, best)),
+                )
+                for k, scan in enumerate(started)
+            ]
+        )
 
     def _started(self, scan: Cleaned, up: str, previous: BodyState | None) -> Registered:
         """A scan upright, at its start."""
