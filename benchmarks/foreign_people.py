@@ -1,6 +1,6 @@
 """Does a point of the skin keep its place from pose to pose, on people whom no body of ours made?
 
-    python benchmarks/foreign_people.py FILE.obj ... [--poses 6] [--points 40000] [--json FILE]
+    python benchmarks/foreign_people.py FILE.obj ... [--poses 6] [--points 40000] [--out FILE]
 
 Each file is a surface of a person in a topology of its own. It is registered once; its own vertices
 are then tied to the surface found (triangle, barycentric coordinates) and carried into poses that
@@ -8,8 +8,8 @@ people are scanned in, as that surface bends. To every pose comes flesh of its o
 normals, alike over some 8 cm, less on hands, feet and head. Each of these surfaces is scanned and
 all of a person's scans are registered together, as `habitus register` does. A vertex of the file
 lies somewhere on each registered surface; where it lies, on the template, should not change:
-distances (mm) from its place in the first pose, by part of the body. ``truth`` is the distance of
-the registered vertices, so tied, from the posed surface.
+distances (mm) from its place in the first pose, by part of the body. ``truth`` is its distance from
+where the first registration had it.
 """
 
 import os

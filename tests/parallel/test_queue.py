@@ -5,7 +5,7 @@ use.
 import pytest
 
 from habitus.errors import HabitusError
-from habitus.kernels.threads import MOST, num_threads, one_thread
+from habitus.kernels.threads import DEFAULT_MAX_THREADS, num_threads, one_thread
 from habitus.parallel.queue import Here, open_queue
 
 
@@ -38,7 +38,7 @@ def test_one_thread_is_one_and_ends_with_its_block(monkeypatch):
 def test_many_cores_are_not_all_used_unless_asked_for(monkeypatch):
     for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    for cores, expected in ((1, 1), (3, 3), (64, MOST)):
+    for cores, expected in ((1, 1), (3, 3), (64, DEFAULT_MAX_THREADS)):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, n=cores: set(range(n)), raising=False)
         assert num_threads() == expected
     monkeypatch.setenv("NUMBA_NUM_THREADS", "20")

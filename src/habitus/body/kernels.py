@@ -158,7 +158,7 @@ def joint_motions(
 
     ``rest_joints`` are of one body (s = 1) or of each.
     """
-    pose, rest_joints, parents = _read_only(pose, rest_joints, parents)
+    pose, rest_joints, parents = read_only(pose, rest_joints, parents)
     bodies, joints = pose.shape[:2]
     motions = np.empty((bodies, joints, 12), pose.dtype)
     posed = np.empty((bodies, joints, 3), pose.dtype)
@@ -186,7 +186,7 @@ def posed_vertices(
     ``local``: further blend shapes and the features that drive them. ``kept``: memory for the
     surfaces at rest, which `habitus.body.kernels_vjp` needs (`rest_of_tile` finds them there).
     """
-    base, coefficients, rows, trans, index, value = _read_only(
+    base, coefficients, rows, trans, index, value = read_only(
         base, coefficients, rows, trans, index, value
     )
     bodies = len(motions)
@@ -254,7 +254,7 @@ def _add_products(
     return rest.reshape(3 * tile, bodies).T
 
 
-def _read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
+def read_only(*arrays: np.ndarray) -> Iterator[np.ndarray]:
     """Contiguous views that are not written: one kernel is compiled for a model's and a caller's
     arrays.
     """

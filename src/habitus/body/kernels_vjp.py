@@ -15,7 +15,7 @@ from habitus.body.kernels import (
     FEW,
     VERTICES,
     LocalShapes,
-    _read_only,
+    read_only,
     rest_of_tile,
 )
 from habitus.kernels.jit import jit_inline, jit_noalloc
@@ -39,7 +39,7 @@ def posed_vertices_vjp(
     is the one to the vertices, ``kept`` what that function filled, ``local`` its local shapes and
     the number of their features. Without ``with_shape`` the first is left out.
     """
-    gradient, rows, index, value = _read_only(gradient, rows, index, value)
+    gradient, rows, index, value = read_only(gradient, rows, index, value)
     bodies, count = gradient.shape[:2]
     kind = gradient.dtype
     tiles = -(-count // VERTICES)
@@ -268,7 +268,7 @@ def joint_motions_vjp(
     `habitus.body.kernels.joint_motions`; computed in float64, given in the type of ``pose``.
     """
     given = (pose, rest_joints, parents, motions)
-    pose, rest_joints, parents, motions = _read_only(*given)
+    pose, rest_joints, parents, motions = read_only(*given)
     slopes = to_motions.astype(np.float64)
     places = to_posed.astype(np.float64)
     entries = to_entries.astype(np.float64)

@@ -101,14 +101,14 @@ BONES: tuple[tuple[str, str], ...] = (
     ("nose", "left_eye"),
     ("nose", "right_eye"),
 )
-"""Pairs of keypoints that lie close together on a person."""
-FEWEST_BONES = 6
-"""Fewer bones than these do not tell conventions apart."""
-LONGEST = 0.25
+"""Pairs of neighbouring keypoints on a person."""
+MIN_BONES = 6
+"""Fewest visible bones by which conventions are compared."""
+MAX_BONE_LENGTH = 0.25
 """The mean length of `BONES`, as a share of the diagonal of the box around all points. 649 detected
 people of BODY_25B have 0.08 to 0.17, 400 simulated ones of COCO 0.10 to 0.22; points read in the
 order of another convention have 0.21 to 0.40."""
-APART = 1.2
+MIN_LENGTH_RATIO = 1.2
 """The second best convention's mean length over the best one's. The 649 people have 1.8 to 4.2 with
 BODY_25 as the second, 400 simulated ones of BODY_25 1.3 to 7.5 with BODY_25B."""
 
@@ -119,8 +119,8 @@ def convention_of(
     """The convention of K detected points (pixels; confidence 0: not seen) of one or several
     people: of those with K points, the one by whose names bones are short.
 
-    Raises HabitusError where there is no such convention, where too few points were seen to tell
-    several apart, and where none gives a person.
+    Raises HabitusError where no convention has K points, where too few bones are visible to choose
+    between several, and where the bones are too long in each of them.
     """
     count = points.shape[-2]
     candidates = [name for name, names in CONVENTIONS.items() if len(names) == count]
@@ -132,11 +132,13 @@ def convention_of(
         if len(candidates) == 1:
             return candidates[0]
         raise HabitusError(
-            f"too few of {count} keypoints were seen to tell {' and '.join(candidates)} apart; "
-            "expected a person with arms or legs"
+            f"too few of {count} keypoints are visible to choose between "
+            f"{' and '.join(candidates)}; expected at least {MIN_BONES} neighbouring pairs"
         )
     best, *others = sorted(candidates, key=lambda name: lengths[name])
-    if lengths[best] > LONGEST or (others and lengths[others[0]] < APART * lengths[best]):
+    if lengths[best] > MAX_BONE_LENGTH or (
+        others and lengths[others[0]] < MIN_LENGTH_RATIO * lengths[best]
+    ):
         raise HabitusError(
             f"{count} keypoints in an order that gives no person; expected that of "
             f"{' or '.join(candidates)}"
@@ -158,7 +160,7 @@ def _bone_length(convention: str, points: np.ndarray, confidence: np.ndarray) ->
     ):
         seen = sure > 0
         bones = ends[seen[ends].all(1)]
-        if len(bones) < FEWEST_BONES:
+        if len(bones) < MIN_BONES:
             continue
         length = np.linalg.norm(person[bones[:, 0]] - person[bones[:, 1]], axis=-1).mean()
         lengths.append(length / max(float(np.linalg.norm(np.ptp(person[seen], axis=0))), 1e-9))

@@ -35,8 +35,8 @@ from habitus.types import Array, ArrayLike
 DENSITY = 1000.0
 """kg/m^3, lungs half full: a person's of whom no waist is known, and that with which bodies of
 known ages were fitted to published weights."""
-LEAN_DENSITY, LESS = 1090.0, -141.0
-"""kg/m^3 of an adult, lungs half full: ``LEAN_DENSITY + LESS * waist / height``, as fat is light.
+LEAN_DENSITY, DENSITY_SLOPE = 1090.0, -141.0
+"""kg/m^3 of an adult, lungs half full: ``LEAN_DENSITY + DENSITY_SLOPE * waist / height``.
 Fitted to scales and volumes of 220 adults of ANSUR II (bodies from 13 lengths and girths, without
 the weight). Fitted to one half of them, masses of the other have a bias of .1 and .2 kg and an
 error of 2.2 and 2.1 % (women, men; RMS); with 1,000 kg/m^3 of -.9 and -1.1 kg, 2.7 and 2.6 %."""
@@ -203,7 +203,7 @@ def measure_many(
 
 def density_of(waist_over_height: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     """kg/m^3 of adults, lungs half full."""
-    return LEAN_DENSITY + LESS * np.clip(waist_over_height, *WAISTS)
+    return LEAN_DENSITY + DENSITY_SLOPE * np.clip(waist_over_height, *WAISTS)
 
 
 def volume(

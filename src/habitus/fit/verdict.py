@@ -291,8 +291,8 @@ def measurement_reasons(
 def proportion_reasons(
     measurements: Mapping[str, float], age: float | None, limits: PeopleLimits
 ) -> Iterator[Reason]:
-    """Head and feet of an adult in a proportion that nobody has: data stretched along an axis give
-    a body that fits well and whose every measurement somebody has.
+    """An adult's height, head and feet in proportions outside those of the survey: data stretched
+    along one axis can be fitted well by a body with every single measurement in range.
     """
     if (age is not None and age < ADULT) or any(name not in measurements for name in RIGID):
         return

@@ -14,10 +14,10 @@ from threadpoolctl import ThreadpoolController
 
 _MAX_THREADS: ContextVar[int | None] = ContextVar("most threads", default=None)
 
-MOST = 8
-"""Threads at most where nobody says otherwise: on 16 cores the pose stage of a capture took 485,
-407, 267, 225 and 296 ms with 1, 2, 4, 8 and 16 (`benchmarks/on_gpu.py`), images and bodies alike.
-Who has many captures has a process for each core."""
+DEFAULT_MAX_THREADS = 8
+"""Maximum number of threads unless the environment sets one: on 16 cores the pose stage of a
+capture took 485, 407, 267, 225 and 296 ms with 1, 2, 4, 8 and 16 (`benchmarks/on_gpu.py`).
+Archives use one process a core instead."""
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def one_thread() -> Iterator[None]:
 
 def num_threads() -> int:
     """1 within `one_thread`; NUMBA_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
-    process may use, up to `MOST`.
+    process may use, up to `DEFAULT_MAX_THREADS`.
     """
     most = _MAX_THREADS.get()
     if most is not None:
@@ -44,7 +44,7 @@ def num_threads() -> int:
         text = os.environ.get(name, "")
         if text.isdigit() and int(text) > 0:
             return int(text)
-    return min(usable_cores(), MOST)
+    return min(usable_cores(), DEFAULT_MAX_THREADS)
 
 
 def usable_cores() -> int:

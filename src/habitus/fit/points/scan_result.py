@@ -227,9 +227,10 @@ LIMBS: Mapping[str, str] = MappingProxyType(
     }
 )
 """The joints at which limbs begin that can be turned about their own axis, and the limbs' names."""
-SHOWN = 0.5
-FEWEST = 30
-"""Weight of a vertex of which a scan tells, and how many of those a limb needs to be compared."""
+MIN_WEIGHT = 0.5
+"""Smallest weight of a vertex that counts as observed."""
+MIN_LIMB_VERTICES = 30
+"""Fewest observed vertices of a limb that is compared."""
 
 
 class LimbAgreement(NamedTuple):
@@ -351,9 +352,9 @@ class ScanFit:
 def limbs_compared(fits: Sequence[ScanFit]) -> list[ScanFit]:
     """The fits of one person's scans, each with how its limbs agree with the others' (`LIMBS`).
 
-    The skin of an arm is much the same all around it, so that an arm turned about itself lies on
-    the scan as well; but the same skin then has other offsets than in the other scans. Of fewer
-    than three scans it is not known which one is wrong.
+    An arm is nearly round, so that an arm rotated about its own axis can fit the scan as well; the
+    offsets of its skin then differ from those in the other scans. With fewer than three scans one
+    cannot decide which of them is wrong, and nothing is compared.
     """
     people = [fit for fit in fits if fit.person]
     if len(people) < 3:
@@ -374,8 +375,8 @@ def limbs_compared(fits: Sequence[ScanFit]) -> list[ScanFit]:
         for joint in LIMBS:
             if joint not in body.joint_names:
                 continue
-            rows = (owner == body.joint_names.index(joint)) & (fit.weights > SHOWN)
-            if rows.sum() >= FEWEST:
+            rows = (owner == body.joint_names.index(joint)) & (fit.weights > MIN_WEIGHT)
+            if rows.sum() >= MIN_LIMB_VERTICES:
                 limbs[joint] = _agreement(offsets[k][rows], others[rows])
         found.append(replace(fit, limbs=limbs))
     return found
