@@ -26,7 +26,7 @@ LISTED = set(
     "minimize mosh "
     "open_registrations read_capture read_views register_scans retarget select_markers "
     "select_poses "
-    "simulate_soft_tissue terms train train_dynamics virtual_markers write_surface write_trc".split()
+    "simulate_soft_tissue split_people terms train train_dynamics virtual_markers write_surface write_trc".split()
 )
 
 
@@ -177,7 +177,7 @@ def test_what_needs_torch_says_so_where_it_is_not_installed():
                 print(name, error, sep=": ")
         """
     told = dict(line.split(": ", 1) for line in _without_torch(code).stdout.splitlines())
-    images = "Camera draw fit_rgbd read_views".split()
+    images = "Camera draw fit_rgbd read_views split_people".split()
     images = {told.pop(name) for name in images}
     assert all(
         "needs PyTorch, which is not installed" in line and "habitus[torch]" in line

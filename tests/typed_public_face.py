@@ -77,6 +77,8 @@ def scans_and_images() -> None:
     print(scan.verdict, scan.vertices.shape)
     hb.register_scans(["anna.ply", "anna_up.ply"], "default", texture=True)
     hb.fit_rgbd(hb.read_views("views"), hb.load_body("default"))
+    for person in hb.split_people(hb.read_views("views")):
+        hb.fit_rgbd(person)
     fingers = hb.load_body("default", joints="smplh")
     fingers(pose=hb.hand_pose(fingers, "fist", ("left",), amount=0.5))
 

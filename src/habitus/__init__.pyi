@@ -8,6 +8,7 @@ from habitus.errors import HabitusError as HabitusError
 from habitus.export.trc import write_trc as write_trc
 from habitus.fit.body_fit import FitSettings as FitSettings
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
+from habitus.fit.points.people_in_view import split_people as split_people
 from habitus.io.captures.read import read_capture as read_capture
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body

@@ -228,7 +228,26 @@ def _depth_folders(folder: Path) -> list[Target]:
         "set/depth/0.png": _picture(320, 288, "I;16"),
         "set/calibration.json": json.dumps(_azure(), indent=1).encode(),
     }
-    return [Target("depth folder", (own, yaml, tum, azure), "set", _read_views, 3)]
+    frames = ({"a.pcd": _pcd(form)} for form in ("ascii", "binary", "binary_compressed"))
+    return [
+        Target("depth folder", (own, yaml, tum, azure), "set", _read_views, 3),
+        Target("organised cloud", tuple(frames), "a.pcd", _read_views, 3),
+    ]
+
+
+def _pcd(form: str) -> bytes:
+    column, row = np.meshgrid(np.arange(16.0), np.arange(12.0))
+    points = np.stack([(column - 8) / 10, (row - 6) / 10, np.ones_like(row)], -1).astype("<f4")
+    header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 16\nHEIGHT 12\n"
+    header = f"{header}POINTS 192\nDATA {form}\n".encode()
+    if form == "ascii":
+        return header + "\n".join(map(str, points.ravel())).encode()
+    if form == "binary":
+        return header + points.tobytes()
+    whole = points.reshape(-1, 3).T.tobytes()
+    runs = [whole[k : k + 32] for k in range(0, len(whole), 32)]
+    packed = b"".join(bytes([len(run) - 1]) + run for run in runs)
+    return header + np.array([len(packed), len(whole)], "<u4").tobytes() + packed
 
 
 def _descriptions(folder: Path) -> list[Target]:

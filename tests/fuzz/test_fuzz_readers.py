@@ -52,6 +52,7 @@ NAMES = (
     "scan.off",
     "scan.xyz",
     "depth folder",
+    "organised cloud",
     "cameras.json",
     "cameras.yaml",
     "keypoints.json",

@@ -375,6 +375,10 @@ class RgbdOptions(DepthOptions):
 
     views: Annotated[Numbers, unset("NUMBERS")] = ()
     """Views to use, counted from 0; by default all, up to 12."""
+    people: Literal["one", "all"] = "one"
+    """Fit the person nearest to the middle of the image, or everybody in one view, each in a folder
+    of their own.
+    """
     depth_unit: Annotated[float | None, unset("METRES")] = None
     """Metres of one step of depth, where no file gives it: 0.001, or 0.0002 for TUM's."""
     cameras: Annotated[CameraFile, unset("FILE")] = None

@@ -2,6 +2,8 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from habitus.fit.points.scan_colours import check_colours, with_colours
 from habitus.fit.points.scan_result import ScanFit
 from habitus.fit.points.scans import Registrar
 from habitus.fit.points.settings import SCANS, ScanSettings
+from habitus.io.models.bodies import SHIPPED
 from habitus.io.names import file_name
 from habitus.io.registrations.open import write_registrations
 from habitus.io.scans import read_scan, scans_in
@@ -105,11 +108,24 @@ def made_ready(
     settings: ScanSettings = SCANS,
 ) -> Registrar:
     """A body prepared for registration; of "default" women's and men's, too, whichever explains
-    scans best.
+    scans best. Bodies by name end with finger joints.
     """
-    model = loaded(body, age=age)
-    sexes = SEXES if isinstance(body, str) and body == "default" else ()
-    return Registrar.of(model, prior_of(model), [loaded(sex, age=age) for sex in sexes], settings)
+
+    def ready(one: BodyModel | PathLike) -> Registrar:
+        model = loaded(one, age=age)
+        registrar = Registrar.of(model, prior_of(model), settings)
+        if not isinstance(one, str) or one not in SHIPPED:
+            return registrar
+
+        @cache
+        def fingered() -> Registrar:
+            model = loaded(one, "smplh", age)
+            return Registrar.of(model, prior_of(model), settings)
+
+        return replace(registrar, fingered=fingered)
+
+    others = SEXES if isinstance(body, str) and body == "default" else ()
+    return replace(ready(body), others=tuple(map(ready, others)))
 
 
 def _read(one: Scan | PathLike) -> list[Scan]:

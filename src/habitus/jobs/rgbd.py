@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Self
 
 from habitus.body.model import BodyModel
+from habitus.errors import HabitusError
 from habitus.fit.points.depth import fit_views
 from habitus.fit.points.depth_result import RgbdFit
 from habitus.fit.points.depth_settings import RgbdSettings
+from habitus.fit.points.people_in_view import split_people
 from habitus.io.rgbd.read import read_views
 from habitus.jobs.bodies import loaded
 from habitus.jobs.options import DepthOptions, RgbdOptions, takes
@@ -75,14 +78,60 @@ def rgbd(
     """Read a folder of views, fit, and write the results into the folder ``out``, as ``habitus
     rgbd`` does. Raises HabitusError.
     """
+    if options.people != "one":
+        raise HabitusError(
+            f"people is {options.people!r}; expected 'one' (rgbd_people fits everybody in a view)"
+        )
     with result_lock(out, DEPTH_FILES):
         progress("reading")
         capture = read_views(folder, options.views or None, options.depth_unit, options.cameras)
-        progress(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
-        layers = {"clothes": options.clothes_mm, "hair": options.hair_mm}
-        metres = {name: 1e-3 * value for name, value in layers.items() if value is not None}
-        settings = replace(options.settings or RgbdSettings(), **metres)
-        fit = fit_rgbd(capture, body, turns=options.turns, settings=settings, age=options.age)
-        progress("writing")
-        fit.save(out)
-        return fit
+        return _fitted(capture, out, body, options, progress)
+
+
+@takes(RgbdOptions)
+def rgbd_people(
+    folder: PathLike,
+    out: PathLike,
+    body: BodyModel | PathLike = "default",
+    *,
+    options: RgbdOptions,
+    progress: Callable[[str], Any] = lambda text: None,
+) -> list[DepthResult]:
+    """Everybody in the one view of a folder or .pcd file, from left to right, each fitted and
+    written into a folder ``out``/person_N, as ``habitus rgbd --people all`` does.
+
+    Raises HabitusError where nobody is found, for several views, and where nobody could be fitted.
+    """
+    progress("reading")
+    capture = read_views(folder, options.views or None, options.depth_unit, options.cameras)
+    fits = []
+    problems = []
+    for k, person in enumerate(split_people(capture), 1):
+        own = Path(out) / f"person_{k}"
+        with result_lock(own, DEPTH_FILES):
+            try:
+                fits.append(_fitted(person, own, body, options, progress))
+            except HabitusError as error:
+                problems.append(f"person {k}: {error}")
+                progress(problems[-1])
+    if not fits:
+        raise HabitusError(problems[0])
+    return fits
+
+
+def _fitted(
+    capture: RgbdCapture,
+    out: PathLike,
+    body: BodyModel | PathLike,
+    options: RgbdOptions,
+    progress: Callable[[str], Any],
+) -> DepthResult:
+    """A capture fitted and written."""
+    progress(f"fitting {len(capture.views)} view{'s' * (len(capture.views) != 1)}")
+    layers = {"clothes": options.clothes_mm, "hair": options.hair_mm}
+    metres = {name: 1e-3 * value for name, value in layers.items() if value is not None}
+    settings = replace(options.settings or RgbdSettings(), **metres)
+    fit = fit_rgbd(capture, body, turns=options.turns, settings=settings, age=options.age)
+    progress("writing")
+    fit.save(out)
+    return fit

@@ -105,15 +105,22 @@ def stance(
     name: str, joint_names: Sequence[str], rng: np.random.Generator
 ) -> Float[np.ndarray, "J 3"]:
     """A pose (rad) near one of `STANCES`, looking anywhere."""
+    return posed_near(STANCES[name], joint_names, rng)
+
+
+def posed_near(
+    angles: Mapping[str, tuple[float, float, float]],
+    joint_names: Sequence[str],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "J 3"]:
+    """A pose (rad) near rotations as in `STANCES`, looking anywhere."""
     pose = np.zeros((len(joint_names), 3))
     off = JITTER * rng.normal(size=(len(joint_names), 3))
     for k, joint in enumerate(joint_names):
         side, _, part = joint.rpartition("_")
-        angles = STANCES[name].get(
-            joint, STANCES[name].get(part if side else joint, (0.0, 0.0, 0.0))
-        )
-        mirrored = side == "right" and joint not in STANCES[name]
-        pose[k] = np.array(angles) * ((1.0, -1.0, -1.0) if mirrored else (1.0, 1.0, 1.0)) + off[k]
+        turn = angles.get(joint, angles.get(part if side else joint, (0.0, 0.0, 0.0)))
+        mirrored = side == "right" and joint not in angles
+        pose[k] = np.array(turn) * ((1.0, -1.0, -1.0) if mirrored else (1.0, 1.0, 1.0)) + off[k]
     pose[0] = 0.0, rng.uniform(-np.pi, np.pi), 0.0
     return pose
 

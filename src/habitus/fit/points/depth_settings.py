@@ -93,6 +93,14 @@ class SegmentationSettings:
     """Height from which on a point is not of the floor."""
     max_height: float = 2.4
     """Height up to which a point may be a person's."""
+    min_height: float = 0.9
+    """Of a person's visible part, where all people of a view are asked for."""
+    min_thickness: float = 0.03
+    """Of a person's points (sd) off the plane through them: walls have less."""
+    max_lowest: float = 1.0
+    """Above the floor, of the lowest point of a person who is cut off or hidden below."""
+    max_width: float = 2.2
+    """Of a person with arms held out."""
     growths: int = 10
     """Times that the person grows by `growth_pixels` of like depth: arms are thin, and the opening
     that removes specks cut them off."""

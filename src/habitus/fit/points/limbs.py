@@ -1,18 +1,20 @@
 """Hands, feet and limbs in a wrong local minimum: other poses of each are tried, the best stays.
 
 A hand is a small part of a scan, and a palm looks much like its back: no step of a whole fit turns
-it over. Where a piece of the scan lies off the registered surface, the limbs near it are searched
-again as all poses of the bank have them. They count only where they leave less of the scan off a
-quick surface, the model with skin offsets of few steps, so that no time is spent on what no limb
-explains: spread fingers, which the default body does not have.
+it over, or closes it to a fist. Where a piece of the scan lies off the registered surface, the
+limbs near it are searched again as all poses of the bank have them. They count only where they
+leave less of the scan off a quick surface, the model with skin offsets of few steps.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
+from habitus.body.hand_space import has_hands
+from habitus.body.hands import HAND_JOINTS, HAND_POSES, SIDES, hand_pose
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.fit.points.correspondences import NORMAL_DISTANCE, Topology, find_correspondences
@@ -20,6 +22,7 @@ from habitus.fit.points.scan import Cloud
 from habitus.fit.points.scan_fitting import ScanFitter
 from habitus.fit.points.scan_result import lost_piece, lost_share
 from habitus.fit.points.scan_start import Guesser, Limb
+from habitus.fit.points.settings import ScanStage
 from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 _TURNS = np.array(
@@ -47,6 +50,12 @@ ARMS = {f"{side}_{joint}": _TWISTS for joint in ("shoulder", "elbow") for side i
 """Turns of arms about themselves: the skin of an arm is much the same all around it."""
 
 
+HAND_TURNS = np.array([[0.0, 0.0], [0.0, 3.0], [3.0, 0.0]])
+"""Turns of forearm and wrist about the forearm, rad, in which every one of `HAND_POSES` is tried: a
+palm looks much like its back, and so does a forearm.
+"""
+
+
 def with_extremities(
     fitter: ScanFitter,
     state: BodyState,
@@ -56,30 +65,93 @@ def with_extremities(
     """The state of one scan with each hand and foot (or ``ARMS``), of which it shows enough, turned
     the best way.
     """
-    settings = fitter.settings.limbs
     names = fitter.body.joint_names
     for name, turns in tries.items():
         if name not in names:
             continue
         joint = names.index(name)
-        vertices = fitter.vertices(state)[_hand(fitter, joint)]
-        radius = max(
-            settings.radius, float(np.linalg.norm(vertices - vertices.mean(0), axis=1).max())
-        )
-        near = np.linalg.norm(cloud.points - vertices.mean(0), axis=1) < radius
-        if near.sum() < settings.min_points:
+        if (near := _near(fitter, state, joint, cloud)) is None:
             continue
-        there = np.flatnonzero(near)[: settings.max_points]
-        rows = np.concatenate([there, np.arange(min(settings.other_points, len(cloud.points)))])
-        few = Cloud(cloud.points[rows], cloud.normals[rows])
-        hand = Cloud(cloud.points[there], cloud.normals[there])
         held = replace(fitter, prior=_held(fitter, state, joint))
-        first, *rest = settings.stages
-        tried = [held.fit(_turned(state, joint, turn), [few], [first]) for turn in turns]
-        tried = sorted(tried, key=lambda one: _misfit(fitter, one, hand))[:2]
-        tried = [held.fit(one, [few], rest) for one in tried]
-        state = min(tried, key=lambda one: _misfit(fitter, one, hand))
+        tried = [(held, _turned(state, joint, turn)) for turn in turns]
+        stages = fitter.settings.limbs.stages
+        state = _best(tried, near, stages, lambda one, hand: _misfit(fitter, one, hand))
     return state
+
+
+def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
+    """The state of one scan with each hand, of which it shows enough, as the best of `HAND_POSES`,
+    palm or back up, has it; unchanged for a body without finger joints.
+
+    A hand counts against its points in both directions: what of it stands out of the scan is as
+    wrong as what of the scan it leaves. Its parts inside the scan are not: palms of fists are
+    hidden.
+    """
+    if not has_hands(fitter.body):
+        return state
+    names = fitter.body.joint_names
+    for side in SIDES:
+        elbow, wrist = (names.index(f"{side}_{joint}") for joint in ("elbow", "wrist"))
+        fingers = [names.index(f"{side}_{joint}") for joint in HAND_JOINTS]
+        if (near := _near(fitter, state, wrist, cloud)) is None:
+            continue
+        rows = _hand(fitter, wrist)
+        starts = [state]
+        for grip in HAND_POSES:
+            for turns in HAND_TURNS:
+                start = state
+                for joint, turn in zip((elbow, wrist), turns, strict=True):
+                    start = _turned(start, joint, np.array([turn, 0.0, 0.0]))
+                for joint, rotation in hand_pose(fitter.body, grip, (side,)).items():
+                    start.pose[0, names.index(joint)] = rotation
+                starts.append(start)
+        tried = [
+            (replace(fitter, prior=_held(fitter, start, wrist, fingers)), start) for start in starts
+        ]
+
+        def misfit(one: BodyState, hand: Cloud, rows: np.ndarray = rows) -> float:
+            return _misfit(fitter, one, hand) + _outside(fitter, one, hand, rows)
+
+        tried = sorted(tried, key=lambda one: misfit(one[1], near[0]))
+        kept = tried[: fitter.settings.limbs.hands_refined]
+        state = _best(kept, near, fitter.settings.limbs.hand_stages, misfit)
+    return state
+
+
+def _near(
+    fitter: ScanFitter, state: BodyState, joint: int, cloud: Cloud
+) -> tuple[Cloud, Cloud] | None:
+    """Points of a scan near the hand or foot of a joint, and these with some of all others; None
+    where they are too few.
+    """
+    settings = fitter.settings.limbs
+    vertices = fitter.vertices(state)[_hand(fitter, joint)]
+    middle = vertices.mean(0)
+    radius = max(settings.radius, float(np.linalg.norm(vertices - middle, axis=1).max()))
+    near = np.linalg.norm(cloud.points - middle, axis=1) < radius
+    if near.sum() < settings.min_points:
+        return None
+    there = np.flatnonzero(near)[: settings.max_points]
+    rows = np.concatenate([there, np.arange(min(settings.other_points, len(cloud.points)))])
+    few = Cloud(cloud.points[rows], cloud.normals[rows])
+    return Cloud(cloud.points[there], cloud.normals[there]), few
+
+
+def _best(
+    starts: Sequence[tuple[ScanFitter, BodyState]],
+    near: tuple[Cloud, Cloud],
+    stages: Sequence[ScanStage],
+    misfit: Callable[[BodyState, Cloud], float],
+) -> BodyState:
+    """The best state after all stages of those two that are best after the first one; each start
+    with the fitter whose prior holds the other joints.
+    """
+    hand, few = near
+    first, *rest = stages
+    tried = [(held, held.fit(start, [few], [first])) for held, start in starts]
+    tried = sorted(tried, key=lambda one: misfit(one[1], hand))[:2]
+    ended = (held.fit(one, [few], rest) for held, one in tried)
+    return min(ended, key=lambda one: misfit(one, hand))
 
 
 def _hand(fitter: ScanFitter, joint: int) -> np.ndarray:
@@ -92,12 +164,19 @@ def _hand(fitter: ScanFitter, joint: int) -> np.ndarray:
     return fitter.body.skinning_weights[:, mine].sum(1) > 0.5
 
 
-def _held(fitter: ScanFitter, state: BodyState, joint: int) -> PosePrior:
-    """A prior that keeps all joints but one where they are."""
+def _held(
+    fitter: ScanFitter, state: BodyState, joint: int, as_before: Sequence[int] = ()
+) -> PosePrior:
+    """A prior that keeps all joints but one where they are; those of ``as_before`` keep theirs."""
     names = fitter.body.joint_names
     spread = np.full((len(names), 3), fitter.settings.limbs.held_sd)
     spread[joint] = fitter.settings.limbs.free_sd
-    return PosePrior(names[1:], state.pose[0, 1:].ravel(), np.diag(spread[1:].ravel() ** 2))
+    mean = state.pose[0, 1:].ravel().copy()
+    covariance = np.diag(spread[1:].ravel() ** 2)
+    rows = (3 * (np.asarray(as_before, int)[:, None] - 1) + np.arange(3)).ravel()
+    mean[rows] = fitter.prior.mean[rows]
+    covariance[np.ix_(rows, rows)] = fitter.prior.covariance[np.ix_(rows, rows)]
+    return PosePrior(names[1:], mean, covariance)
 
 
 def _turned(state: BodyState, joint: int, turn: Float[np.ndarray, " 3"]) -> BodyState:
@@ -117,6 +196,14 @@ def _misfit(fitter: ScanFitter, state: BodyState, hand: Cloud) -> float:
     deviation = fitter.prior.whitening @ (state.pose[0, 1:].ravel() - fitter.prior.mean)
     distance = np.minimum(np.sqrt(square), settings.max_distance).mean()
     return float(distance + settings.prior_distance * 0.5 * (deviation @ deviation))
+
+
+def _outside(fitter: ScanFitter, state: BodyState, hand: Cloud, rows: np.ndarray) -> float:
+    """Mean capped distance (m) of a hand's vertices from its points; 0 inside the scan."""
+    vertices = fitter.vertices(state)[rows]
+    distance, nearest = KDTree(hand.points).query(vertices)
+    before = ((vertices - hand.points[nearest]) * hand.normals[nearest]).sum(1) > 0.0
+    return float((np.minimum(distance, fitter.settings.limbs.max_distance) * before).mean())
 
 
 def scan_distances(
@@ -176,7 +263,7 @@ def _anew(guesser: Guesser, state: BodyState, cloud: Cloud, limb: Limb) -> BodyS
             if name in names and names.index(name) in limb.joints
         }
         state = with_extremities(fitter, state, cloud, own)
-    return state
+    return with_hands(fitter, state, cloud)
 
 
 def _quickly_lost(guesser: Guesser, state: BodyState, cloud: Cloud) -> float:

@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import binary_opening, convolve, distance_transform_edt, find_objects, label
+from scipy.ndimage import binary_opening, convolve, distance_transform_edt, label
 
 from habitus.errors import HabitusError
 from habitus.fit.points.depth_settings import NOISE, SEGMENTATION, SegmentationSettings
@@ -158,7 +158,7 @@ def segment(view: DepthView, settings: SegmentationSettings = SEGMENTATION) -> S
     if view.mask is not None:
         person = view.mask & (view.depth > 0)
         segmentation = "mask"
-    mask = _one_person(_without_flying(person, view.depth), points, settings)
+    mask = _one_person(without_flying(person, view.depth), points, settings)
     if mask.sum() < settings.min_pixels:
         raise HabitusError(
             f"{view.name or 'the view'}: {int(mask.sum())} pixels of a person were segmented by "
@@ -205,33 +205,50 @@ def _standing_out(
     """What is above the floor, in one piece, nearest to the middle of the image: walls behind are
     another piece.
     """
-    person = depth > 0
+    above, pieces = standing_pieces(depth, points, floor, settings)
+    best = above & False
+    most = 0.0
+    for piece in pieces:
+        columns = np.flatnonzero(piece.any(0))
+        off = abs((columns[0] + columns[-1] + 1) / 2 / depth.shape[1] - 0.5)
+        tall = np.ptp(points[piece][:, 1])
+        score = min(tall, 2.0) * (1.0 - off) / np.median(depth[piece])
+        if score > most:
+            most, best = score, piece
+    return whole_piece(best, above, depth, settings)
+
+
+def standing_pieces(
+    depth: np.ndarray, points: np.ndarray, floor: Floor | None, settings: SegmentationSettings
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """What is above the floor, and pieces of it that are apart in depth and no wider than a
+    person.
+    """
+    above = depth > 0
     if floor is not None:
-        above = floor.above(points)
-        person &= (above > settings.above_floor) & (above < settings.max_height)
-    smooth = person.copy()
+        height = floor.above(points)
+        above &= (height > settings.above_floor) & (height < settings.max_height)
+    smooth = above.copy()
     for axis in (0, 1):
         step = np.abs(np.diff(depth, axis=axis, prepend=depth.take([0], axis)))
         smooth &= step < settings.jump
-    pieces, count = cast(tuple[np.ndarray, int], label(binary_opening(smooth)))
-    best = person & False
-    most = 0.0
-    for k, where in enumerate(find_objects(pieces), 1):
-        piece = pieces[where] == k
-        near = depth[where][piece]
-        size = piece.sum()
-        if size < settings.min_pixels or k > count:
-            continue
-        off = abs((where[1].start + where[1].stop) / 2 / depth.shape[1] - 0.5)
-        tall = np.ptp(points[where][piece][:, 1])
-        score = min(tall, 2.0) * (1.0 - off) / np.median(near) * (tall > 0.5)
-        if score > most and np.ptp(np.percentile(points[where][piece][:, 0], (1, 99))) < 2.2:
-            best = np.zeros_like(person)
-            most = score
-            best[where] = piece
-    for _ in range(settings.growths if best.any() else 0):
-        best = person & _grown(best, depth, settings)
-    return best
+    labels, _ = cast(tuple[np.ndarray, int], label(binary_opening(smooth)))
+    pieces = []
+    for k in np.flatnonzero(np.bincount(labels.ravel()) >= settings.min_pixels):
+        piece = labels == k
+        wide = np.ptp(np.percentile(points[piece][:, 0], (1, 99)))
+        if k and np.ptp(points[piece][:, 1]) > 0.5 and wide < settings.max_width:
+            pieces.append(piece)
+    return above, pieces
+
+
+def whole_piece(
+    piece: np.ndarray, above: np.ndarray, depth: np.ndarray, settings: SegmentationSettings
+) -> np.ndarray:
+    """A piece with what hangs on it: arms are thin."""
+    for _ in range(settings.growths if piece.any() else 0):
+        piece = above & _grown(piece, depth, settings)
+    return piece
 
 
 def _grown(piece: np.ndarray, depth: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
@@ -243,7 +260,7 @@ def _grown(piece: np.ndarray, depth: np.ndarray, settings: SegmentationSettings)
     return (distance <= settings.growth_pixels) & similar
 
 
-def _without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]) -> np.ndarray:
+def without_flying(mask: Bool[np.ndarray, "H W"], depth: Float[np.ndarray, "H W"]) -> np.ndarray:
     """Without pixels that fewer than four neighbours agree with: mixed depths at borders, and
     single ones.
     """

@@ -38,6 +38,9 @@ SCAN_POSES: tuple[dict[str, tuple[float, float, float]], ...] = (
     {"shoulder": (0.0, -0.3, -0.9), "elbow": (0.0, -1.6, 0.0)},
     {"shoulder": (0.0, 0.0, -0.9), "hip": (-0.6, 0.0, 0.3), "knee": (1.0, 0.0, 0.0)},
     {"shoulder": (0.0, 0.0, -0.2), "elbow": (0.0, -0.3, 1.4)},
+    {"shoulder": (0.9, -0.2, -0.9), "elbow": (0.0, -1.5, 0.0)},
+    {"shoulder": (0.5, -0.5, -1.1), "elbow": (0.0, -1.4, 0.0)},
+    {"shoulder": (-1.3, -0.3, 0.0), "elbow": (0.0, -2.0, 0.0)},
 )
 LIMBS = (
     ("left_collar", "left_shoulder"),

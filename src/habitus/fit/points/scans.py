@@ -9,6 +9,7 @@ all scans of a person.
        E = 1/2 sum_p rho(d_p) / noise^2 + 1/2 h^T Q h + 1/2 |betas|^2
            + 1/2 (theta - mean)^T P (theta - mean)
 
+   Before the last stage hands are posed (`limbs.with_hands`), where the body has fingers.
 3. The free surface of each scan (`free_surface`), and how well the scan covers it
    (`correspondences.vertex_weights`). Where a piece of the scan lies off it, limbs are searched
    again from there.
@@ -23,6 +24,7 @@ from typing import TypedDict
 import numpy as np
 from jaxtyping import Float
 
+from habitus.body.hand_space import has_hands
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
@@ -35,7 +37,12 @@ from habitus.fit.points.correspondences import (
     vertex_weights,
 )
 from habitus.fit.points.free_surface import free_surface, new_cuts, stretched_surface, uncut
-from habitus.fit.points.limbs import limbs_searched_again, scan_distances, with_extremities
+from habitus.fit.points.limbs import (
+    limbs_searched_again,
+    scan_distances,
+    with_extremities,
+    with_hands,
+)
 from habitus.fit.points.scan import Cleaned, Cloud, Scan, cleaned, turned
 from habitus.fit.points.scan_fitting import OffsetFit, PreviousFrame, ScanFitter
 from habitus.fit.points.scan_result import (
@@ -44,15 +51,15 @@ from habitus.fit.points.scan_result import (
     at_rest,
     limbs_compared,
     lost_piece,
-    lost_share,
     part_around,
 )
 from habitus.fit.points.scan_start import Candidate, Guesser, find_start
+from habitus.fit.points.scan_states import carried, joined, with_joints_of
 from habitus.fit.points.settings import SCANS, ScanSettings, ScanStage
-from habitus.fit.verdict import vertex_parts
+from habitus.fit.verdict import HANDS, vertex_parts
 from habitus.mesh.normals import vertex_normals
 from habitus.residuals.points import PointSolver
-from habitus.rotations import UP_AXES, matrix_from_rotvec, up_rotation
+from habitus.rotations import UP_AXES, up_rotation
 
 UP = ("+y", "+z", "-y", "-z", "+x", "-x")
 Progress = Callable[[str, float], None]
@@ -89,28 +96,23 @@ class Registered:
 @dataclass(frozen=True, eq=False)
 class Registrar:
     """A body prepared for registration, and ``others`` of its topology that may explain scans
-    better.
+    better; ``fingered`` gives the same body with finger joints, for the last stage.
     """
 
     body: BodyModel
     fitter: ScanFitter
     guesser: Guesser
     others: tuple["Registrar", ...] = ()
+    fingered: Callable[[], "Registrar"] | None = None
 
     @staticmethod
-    def of(
-        body: BodyModel,
-        prior: PosePrior,
-        others: Sequence[BodyModel] = (),
-        settings: ScanSettings = SCANS,
-    ) -> "Registrar":
+    def of(body: BodyModel, prior: PosePrior, settings: ScanSettings = SCANS) -> "Registrar":
         """To be made once a body."""
         topology = Topology.of(body.faces, body.num_vertices, hidden_vertices(body))
         fitter = ScanFitter(
             PointSolver.of(body), topology, prior.for_joints(body.joint_names), settings=settings
         )
-        more = tuple(Registrar.of(other, prior, settings=settings) for other in others)
-        return Registrar(body, fitter, Guesser.of(fitter), more)
+        return Registrar(body, fitter, Guesser.of(fitter))
 
     @property
     def settings(self) -> ScanSettings:
@@ -119,10 +121,12 @@ class Registrar:
 
     def settled(self, fit: ScanFit) -> "Registrar":
         """With the body of a fit alone."""
-        return replace(
-            next(registrar for registrar in (self, *self.others) if registrar.body is fit.body),
-            others=(),
-        )
+        for registrar in (self, *self.others):
+            if registrar.body is fit.body:
+                return replace(registrar, others=(), fingered=None)
+            if registrar.fingered is not None and registrar.body.name == fit.body.name:
+                return registrar.fingered()
+        return self
 
     def after(self, fit: ScanFit) -> "Registrar":
         """The same for the next frame of a sequence, coupled to this one in shape, pose and skin
@@ -252,15 +256,31 @@ class Registrar:
         return float(distance) > self.settings.search.distinct
 
     def _fitted_best(self, scans: Sequence[Registered]) -> tuple["Registrar", list[Registered]]:
-        """All scans together, with the body that explains them best.
+        """All scans together, with the body that explains them best, and with its fingers.
 
-        Which that is shows before the last and longest stage, which it alone is given.
+        Which body that is shows before the last and longest stage, which it alone is given.
         """
-        if not self.others:
-            return self, self._fitted(scans, self.settings.offset_stages)
+        best, begin, stages = self, list(scans), self.settings.offset_stages
+        if len(stages) > 1:
+            best, state = self._best_body(scans)
+            begin = [replace(scan, state=state[k : k + 1]) for k, scan in enumerate(scans)]
+        if best.fingered is not None:
+            body, best = best.body, best.fingered()
+            begin = [
+                replace(scan, state=with_joints_of(body, best.body, best.fitter.prior, scan.state))
+                for scan in begin
+            ]
+        if self.fitter.previous is None:
+            begin = [
+                replace(scan, state=with_hands(best.fitter, scan.state, scan.cloud))
+                for scan in begin
+            ]
+        return best, best._fitted(begin, stages[-1:])
+
+    def _best_body(self, scans: Sequence[Registered]) -> tuple["Registrar", BodyState]:
+        """The body of the least energy after all stages but the last, and its state."""
         clouds = [scan.cloud for scan in scans]
         first = joined([scan.state for scan in scans])
-        stages = self.settings.offset_stages
         tried = []
         for registrar in (self, *self.others):
             state = (
@@ -268,11 +288,11 @@ class Registrar:
                 if registrar is self
                 else carried(self.body, registrar.body, first, self.settings)
             )
-            fit = registrar.fitter.fit_with_offsets(state, clouds, stages[:-1])
-            tried.append((energy(registrar.fitter, fit, clouds), registrar, fit))
-        _, best, fit = min(tried, key=lambda each: each[0])
-        begin = [replace(scan, state=fit.state[k : k + 1]) for k, scan in enumerate(scans)]
-        return best, best._fitted(begin, stages[-1:])
+            stages = self.settings.offset_stages[:-1]
+            fit = registrar.fitter.fit_with_offsets(state, clouds, stages)
+            cost = energy(registrar.fitter, fit, clouds) if self.others else 0.0
+            tried.append((cost, registrar, fit.state))
+        return min(tried, key=lambda each: each[0])[1:]
 
     def _fitted(self, scans: Sequence[Registered], stages: Sequence[ScanStage]) -> list[Registered]:
         """All scans together: states, and free surfaces."""
@@ -333,8 +353,15 @@ class Registrar:
         return scans
 
     def _lost(self, scan: Registered) -> float:
+        """The share of a scan that lies together off its surface; 0 for fingers of posed hands,
+        which no search of limbs would place.
+        """
+        settings = self.fitter.settings.limbs
         distances = scan_distances(self.fitter.topology, scan.surface, scan.cloud)
-        return lost_share(scan.cloud.points, distances, self.fitter.settings.limbs)
+        share, place = lost_piece(scan.cloud.points, distances, settings)
+        at_hands = part_around(self.body, scan.surface, place) == HANDS
+        fingers = has_hands(self.body) and at_hands and share < settings.lost_fingers
+        return 0.0 if fingers else share
 
     def _result(self, scan: Registered) -> ScanFit:
         state = scan.state
@@ -422,36 +449,6 @@ def compared(
         "lost": lost,
         "lost_part": part_around(fitter.body, surface, place),
     }
-
-
-def joined(states: Sequence[BodyState]) -> BodyState:
-    """One state of several scans; the shape is the mean."""
-    return BodyState(
-        np.mean([state.betas for state in states], axis=0),
-        np.concatenate([state.pose for state in states]),
-        np.concatenate([state.trans for state in states]),
-    )
-
-
-def carried(
-    body: BodyModel, other: BodyModel, state: BodyState, settings: ScanSettings = SCANS
-) -> BodyState:
-    """A state of one body as one of another of its topology: the same poses, and the most similar
-    shape.
-    """
-    mean = np.zeros(other.num_betas)
-    count = other.num_vertices
-    difference = body.rest_vertices(state.betas) - other.rest_vertices(mean)
-    slopes = np.asarray(other.shapedirs, float).reshape(3 * count, -1)
-    slopes = np.concatenate([slopes, np.tile(np.eye(3), (count, 1))], 1)  # betas, then translation
-    ridge = settings.similar_bodies**2 * np.concatenate([np.ones(other.num_betas), np.zeros(3)])
-    solved = np.linalg.solve(slopes.T @ slopes + np.diag(ridge), slopes.T @ difference.ravel())
-    betas = solved[:-3]
-    first = body.rest_joints(state.betas)[0]
-    second = other.rest_joints(betas)[0]
-    shift = solved[-3:] - first + second
-    moved = np.array([matrix_from_rotvec(pose[0]) @ shift for pose in state.pose])
-    return BodyState(betas, state.pose, state.trans + first - second + moved)
 
 
 def energy(fitter: ScanFitter, fit: OffsetFit, clouds: Sequence[Cloud]) -> float:

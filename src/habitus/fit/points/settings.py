@@ -142,7 +142,7 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class LimbSettings:
-    """Hands, feet and arms turned, lost limbs searched again; chosen by hand; metres and rad."""
+    """Limbs turned, hands posed, lost limbs searched again; chosen by hand; metres and rad."""
 
     radius: float = 0.13
     """Of a hand or foot, within which points are its own."""
@@ -159,6 +159,13 @@ class LimbSettings:
         ScanStage(5, points=1000, scale=0.05, noise=0.005, slide=0.2, betas=0),
         ScanStage(3, points=1000, scale=0.02, noise=0.005, slide=0.1, betas=0),
     )
+    hand_stages: tuple[ScanStage, ...] = (
+        ScanStage(3, points=1000, scale=0.05, noise=0.005, slide=0.2, betas=0),
+        ScanStage(4, points=1000, scale=0.02, noise=0.005, slide=0.1, betas=0),
+    )
+    """The same for hands."""
+    hands_refined: int = 7
+    """Of the poses of a hand, those of which more than the first misfit is looked at."""
     prior_distance: float = 0.0003
     """Metres that one unit of the pose prior's energy adds to the mean distance of a hand's points.
     """
@@ -176,6 +183,9 @@ class LimbSettings:
     """From the surface, of a point of a lost piece: beyond wrinkles."""
     lost_radius: float = 0.06
     """Of the ball that holds a lost piece: smaller than a hand."""
+    lost_fingers: float = 0.01
+    """Share of a scan that is lost at a posed hand up to which no limb is searched; a hand is .5 %.
+    """
     lost_balls: int = 1000
     """Balls that are tried, about."""
     area_neighbours: int = 8

@@ -25,6 +25,7 @@ from habitus.io.rgbd.files import (
     read_mask,
 )
 from habitus.io.rgbd.keypoints import read_keypoints
+from habitus.io.rgbd.pcd import read_pcd
 from habitus.observe.camera import Camera, DepthView, RgbdCapture
 from habitus.types import PathLike
 
@@ -229,10 +230,12 @@ def read_views(
     in descriptions.
 
     views: which of them, counted from 0; by itself up to 12, spread evenly. depth_unit: metres of
-    one step, where no file tells it or tells it wrongly. cameras: a description elsewhere. Raises
-    HabitusError with the file named.
+    one step, where no file tells it or tells it wrongly. cameras: a description elsewhere. An
+    organised point cloud (.pcd) is one view. Raises HabitusError with the file named.
     """
     source = Path(folder)
+    if source.suffix.lower() == ".pcd":
+        return read_pcd(source)
     try:
         return _read_views(source, views, depth_unit, cameras)
     except OSError as error:

@@ -1,0 +1,144 @@
+"""How near does `habitus register` come to the truth on people who are unlike the body's own?
+
+    python benchmarks/wide_people.py [--scans 60] [--seed 1] [--out FILE]
+
+People of `habitus_lab.population.wide`: shapes 1.5 times as wide as the survey's with heavy tails, 3
+to 10 mm of skin that no model knows, hair, fists and grips, hands on hips, folded, at the head.
+Scans have 2,500 to 200,000 points of .5 mm noise, seen by 12 cameras, holes in 5 %. Errors (mm)
+are distances of vertices from where they truly are; ``seen`` counts those of which the scan tells.
+``turned``: an upper arm, forearm, thigh or shank that is turned about its own axis by more than 60
+degrees.
+"""
+
+import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+import argparse
+import time
+from functools import cache
+
+import numpy as np
+from common import parser, run, show_table
+
+import habitus as hb
+from habitus.body.model import BodyModel
+from habitus.fit.points.correspondences import hidden_vertices
+from habitus.fit.points.scans import Registrar
+from habitus.fit.verdict import PARTS, vertex_parts
+from habitus.jobs.register import made_ready
+from habitus_lab.population.scans import Scanner, scanned
+from habitus_lab.population.wide import WIDE_STANCES, wide_person
+
+SIDES = tuple((np.sin(a), h, np.cos(a)) for a in np.arange(6) * np.pi / 3 for h in (-0.3, 0.6))
+POINTS = (2_500, 200_000)
+RIGHT = {"mean": 3.0, "p95": 7.0}
+"""Millimetres: a right registration of the body (without hands)."""
+LIMBS = {
+    f"{side}_{upper}": f"{side}_{lower}"
+    for side in ("left", "right")
+    for upper, lower in (
+        ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"),
+    )
+}  # fmt: skip
+TURNED = 60.0
+
+
+@cache
+def registrar() -> Registrar:
+    """The default body, made ready."""
+    return made_ready()
+
+
+@cache
+def people_of(sex: str) -> BodyModel:
+    """The body that people are drawn from."""
+    return hb.load_body(sex, detail="full", joints="smplh")
+
+
+def row_of(k: int, seed: int) -> dict:
+    """Person k, scanned and registered."""
+    rng = np.random.default_rng([seed, k])
+    source = people_of(str(rng.choice(["female", "male"])))
+    names = list(WIDE_STANCES)
+    person = wide_person(source, names[k % len(names)], rng)
+    hidden = hidden_vertices(source)
+    faces = source.faces if hidden is None else source.faces[~hidden[source.faces].all(1)]
+    points = int(np.exp(rng.uniform(*np.log(POINTS))))
+    scan = scanned(person.vertices, faces, Scanner(points, holes=0.05, sides=SIDES), rng, str(k))
+    began = time.perf_counter()
+    (fit,) = registrar().register([scan])
+    seconds = time.perf_counter() - began
+    true = person.vertices @ fit.to_body[:3, :3].T + fit.to_body[:3, 3]
+    body = fit.body
+    true = true[body.full_vertices]
+    apart = 1e3 * np.linalg.norm(fit.vertices - true, axis=1)
+    seen = ~hidden_vertices(body)
+    hands = vertex_parts(body) == PARTS.index("hands")
+    left = np.array([name.startswith("left_") for name in body.joint_names])[body.strongest_joint]
+    row = {
+        "stance": person.stance,
+        "hands": " ".join(person.hands),
+        "points": points,
+        "verdict": fit.verdict.level,
+        "mean": float(apart[seen & ~hands].mean()),
+        "p95": float(np.percentile(apart[seen & ~hands], 95)),
+        "left hand": float(apart[seen & hands & left].mean()),
+        "right hand": float(apart[seen & hands & ~left].mean()),
+        "turned": sorted(turned(body, true, fit.vertices)),
+        "seconds": seconds,
+    }
+    return row | {"reasons": list(fit.verdict.reasons)}
+
+
+def turned(body: BodyModel, true: np.ndarray, found: np.ndarray) -> set[str]:
+    """Limbs whose skin is turned about their own axis."""
+    owner = np.asarray(body.skinning_weights).argmax(1)
+    far = set()
+    for upper in LIMBS:
+        rows = owner == body.joint_names.index(upper)
+        one, other = (each[rows] - each[rows].mean(0) for each in (true, found))
+        u, _, v = np.linalg.svd(one.T @ other)
+        turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
+        if angle > TURNED:
+            far.add(upper)
+    return far
+
+
+def measure(options: argparse.Namespace) -> dict:
+    """All people."""
+    rows = [row_of(k, options.seed) for k in range(options.scans)]
+    right = [all(row[name] <= most for name, most in RIGHT.items()) for row in rows]
+    good = [row["verdict"] == "good" for row in rows]
+    hands = np.array([row[f"{side} hand"] for row in rows for side in ("left", "right")])
+    summary = {
+        "people": len(rows),
+        "right": sum(right),
+        "good of the right": sum(g for g, r in zip(good, right, strict=True) if r),
+        "good of the wrong": sum(g for g, r in zip(good, right, strict=True) if not r),
+        "failed of the right": sum(
+            row["verdict"] == "failed" for row, r in zip(rows, right, strict=True) if r
+        ),
+        "turned limbs": sum(len(row["turned"]) for row in rows),
+        "mean mm, median of people": float(np.median([row["mean"] for row in rows])),
+        "p95 mm, median of people": float(np.median([row["p95"] for row in rows])),
+        "hands within 8 mm": float((hands <= 8.0).mean()),
+        "hands mm, median": float(np.median(hands)),
+        "seconds, median": float(np.median([row["seconds"] for row in rows])),
+    }
+    return {"summary": summary, "rows": rows}
+
+
+def show(found: dict) -> None:
+    """Print the tables."""
+    rows = [{k: v for k, v in row.items() if k != "reasons"} for row in found["rows"]]
+    show_table("people unlike the body's own, mm", rows, 1)
+    show_table("summary", [found["summary"]], 2)
+
+
+if __name__ == "__main__":
+    arguments = parser(__doc__, out=True)
+    arguments.add_argument("--scans", type=int, default=60)
+    arguments.add_argument("--seed", type=int, default=1)
+    run(arguments, measure, show)

@@ -1,0 +1,54 @@
+"""States of several scans, and of one body as those of another."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.body.state import BodyState
+from habitus.fit.points.settings import SCANS, ScanSettings
+from habitus.rotations import matrix_from_rotvec
+
+
+def joined(states: Sequence[BodyState]) -> BodyState:
+    """One state of several scans; the shape is the mean."""
+    return BodyState(
+        np.mean([state.betas for state in states], axis=0),
+        np.concatenate([state.pose for state in states]),
+        np.concatenate([state.trans for state in states]),
+    )
+
+
+def carried(
+    body: BodyModel, other: BodyModel, state: BodyState, settings: ScanSettings = SCANS
+) -> BodyState:
+    """A state of one body as one of another of its topology: the same poses, and the most similar
+    shape.
+    """
+    mean = np.zeros(other.num_betas)
+    count = other.num_vertices
+    difference = body.rest_vertices(state.betas) - other.rest_vertices(mean)
+    slopes = np.asarray(other.shapedirs, float).reshape(3 * count, -1)
+    slopes = np.concatenate([slopes, np.tile(np.eye(3), (count, 1))], 1)  # betas, then translation
+    ridge = settings.similar_bodies**2 * np.concatenate([np.ones(other.num_betas), np.zeros(3)])
+    solved = np.linalg.solve(slopes.T @ slopes + np.diag(ridge), slopes.T @ difference.ravel())
+    betas = solved[:-3]
+    first = body.rest_joints(state.betas)[0]
+    second = other.rest_joints(betas)[0]
+    shift = solved[-3:] - first + second
+    moved = np.array([matrix_from_rotvec(pose[0]) @ shift for pose in state.pose])
+    return BodyState(betas, state.pose, state.trans + first - second + moved)
+
+
+def with_joints_of(
+    body: BodyModel, other: BodyModel, prior: PosePrior, state: BodyState
+) -> BodyState:
+    """A state of a body as one of another with more joints, these at its prior's mean."""
+    mean = np.concatenate([np.zeros((1, 3)), prior.mean.reshape(-1, 3)])
+    pose = np.tile(mean, (len(state.pose), 1, 1))
+    for k, name in enumerate(other.joint_names):
+        if name in body.joint_names:
+            pose[:, k] = state.pose[:, body.joint_names.index(name)]
+    return replace(state, pose=pose)

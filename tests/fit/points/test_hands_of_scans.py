@@ -1,0 +1,102 @@
+"""Hands of scans: each of the named poses is found from another one, palm or back up."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from habitus.body.hand_space import has_hands
+from habitus.body.hands import hand_pose
+from habitus.body.prior import prior_of
+from habitus.body.state import BodyState
+from habitus.fit.points.limbs import with_hands
+from habitus.fit.points.scan import Cloud
+from habitus.fit.points.scan_states import with_joints_of
+from habitus.fit.points.scans import Registrar
+from habitus.io.models.bodies import load_body
+from habitus.jobs.register import made_ready
+from habitus.mesh.normals import vertex_normals
+
+
+@cache
+def _registrar(joints: str) -> Registrar:
+    body = load_body("neutral", joints=joints)
+    return Registrar.of(body, prior_of(body))
+
+
+def _state(grip: str) -> BodyState:
+    body = _registrar("smplh").body
+    pose = np.zeros((1, body.num_joints, 3))
+    for joint, rotation in hand_pose(body, grip).items():
+        pose[0, body.joint_names.index(joint)] = rotation
+    return BodyState(np.zeros(body.num_betas), pose, np.zeros((1, 3)))
+
+
+def _scan(state: BodyState) -> Cloud:
+    """Points of a surface in random order: hands are looked at closely in it."""
+    fitter = _registrar("smplh").fitter
+    surface = fitter.vertices(state)
+    normals = vertex_normals(surface, fitter.body.faces)
+    rows = np.random.default_rng(0).permutation(fitter.topology.whole)
+    return Cloud(surface[rows], normals[rows])
+
+
+def _off(state: BodyState, true: BodyState) -> float:
+    """Mean distance (mm) of the skin of fingers."""
+    fitter = _registrar("smplh").fitter
+    fingers = [k for k, name in enumerate(fitter.body.joint_names) if name[-1] in "123"]
+    rows = np.isin(fitter.body.strongest_joint, fingers[3:])
+    apart = fitter.vertices(state) - fitter.vertices(true)
+    return 1e3 * float(np.linalg.norm(apart, axis=1)[rows].mean())
+
+
+@pytest.mark.parametrize(("true", "begin"), [("fist", "relaxed"), ("flat", "fist")])
+def test_a_planted_hand_is_found(true, begin):
+    planted, start = _state(true), _state(begin)
+    found = with_hands(_registrar("smplh").fitter, start, _scan(planted))
+    assert _off(start, planted) > 20.0 and _off(found, planted) < 6.0
+
+
+def test_a_hand_with_its_back_down_is_turned_over():
+    fitter = _registrar("smplh").fitter
+    planted = _state("fist")
+    start = _state("relaxed")
+    start.pose[0, fitter.body.joint_names.index("left_wrist")] = 2.8, 0.0, 0.0
+    found = with_hands(fitter, start, _scan(planted))
+    assert _off(found, planted) < 6.0
+
+
+def test_a_scan_without_hands_leaves_them_as_they_are():
+    fitter = _registrar("smplh").fitter
+    start = _state("relaxed")
+    cloud = _scan(_state("fist"))
+    body = np.abs(cloud.points[:, 0]) < 0.4
+    found = with_hands(fitter, start, Cloud(cloud.points[body], cloud.normals[body]))
+    np.testing.assert_array_equal(found.pose, start.pose)
+
+
+def test_a_body_without_fingers_is_left_alone():
+    fitter = _registrar("smpl").fitter
+    state = BodyState(np.zeros(fitter.body.num_betas), np.zeros((1, 24, 3)), np.zeros((1, 3)))
+    assert with_hands(fitter, state, _scan(_state("fist"))) is state
+
+
+def test_more_joints_keep_the_pose_and_begin_at_the_prior():
+    small, large = _registrar("smpl"), _registrar("smplh")
+    pose = np.random.default_rng(1).normal(size=(2, 24, 3))
+    state = BodyState(np.zeros(small.body.num_betas), pose, np.zeros((2, 3)))
+    found = with_joints_of(small.body, large.body, large.fitter.prior, state)
+    names = large.body.joint_names
+    for k, name in enumerate(small.body.joint_names):
+        if name in names:
+            np.testing.assert_array_equal(found.pose[:, names.index(name)], pose[:, k])
+    thumb = names.index("left_thumb2")
+    mean = large.fitter.prior.mean.reshape(-1, 3)[thumb - 1]
+    np.testing.assert_array_equal(found.pose[:, thumb], [mean, mean])
+
+
+def test_bodies_by_name_end_with_fingers_and_are_found_again():
+    registrar = made_ready("female")
+    assert not has_hands(registrar.body) and has_hands(registrar.fingered().body)
+    assert registrar.fingered() is registrar.fingered()
+    assert made_ready(load_body("female")).fingered is None
