@@ -1,16 +1,21 @@
 """Keypoints as detectors of people in pictures name them, from a body's joints and landmarks.
 
 COCO's 17 (Lin et al. 2014, "Microsoft COCO"), OpenPose's BODY_25 (Cao et al. 2019) and BODY_25B
-(Hidalgo et al. 2019), Halpe's 26 (Fang et al. 2022), and the body and feet, 23, of COCO-WholeBody
-(Jin et al. 2020). Annotators put hips, shoulders and elbows where the joints are, eyes, ears, heels
-and toes on the skin.
+(Hidalgo et al. 2019), Halpe's 26 (Fang et al. 2022), the body and feet, 23, of COCO-WholeBody (Jin
+et al. 2020), and BlazePose's 33 (Bazarevsky et al. 2020). Annotators put hips, shoulders and elbows
+where the joints are, eyes, ears, heels and toes on the skin; `keypoint_place` reads the table
+assets/keypoints.toml.
 
 Files do not always say which of these their points are, and two have 25 points in another order:
 `convention_of` decides by anatomy.
 """
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,26 +25,60 @@ from habitus.body.state import BodySurface
 from habitus.errors import HabitusError
 from habitus.types import Array
 
-_PLACES: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "nose": ("nose_tip",),
-        **{
-            f"{side}_{name}": tuple(f"{side}_{place}" for place in places)
-            for side in ("left", "right")
-            for name, places in {
-                "eye": ("eye",),
-                "ear": ("ear",),
-                "big_toe": ("big_toe",),
-                "small_toe": ("little_toe",),
-                "heel": ("heel",),
-            }.items()
-        },
-        "neck": ("left_shoulder", "right_shoulder"),
-        "upper_neck": ("head",),
-        "mid_hip": ("left_hip", "right_hip"),
-    }
-)
-"""Joints or landmarks whose mean a keypoint is, where it has not the joint's own name."""
+
+class KeypointPlace(NamedTuple):
+    """A keypoint of `habitus.assets.keypoints.toml`, which says what its numbers mean."""
+
+    parts: tuple[str, ...]
+    bone: str | None
+    definition: float
+    noise: float
+
+
+@cache
+def keypoint_table() -> Mapping[str, KeypointPlace]:
+    """The shipped table; keypoints of both sides stand in it without their side."""
+    text = (files("habitus.assets") / "keypoints.toml").read_text(encoding="utf-8")
+    return MappingProxyType(
+        {
+            name: KeypointPlace(
+                tuple(row.get("parts", ())), row.get("bone"), row["definition"], row["noise"]
+            )
+            for name, row in tomllib.loads(text).items()
+        }
+    )
+
+
+def keypoint_place(name: str) -> KeypointPlace:
+    """The place of a keypoint, its parts and bone with its side. Raises HabitusError for an unknown
+    one.
+    """
+    table = keypoint_table()
+    side, _, plain = name.partition("_")
+    sided = side in ("left", "right") and plain in table
+    if not (sided or name in table):
+        raise HabitusError(f"no keypoint is called {name!r}; expected one of {', '.join(table)}")
+    row = table[plain if sided else name]
+    own = f"{side}_" if sided else ""
+    parts = row.parts or (plain if sided else name,)
+    middle = {"nose_tip", "chin", "head"}
+    return KeypointPlace(
+        tuple(part if part in middle else own + part for part in parts),
+        row.bone if row.bone in (None, "head") else own + row.bone,
+        row.definition,
+        row.noise,
+    )
+
+
+def keypoint_bone(name: str, joint_names: Sequence[str], parents: Sequence[int]) -> int:
+    """The joint that a keypoint rides on: of a joint's own keypoint the one above it."""
+    place = keypoint_place(name)
+    if place.bone in joint_names:
+        return list(joint_names).index(place.bone)
+    joint = place.parts[0]
+    if joint not in joint_names:
+        raise HabitusError(f"the body has no joint {place.bone or joint!r}, which {name} rides on")
+    return max(parents[list(joint_names).index(joint)], 0)
 
 
 def _sides(*names: str) -> tuple[str, ...]:
@@ -48,6 +87,7 @@ def _sides(*names: str) -> tuple[str, ...]:
 
 _LEG = ("hip", "knee", "ankle")
 _COCO = ("nose", *_sides("eye", "ear", "shoulder", "elbow", "wrist", *_LEG))
+_EYE = ("eye_inner", "eye", "eye_outer")
 _FOOT = ("big_toe", "small_toe", "heel")
 _LEFT_FOOT = tuple(f"left_{name}" for name in _FOOT)
 _RIGHT_FOOT = tuple(f"right_{name}" for name in _FOOT)
@@ -80,6 +120,12 @@ CONVENTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "body25b": (*_COCO, "upper_neck", "head_top", *_LEFT_FOOT, *_RIGHT_FOOT),
         "halpe26": (*_COCO, "head_top", "neck", "mid_hip", *_sides(*_FOOT)),
         "wholebody23": (*_COCO, *_LEFT_FOOT, *_RIGHT_FOOT),
+        "blazepose33": (
+            "nose",
+            *(f"{side}_{eye}" for side in ("left", "right") for eye in _EYE),
+            *_sides("ear", "mouth", "shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+            *_sides(*_LEG, "heel", "foot_index"),
+        ),
     }
 )
 """The names of a convention's keypoints, in its order."""
@@ -188,7 +234,7 @@ def keypoints(
     points = []
     for name in CONVENTIONS[convention]:
         located = []
-        for place in _PLACES.get(name, (name,)):
+        for place in keypoint_place(name).parts:
             if place not in joints and place not in landmarks:
                 raise HabitusError(
                     f"{body} has neither a joint nor a landmark {place!r}, where {convention} has "

@@ -29,6 +29,8 @@ FILES = (
     "observe/marker_jacobian_kernels.py",
     "residuals/marker_kernels.py",
     "residuals/point_kernels.py",
+    "residuals/keypoint_kernels.py",
+    "io/rgbd/pcd.py",
     "render/kernels/structs.py",
     "render/kernels/vectors.py",
     "render/kernels/raster.py",

@@ -1,0 +1,166 @@
+"""The pose stage of keypoints: poses of all frames of a known person under known cameras.
+
+    E = sum_t f_t(trans_t, pose_t) + 1/2 sum_t |z_t - 2 z_(t-1) + z_(t-2)|^2 / (a dt^2)^2
+
+f_t is that of `habitus.residuals.keypoint_kernels`; a is the standard deviation of accelerations.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.fit.cameras.settings import CameraSettings
+from habitus.fit.markers.sequence_kernels import nearest_equivalent, unwrap
+from habitus.kernels.threads import num_threads
+from habitus.observe.camera_rig import CameraRig
+from habitus.observe.keypoints import ShapedKeypoints
+from habitus.residuals.keypoint_kernels import (
+    KeypointData,
+    KeypointScratch,
+    costs,
+    linearize_frame,
+    visit,
+)
+from habitus.solve.sequence import LevelFrames, SequenceSolution, solve_sequence
+
+
+def keypoint_data(
+    person: ShapedKeypoints,
+    rig: CameraRig | None,
+    pixels: Float[np.ndarray, "T C K 2"],
+    weights: Float[np.ndarray, "T C K"],
+    mean: Float[np.ndarray, " n"],
+    precision: Float[np.ndarray, "n n"],
+    reach: float,
+    points: Float[np.ndarray, "T K 3"] | None = None,
+    point_weights: Float[np.ndarray, "T K"] | None = None,
+) -> KeypointData:
+    """What the kernels take. pixels: ideal ones, NaN where missing; weights: 1 / px^2. points:
+    places (m) of keypoints that are known otherwise, ``point_weights`` 1 / m^2. mean, precision: of
+    all joints but the root.
+    """
+    frames, keypoints = (pixels if points is None else points).shape[0], len(person.bone)
+    if rig is None:
+        pixels, weights = np.zeros((frames, 0, keypoints, 2)), np.zeros((frames, 0, keypoints))
+    seen = np.isfinite(pixels).all(-1)
+    if points is None:
+        points, point_weights = np.zeros((frames, keypoints, 3)), np.zeros((frames, keypoints))
+    found = np.isfinite(points).all(-1)
+    size = 6 + len(mean)
+    whole = np.zeros((size, size))
+    whole[6:, 6:] = precision
+    return KeypointData(
+        person.parents,
+        person.bone,
+        np.ascontiguousarray(person.joints),
+        np.ascontiguousarray(person.places),
+        np.zeros((0, 2)) if rig is None else np.ascontiguousarray(rig.focal),
+        np.zeros((0, 2)) if rig is None else np.ascontiguousarray(rig.centre),
+        np.zeros((0, 3, 3)) if rig is None else np.ascontiguousarray(rig.rotation),
+        np.zeros((0, 3)) if rig is None else np.ascontiguousarray(rig.translation),
+        np.ascontiguousarray(np.where(seen[..., None], pixels, 0.0)),
+        np.ascontiguousarray(np.where(seen, weights, 0.0)),
+        np.ascontiguousarray(np.where(found[..., None], points, 0.0)),
+        np.ascontiguousarray(np.where(found, point_weights, 0.0)),
+        float(reach),
+        np.concatenate([np.zeros(6), mean]),
+        whole,
+    )
+
+
+class KeypointSequence:
+    """`habitus.solve.sequence.SequenceProblem` of keypoints: states hold trans (3) and pose
+    (3 J).
+    """
+
+    lanes = 8
+
+    def __init__(self, data: KeypointData, links: Float[np.ndarray, " N"]):
+        self.data = data
+        self.links = links
+        self.threads = num_threads()
+        self._rooms: list[KeypointScratch] = []
+
+    def visit(self, level: LevelFrames, block: np.ndarray) -> None:
+        """One damped Gauss-Newton step of the frames ``block``."""
+        room = self._room()
+        arrays = (
+            level.frames,
+            level.states,
+            level.links,
+            level.costs,
+            level.damping,
+            level.moved,
+            level.cost_decrease,
+            level.relaxations,
+        )
+        visit(self.data, room, arrays, block)
+        self._rooms.append(room)
+
+    def cost(self, frames: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """f_t of each frame."""
+        out = np.empty(len(frames))
+        room = self._room()
+        costs(self.data, room, frames, np.ascontiguousarray(states), out)
+        self._rooms.append(room)
+        return out
+
+    def linearize(
+        self, frames: np.ndarray, states: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """f_t, gradients and Gauss-Newton matrices, frame by frame."""
+        out = []
+        room = self._room()
+        for t, state in zip(frames, states, strict=True):
+            cost = linearize_frame(self.data, room, int(t), np.ascontiguousarray(state))
+            lower = np.tril(room.matrix)
+            out.append((cost, room.gradient.copy(), lower + np.tril(lower, -1).T))
+        self._rooms.append(room)
+        cost, gradient, matrix = zip(*out, strict=True)
+        return np.array(cost), np.stack(gradient), np.stack(matrix)
+
+    def chart(self, frames: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Root rotation vectors unwrapped; second differences are cut where they jump."""
+        states = np.array(states)
+        links = np.repeat(self.links[None], len(states), axis=0)
+        states[:, 3:6], jumps = unwrap(states[:, 3:6])
+        links[jumps | np.roll(jumps, 1), 3:6] = 0.0
+        return states, links
+
+    def between(self, left: np.ndarray, right: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Straight from left to right, the root in one chart."""
+        right = right.copy()
+        right[:, 3:6] = nearest_equivalent(right[:, 3:6], left[:, 3:6])
+        return left + share[:, None] * (right - left)
+
+    def _room(self) -> KeypointScratch:
+        try:
+            return self._rooms.pop()
+        except IndexError:
+            return KeypointScratch.of(len(self.data.parents))
+
+
+def acceleration_links(
+    joints: int, rate_hz: float, settings: CameraSettings
+) -> Float[np.ndarray, " N"]:
+    """Weights of second differences: 1 / (a dt^2)^2."""
+    links = np.full(3 + 3 * joints, (rate_hz**2 / settings.angular_acceleration) ** 2)
+    links[:3] = (rate_hz**2 / settings.acceleration) ** 2
+    return links
+
+
+def solve_poses(
+    data: KeypointData,
+    pose: Float[np.ndarray, "T J 3"],
+    trans: Float[np.ndarray, "T 3"],
+    rate_hz: float,
+    settings: CameraSettings,
+    coupled: bool = True,
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"], SequenceSolution]:
+    """Poses and places of all frames from a start; each frame by itself without ``coupled``."""
+    joints = len(data.parents)
+    links = acceleration_links(joints, rate_hz, settings) if coupled else np.zeros(3 + 3 * joints)
+    problem = KeypointSequence(data, links)
+    start = np.concatenate([trans, pose.reshape(len(pose), -1)], axis=1)
+    solution = solve_sequence(problem, start, slice(3, None), settings.options)
+    states = solution.states
+    return states[:, 3:].reshape(len(pose), joints, 3).copy(), states[:, :3].copy(), solution
