@@ -61,7 +61,7 @@ def keypoint_place(name: str) -> KeypointPlace:
     row = table[plain if sided else name]
     own = f"{side}_" if sided else ""
     parts = row.parts or (plain if sided else name,)
-    middle = {"nose_tip", "chin", "head"}
+    middle = {"nose_tip", "chin", "neck"}
     return KeypointPlace(
         tuple(part if part in middle else own + part for part in parts),
         row.bone if row.bone in (None, "head") else own + row.bone,

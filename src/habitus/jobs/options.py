@@ -20,6 +20,7 @@ from habitus.errors import HabitusError
 
 if TYPE_CHECKING:
     from habitus.body.model import BodyModel
+    from habitus.fit.cameras.settings import CameraSettings
     from habitus.fit.labels.settings import LabelSettings
     from habitus.fit.markers.result import MarkerFit
     from habitus.fit.markers.settings import MoshSettings, MoshWeights
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     Body = PathLike | BodyModel
     CameraFile = PathLike | None
     DepthSettings = RgbdSettings | None
+    KeypointSettings = CameraSettings | None
     File = PathLike
     Files = PathLike | Capture | Sequence[PathLike | Capture]
     KnownFit = PathLike | MarkerFit | None
@@ -54,7 +56,7 @@ else:  # what a command line can say
     Age = str | None
     Body = File = Layout = LayoutName = Pool = str
     CameraFile = LabelledFile = KnownFit = Path | None
-    DepthSettings = LabelSet = Scans = Selecting = Settings = Weights = Any
+    DepthSettings = KeypointSettings = LabelSet = Scans = Selecting = Settings = Weights = Any
     Files = tuple[Path, ...]
     Labels = tuple[str, ...]
     Numbers = tuple[int, ...]
@@ -389,3 +391,29 @@ class RgbdOptions(DepthOptions):
     """
     hair_mm: Annotated[float | None, unset("MM")] = None
     """Thickness of hair and cap, which is subtracted from the head: 3 by default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """Options of `habitus cameras`."""
+
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second of the detections, which their files do not say."""
+    height: Annotated[float | None, unset("METRES")] = None
+    """Height of the person, where it is known; estimated by default."""
+    people: Annotated[str, metavar("N|auto")] = "1"
+    """Number of people to fit, those who are seen most first; "auto": all."""
+    convention: Annotated[str | None, unset("NAME")] = None
+    """Order of the keypoints: coco17, openpose25, body25b, halpe26, wholebody23 or blazepose33; by
+    default names in the files, else the person's proportions.
+    """
+    keep_cameras: Flag = False
+    """Take the calibration as it is; by default each camera is corrected a little, and how much is
+    reported.
+    """
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    """Axis of the calibration's world that points up; "auto": from hips to shoulders."""
+    age: Annotated[float | None, unset("YEARS")] = None
+    """Age of the person, 1 to 90; an adult by default."""
+    settings: Annotated[KeypointSettings, PythonOnly] = None
+    """Settings of the recipe."""

@@ -53,12 +53,12 @@ class CameraSettings:
     """Of the pose stage."""
     rounds: int = 2
     """Of shape stage and pose stage, with noise, exchanges and time offsets found in between."""
-    noise: float = 2.0
+    noise: float = 1.0
     """Factor of the noise of single detections: errors last over frames and are alike in several
     cameras, so that they do not count as independent."""
-    angular_acceleration: float = 40.0
+    angular_acceleration: float = 30.0
     """Standard deviation of a joint's, rad/s^2."""
-    acceleration: float = 15.0
+    acceleration: float = 10.0
     """Of the body's place, m/s^2."""
     pose: float = 1.0
     """Factor of the pose prior."""
@@ -68,7 +68,7 @@ class CameraSettings:
     """and of its place (m)."""
     camera_scale: float = 0.001
     """Of the mean distance between cameras (m): it scales the person."""
-    camera_noise: float = 4.0
+    camera_noise: float = 1.5
     """Further factor of the noise in the shape stage, where cameras are free: definitions of
     keypoints must not be taken for calibration."""
     height_sd: float = 0.01

@@ -160,7 +160,7 @@ def shape_stage(
 class Reach(Stage):
     """Some steps with one scale of the robust loss, in standard deviations."""
 
-    reach: float
+    reach: float = 5.0
 
 
 def corrected_rig(rig: CameraRig, corrections: Float[np.ndarray, "C 6"]) -> CameraRig:

@@ -1,0 +1,402 @@
+"""From detections of calibrated cameras to a body in motion.
+
+1. People are matched between cameras and followed (`people`), their keypoints triangulated.
+2. Each person's place and heading in every frame from hips and shoulders; poses by the triangulated
+   points, frame by frame.
+3. In rounds: the shape stage on frames unlike each other (`shape`: betas, the detector's own places
+   of keypoints, corrections of cameras), then the pose stage on all (`sequence`), by pixels. After
+   each round left and right that a camera exchanged are put back, the noise of each keypoint in
+   each camera and each camera's time offset are found.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from habitus.body.keypoints import keypoint_place
+from habitus.body.model import BodyModel
+from habitus.body.prior import PosePrior
+from habitus.errors import HabitusError
+from habitus.fit.cameras.people import Track, chosen, tracks
+from habitus.fit.cameras.result import CameraFit
+from habitus.fit.cameras.sequence import keypoint_data, solve_poses
+from habitus.fit.cameras.settings import CAMERAS, CameraSettings
+from habitus.fit.cameras.shape import CameraShape, ShapeData, shape_stage
+from habitus.fit.cameras.triangulate import triangulated
+from habitus.mesh.proximity import farthest_points
+from habitus.observe.camera_rig import CameraRig
+from habitus.observe.detections import Detections
+from habitus.observe.keypoints import KeypointRig
+from habitus.rotations import rotvec_from_matrix
+
+Progress = Callable[[str, float], None]
+TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+SIDES = (
+    ("hip", "knee", "ankle", "heel", "big_toe", "small_toe", "foot_index"),
+    ("shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
+    ("eye", "ear", "eye_inner", "eye_outer", "mouth"),
+)
+"""Keypoints whose sides a detector exchanges together."""
+NOISE_RANGE = (0.5, 3.0)
+"""Of estimated noise, in those of the table."""
+EXCHANGE = 0.5
+"""An exchange is undone where it leaves so much of the robust cost."""
+MIN_HEIGHT_PX = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is known of one person's detections: pixels (T, C, K, 2), confidence (T, C, K), the
+    person's height in pixels (T, C), noise as a factor of the table's (C, K), seconds that each
+    camera's clock is late (C,), and samples whose sides were put back (T, C).
+    """
+
+    pixels: Float[np.ndarray, "T C K 2"]
+    confidence: Float[np.ndarray, "T C K"]
+    size: Float[np.ndarray, "T C"]
+    noise: Float[np.ndarray, "C K"]
+    late: Float[np.ndarray, " C"]
+    exchanged: Bool[np.ndarray, "T C"]
+
+
+def fit_cameras(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    rig: CameraRig,
+    settings: CameraSettings = CAMERAS,
+    *,
+    people: int | None = None,
+    height: float | None = None,
+    correct: bool = True,
+    up: str = "auto",
+    progress: Progress = lambda stage, share: None,
+) -> list[CameraFit]:
+    """Everybody whom the cameras see, or the first ``people``.
+
+    height: of the one person (m), where it is known. correct: estimate corrections of the cameras.
+    up: the world's axis that points up. Raises HabitusError where nobody is seen by two cameras.
+    """
+    if len(rig.cameras) < 2:
+        raise HabitusError(
+            f"{len(rig.cameras)} camera; expected two or more: one alone leaves depth open"
+        )
+    progress("people", 0.0)
+    found = chosen(tracks(detections.of_cameras(rig.names), rig, settings), people)
+    fits = []
+    for k, track in enumerate(found):
+        progress("person", (k + 0.1) / len(found))
+        fits.append(
+            fit_person(
+                body, prior, detections, track, rig, settings, height, correct, up, k, len(found)
+            )
+        )
+    return fits
+
+
+def fit_person(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
+    rig: CameraRig,
+    settings: CameraSettings,
+    height: float | None,
+    correct: bool,
+    up: str,
+    number: int,
+    total: int,
+) -> CameraFit:
+    """One person's shape and motion."""
+    began = time.perf_counter()
+    keypoints = KeypointRig.of(body, detections.names, detections.convention)
+    rate = detections.rate_hz
+    sight, points = first_sight(track, rig, settings)
+    found = np.flatnonzero(np.isfinite(points[:, trunk_rows(keypoints.names)]).all((1, 2)))
+    if len(found) < min(5, len(points)):
+        raise HabitusError(
+            f"{detections.name}: shoulders and hips meet in space in {len(found)} of {len(points)} "
+            "frames; check that cameras and detections have the same names and frames"
+        )
+    first, last = int(found[0]), int(found[-1]) + 1
+    kept = slice(first, last)
+    sight = of_frames(sight, kept)
+    points = points[kept]
+    up_axis = upright(points, keypoints, up)
+    given = prior.for_joints(body.joint_names)
+    betas = np.zeros(body.num_betas)
+    offsets = np.zeros((len(keypoints.names), 3))
+    person = keypoints.shaped(betas, offsets)
+    pose, trans = placed(points, keypoints, person, given.mean)
+    point_sd = settings.triangulation.max_point_error
+    weights = np.full(points.shape[:2], 1.0 / point_sd**2)
+    empty = np.zeros((len(points), 0, len(keypoints.names)))
+    rough = keypoint_data(
+        person, None, empty[..., None], empty, given.mean, given.precision, 4.0, points, weights
+    )
+    pose, trans, _ = solve_poses(rough, pose, trans, rate, settings)
+    shape = CameraShape(
+        betas,
+        offsets,
+        rig,
+        np.zeros((len(rig.cameras), 6)),
+        pose,
+        trans,
+        "",
+        {},
+    )
+    status = ""
+    for k in range(settings.rounds):
+        rows = unlike_frames(points, sight, settings.frames)
+        late = shifted(sight, rate)
+        wide = settings.noise * settings.camera_noise
+        data = ShapeData(rig, late[rows], information(sight, keypoints.names, wide)[rows])
+        start = replace(shape, pose=pose[rows], trans=trans[rows])
+        reaches = settings.reaches if k == 0 else settings.reaches[-1:]
+        shape = shape_stage(body, prior, keypoints, data, start, settings, reaches, height, correct)
+        person = keypoints.shaped(shape.betas, shape.offsets)
+        assert shape.rig is not None
+        data_all = keypoint_data(
+            person,
+            shape.rig,
+            late,
+            information(sight, keypoints.names, settings.noise),
+            given.mean,
+            settings.pose * given.precision,
+            settings.reach,
+        )
+        pose, trans, solution = solve_poses(data_all, pose, trans, rate, settings)
+        status = solution.status
+        if k + 1 < settings.rounds:
+            expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
+            sight = sides_put_back(sight, expected, keypoints.names, settings)
+            sight = replace(sight, noise=estimated_noise(sight, expected, keypoints.names))
+            sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
+    assert shape.rig is not None
+    seconds = time.perf_counter() - began
+    return CameraFit.of(
+        body=body,
+        shape=shape,
+        keypoints=keypoints,
+        pose=pose,
+        trans=trans,
+        rate_hz=rate,
+        first_frame=first,
+        sight=sight,
+        pixels=shifted(sight, rate),
+        points=points,
+        given_rig=rig,
+        detections=detections,
+        up_axis=up_axis,
+        height=height,
+        status=status,
+        number=number,
+        total=total,
+        seconds=seconds,
+    )
+
+
+def first_sight(
+    track: Track, rig: CameraRig, settings: CameraSettings
+) -> tuple[Sight, Float[np.ndarray, "T K 3"]]:
+    """Detections with the person's size in every camera, and the triangulated keypoints."""
+    pixels = np.moveaxis(track.pixels, 1, 0)
+    sure = np.moveaxis(track.confidence, 1, 0)
+    with np.errstate(all="ignore"):
+        span = np.nanmax(track.pixels, axis=2) - np.nanmin(
+            np.where(np.isfinite(track.pixels), track.pixels, np.inf), axis=2
+        )
+    rough = np.linalg.norm(np.where(np.isfinite(span), span, 0.0), axis=-1)
+    typical = np.array([np.median(own[own > 0]) if (own > 0).any() else 1.0 for own in rough.T])
+    reach = settings.triangulation.max_error * np.maximum(typical, MIN_HEIGHT_PX)
+    points = triangulated(rig, pixels, sure, reach[:, None, None])[0]
+    middle = np.nanmedian(points, axis=1)
+    known = np.isfinite(middle).all(1)
+    if not known.any():
+        raise HabitusError("no keypoint meets in space; check the calibration and the frames")
+    middle = np.stack(
+        [
+            np.interp(np.arange(len(middle)), np.flatnonzero(known), middle[known, i])
+            for i in range(3)
+        ],
+        1,
+    )
+    depth = np.einsum("ci,ti->tc", rig.rotation[:, 2], middle) + rig.translation[:, 2]
+    size = 1.7 * rig.focal.mean(1) / np.maximum(depth, 0.3)
+    shape = track.pixels.shape
+    sight = Sight(
+        track.pixels,
+        track.confidence,
+        size,
+        np.ones(shape[1:3]),
+        np.zeros(shape[1]),
+        np.zeros(shape[:2], bool),
+    )
+    return sight, points
+
+
+def of_frames(sight: Sight, rows: slice) -> Sight:
+    """Some frames of it."""
+    names = ("pixels", "confidence", "size", "exchanged")
+    return replace(sight, **{name: getattr(sight, name)[rows] for name in names})
+
+
+def information(sight: Sight, names: tuple[str, ...], factor: float) -> Float[np.ndarray, "T C K"]:
+    """1 / px^2 of each detection: by keypoint, camera, the person's size and the confidence."""
+    share = np.array([keypoint_place(name).noise for name in names])
+    sd = factor * share * sight.noise * np.maximum(sight.size, MIN_HEIGHT_PX)[..., None]
+    return np.where(sight.confidence > 0.0, np.maximum(sight.confidence, 0.05), 0.0) / sd**2
+
+
+def trunk_rows(names: tuple[str, ...]) -> list[int]:
+    """Shoulders and hips. Raises HabitusError for a convention without them."""
+    if missing := [name for name in TRUNK if name not in names]:
+        raise HabitusError(f"no keypoint {missing[0]!r}; expected shoulders and hips")
+    return [names.index(name) for name in TRUNK]
+
+
+def upright(points: Float[np.ndarray, "T K 3"], rig: KeypointRig, up: str) -> str:
+    """The world's axis that points up: as given, or from hips to shoulders over all frames."""
+    if up != "auto":
+        return up
+    rows = trunk_rows(rig.names)
+    with np.errstate(all="ignore"):
+        along = np.nanmedian(points[:, rows[:2]].mean(1) - points[:, rows[2:]].mean(1), axis=0)
+    axis = int(np.abs(along).argmax())
+    return ("+" if along[axis] > 0 else "-") + "xyz"[axis]
+
+
+def placed(
+    points: Float[np.ndarray, "T K 3"],
+    rig: KeypointRig,
+    person: object,
+    mean: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """The mean pose in every frame, turned and put by shoulders and hips; frames without them as
+    the nearest ones.
+    """
+    rows = trunk_rows(rig.names)
+    frames = len(points)
+    pose = np.concatenate([np.zeros(3), mean]).reshape(1, -1, 3)
+    at_rest = person.points(pose, np.zeros((1, 3)))[0, rows]  # type: ignore[attr-defined]
+    root = person.joints[0]  # type: ignore[attr-defined]
+    known = np.flatnonzero(np.isfinite(points[:, rows]).all((1, 2)))
+    seen = points[known][:, rows]
+    turn, middle = np.empty((len(known), 3, 3)), seen.mean(1)
+    centred = at_rest - at_rest.mean(0)
+    for k, each in enumerate(seen - middle[:, None]):
+        u, _, v = np.linalg.svd(each.T @ centred)
+        turn[k] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
+    shift = middle - np.einsum("kij,j->ki", turn, at_rest.mean(0) - root) - root
+    nearest = np.abs(np.arange(frames)[:, None] - known).argmin(1)
+    poses = np.repeat(pose, frames, axis=0)
+    poses[:, 0] = rotvec_from_matrix(turn)[nearest]
+    return poses, shift[nearest]
+
+
+def unlike_frames(points: Float[np.ndarray, "T K 3"], sight: Sight, count: int) -> np.ndarray:
+    """Frames for the shape stage: well seen, and unlike each other."""
+    seen = (sight.confidence > 0.0).sum((1, 2))
+    good = np.flatnonzero(seen >= np.quantile(seen, 0.5))
+    middle = np.nanmedian(points[good], axis=1, keepdims=True)
+    posture = np.nan_to_num(points[good] - middle).reshape(len(good), -1)
+    first = int(np.linalg.norm(posture - posture.mean(0), axis=1).argmin())
+    return np.sort(good[farthest_points(posture, min(count, len(good)), first)])
+
+
+def shifted(sight: Sight, rate_hz: float) -> Float[np.ndarray, "T C K 2"]:
+    """The pixels at the frames' own times: each camera's, as late as its clock, between its
+    frames.
+    """
+    frames = len(sight.pixels)
+    out = sight.pixels.copy()
+    for c, late in enumerate(sight.late):
+        if late == 0.0:
+            continue
+        at = np.arange(frames) + late * rate_hz
+        low = np.clip(np.floor(at).astype(int), 0, frames - 1)
+        high = np.minimum(low + 1, frames - 1)
+        share = (at - low)[:, None, None]
+        between = (1.0 - share) * sight.pixels[low, c] + share * sight.pixels[high, c]
+        between[(at < 0) | (at > frames - 1)] = np.nan
+        out[:, c] = between
+    return out
+
+
+def sides_put_back(
+    sight: Sight,
+    expected: Float[np.ndarray, "T C K 2"],
+    names: tuple[str, ...],
+    settings: CameraSettings,
+) -> Sight:
+    """Left and right exchanged back where a camera's detections fit much better that way."""
+    weights = information(sight, names, settings.noise)
+    pixels, sure = sight.pixels.copy(), sight.confidence.copy()
+    exchanged = sight.exchanged.copy()
+    for group in SIDES:
+        pairs = [
+            (names.index(f"left_{one}"), names.index(f"right_{one}"))
+            for one in group
+            if f"left_{one}" in names and f"right_{one}" in names
+        ]
+        if not pairs:
+            continue
+        left, right = (np.array(each) for each in zip(*pairs, strict=True))
+        here = np.concatenate([left, right])
+        there = np.concatenate([right, left])
+        as_is = _robust(weights[..., here], expected[..., here, :] - pixels[..., here, :], settings)
+        other = _robust(
+            weights[..., there], expected[..., here, :] - pixels[..., there, :], settings
+        )
+        swap = (other < EXCHANGE * as_is) & (as_is > len(here))
+        t, c = np.nonzero(swap)
+        pixels[t[:, None], c[:, None], here] = sight.pixels[t[:, None], c[:, None], there]
+        sure[t[:, None], c[:, None], here] = sight.confidence[t[:, None], c[:, None], there]
+        exchanged |= swap
+    return replace(sight, pixels=pixels, confidence=sure, exchanged=exchanged)
+
+
+def _robust(weights: np.ndarray, off: np.ndarray, settings: CameraSettings) -> np.ndarray:
+    """Sum over keypoints of Geman-McClure's loss, in squared standard deviations."""
+    squared = weights * np.nan_to_num((off**2).sum(-1), nan=0.0)
+    return (squared / (1.0 + squared / settings.reach**2)).sum(-1)
+
+
+def estimated_noise(
+    sight: Sight, expected: Float[np.ndarray, "T C K 2"], names: tuple[str, ...]
+) -> Float[np.ndarray, "C K"]:
+    """Of each keypoint in each camera, as a factor of the table's: by the median distance."""
+    sd = 1.0 / np.sqrt(
+        np.maximum(information(replace(sight, noise=np.ones_like(sight.noise)), names, 1.0), 1e-12)
+    )
+    off = np.linalg.norm(expected - sight.pixels, axis=-1) / sd
+    off = np.where(sight.confidence > 0.0, off, np.nan)
+    off = np.where(
+        np.isfinite(off), off, np.inf
+    )  # the median of what was seen: infinities sort last
+    count = (off < np.inf).sum(0)
+    ordered = np.sort(off, axis=0)
+    middle = np.take_along_axis(ordered, (np.maximum(count - 1, 0) // 2)[None], 0)[0]
+    typical = np.where(count > 0, middle / 1.18, 1.0)  # of a plane's distance, in its sd
+    return np.clip(typical, *NOISE_RANGE)
+
+
+def estimated_lateness(
+    sight: Sight, expected: Float[np.ndarray, "T C K 2"], rate_hz: float, settings: CameraSettings
+) -> Float[np.ndarray, " C"]:
+    """Seconds by which each camera's clock is late, by the speeds of what it sees; their mean is
+    0.
+    """
+    speed = np.gradient(expected, axis=0) * rate_hz
+    off = shifted(sight, rate_hz) - expected
+    scale = np.maximum(sight.size, MIN_HEIGHT_PX)[..., None]
+    weight = np.where(np.isfinite(off).all(-1) & (sight.confidence > 0.0), 1.0 / scale**2, 0.0)
+    weight = weight / (1.0 + np.nan_to_num((off**2).sum(-1)) / (0.05 * scale) ** 2) ** 2
+    along = (weight * np.nan_to_num((off * speed).sum(-1))).sum((0, 2))
+    square = (weight * np.nan_to_num((speed**2).sum(-1))).sum((0, 2))
+    late = sight.late + along / np.maximum(square, 1e-9)
+    late = late - late.mean()
+    return np.clip(late, -settings.max_offset, settings.max_offset)

@@ -1,0 +1,237 @@
+"""The report of a fit to keypoints of cameras: one HTML file that opens offline, with overlays of
+body and keypoints in every camera, errors, corrections, and the body in 3D.
+"""
+
+from collections.abc import Iterable, Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from habitus.errors import shown
+from habitus.export.png import png
+from habitus.fit.cameras.result import CameraFit
+from habitus.observe.camera_rig import NEAR, CameraRig
+from habitus.report.drawing import Look, draw_surface, plain_colours, still_page
+from habitus.report.shell import (
+    MAX_NAME,
+    Tile,
+    banner,
+    card,
+    columns,
+    file_links,
+    heading,
+    image_uri,
+    measurements_table,
+    notes_list,
+    numbers_table,
+    solution_card,
+    tiles,
+)
+from habitus.results.save import finite
+from habitus.rotations import up_rotation
+
+TERMS = {
+    "pixels": "Keypoints, detected and of the body",
+    "shape": "Shape prior",
+    "pose": "Pose prior",
+    "definitions": "The detector's own places of keypoints",
+    "cameras": "Corrections of cameras",
+    "scale": "Distance between cameras",
+    "height": "Height that was given",
+}
+FILES = {
+    "body.npz": "shape, poses, keypoints and cameras, for Python",
+    "body.glb": "the body in motion, for Blender, game engines and web viewers",
+    "measurements.csv": "height, girths and lengths",
+    "metrics.json": "the numbers of this page, for programs",
+}
+GUESSED = (
+    "Keypoints tell of the lengths of bones. Girths and mass, fingers, the face, and turns of "
+    "forearms, thighs and head about their own axis come from what is usual for people."
+)
+MOMENTS = 3
+"""Overlays of each camera."""
+PICTURE = 300
+"""Pixels, the height of an overlay."""
+MARGIN = 0.15
+BONES = (
+    ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"),
+    ("ankle", "heel"), ("heel", "big_toe"), ("shoulder", "hip"),
+)  # fmt: skip
+
+
+def camera_page(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
+    """The report as text. numbers: `habitus.results.cameras.camera_metrics` of the fit."""
+    numbers = finite(dict(numbers))
+    below = [
+        *_overlays(fit),
+        _cameras(numbers),
+        _keypoints(fit),
+        card("Measurements", measurements_table(fit.measurements), GUESSED),
+        columns(
+            card("Notes", notes_list(fit.warnings)),
+            solution_card(numbers["status"], numbers["costs"], TERMS),
+        ),
+        file_links(FILES),
+    ]
+    return still_page(
+        f"{shown(fit.capture_name, MAX_NAME)} · habitus",
+        (_head(fit, numbers), "\n".join(below)),
+        _looks(fit),
+        "The fitted body at some moments",
+    )
+
+
+def _head(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
+    count = len(numbers["cameras"])
+    facts = [
+        f"{count} cameras",
+        f"{len(fit.pose)} frames at {fit.rate_hz:g} Hz",
+        f"keypoints {fit.convention}",
+        f"body {fit.body_name}",
+    ]
+    return (
+        heading(fit.capture_name, facts) + banner(numbers["verdict"]) + tiles(_tiles(fit, numbers))
+    )
+
+
+def _tiles(fit: CameraFit, numbers: Mapping[str, Any]) -> Iterable[Tile]:
+    error = numbers["keypoint_error_px"]
+    if error is not None:
+        yield "Keypoint error", f"{error['median']:.1f}", "px", "median over all cameras"
+        yield "95 % are below", f"{error['p95']:.0f}", "px", "over all cameras"
+    size = float(np.median(fit.size_px))
+    yield "Person in the images", f"{size:.0f}", "px", "height, median"
+    given = "" if fit.given_height is None else f"; {100 * fit.given_height:.1f} cm were given"
+    yield "Height", f"{100 * fit.height:.1f}", "cm", f"of the body at rest{given}"
+    yield "Acceleration", f"{fit.acceleration:.1f}", "m/s²", "of joints, root mean square"
+
+
+def _cameras(numbers: Mapping[str, Any]) -> str:
+    rows = []
+    for camera in numbers["cameras"]:
+        error = camera["keypoint_error_px"] or {"median": float("nan"), "p95": float("nan")}
+        rows.append(
+            (
+                shown(camera["name"], MAX_NAME),
+                f"{error['median']:.1f}",
+                f"{error['p95']:.0f}",
+                f"{100 * camera['detected_fraction']:.0f} %",
+                f"{camera['corrected_degrees']:.2f}°",
+                f"{100 * camera['corrected_m']:.1f}",
+                f"{camera['late_frames']:+.2f}",
+                f"{camera['frames_with_sides_exchanged']}",
+            )
+        )
+    heads = ("Camera", "Error px", "95 %", "Detected", "Turned", "Shifted cm", "Late frames",
+             "Sides put back")  # fmt: skip
+    lead = "What each camera saw, and how its calibration and clock were corrected."
+    return card("Cameras", numbers_table(rows, heads), lead)
+
+
+def _keypoints(fit: CameraFit) -> str:
+    rows = []
+    for k, name in enumerate(fit.keypoint_names):
+        own = fit.errors_px[..., k]
+        own = own[np.isfinite(own)]
+        off = 1e3 * float(np.linalg.norm(fit.keypoint_places[k]))
+        median = f"{np.median(own):.1f}" if len(own) else "not seen"
+        cameras = float((fit.confidence[..., k] > 0.0).sum(1).mean())
+        rows.append((name.replace("_", " "), median, f"{cameras:.1f}", f"{off:.0f}"))
+    heads = ("Keypoint", "Error px", "Cameras that see it", "Detector's own place mm")
+    lead = (
+        "The last column is how far the detector puts a keypoint from where the joint or landmark "
+        "of that name is, as the fit found it."
+    )
+    return card("Keypoints", numbers_table(rows, heads), lead)
+
+
+def _moments(fit: CameraFit) -> list[int]:
+    return np.unique(
+        np.linspace(0, len(fit.pose) - 1, MOMENTS + 2).round().astype(int)[1:-1]
+    ).tolist()
+
+
+def _looks(fit: CameraFit) -> list[Look]:
+    """The body at some moments, upright."""
+
+    turn = up_rotation(fit.up_axis)
+    looks = []
+    for t in _moments(fit):
+        vertices = np.asarray(fit.vertices(t)) @ turn.T
+        vertices = vertices - [vertices[:, 0].mean(), vertices[:, 1].min(), vertices[:, 2].mean()]
+        caption = f"The body at {t / fit.rate_hz:.2f} s."
+        looks.append(Look(f"{t / fit.rate_hz:.2f} s", caption, vertices, fit.body.faces))
+    return looks
+
+
+def _overlays(fit: CameraFit) -> list[str]:
+    """A card for each camera, with the body and its keypoints over the detected ones."""
+    cameras = fit.cameras
+    assert cameras is not None
+    surfaces = {t: np.asarray(fit.vertices(t)) for t in _moments(fit)}
+    cards = []
+    for c, name in enumerate(cameras.names):
+        pictures = "".join(
+            f"<figure>{overlay(fit, cameras, c, t, surface)}"
+            f"<figcaption>{t / fit.rate_hz:.2f} s</figcaption></figure>"
+            for t, surface in surfaces.items()
+        )
+        lead = "Dots are detected keypoints, rings the body's, in an image without distortion."
+        cards.append(
+            card(f"Camera {shown(name, MAX_NAME)}", f"<div class='shots'>{pictures}</div>", lead)
+        )
+    return cards
+
+
+def overlay(
+    fit: CameraFit, cameras: CameraRig, c: int, t: int, surface: Float[np.ndarray, "V 3"]
+) -> str:
+    """One camera at one moment, as SVG: the body, detected keypoints (dots) and its own (rings)."""
+    pixels = cameras.project(surface)[c]
+    own, seen = fit.predicted[t, c], fit.observed[t, c]
+    sure = fit.confidence[t, c] > 0.0
+    shown_points = np.concatenate([pixels, seen[sure]])
+    shown_points = shown_points[np.isfinite(shown_points).all(1)]
+    if not len(shown_points):
+        return "<p class='quiet'>Behind the camera.</p>"
+    low, high = np.percentile(shown_points, (0.5, 99.5), axis=0)
+    pad = MARGIN * float((high - low).max())
+    low, high = low - pad, high + pad
+    width, height = high - low
+    scale = PICTURE / height
+    image = ""
+    if np.isfinite(pixels).all():
+        depth = surface @ cameras.rotation[c, 2] + cameras.translation[c, 2]
+        flat = np.column_stack([scale * (pixels - low), -scale * height * (depth - depth.min())])
+        if depth.min() > NEAR:
+            size = (max(1, int(np.ceil(scale * width))), PICTURE)
+            drawn = draw_surface(flat, fit.body.faces, plain_colours(len(flat)), *size)
+            image = f"<image href='{image_uri(png(drawn))}' width='{size[0]}' height='{size[1]}'/>"
+    marks = []
+    radius = 2.2
+    for name, (x, y), there in zip(
+        fit.keypoint_names, scale * (own - low), np.isfinite(own).all(1), strict=True
+    ):
+        if there:
+            marks.append(
+                f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{radius + 1.2}' fill='none' "
+                f"stroke='#111' stroke-width='1'><title>{escape(name)}, body</title></circle>"
+            )
+    for name, (x, y), there in zip(fit.keypoint_names, scale * (seen - low), sure, strict=True):
+        if there and np.isfinite(x + y):
+            colour = (
+                "#1f77b4" if name.startswith("left") else
+                "#d62728" if name.startswith("right") else "#2ca02c"
+            )  # fmt: skip
+            marks.append(
+                f"<circle cx='{x:.1f}' cy='{y:.1f}' r='{radius}' fill='{colour}'>"
+                f"<title>{escape(name)}, detected</title></circle>"
+            )
+    box = f"0 0 {scale * width:.0f} {PICTURE}"
+    return (
+        f"<svg viewBox='{box}' width='{scale * width:.0f}' height='{PICTURE}' role='img' "
+        f"aria-label='Body and keypoints in one camera'>{image}{''.join(marks)}</svg>"
+    )
