@@ -115,7 +115,7 @@ def fit_person(
     keypoints = KeypointRig.of(body, detections.names, detections.convention)
     rate = detections.rate_hz
     sight, points = first_sight(track, rig, settings)
-    found = np.flatnonzero(np.isfinite(points[:, trunk_rows(keypoints.names)]).all((1, 2)))
+    found = np.flatnonzero(trunk_seen(points, keypoints.names))
     if len(found) < min(5, len(points)):
         raise HabitusError(
             f"{detections.name}: shoulders and hips meet in space in {len(found)} of {len(points)} "
@@ -149,14 +149,15 @@ def fit_person(
         {},
     )
     status = ""
+    free = False
     for k in range(settings.rounds):
         rows = unlike_frames(points, sight, settings.frames)
         late = shifted(sight, rate)
         wide = settings.noise * settings.camera_noise
         data = ShapeData(rig, late[rows], information(sight, keypoints.names, wide)[rows])
         start = replace(shape, pose=pose[rows], trans=trans[rows])
-        reaches = settings.reaches if k == 0 else settings.reaches[-1:]
-        shape = shape_stage(body, prior, keypoints, data, start, settings, reaches, height, correct)
+        reaches = settings.reaches if k == 0 else settings.reaches[1:]
+        shape = shape_stage(body, prior, keypoints, data, start, settings, reaches, height, free)
         person = keypoints.shaped(shape.betas, shape.offsets)
         assert shape.rig is not None
         data_all = keypoint_data(
@@ -173,6 +174,10 @@ def fit_person(
         if k + 1 < settings.rounds:
             expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
             sight = sides_put_back(sight, expected, keypoints.names, settings)
+            biased = bool(np.max(camera_bias(sight, expected, rate)) > settings.camera_bias)
+            if correct and biased and not free:
+                free = True  # what noise and clocks are is seen once the cameras agree
+                continue
             sight = replace(sight, noise=estimated_noise(sight, expected, keypoints.names))
             sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
     assert shape.rig is not None
@@ -258,13 +263,26 @@ def trunk_rows(names: tuple[str, ...]) -> list[int]:
     return [names.index(name) for name in TRUNK]
 
 
+def trunk_seen(
+    points: Float[np.ndarray, "T K 3"], names: tuple[str, ...]
+) -> Bool[np.ndarray, " T"]:
+    """Frames in which three or more of shoulders and hips are known."""
+    return np.isfinite(points[:, trunk_rows(names)]).all(2).sum(1) >= 3
+
+
 def upright(points: Float[np.ndarray, "T K 3"], rig: KeypointRig, up: str) -> str:
     """The world's axis that points up: as given, or from hips to shoulders over all frames."""
     if up != "auto":
         return up
     rows = trunk_rows(rig.names)
-    with np.errstate(all="ignore"):
-        along = np.nanmedian(points[:, rows[:2]].mean(1) - points[:, rows[2:]].mean(1), axis=0)
+    ends = []
+    for pair in (rows[:2], rows[2:]):
+        both = points[:, pair].reshape(-1, 3)
+        both = both[np.isfinite(both).all(1)]
+        if not len(both):
+            raise HabitusError("shoulders or hips are nowhere known; name the axis up (--up)")
+        ends.append(np.median(both, axis=0))
+    along = ends[0] - ends[1]
     axis = int(np.abs(along).argmax())
     return ("+" if along[axis] > 0 else "-") + "xyz"[axis]
 
@@ -283,14 +301,14 @@ def placed(
     pose = np.concatenate([np.zeros(3), mean]).reshape(1, -1, 3)
     at_rest = person.points(pose, np.zeros((1, 3)))[0, rows]  # type: ignore[attr-defined]
     root = person.joints[0]  # type: ignore[attr-defined]
-    known = np.flatnonzero(np.isfinite(points[:, rows]).all((1, 2)))
-    seen = points[known][:, rows]
-    turn, middle = np.empty((len(known), 3, 3)), seen.mean(1)
-    centred = at_rest - at_rest.mean(0)
-    for k, each in enumerate(seen - middle[:, None]):
-        u, _, v = np.linalg.svd(each.T @ centred)
+    known = np.flatnonzero(trunk_seen(points, rig.names))
+    turn, shift = np.empty((len(known), 3, 3)), np.empty((len(known), 3))
+    for k, each in enumerate(points[known][:, rows]):
+        there = np.isfinite(each).all(1)
+        seen, own = each[there], at_rest[there]
+        u, _, v = np.linalg.svd((seen - seen.mean(0)).T @ (own - own.mean(0)))
         turn[k] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    shift = middle - np.einsum("kij,j->ki", turn, at_rest.mean(0) - root) - root
+        shift[k] = seen.mean(0) - turn[k] @ (own.mean(0) - root) - root
     nearest = np.abs(np.arange(frames)[:, None] - known).argmin(1)
     poses = np.repeat(pose, frames, axis=0)
     poses[:, 0] = rotvec_from_matrix(turn)[nearest]
@@ -365,6 +383,22 @@ def _robust(weights: np.ndarray, off: np.ndarray, settings: CameraSettings) -> n
     return (squared / (1.0 + squared / settings.reach**2)).sum(-1)
 
 
+def camera_bias(
+    sight: Sight, expected: Float[np.ndarray, "T C K 2"], rate_hz: float
+) -> Float[np.ndarray, " C"]:
+    """By how much all that a camera sees is off in one direction, as a share of the person's
+    height: medians over frames and keypoints.
+    """
+    off = (shifted(sight, rate_hz) - expected) / np.maximum(sight.size, MIN_HEIGHT_PX)[
+        ..., None, None
+    ]
+    bias = np.zeros(off.shape[1])
+    for c in range(off.shape[1]):
+        seen = off[:, c][(sight.confidence[:, c] > 0.0) & np.isfinite(off[:, c]).all(-1)]
+        bias[c] = np.linalg.norm(np.median(seen, axis=0)) if len(seen) else 0.0
+    return bias
+
+
 def estimated_noise(
     sight: Sight, expected: Float[np.ndarray, "T C K 2"], names: tuple[str, ...]
 ) -> Float[np.ndarray, "C K"]:
@@ -387,16 +421,31 @@ def estimated_noise(
 def estimated_lateness(
     sight: Sight, expected: Float[np.ndarray, "T C K 2"], rate_hz: float, settings: CameraSettings
 ) -> Float[np.ndarray, " C"]:
-    """Seconds by which each camera's clock is late, by the speeds of what it sees; their mean is
-    0.
+    """Seconds by which each camera's clock is late, by the speeds of what it sees; their mean is 0.
+
+    What a camera is off on the whole is taken out before; changes that are no larger than their
+    error, or than a quarter of a frame, are none.
     """
     speed = np.gradient(expected, axis=0) * rate_hz
     off = shifted(sight, rate_hz) - expected
     scale = np.maximum(sight.size, MIN_HEIGHT_PX)[..., None]
-    weight = np.where(np.isfinite(off).all(-1) & (sight.confidence > 0.0), 1.0 / scale**2, 0.0)
-    weight = weight / (1.0 + np.nan_to_num((off**2).sum(-1)) / (0.05 * scale) ** 2) ** 2
-    along = (weight * np.nan_to_num((off * speed).sum(-1))).sum((0, 2))
-    square = (weight * np.nan_to_num((speed**2).sum(-1))).sum((0, 2))
-    late = sight.late + along / np.maximum(square, 1e-9)
-    late = late - late.mean()
+    late = sight.late.copy()
+    for c in range(len(late)):
+        seen = np.isfinite(off[:, c]).all(-1) & (sight.confidence[:, c] > 0.0)
+        seen &= np.isfinite(speed[:, c]).all(-1)
+        if not seen.any():
+            continue
+        own, moving = off[:, c] - np.median(off[:, c][seen], axis=0), speed[:, c]
+        moving = moving - np.median(moving[seen], axis=0)
+        squared = np.where(seen, np.nan_to_num((own**2).sum(-1)), 0.0)
+        weight = seen / (1.0 + squared / (0.05 * scale[:, c]) ** 2) ** 2
+        along = float((weight * np.nan_to_num((own * moving).sum(-1))).sum())
+        square = float((weight * np.nan_to_num((moving**2).sum(-1))).sum())
+        spread = float((weight * squared).sum() / max(weight.sum(), 1e-9))
+        change = along / max(square, 1e-9)
+        # detections err alike for some frames: a tenth of them count as independent
+        error = np.sqrt(10.0 * spread / max(square, 1e-9))
+        if abs(change) > max(3.0 * error, 0.25 / rate_hz):
+            late[c] += change
+    late = late - np.median(late)
     return np.clip(late, -settings.max_offset, settings.max_offset)

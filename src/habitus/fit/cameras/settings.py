@@ -49,18 +49,22 @@ class CameraSettings:
     """Of the shape stage, unlike each other."""
     reaches: tuple[float, ...] = (40.0, 12.0, 5.0)
     """Of Geman-McClure's loss, in standard deviations, of the shape stage's rounds."""
-    reach: float = 4.0
+    reach: float = 5.0
     """Of the pose stage."""
-    rounds: int = 2
+    camera_bias: float = 0.006
+    """Share of the person's height by which all that a camera sees is off in one direction, from
+    which on cameras are corrected: they take definitions of keypoints for calibration otherwise.
+    """
+    rounds: int = 3
     """Of shape stage and pose stage, with noise, exchanges and time offsets found in between."""
     noise: float = 1.0
     """Factor of the noise of single detections: errors last over frames and are alike in several
     cameras, so that they do not count as independent."""
-    angular_acceleration: float = 30.0
+    angular_acceleration: float = 35.0
     """Standard deviation of a joint's, rad/s^2."""
-    acceleration: float = 10.0
+    acceleration: float = 12.0
     """Of the body's place, m/s^2."""
-    pose: float = 1.0
+    pose: float = 0.3
     """Factor of the pose prior."""
     camera_turn: float = 0.5
     """Standard deviation (degrees) of a camera's calibration,"""
