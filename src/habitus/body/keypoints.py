@@ -73,7 +73,7 @@ def keypoint_place(name: str) -> KeypointPlace:
 def keypoint_bone(name: str, joint_names: Sequence[str], parents: Sequence[int]) -> int:
     """The joint that a keypoint rides on: of a joint's own keypoint the one above it."""
     place = keypoint_place(name)
-    if place.bone in joint_names:
+    if place.bone is not None and place.bone in joint_names:
         return list(joint_names).index(place.bone)
     joint = place.parts[0]
     if joint not in joint_names:

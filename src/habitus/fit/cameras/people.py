@@ -30,7 +30,7 @@ class Track:
     @property
     def seen(self) -> Bool[np.ndarray, "T C"]:
         """In which frames each camera has the person."""
-        return (self.confidence > 0.0).any(-1)
+        return np.asarray((self.confidence > 0.0).any(-1))
 
 
 def tracks(detections: Detections, rig: CameraRig, settings: CameraSettings) -> list[Track]:

@@ -29,7 +29,7 @@ from habitus.fit.cameras.triangulate import triangulated
 from habitus.mesh.proximity import farthest_points
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
-from habitus.observe.keypoints import KeypointRig
+from habitus.observe.keypoints import KeypointRig, ShapedKeypoints
 from habitus.rotations import rotvec_from_matrix
 
 Progress = Callable[[str, float], None]
@@ -133,9 +133,8 @@ def fit_person(
     pose, trans = placed(points, keypoints, person, given.mean)
     point_sd = settings.triangulation.max_point_error
     weights = np.full(points.shape[:2], 1.0 / point_sd**2)
-    empty = np.zeros((len(points), 0, len(keypoints.names)))
     rough = keypoint_data(
-        person, None, empty[..., None], empty, given.mean, given.precision, 4.0, points, weights
+        person, None, None, None, given.mean, given.precision, 4.0, points, weights
     )
     pose, trans, _ = solve_poses(rough, pose, trans, rate, settings)
     shape = CameraShape(
@@ -179,7 +178,8 @@ def fit_person(
                 free = True  # what noise and clocks are is seen once the cameras agree
                 continue
             sight = replace(sight, noise=estimated_noise(sight, expected, keypoints.names))
-            sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
+            for _ in range(settings.clock_steps):
+                sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
     assert shape.rig is not None
     seconds = time.perf_counter() - began
     return CameraFit.of(
@@ -290,7 +290,7 @@ def upright(points: Float[np.ndarray, "T K 3"], rig: KeypointRig, up: str) -> st
 def placed(
     points: Float[np.ndarray, "T K 3"],
     rig: KeypointRig,
-    person: object,
+    person: ShapedKeypoints,
     mean: Float[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
     """The mean pose in every frame, turned and put by shoulders and hips; frames without them as
@@ -299,8 +299,8 @@ def placed(
     rows = trunk_rows(rig.names)
     frames = len(points)
     pose = np.concatenate([np.zeros(3), mean]).reshape(1, -1, 3)
-    at_rest = person.points(pose, np.zeros((1, 3)))[0, rows]  # type: ignore[attr-defined]
-    root = person.joints[0]  # type: ignore[attr-defined]
+    at_rest = person.points(pose, np.zeros((1, 3)))[0, rows]
+    root = person.joints[0]
     known = np.flatnonzero(trunk_seen(points, rig.names))
     turn, shift = np.empty((len(known), 3, 3)), np.empty((len(known), 3))
     for k, each in enumerate(points[known][:, rows]):
@@ -423,8 +423,8 @@ def estimated_lateness(
 ) -> Float[np.ndarray, " C"]:
     """Seconds by which each camera's clock is late, by the speeds of what it sees; their mean is 0.
 
-    What a camera is off on the whole is taken out before; changes that are no larger than their
-    error, or than a quarter of a frame, are none.
+    What a camera is off on the whole is taken out before; what is no larger than its error, or than
+    a quarter of a frame, is none.
     """
     speed = np.gradient(expected, axis=0) * rate_hz
     off = shifted(sight, rate_hz) - expected
@@ -442,10 +442,10 @@ def estimated_lateness(
         along = float((weight * np.nan_to_num((own * moving).sum(-1))).sum())
         square = float((weight * np.nan_to_num((moving**2).sum(-1))).sum())
         spread = float((weight * squared).sum() / max(weight.sum(), 1e-9))
-        change = along / max(square, 1e-9)
+        change = -along / max(square, 1e-9)  # a late camera shows what was before
         # detections err alike for some frames: a tenth of them count as independent
         error = np.sqrt(10.0 * spread / max(square, 1e-9))
-        if abs(change) > max(3.0 * error, 0.25 / rate_hz):
-            late[c] += change
+        whole = late[c] + change
+        late[c] = whole if abs(whole) > max(3.0 * error, 0.25 / rate_hz) else 0.0
     late = late - np.median(late)
     return np.clip(late, -settings.max_offset, settings.max_offset)

@@ -26,25 +26,28 @@ from habitus.solve.sequence import LevelFrames, SequenceSolution, solve_sequence
 def keypoint_data(
     person: ShapedKeypoints,
     rig: CameraRig | None,
-    pixels: Float[np.ndarray, "T C K 2"],
-    weights: Float[np.ndarray, "T C K"],
+    pixels: Float[np.ndarray, "T C K 2"] | None,
+    weights: Float[np.ndarray, "T C K"] | None,
     mean: Float[np.ndarray, " n"],
     precision: Float[np.ndarray, "n n"],
     reach: float,
     points: Float[np.ndarray, "T K 3"] | None = None,
     point_weights: Float[np.ndarray, "T K"] | None = None,
 ) -> KeypointData:
-    """What the kernels take. pixels: ideal ones, NaN where missing; weights: 1 / px^2. points:
-    places (m) of keypoints that are known otherwise, ``point_weights`` 1 / m^2. mean, precision: of
+    """What the kernels take. pixels: ideal ones, NaN where missing; weights: 1 / px^2; None of all
+    three where there are no cameras. points: places (m) of keypoints that are known otherwise,
+    ``point_weights`` 1 / m^2. mean, precision: of
     all joints but the root.
     """
-    frames, keypoints = (pixels if points is None else points).shape[0], len(person.bone)
-    if rig is None:
+    keypoints = len(person.bone)
+    if rig is None or pixels is None or weights is None:
+        frames = 0 if points is None else len(points)
         pixels, weights = np.zeros((frames, 0, keypoints, 2)), np.zeros((frames, 0, keypoints))
-    seen = np.isfinite(pixels).all(-1)
-    if points is None:
-        points, point_weights = np.zeros((frames, keypoints, 3)), np.zeros((frames, keypoints))
-    found = np.isfinite(points).all(-1)
+    seen = np.asarray(np.isfinite(pixels).all(-1))
+    if points is None or point_weights is None:
+        points = np.zeros((len(pixels), keypoints, 3))
+        point_weights = np.zeros((len(pixels), keypoints))
+    found = np.asarray(np.isfinite(points).all(-1))
     size = 6 + len(mean)
     whole = np.zeros((size, size))
     whole[6:, 6:] = precision

@@ -77,6 +77,8 @@ class CameraSettings:
     keypoints must not be taken for calibration."""
     height_sd: float = 0.01
     """Of a height that is given (m)."""
+    clock_steps: int = 3
+    """In which clocks are found after each round."""
     max_offset: float = 0.1
     """Seconds that a camera's clock may be off."""
     options: SequenceOptions = field(default_factory=lambda: SequenceOptions(damping=10.0))

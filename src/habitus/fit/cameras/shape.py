@@ -17,6 +17,7 @@ place of pixels ("points").
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -188,7 +189,7 @@ def data_term(
     here = derivatives(*(values[name] for name in ("betas", "offsets", "pose", "trans")))
     if data.rig is None:
         assert data.points is not None and data.point_weights is not None
-        seen = np.isfinite(data.points).all(-1)
+        seen = np.asarray(np.isfinite(data.points).all(-1))
         target = np.where(seen[..., None], data.points, 0.0)
         weights = np.where(seen, data.point_weights, 0.0)
         root = np.sqrt(_reweighted(weights, here.points - target, reach))[..., None]
@@ -201,7 +202,7 @@ def data_term(
 
         return Term(point_residual, name="pixels")
     known = data.rig
-    seen = np.isfinite(data.pixels).all(-1)
+    seen = np.asarray(np.isfinite(data.pixels).all(-1))
     target = np.where(seen[..., None], data.pixels, 0.0)
     first = _pixels(known, here.points, values["cameras"])[0]
     weights = np.where(seen & np.isfinite(first).all(-1), data.weights, 0.0)
@@ -260,7 +261,7 @@ def _pixels(
 
 def _jacobians(
     found: KeypointDerivatives, own: np.ndarray, by_point: np.ndarray, frames: int
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     """By betas, offsets, pose and place, from those by the keypoints (F, [C,] K, r, 3)."""
     if by_point.ndim == 4:
         by_point = by_point[:, None]

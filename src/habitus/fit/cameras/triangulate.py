@@ -31,7 +31,7 @@ def triangulated(
     rig: CameraRig,
     pixels: Float[np.ndarray, "C *any 2"],
     confidence: Float[np.ndarray, "C *any"],
-    reach: Float[np.ndarray, "C *any"] | float = 30.0,
+    reach: Float[np.ndarray, "C *#any"] | float = 30.0,
 ) -> tuple[Float[np.ndarray, "*any 3"], Float[np.ndarray, "C *any"]]:
     """Points (m), NaN where fewer than two cameras agree, and each camera's reprojection error (px;
     NaN where it saw nothing). reach: of the robust loss, px.

@@ -93,7 +93,8 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
     for side in SIDES:
         elbow, wrist = (names.index(f"{side}_{joint}") for joint in ("elbow", "wrist"))
         fingers = [names.index(f"{side}_{joint}") for joint in HAND_JOINTS]
-        if (near := _near(fitter, state, wrist, cloud)) is None:
+        near = _near(fitter, state, wrist, cloud)
+        if near is None:
             continue
         rows = _hand(fitter, wrist)
         starts = [state]
@@ -112,8 +113,8 @@ def with_hands(fitter: ScanFitter, state: BodyState, cloud: Cloud) -> BodyState:
         def misfit(one: BodyState, hand: Cloud, rows: np.ndarray = rows) -> float:
             return _misfit(fitter, one, hand) + _outside(fitter, one, hand, rows)
 
-        tried = sorted(tried, key=lambda one: misfit(one[1], near[0]))
-        kept = tried[: fitter.settings.limbs.hands_refined]
+        first = [misfit(start, near[0]) for _, start in tried]
+        kept = [tried[k] for k in np.argsort(first)[: fitter.settings.limbs.hands_refined]]
         state = _best(kept, near, fitter.settings.limbs.hand_stages, misfit)
     return state
 

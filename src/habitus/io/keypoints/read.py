@@ -276,7 +276,7 @@ def _convention(
     counts = {len(row) for row in people}
     if len(counts) > 1:
         raise HabitusError(
-            f"{path}: people have {listed(sorted(counts))} keypoints; expected one number"
+            f"{path}: people have {listed(map(str, sorted(counts)))} keypoints; expected one number"
         )
     (count,) = counts
     if asked is not None:
