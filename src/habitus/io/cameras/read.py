@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from habitus.errors import HabitusError, listed, shown
-from habitus.io.limits import read_file, read_text_file, read_toml, read_xml
+from habitus.io.limits import Allowance, read_file, read_text_file, read_toml, read_xml
+from habitus.io.models.pickled_arrays import as_array
 from habitus.io.models.pickles import read_pickle
 from habitus.io.names import plain_name
 from habitus.io.rgbd.files import read_description
@@ -269,20 +270,14 @@ def _easymocap(inner: Any, outer: Any) -> CameraRig:
 
 def _opencap(path: Path, name: str) -> RigCamera:
     """OpenCap's pickle of one camera, read without running any code."""
-    table = read_pickle(read_file(path))
-    if not isinstance(table, Mapping):
-        raise HabitusError(f"{path}: holds no table; expected OpenCap's intrinsics and extrinsics")
-    size = np.ravel(np.asarray(table.get("imageSize", ()), float))
-    if size.size != 2:
-        raise HabitusError(f"{path}: has no imageSize; expected OpenCap's camera")
-    return _camera(
-        name,
-        size[::-1],
-        table.get("intrinsicMat"),
-        table.get("distortion"),
-        np.asarray(table.get("rotation"), float),
-        table.get("translation"),
-    )
+    content = read_file(path)
+    table = read_pickle(content)
+    keys = ("imageSize", "intrinsicMat", "distortion", "rotation", "translation")
+    if not isinstance(table, Mapping) or not set(keys) <= set(table):
+        raise HabitusError(f"{path}: has not {', '.join(keys)}; expected OpenCap's camera")
+    allowance = Allowance(len(content))
+    size, *rest = (as_array(table[key], allowance) for key in keys)
+    return _camera(name, np.ravel(size)[::-1], *rest)
 
 
 def _qualisys(root: Any) -> CameraRig:

@@ -225,8 +225,10 @@ def _checked(row: np.ndarray) -> Float[np.ndarray, "K 3"]:
 def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
     """DeepLabCut's table: lines ``scorer``, (``individuals``), ``bodyparts``, ``coords``."""
     rows = list(csv.reader(io.StringIO(read_text_file(path))))
-    heads = {row[0].lower(): row for row in rows[:5] if row}
-    if "bodyparts" not in heads or "coords" not in heads:
+    firsts = [row[0].lower() if row else "" for row in rows[:5]]
+    last = firsts.index("coords") if "coords" in firsts else -1
+    heads = dict(zip(firsts[: last + 1], rows, strict=False))
+    if "bodyparts" not in heads:
         raise HabitusError(
             f"{path}: has no lines bodyparts and coords; expected DeepLabCut's table"
         )
@@ -243,7 +245,7 @@ def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
             f"{path}: coords are {listed(set(coords[1:]))}; expected x, y, likelihood"
         )
     frames: dict[int, Frame] = {}
-    for row in rows[len(heads) :]:
+    for row in rows[last + 1 :]:
         if len(row) != len(parts):
             continue
         table = np.zeros((len(people), len(names), 3))
