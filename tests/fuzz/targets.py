@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from camera_targets import camera_makers
 from result_targets import result_makers
 from sensor_targets import sensor_makers
 from target import Target, Tree, alone, tree_of
@@ -28,6 +29,7 @@ def all_targets() -> tuple[Target, ...]:
         _registrations,
         _checkpoints,
         *sensor_makers(),
+        *camera_makers(),
         *result_makers(),
     )
     with tempfile.TemporaryDirectory() as folder:

@@ -36,6 +36,7 @@ MAX_METRES = 60.0
 """Between two cameras of one scene: beyond it numbers are millimetres."""
 SUB_PIXEL = 64.0
 """Qualisys counts 64ths of a pixel."""
+_NUMBER = r"[-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?"
 PICKLE = "cameraIntrinsicsExtrinsics.pickle"
 
 
@@ -337,15 +338,20 @@ def _vicon(root: Any) -> CameraRig:
             middle = _floats(frame.get("PRINCIPAL_POINT"), 2)
             aspect = float(one.get("PIXEL_ASPECT_RATIO") or 1.0)
             size = _floats(one.get("SENSOR_SIZE"), 2)
+            radial = [float(n) for n in re.findall(_NUMBER, frame.get("VICON_RADIAL2") or "")]
+            k1, k2 = np.clip(radial[3:5] if len(radial) >= 5 else [0.0, 0.0], -1.0, 1.0)
+            sane = all(abs(n) < 1e6 for n in (*middle, *size, focal)) and aspect > 1e-3
+            if not sane:
+                raise ValueError
         except (TypeError, ValueError) as error:
             raise HabitusError(
                 "a camera without orientation, position, focal length or size; expected .xcp"
             ) from error
         quaternion = np.array([w, x, y, z])
-        turn = np.asarray(matrix_from_quaternion(quaternion / np.linalg.norm(quaternion)))
+        turn = np.asarray(
+            matrix_from_quaternion(quaternion / max(1e-12, float(np.linalg.norm(quaternion))))
+        )
         matrix = np.array([[focal, 0, middle[0]], [0, focal / aspect, middle[1]], [0, 0, 1.0]])
-        radial = re.findall(r"[-+0-9.eE]+", frame.get("VICON_RADIAL2") or "")
-        k1, k2 = (float(each) for each in radial[-2:]) if len(radial) >= 5 else (0.0, 0.0)
         # Vicon's radial terms count pixels from the measured point to the ideal one; to first order
         # OpenCV's go the other way.
         distortion = [-k1 * focal**2, (3.0 * k1**2 - k2) * focal**4]

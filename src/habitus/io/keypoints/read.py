@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from habitus.body.keypoints import CONVENTIONS, convention_of, keypoint_place
 from habitus.errors import HabitusError, listed, shown
+from habitus.io.archives import read_npy
 from habitus.io.limits import (
     MAX_NAMES,
     Allowance,
@@ -177,7 +178,9 @@ def _mmpose(
     names = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
     told = None
     if isinstance(names, Mapping):
-        told = tuple(str(names[key]) for key in sorted(names, key=lambda k: int(str(k)[:6])))
+        told = tuple(
+            str(names[key]) for key in sorted(names, key=lambda k: numeric_order(str(k)[:20]))
+        )
     frames: dict[int, Frame] = {}
     for k, info in enumerate(table["instance_info"]):
         people = []
@@ -224,7 +227,10 @@ def _checked(row: np.ndarray) -> Float[np.ndarray, "K 3"]:
 
 def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
     """DeepLabCut's table: lines ``scorer``, (``individuals``), ``bodyparts``, ``coords``."""
-    rows = list(csv.reader(io.StringIO(read_text_file(path))))
+    try:
+        rows = list(csv.reader(io.StringIO(read_text_file(path))))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise HabitusError(f"{path}: is no table ({shown(error, 80)}); get it again") from error
     firsts = [row[0].lower() if row else "" for row in rows[:5]]
     last = firsts.index("coords") if "coords" in firsts else -1
     heads = dict(zip(firsts[: last + 1], rows, strict=False))
@@ -281,6 +287,8 @@ def _convention(
             f"{path}: people have {listed(map(str, sorted(counts)))} keypoints; expected one number"
         )
     (count,) = counts
+    if not count:
+        raise HabitusError(f"{path}: people have no keypoints; expected a detector's")
     if asked is not None:
         names = CONVENTIONS[asked]
         if count < len(names):
@@ -369,11 +377,7 @@ def _stacked(
 
 def _freemocap(path: Path, rate_hz: float, convention: str | None) -> Detections:
     """FreeMoCap's 2D points: (cameras, frames, points, 2 or 3)."""
-    Allowance(path.stat().st_size).take_bytes(path.stat().st_size, str(path))
-    try:
-        table = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise HabitusError(f"{path}: is no array ({shown(error, 80)})") from error
+    table = read_npy(path)
     if table.ndim != 4 or table.shape[3] not in (2, 3) or not np.issubdtype(table.dtype, np.number):
         raise HabitusError(
             f"{path}: an array of {table.shape}; expected (cameras, frames, points, 2 or 3)"
