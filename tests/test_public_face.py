@@ -22,9 +22,9 @@ from habitus.fit.markers.suspects import Suspect
 LISTED = set(
     "BodyModel Camera Depth Fit FitSettings HabitusError Markers Mosh MoshWeights Scan Term Trainer __version__ archive body_from_measurements compare draw "
     "evaluate exaggerate "
-    "export_file fill_capture fit_rgbd hand_pose label live load_body load_fit load_layout load_motion "
+    "export_file fill_capture fit_cameras fit_rgbd hand_pose label live load_body load_fit load_layout load_motion "
     "minimize mosh "
-    "open_registrations read_capture read_views register_scans retarget select_markers "
+    "open_registrations read_calibration read_capture read_detections read_views register_scans retarget select_markers "
     "select_poses "
     "simulate_soft_tissue split_people terms train train_dynamics virtual_markers write_surface write_trc".split()
 )

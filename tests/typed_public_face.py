@@ -77,6 +77,9 @@ def scans_and_images() -> None:
     print(scan.verdict, scan.vertices.shape)
     hb.register_scans(["anna.ply", "anna_up.ply"], "default", texture=True)
     hb.fit_rgbd(hb.read_views("views"), hb.load_body("default"))
+    rig = hb.read_calibration("Calib.toml")
+    for person_fit in hb.fit_cameras(hb.read_detections("pose", 60.0), rig, people="auto"):
+        print(person_fit.verdict, person_fit.vertices(0).shape)
     for person in hb.split_people(hb.read_views("views")):
         hb.fit_rgbd(person)
     fingers = hb.load_body("default", joints="smplh")

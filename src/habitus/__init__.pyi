@@ -9,12 +9,15 @@ from habitus.export.trc import write_trc as write_trc
 from habitus.fit.body_fit import FitSettings as FitSettings
 from habitus.fit.markers.settings import MoshWeights as MoshWeights
 from habitus.fit.points.people_in_view import split_people as split_people
+from habitus.io.cameras.read import read_calibration as read_calibration
 from habitus.io.captures.read import read_capture as read_capture
+from habitus.io.keypoints.read import read_detections as read_detections
 from habitus.io.layouts.files import load_layout as load_layout
 from habitus.io.models.bodies import load_body as load_body
 from habitus.io.registrations.open import open_registrations as open_registrations
 from habitus.io.rgbd.read import read_views as read_views
 from habitus.jobs.archive.run import archive as archive
+from habitus.jobs.cameras import fit_cameras as fit_cameras
 from habitus.jobs.comparing import compare as compare
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate

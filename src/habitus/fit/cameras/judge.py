@@ -5,11 +5,11 @@ person is one. Lengths in pixels are shares of the person's height in the image.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from habitus.body.prior import prior_of
+from habitus.fit.cameras.solution import CameraSolution
 from habitus.fit.verdict import (
     DOUBTFUL,
     GOOD,
@@ -24,9 +24,6 @@ from habitus.fit.verdict import (
     weigh,
     worst,
 )
-
-if TYPE_CHECKING:
-    from habitus.fit.cameras.result import CameraFit
 
 
 @dataclass(frozen=True)
@@ -63,16 +60,16 @@ class CameraLimits:
 LIMITS = CameraLimits()
 
 
-def judge_cameras(fit: "CameraFit", limits: CameraLimits = LIMITS) -> Verdict:
+def judge_cameras(fit: CameraSolution, limits: CameraLimits = LIMITS) -> Verdict:
     """The verdict on a fit."""
     return weigh((_residuals, _calibration, _coverage, _person, _motion), fit, limits, SENTENCES)
 
 
-def _shares(fit: "CameraFit") -> np.ndarray:
+def _shares(fit: CameraSolution) -> np.ndarray:
     return fit.errors_px / np.maximum(fit.size_px, 1.0)[..., None]
 
 
-def _residuals(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
+def _residuals(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
     shares = _shares(fit)
     seen = np.isfinite(shares) | ((fit.confidence > 0.0) & np.isfinite(fit.observed).all(-1))
     median = float(np.median(np.where(np.isfinite(shares), shares, 1.0)[seen]))
@@ -94,7 +91,7 @@ def _residuals(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
             yield Reason(level, "camera", {"name": name, "ratio": ratio})
 
 
-def _calibration(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
+def _calibration(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
     names = fit.cameras.names if fit.cameras else ()
     for name, correction in zip(names, fit.corrections, strict=True):
         turn = float(np.degrees(np.linalg.norm(correction[:3])))
@@ -109,13 +106,13 @@ def _calibration(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
             yield Reason(DOUBTFUL, "late", {"name": name, "frames": abs(frames), "word": word})
 
 
-def _coverage(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
+def _coverage(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
     covered = float(((fit.confidence > 0.0).sum(1) >= 2).mean())
     if (level := below(covered, limits.covered)) != GOOD:
         yield Reason(level, "covered", {"share": percent(covered)})
 
 
-def _person(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
+def _person(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
     if not limits.stature[0] <= fit.height <= limits.stature[1]:
         yield Reason("failed", "stature", {"height": fit.height})
     if fit.given_height is not None:
@@ -132,7 +129,7 @@ def _person(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
     )
 
 
-def _motion(fit: "CameraFit", limits: CameraLimits) -> Iterator[Reason]:
+def _motion(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
     if (level := above(fit.acceleration, limits.acceleration)) != GOOD:
         yield Reason(level, "acceleration", {"value": fit.acceleration})
     prior = prior_of(fit.body).for_joints(fit.body.joint_names)

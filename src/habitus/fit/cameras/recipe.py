@@ -148,7 +148,7 @@ def fit_person(
         {},
     )
     status = ""
-    free = False
+    free, was_free = False, False
     for k in range(settings.rounds):
         rows = unlike_frames(points, sight, settings.frames)
         late = shifted(sight, rate)
@@ -168,7 +168,9 @@ def fit_person(
             settings.pose * given.precision,
             settings.reach,
         )
-        pose, trans, solution = solve_poses(data_all, pose, trans, rate, settings)
+        warm = 0 < k < settings.rounds - 1 and free == was_free  # slow waves want coarse levels
+        pose, trans, solution = solve_poses(data_all, pose, trans, rate, settings, warm)
+        was_free = free
         status = solution.status
         if k + 1 < settings.rounds:
             expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
@@ -182,7 +184,7 @@ def fit_person(
                 sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
     assert shape.rig is not None
     seconds = time.perf_counter() - began
-    return CameraFit.of(
+    return CameraFit.solved(
         body=body,
         shape=shape,
         keypoints=keypoints,

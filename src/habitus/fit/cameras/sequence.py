@@ -5,6 +5,8 @@
 f_t is that of `habitus.residuals.keypoint_kernels`; a is the standard deviation of accelerations.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -157,13 +159,14 @@ def solve_poses(
     trans: Float[np.ndarray, "T 3"],
     rate_hz: float,
     settings: CameraSettings,
-    coupled: bool = True,
+    warm: bool = False,
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"], SequenceSolution]:
-    """Poses and places of all frames from a start; each frame by itself without ``coupled``."""
+    """Poses and places of all frames from a start; a ``warm`` one is near the solution."""
     joints = len(data.parents)
-    links = acceleration_links(joints, rate_hz, settings) if coupled else np.zeros(3 + 3 * joints)
+    links = acceleration_links(joints, rate_hz, settings)
+    options = replace(settings.options, strides=(1,), damping=1.0) if warm else settings.options
     problem = KeypointSequence(data, links)
     start = np.concatenate([trans, pose.reshape(len(pose), -1)], axis=1)
-    solution = solve_sequence(problem, start, slice(3, None), settings.options)
+    solution = solve_sequence(problem, start, slice(3, None), options)
     states = solution.states
     return states[:, 3:].reshape(len(pose), joints, 3).copy(), states[:, :3].copy(), solution

@@ -70,7 +70,8 @@ def read_detections(source: PathLike, rate_hz: float, convention: str | None = N
             f"{path}: {shown(error.strerror or error)}; expected a folder with detections of each "
             "camera"
         ) from error
-    if not any(people for frames, _ in read.values() for people in frames.values()):
+    everybody = (row for frames, _ in read.values() for people in frames.values() for row in people)
+    if not any((row[:, 2] > 0.0).any() for row in everybody):
         raise HabitusError(
             f"{path}: no person was detected in {listed(read)}; expected OpenPose's, MMPose's, "
             "AlphaPose's or DeepLabCut's detections"
