@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from habitus.cli.screen import FAILED_FIT, Strict, plain, say, screen
-from habitus.jobs.options import CameraOptions, metavar
+from habitus.jobs.options import CameraOptions, metavar, unset
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 class _Files:
     folder: Annotated[Path, tyro.conf.Positional, metavar("FOLDER")]
     """Detections: a folder or a file for each camera, as OpenPose, MMPose (RTMPose), AlphaPose,
-    COCO or DeepLabCut write them, or FreeMoCap's .npy of 2D points.
+    COCO or DeepLabCut write them, or FreeMoCap's .npy of 2D points; or keypoints in space (.trc,
+    .c3d, .npy), without a calibration.
     """
-    calibration: Annotated[Path, metavar("FILE|FOLDER")]
+    calibration: Annotated[Path | None, unset("FILE|FOLDER")] = None
     """The cameras: .toml (Pose2Sim, Anipose), .qca.txt (Qualisys), .xcp (Vicon), .yml (OpenCV),
     EasyMocap's or OpenCap's folder.
     """
@@ -39,6 +40,8 @@ class Cameras(Strict, CameraOptions, _Files):
 
     habitus cameras trial/pose --calibration Calib.toml --fps 60 --height 1.72 --people 2 --out
     results
+
+    habitus cameras keypoints.trc --out results
 
     `docs/cameras.md` explains how to calibrate and to film, what is read, and what to expect.
     """

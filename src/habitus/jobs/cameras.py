@@ -3,6 +3,7 @@ out.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,6 +14,7 @@ from habitus.fit.cameras.recipe import fit_cameras as fitted
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.settings import CAMERAS
 from habitus.io.cameras.read import read_calibration
+from habitus.io.keypoints.points import POINT_ENDINGS, read_points
 from habitus.io.keypoints.read import read_detections
 from habitus.jobs.bodies import loaded
 from habitus.jobs.options import CameraOptions, takes
@@ -46,23 +48,20 @@ class CameraResult(Exportable, CameraFit):
 @takes(CameraOptions)
 def fit_cameras(
     detections: Detections | PathLike,
-    calibration: CameraRig | PathLike,
+    calibration: CameraRig | PathLike | None = None,
     body: BodyModel | PathLike = "default",
     *,
     options: CameraOptions,
 ) -> list[CameraResult]:
     """The bodies in motion of people whom calibrated cameras saw, the one who is seen most first.
 
-    detections: what `habitus.read_detections` read, or the folder it reads (then with ``fps``).
-    calibration: what `habitus.read_calibration` read, or its file. body: a model, a file,
+    detections: what `habitus.read_detections` read, or the folder it reads (then with ``fps``); or
+    a .trc, .c3d or .npy of keypoints in space. calibration: what `habitus.read_calibration` read,
+    or its file; None for keypoints in space. body: a model, a file,
     "default", "female", "male". Raises HabitusError where names of cameras differ, and where nobody
     is seen by two cameras at once.
     """
-    if not isinstance(detections, Detections):
-        if options.fps is None:
-            raise HabitusError("fps is missing; expected the frames a second of the detections")
-        detections = read_detections(detections, options.fps, options.convention)
-    rig = calibration if isinstance(calibration, CameraRig) else read_calibration(calibration)
+    detections, rig = _read(detections, calibration, options)
     model = loaded(body, age=options.age)
     people = None if options.people == "auto" else _count(options.people)
     if options.height is not None and not 0.4 < options.height < 2.6:
@@ -76,7 +75,7 @@ def fit_cameras(
             options.settings or CAMERAS,
             people=people,
             height=options.height,
-            correct=not options.keep_cameras,
+            correct=not options.keep_cameras and calibration is not None,
             up=options.up,
         )
     return [CameraResult.of(fit) for fit in fits]
@@ -85,7 +84,7 @@ def fit_cameras(
 @takes(CameraOptions)
 def cameras(
     folder: PathLike,
-    calibration: PathLike,
+    calibration: PathLike | None,
     out: PathLike,
     body: BodyModel | PathLike = "default",
     *,
@@ -97,19 +96,42 @@ def cameras(
     """
     with result_lock(out, CAMERA_FILES):
         progress("reading")
-        if options.fps is None:
-            raise HabitusError("--fps is missing; expected the frames a second of the detections")
-        detections = read_detections(folder, options.fps, options.convention)
-        rig = read_calibration(calibration)
+        detections, rig = _read(folder, calibration, options)
         progress(
             f"fitting {detections.num_frames} frames of {len(rig.cameras)} cameras, keypoints "
             f"{detections.convention}"
         )
+        if calibration is None:
+            options = replace(options, keep_cameras=True)
         fits = fit_cameras(detections, rig, body, options=options)
         progress("writing")
         for k, fit in enumerate(fits, 1):
             fit.save(out if len(fits) == 1 else Path(out) / f"person_{k}")
     return fits
+
+
+def _read(
+    detections: Detections | PathLike,
+    calibration: CameraRig | PathLike | None,
+    options: CameraOptions,
+) -> tuple[Detections, CameraRig]:
+    """Detections and cameras; of keypoints in space those of the axes."""
+    if calibration is None:
+        if (
+            isinstance(detections, Detections)
+            or Path(detections).suffix.lower() not in POINT_ENDINGS
+        ):
+            raise HabitusError(
+                "no calibration; expected one (--calibration FILE), or keypoints in space as .trc, "
+                ".c3d or .npy"
+            )
+        return read_points(detections, options.fps, options.convention)
+    if not isinstance(detections, Detections):
+        if options.fps is None:
+            raise HabitusError("fps is missing (--fps HZ); detections do not say it")
+        detections = read_detections(detections, options.fps, options.convention)
+    rig = calibration if isinstance(calibration, CameraRig) else read_calibration(calibration)
+    return detections, rig
 
 
 def _count(text: str) -> int:

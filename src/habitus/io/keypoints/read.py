@@ -298,7 +298,7 @@ def _convention(
     if len(named) > 1:
         raise HabitusError(f"{path}: cameras name their keypoints differently; expected one list")
     if named:
-        names = tuple(_known(name) for name in next(iter(named)))
+        names = tuple(known_keypoint(name) for name in next(iter(named)))
         if len(names) == count and sum(map(bool, names)) >= 8:
             return "named", names
     if count in (133, 136):  # COCO-WholeBody and Halpe with faces and hands: the body comes first
@@ -313,7 +313,7 @@ def _convention(
     return chosen, CONVENTIONS[chosen]
 
 
-def _known(name: str) -> str:
+def known_keypoint(name: str) -> str:
     """A keypoint of the table by a file's name: ``LShoulder``, ``left shoulder``; "" for none."""
     low = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().replace(" ", "_").replace("-", "_")
     low = re.sub(r"^(l|r)_", lambda m: {"l": "left_", "r": "right_"}[m[1]], low)
