@@ -218,7 +218,9 @@ def test_readme_names_the_two_commands_and_the_main_subcommands():
     text = (ROOT / "README.md").read_text()
     assert all(f"make {name}" in text for name in ("demo", "test"))
     shown = set(re.findall(r"`habitus ([a-z-]+) [A-Z]", text))
-    assert shown == {"mosh", "archive", "label", "rgbd", "register", "measure", "export", "train"}
+    assert shown == {
+        "mosh", "archive", "label", "rgbd", "cameras", "register", "measure", "export", "train",
+    }  # fmt: skip
     rules = (ROOT / "Makefile").read_text()
     assert all(re.search(rf"^{name}:", rules, re.MULTILINE) for name in ("demo", "test"))
     assert "make test" in (ROOT / ".ci" / "run").read_text()

@@ -43,6 +43,8 @@ class Cameras(Strict, CameraOptions, _Files):
 
     habitus cameras keypoints.trc --out results
 
+    habitus cameras frames --source sam3d --fps 30 --height 1.72 --out results
+
     `docs/cameras.md` explains how to calibrate and to film, what is read, and what to expect.
     """
 
@@ -72,7 +74,8 @@ def run(options: Cameras, console: "Console | None" = None) -> int:
     for fit in fits:
         name = f"{fit.capture_name}: " if len(fits) > 1 else ""
         say(console, f"{name}{fit.verdict}")
-        say(console, f"{name}height {100 * fit.height:.1f} cm, {len(fit.pose)} frames")
+        height = fit.body.measure(fit.betas)["height_m"]
+        say(console, f"{name}height {100 * height:.1f} cm, {len(fit.pose)} frames")
     say(console, f"wrote {plain(options.out)}: open report.html")
     failed = any(fit.verdict.level == "failed" for fit in fits)
     return FAILED_FIT if options.strict and failed else 0

@@ -16,15 +16,17 @@ from habitus.fit.cameras.settings import CAMERAS
 from habitus.io.cameras.read import read_calibration
 from habitus.io.keypoints.points import POINT_ENDINGS, read_points
 from habitus.io.keypoints.read import read_detections
+from habitus.io.keypoints.sam3d import read_sam3d
 from habitus.jobs.bodies import loaded
+from habitus.jobs.mosh import Mosh
 from habitus.jobs.options import CameraOptions, takes
-from habitus.jobs.results import Exportable, with_methods
+from habitus.jobs.results import Exportable, MarkerResult, with_methods
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
 from habitus.report.cameras import camera_page
 from habitus.results.cameras import CAMERA_FILES, save_cameras
-from habitus.results.save import result_lock
+from habitus.results.save import MARKER_FILES, result_lock
 from habitus.types import PathLike
 
 
@@ -90,10 +92,12 @@ def cameras(
     *,
     options: CameraOptions,
     progress: Callable[[str], Any] = lambda text: None,
-) -> list[CameraResult]:
+) -> list[CameraResult | MarkerResult]:
     """Read detections and calibration, fit, and write the results into the folder ``out``, of
     several people into ``out``/person_N, as ``habitus cameras`` does. Raises HabitusError.
     """
+    if options.source == "sam3d":
+        return [sam3d(folder, out, body, options=options, progress=progress)]
     with result_lock(out, CAMERA_FILES):
         progress("reading")
         detections, rig = _read(folder, calibration, options)
@@ -107,7 +111,37 @@ def cameras(
         progress("writing")
         for k, fit in enumerate(fits, 1):
             fit.save(out if len(fits) == 1 else Path(out) / f"person_{k}")
-    return fits
+    return [*fits]
+
+
+@takes(CameraOptions)
+def sam3d(
+    folder: PathLike,
+    out: PathLike | None = None,
+    body: BodyModel | PathLike = "default",
+    *,
+    options: CameraOptions,
+    progress: Callable[[str], Any] = lambda text: None,
+) -> MarkerResult:
+    """The body in motion of a person in a video, from SAM 3D Body's output for each of its frames:
+    one shape, smooth poses (`habitus.Mosh` on points of the skin). Raises HabitusError.
+    """
+    if options.fps is None:
+        raise HabitusError("fps is missing (--fps HZ); expected the video's frames a second")
+    model = loaded(body, age=options.age)
+    progress("reading")
+    capture, layout = read_sam3d(folder, options.fps, model)
+    progress(f"fitting {len(capture)} frames")
+    fit = Mosh(layout=layout).fit(capture, model)
+    if options.height is not None:
+        scale = options.height / fit.body.measure(fit.betas)["height_m"]
+        capture, layout = read_sam3d(folder, options.fps, model, scale)
+        fit = Mosh(layout=layout).fit(capture, model)
+    if out is not None:
+        with result_lock(out, MARKER_FILES):
+            progress("writing")
+            fit.save(out)
+    return fit
 
 
 def _read(

@@ -397,6 +397,10 @@ class RgbdOptions(DepthOptions):
 class CameraOptions:
     """Options of `habitus cameras`."""
 
+    source: Literal["keypoints", "sam3d"] = "keypoints"
+    """What the folder holds: detections of calibrated cameras, or SAM 3D Body's output for each
+    frame of one video (.npz).
+    """
     fps: Annotated[float | None, unset("HZ")] = None
     """Frames a second of the detections, which their files do not say."""
     height: Annotated[float | None, unset("METRES")] = None

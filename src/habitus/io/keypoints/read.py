@@ -393,7 +393,7 @@ def _freemocap(path: Path, rate_hz: float, convention: str | None) -> Detections
     names = CONVENTIONS[own]
     at = np.moveaxis(table[:, :, : len(names), :2].astype(float), 0, 1)[:, :, None]
     with np.errstate(invalid="ignore"):
-        seen = np.isfinite(at).all(-1) & (np.abs(at) < MAX_PIXEL).all(-1)
+        seen = np.asarray(np.isfinite(at).all(-1) & (np.abs(at) < MAX_PIXEL).all(-1))
     sure = seen.astype(float)
     pixels = np.where(seen[..., None], at + 0.5, np.nan)
     cameras = tuple(f"cam{k}" for k in range(len(table)))
