@@ -9,9 +9,9 @@ found = hb.minimize(terms, body.state(), weights={"markers": 7500.0})
 A term is any function whose parameters are named like the unknowns that it takes and that returns a
 residual, or what `Term` says beside it. Their cost is 1/2 |residual|^2 times the weight given to
 `minimize`. `Markers` and the priors are those of MoSh, whose weights of squared lengths (per cm^2)
-are to be multiplied by 1e4, as lengths are metres; `Points`, `Depth`, `Silhouette` and `Joints`
-know their own noise, so that their weight is 1. `points_term` makes a term of any points of the
-body that should be at places.
+are to be multiplied by 1e4, as lengths are metres; `Points`, `Depth`, `Silhouette`, `Keypoints` and
+`Joints` know their own noise, so that their weight is 1. `points_term` makes a term of any points
+of the body that should be at places.
 """
 
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ from habitus.body.joint_layouts import SMPL
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
 from habitus.observe.markers import MarkerAttachment, predict_markers
+from habitus.residuals.keypoint_terms import Keypoints
 from habitus.residuals.points import JointObservations, PointObservations, points_term
 from habitus.residuals.surface_terms import Depth, Joints, Points, Silhouette
 from habitus.solve.terms import GemanMcClure, Quadratic, Term
@@ -39,6 +40,7 @@ __all__ = [
     "HandLimits",
     "JointObservations",
     "Joints",
+    "Keypoints",
     "Markers",
     "PointObservations",
     "Points",
