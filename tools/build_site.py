@@ -55,7 +55,13 @@ MENU = {
         "your-own-term",
     ),
     "How-to: several sensors": ("several-sensors",),
-    "How-to: cameras, scans and images": ("cameras", "registering-scans", "rgbd", "rendering", "gallery"),
+    "How-to: cameras, scans and images": (
+        "cameras",
+        "registering-scans",
+        "rgbd",
+        "rendering",
+        "gallery",
+    ),
     "How-to: bodies": (
         "measurements",
         "viewing",
