@@ -56,7 +56,9 @@ def test_keypoints_are_where_a_person_has_them(convention, joints):
         assert np.allclose(named["neck"], (joint["left_shoulder"] + joint["right_shoulder"]) / 2)
         assert named["left_heel"][2] < named["left_ankle"][2] < named["left_big_toe"][2]
     moved = np.abs(points[1] - points[0]).max(1) > 1e-9
-    assert [name for name, far in zip(named, moved, strict=True) if far] == ["left_wrist"]
+    hand = [f"left_{part}" for part in ("wrist", "pinky", "index", "thumb")]
+    below = [name for name in hand if name in named]
+    assert [name for name, far in zip(named, moved, strict=True) if far] == below
     full = body.full.keypoints(convention, body.full([0.5], pose, [0.1, 0, 0]))
     assert np.abs(full - points).max() < 1e-6
     betas, turns, place = (
