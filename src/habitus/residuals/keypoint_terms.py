@@ -90,7 +90,7 @@ class Keypoints:
         depth = np.where(ahead, there[..., 2], 1.0)
         focal = self.cameras.focal[:, None]
         plane = there[..., :2] / depth[..., None]
-        seen = np.isfinite(self.pixels).all(-1)
+        seen = np.asarray(np.isfinite(self.pixels).all(-1))
         target = np.where(seen[..., None], self.pixels, 0.0)
         off = focal * plane + self.cameras.centre[:, None] - target
         weights = np.where(seen, self.weights, 0.0)

@@ -56,7 +56,7 @@ def read_points(
     points = points[:, kept]
     rig = axes_rig(points)
     pixels = np.moveaxis(rig.project(points), 0, 1)[:, :, None]
-    seen = np.isfinite(pixels).all(-1)
+    seen = np.asarray(np.isfinite(pixels).all(-1))
     detections = Detections(
         plain_name(path.stem),
         convention or "named",
