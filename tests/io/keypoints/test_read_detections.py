@@ -154,6 +154,13 @@ def test_two_dimensional_points_of_freemocap(tmp_path):
     np.testing.assert_allclose(found.pixels[0, 0, 0], _person("blazepose33")[:, :2] + 0.5)
 
 
+@pytest.mark.parametrize("shape", [(2, 0, 33, 2), (0, 5, 33, 2)])
+def test_arrays_without_frames_or_cameras_are_refused(shape, tmp_path):
+    np.save(tmp_path / "points.npy", np.zeros(shape))
+    with pytest.raises(HabitusError, match="without a point"):
+        read_detections(tmp_path / "points.npy", 30)
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [

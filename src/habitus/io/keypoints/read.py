@@ -394,6 +394,8 @@ def _freemocap(path: Path, rate_hz: float, convention: str | None) -> Detections
     at = np.moveaxis(table[:, :, : len(names), :2].astype(float), 0, 1)[:, :, None]
     with np.errstate(invalid="ignore"):
         seen = np.asarray(np.isfinite(at).all(-1) & (np.abs(at) < MAX_PIXEL).all(-1))
+    if not seen.any():
+        raise HabitusError(f"{path}: an array of {table.shape} without a point in any frame")
     sure = seen.astype(float)
     pixels = np.where(seen[..., None], at + 0.5, np.nan)
     cameras = tuple(f"cam{k}" for k in range(len(table)))
