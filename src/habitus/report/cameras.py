@@ -56,10 +56,6 @@ MOMENTS = 3
 PICTURE = 300
 """Pixels, the height of an overlay."""
 MARGIN = 0.15
-BONES = (
-    ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"),
-    ("ankle", "heel"), ("heel", "big_toe"), ("shoulder", "hip"),
-)  # fmt: skip
 
 
 def camera_page(fit: CameraFit, numbers: Mapping[str, Any]) -> str:

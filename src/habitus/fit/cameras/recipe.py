@@ -30,7 +30,7 @@ from habitus.mesh.proximity import farthest_points
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
 from habitus.observe.keypoints import KeypointRig, ShapedKeypoints
-from habitus.rotations import rotvec_from_matrix
+from habitus.rotations import procrustes, rotvec_from_matrix
 
 Progress = Callable[[str, float], None]
 TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
@@ -158,7 +158,6 @@ def fit_person(
         reaches = settings.reaches if k == 0 else settings.reaches[1:]
         shape = shape_stage(body, prior, keypoints, data, start, settings, reaches, height, free)
         person = keypoints.shaped(shape.betas, shape.offsets)
-        assert shape.rig is not None
         data_all = keypoint_data(
             person,
             shape.rig,
@@ -182,7 +181,6 @@ def fit_person(
             sight = replace(sight, noise=estimated_noise(sight, expected, keypoints.names))
             for _ in range(settings.clock_steps):
                 sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
-    assert shape.rig is not None
     seconds = time.perf_counter() - began
     return CameraFit.solved(
         body=body,
@@ -304,13 +302,11 @@ def placed(
     at_rest = person.points(pose, np.zeros((1, 3)))[0, rows]
     root = person.joints[0]
     known = np.flatnonzero(trunk_seen(points, rig.names))
-    turn, shift = np.empty((len(known), 3, 3)), np.empty((len(known), 3))
-    for k, each in enumerate(points[known][:, rows]):
-        there = np.isfinite(each).all(1)
-        seen, own = each[there], at_rest[there]
-        u, _, v = np.linalg.svd((seen - seen.mean(0)).T @ (own - own.mean(0)))
-        turn[k] = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-        shift[k] = seen.mean(0) - turn[k] @ (own.mean(0) - root) - root
+    seen = points[known][:, rows]
+    there = np.isfinite(seen).all(2)
+    seen = np.where(there[..., None], seen, 0.0)
+    turn, shift = procrustes(np.broadcast_to(at_rest, seen.shape), seen, there.astype(float))
+    shift = shift + turn @ root - root
     nearest = np.abs(np.arange(frames)[:, None] - known).argmin(1)
     poses = np.repeat(pose, frames, axis=0)
     poses[:, 0] = rotvec_from_matrix(turn)[nearest]

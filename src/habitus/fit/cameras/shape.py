@@ -10,8 +10,7 @@ cameras, with the poses of a few frames.
       + 1/2 (height - given)^2 / h^2                              "height"
 
 q are the keypoints of `habitus.observe.keypoints`, whose d of left and right are mirror images.
-Geman-McClure's rho is re-weighted before each step. Keypoints that are known in space take the
-place of pixels ("points").
+Geman-McClure's rho is re-weighted before each step.
 """
 
 from collections.abc import Mapping
@@ -32,7 +31,7 @@ from habitus.residuals.shape_stage import diagonal, pose_prior, shape_prior
 from habitus.rotations import cross_matrix, matrix_from_rotvec
 from habitus.solve.least_squares import Levenberg
 from habitus.solve.minimize import Stage, alternate
-from habitus.solve.terms import Term
+from habitus.solve.terms import Term, geman_mcclure_weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class CameraShape:
 
     betas: Float[np.ndarray, " B"]
     offsets: Float[np.ndarray, "K 3"]
-    rig: CameraRig | None
+    rig: CameraRig
     corrections: Float[np.ndarray, "C 6"]
     pose: Float[np.ndarray, "F J 3"]
     trans: Float[np.ndarray, "F 3"]
@@ -53,16 +52,13 @@ class CameraShape:
 
 @dataclass(frozen=True, eq=False)
 class ShapeData:
-    """What the F frames of the shape stage show. pixels (F, C, K, 2): ideal ones, NaN where
-    missing, ``weights`` (F, C, K) 1 / px^2; points (F, K, 3; m) and their weights (F, K; 1 / m^2)
-    instead, where there are no cameras.
+    """What the F frames of the shape stage show: pixels (F, C, K, 2) without distortion, NaN where
+    missing, and their information ``weights`` (F, C, K; 1 / px^2).
     """
 
-    rig: CameraRig | None
+    rig: CameraRig
     pixels: Float[np.ndarray, "F C K 2"]
     weights: Float[np.ndarray, "F C K"]
-    points: Float[np.ndarray, "F K 3"] | None = None
-    point_weights: Float[np.ndarray, "F K"] | None = None
 
 
 def mirrored(names: tuple[str, ...]) -> Float[np.ndarray, "n m"]:
@@ -101,12 +97,10 @@ def shape_stage(
     spread = np.repeat([keypoint_place(name).definition for name in rig.names], 3)
     sd = 1.0 / np.sqrt(((own / spread[:, None]) ** 2).sum(0))
     free = np.linalg.lstsq(own, start.offsets.ravel(), rcond=None)[0]
-    cameras = 0 if data.rig is None else len(data.rig.cameras)
-    corrections = start.corrections if cameras else np.zeros((0, 6))
     unknowns = {
         "betas": start.betas.copy(),
         "offsets": free,
-        "cameras": corrections.copy(),
+        "cameras": start.corrections.copy(),
         "pose": start.pose.copy(),
         "trans": start.trans.copy(),
     }
@@ -119,7 +113,7 @@ def shape_stage(
             lambda offsets: (offsets / sd, {"offsets": np.diag(1.0 / sd)}), name="definitions"
         ),
     }
-    if correct and data.rig is not None:
+    if correct:
         fixed |= _camera_terms(data.rig, settings)
     if height is not None:
         fixed["height"] = height_term(body, height, settings.height_sd)
@@ -133,23 +127,18 @@ def shape_stage(
             8,
             reach=reach,
             masks={"betas": count < settings.betas},
-            fixed=() if correct and cameras else ("cameras",),
+            fixed=() if correct else ("cameras",),
             max_step={"pose": 0.5},
         )
         for reach in reaches
     ]
-    if not cameras:
-        unknowns.pop("cameras")
-        stages = [replace(stage, fixed=()) for stage in stages]
     solved = alternate(terms_at, unknowns, stages, steps=Levenberg(1e-4), blocks=("trans", "pose"))
     values = solved.state
-    corrections = values.get("cameras", corrections)
-    corrected = None if data.rig is None else corrected_rig(data.rig, corrections)
     return CameraShape(
         values["betas"],
         (own @ values["offsets"]).reshape(-1, 3),
-        corrected,
-        corrections,
+        corrected_rig(data.rig, values["cameras"]),
+        values["cameras"],
         values["pose"],
         values["trans"],
         solved.status,
@@ -181,26 +170,12 @@ def data_term(
     values: Mapping[str, np.ndarray],
     reach: float,
 ) -> Term:
-    """The term "pixels" (or of points), weighed for the state at hand."""
+    """The term "pixels", with the robust weights of the state ``values``."""
 
     def derivatives(betas, offsets, pose, trans) -> KeypointDerivatives:
         return rig.derivatives(betas, (own @ offsets).reshape(-1, 3), pose, trans)
 
     here = derivatives(*(values[name] for name in ("betas", "offsets", "pose", "trans")))
-    if data.rig is None:
-        assert data.points is not None and data.point_weights is not None
-        seen = np.asarray(np.isfinite(data.points).all(-1))
-        target = np.where(seen[..., None], data.points, 0.0)
-        weights = np.where(seen, data.point_weights, 0.0)
-        root = np.sqrt(_reweighted(weights, here.points - target, reach))[..., None]
-
-        def point_residual(betas, offsets, pose, trans):
-            found = derivatives(betas, offsets, pose, trans)
-            frames = len(pose)
-            blocks = root[..., None] * np.broadcast_to(np.eye(3), (*root.shape[:2], 3, 3))
-            return root * (found.points - target), lambda: _jacobians(found, own, blocks, frames)
-
-        return Term(point_residual, name="pixels")
     known = data.rig
     seen = np.asarray(np.isfinite(data.pixels).all(-1))
     target = np.where(seen[..., None], data.pixels, 0.0)
@@ -233,9 +208,8 @@ def data_term(
 
 
 def _reweighted(weights: np.ndarray, off: np.ndarray, reach: float) -> np.ndarray:
-    """Geman-McClure's weights of residuals, in standard deviations."""
-    squared = weights * (off**2).sum(-1)
-    return weights / (1.0 + squared / reach**2) ** 2
+    """Weights times those of Geman-McClure's loss of ``reach`` standard deviations."""
+    return weights * geman_mcclure_weight(np.sqrt(weights * (off**2).sum(-1)), reach)
 
 
 def _pixels(
@@ -262,17 +236,13 @@ def _pixels(
 def _jacobians(
     found: KeypointDerivatives, own: np.ndarray, by_point: np.ndarray, frames: int
 ) -> dict[str, Any]:
-    """By betas, offsets, pose and place, from those by the keypoints (F, [C,] K, r, 3)."""
-    if by_point.ndim == 4:
-        by_point = by_point[:, None]
-    rows = by_point.reshape(frames, -1, by_point.shape[-2], 3)
-    count, keypoints = by_point.shape[1], by_point.shape[2]
+    """By betas, offsets, pose and place, from those by the keypoints (F, C, K, 2, 3)."""
+    keypoints = by_point.shape[2]
     betas = np.einsum("fckri,fkib->fckrb", by_point, found.by_betas)
     pose = np.einsum("fckri,fkin->fckrn", by_point, found.by_pose)
     turned = np.einsum("fckri,fkij->fckrj", by_point, found.by_offsets)
     offsets = np.einsum("fckrj,kjm->fckrm", turned, own.reshape(keypoints, 3, -1))
-    size = rows.shape[1] * rows.shape[2]
-    assert size == count * keypoints * by_point.shape[3]
+    size = int(np.prod(by_point.shape[1:4]))
     return {
         "betas": betas.reshape(frames * size, -1),
         "offsets": offsets.reshape(frames * size, -1),

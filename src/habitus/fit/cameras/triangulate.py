@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.observe.camera_rig import CameraRig
+from habitus.solve.terms import geman_mcclure_weight
 
 STEPS = 4
 MIN_DETERMINANT = 1e-4
@@ -55,7 +56,7 @@ def triangulated(
             points = np.linalg.solve(matrix, right[..., None])[..., 0]
             points = np.where(sound[..., None], points, np.nan)
             error = np.linalg.norm(rig.project(points) - pixels, axis=-1)
-            robust = np.nan_to_num(1.0 / (1.0 + (error / reach) ** 2) ** 2)
+            robust = np.nan_to_num(geman_mcclure_weight(error, reach))
             depth = np.linalg.norm(points - origin, axis=-1)
             weight = np.where(seen, np.nan_to_num(confidence / depth**2), 0.0)
     agree = (seen & (error < reach)).sum(0) >= 2
