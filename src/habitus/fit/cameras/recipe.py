@@ -97,6 +97,19 @@ def fit_cameras(
     return fits
 
 
+@dataclass(frozen=True, eq=False)
+class Start:
+    """One person before the rounds: detections, triangulated keypoints (T, K, 3; m), poses and
+    places of the frames from ``first_frame`` on.
+    """
+
+    sight: Sight
+    points: Float[np.ndarray, "T K 3"]
+    pose: Float[np.ndarray, "T J 3"]
+    trans: Float[np.ndarray, "T 3"]
+    first_frame: int
+
+
 def fit_person(
     body: BodyModel,
     prior: PosePrior,
@@ -110,55 +123,28 @@ def fit_person(
     number: int,
     total: int,
 ) -> CameraFit:
-    """One person's shape and motion."""
+    """One person's shape and motion: person ``number`` of ``total``; other arguments as of
+    `fit_cameras`.
+    """
     began = time.perf_counter()
     keypoints = KeypointRig.of(body, detections.names, detections.convention)
-    rate = detections.rate_hz
-    sight, points = first_sight(track, rig, settings)
-    found = np.flatnonzero(trunk_seen(points, keypoints.names))
-    if len(found) < min(5, len(points)):
-        raise HabitusError(
-            f"{detections.name}: shoulders and hips meet in space in {len(found)} of {len(points)} "
-            "frames; check that cameras and detections have the same names and frames"
-        )
-    first, last = int(found[0]), int(found[-1]) + 1
-    kept = slice(first, last)
-    sight = of_frames(sight, kept)
-    points = points[kept]
-    up_axis = upright(points, keypoints, up)
+    start = start_person(body, prior, detections, track, rig, keypoints, settings)
+    sight, pose, trans = start.sight, start.pose, start.trans
     given = prior.for_joints(body.joint_names)
-    betas = np.zeros(body.num_betas)
-    offsets = np.zeros((len(keypoints.names), 3))
-    person = keypoints.shaped(betas, offsets)
-    pose, trans = placed(points, keypoints, person, given.mean)
-    point_sd = settings.triangulation.max_point_error
-    weights = np.full(points.shape[:2], 1.0 / point_sd**2)
-    rough = keypoint_data(
-        person, None, None, None, given.mean, given.precision, 4.0, points, weights
-    )
-    pose, trans, _ = solve_poses(rough, pose, trans, rate, settings)
-    shape = CameraShape(
-        betas,
-        offsets,
-        rig,
-        np.zeros((len(rig.cameras), 6)),
-        pose,
-        trans,
-        "",
-        {},
-    )
+    none = np.zeros((len(keypoints.names), 3)), np.zeros((len(rig.cameras), 6))
+    shape = CameraShape(np.zeros(body.num_betas), none[0], rig, none[1], pose, trans, "", {})
     status = ""
     free, was_free = False, False
     for k in range(settings.rounds):
-        rows = unlike_frames(points, sight, settings.frames)
-        late = shifted(sight, rate)
+        late = shifted(sight, detections.rate_hz)
+        rows = unlike_frames(start.points, sight, settings.frames)
         wide = settings.noise * settings.camera_noise
         data = ShapeData(rig, late[rows], information(sight, keypoints.names, wide)[rows])
-        start = replace(shape, pose=pose[rows], trans=trans[rows])
+        here = replace(shape, pose=pose[rows], trans=trans[rows])
         reaches = settings.reaches if k == 0 else settings.reaches[1:]
-        shape = shape_stage(body, prior, keypoints, data, start, settings, reaches, height, free)
+        shape = shape_stage(body, prior, keypoints, data, here, settings, reaches, height, free)
         person = keypoints.shaped(shape.betas, shape.offsets)
-        data_all = keypoint_data(
+        every = keypoint_data(
             person,
             shape.rig,
             late,
@@ -168,40 +154,98 @@ def fit_person(
             settings.reach,
         )
         warm = 0 < k < settings.rounds - 1 and free == was_free  # slow waves want coarse levels
-        pose, trans, solution = solve_poses(data_all, pose, trans, rate, settings, warm)
-        was_free = free
-        status = solution.status
+        rate = detections.rate_hz
+        pose, trans, solution = solve_poses(every, pose, trans, rate, settings, warm)
+        status, was_free = solution.status, free
         if k + 1 < settings.rounds:
             expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
-            sight = sides_put_back(sight, expected, keypoints.names, settings)
-            biased = bool(np.max(camera_bias(sight, expected, rate)) > settings.camera_bias)
-            if correct and biased and not free:
-                free = True  # what noise and clocks are is seen once the cameras agree
-                continue
-            sight = replace(sight, noise=estimated_noise(sight, expected, keypoints.names))
-            for _ in range(settings.clock_steps):
-                sight = replace(sight, late=estimated_lateness(sight, expected, rate, settings))
-    seconds = time.perf_counter() - began
+            sight, biased = reviewed(
+                sight, expected, keypoints.names, rate, settings, free, correct
+            )
+            free = free or biased
     return CameraFit.solved(
         body=body,
         shape=shape,
         keypoints=keypoints,
         pose=pose,
         trans=trans,
-        rate_hz=rate,
-        first_frame=first,
+        rate_hz=detections.rate_hz,
+        first_frame=start.first_frame,
         sight=sight,
-        pixels=shifted(sight, rate),
-        points=points,
+        pixels=shifted(sight, detections.rate_hz),
+        points=start.points,
         given_rig=rig,
         detections=detections,
-        up_axis=up_axis,
+        up_axis=upright(start.points, keypoints, up),
         height=height,
         status=status,
         number=number,
         total=total,
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
     )
+
+
+def start_person(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
+    rig: CameraRig,
+    keypoints: KeypointRig,
+    settings: CameraSettings,
+) -> Start:
+    """Poses of the mean shape by triangulated keypoints, over the frames in which shoulders and
+    hips are known. Raises HabitusError where they are known in too few.
+    """
+    sight, points = first_sight(track, rig, settings)
+    found = np.flatnonzero(trunk_seen(points, keypoints.names))
+    if len(found) < min(5, len(points)):
+        raise HabitusError(
+            f"{detections.name}: shoulders and hips meet in space in {len(found)} of {len(points)} "
+            "frames; check that cameras and detections have the same names and frames"
+        )
+    kept = slice(int(found[0]), int(found[-1]) + 1)
+    sight, points = of_frames(sight, kept), points[kept]
+    given = prior.for_joints(body.joint_names)
+    person = keypoints.shaped(np.zeros(body.num_betas), np.zeros((len(keypoints.names), 3)))
+    pose, trans = placed(points, keypoints, person, given.mean)
+    triangulation = settings.triangulation
+    weights = np.full(points.shape[:2], 1.0 / triangulation.max_point_error**2)
+    rough = keypoint_data(
+        person,
+        None,
+        None,
+        None,
+        given.mean,
+        given.precision,
+        triangulation.reach,
+        points,
+        weights,
+    )
+    pose, trans, _ = solve_poses(rough, pose, trans, detections.rate_hz, settings)
+    return Start(sight, points, pose, trans, kept.start)
+
+
+def reviewed(
+    sight: Sight,
+    expected: Float[np.ndarray, "T C K 2"],
+    names: tuple[str, ...],
+    rate_hz: float,
+    settings: CameraSettings,
+    free: bool,
+    correct: bool,
+) -> tuple[Sight, bool]:
+    """Detections after a round, sides put back, and whether cameras become unknowns (``correct``:
+    they may). Noise and clocks are estimated once the cameras agree.
+    """
+    sight = sides_put_back(sight, expected, names, settings)
+    biased = bool(np.max(camera_bias(sight, expected, rate_hz)) > settings.camera_bias)
+    if correct and biased and not free:
+        return sight, True
+    sight = replace(sight, noise=estimated_noise(sight, expected, names))
+    for _ in range(settings.clock_steps):
+        sight = replace(sight, late=estimated_lateness(sight, expected, rate_hz, settings))
+    return sight, False
 
 
 def first_sight(

@@ -34,7 +34,9 @@ class TriangulationSettings:
     """Reprojection error up to which a camera agrees with a point, as a share of the person's
     height in pixels."""
     max_point_error: float = 0.1
-    """Metres (sd) of a triangulated point as a start."""
+    """Metres (sd) of a triangulated point as a start,"""
+    reach: float = 4.0
+    """and the scale of its robust loss, in standard deviations."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ class CameraSolution(BodyMotion):
     table, in their bones' frames (m). cameras: as corrected; corrections (C, 6): turns (rad) and
     shifts (m) in each camera's frame; late (C,): seconds. ``size_px`` (T, C): the person's height
     in the images. exchanged (T, C): where left and right were put back. ``triangulated`` (T, K, 3).
-    given_height: as told (m).
+    given_height: the height that was given (m), None without one.
     """
 
     keypoint_names: tuple[str, ...] = ()

@@ -1,6 +1,6 @@
-"""All people in one depth view: pieces that stand out of floor and walls, and pieces of several
-people who touch, parted at their heads (M. Munaro and E. Menegatti, "Fast RGB-D people tracking for
-service robots", Autonomous Robots 37:227-242, 2014).
+"""All people in one depth view: connected components above the floor and off the walls; components
+of several people who touch are split at their heads (M. Munaro and E. Menegatti, "Fast RGB-D people
+tracking for service robots", Autonomous Robots 37:227-242, 2014).
 """
 
 from dataclasses import replace
@@ -159,10 +159,10 @@ def _neighbours(points: Float[np.ndarray, "H W 3"], piece: Bool[np.ndarray, "H W
         difference = points[here][both] - points[there][both]
         noise = QUANTUM * points[here][both][:, 2] ** 2
         step = np.maximum(np.abs(difference[:, 2]) - noise, 0.0)
-        apart = np.linalg.norm(difference[:, :2], axis=-1)
+        distance = np.linalg.norm(difference[:, :2], axis=-1)
         rows.append(number[here][both])
         columns.append(number[there][both])
-        lengths.append(apart + STEP * step)
+        lengths.append(distance + STEP * step)
     pairs = np.concatenate(rows), np.concatenate(columns)
     return csr_array((np.concatenate(lengths), pairs), shape=(int(piece.sum()),) * 2)
 

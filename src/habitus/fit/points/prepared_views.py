@@ -221,8 +221,8 @@ def _standing_out(
 def standing_pieces(
     depth: np.ndarray, points: np.ndarray, floor: Floor | None, settings: SegmentationSettings
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """What is above the floor, and pieces of it that are apart in depth and no wider than a
-    person.
+    """The pixels above the floor, and connected components of them that are separated in depth and
+    no wider than a person.
     """
     above = depth > 0
     if floor is not None:

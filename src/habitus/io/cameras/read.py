@@ -368,7 +368,7 @@ def _floats(text: str | None, count: int) -> list[float]:
 
 
 def _in_metres(rig: CameraRig, path: Path) -> CameraRig:
-    """In metres: places further apart than any room's are in millimetres."""
+    """The rig in metres: coordinates larger than `MAX_METRES` are taken as millimetres."""
     if len(set(rig.names)) < len(rig.names):
         raise HabitusError(f"{path}: cameras share a name: {listed(rig.names)}")
     far = max(

@@ -177,11 +177,10 @@ def _mmpose(
 ) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
     meta = table.get("meta_info")
     names = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
-    told = None
+    order = None
     if isinstance(names, Mapping):
-        told = tuple(
-            str(names[key]) for key in sorted(names, key=lambda k: numeric_order(str(k)[:20]))
-        )
+        keys = sorted(names, key=lambda key: numeric_order(str(key)[:20]))
+        order = tuple(str(names[key]) for key in keys)
     frames: dict[int, Frame] = {}
     for k, info in enumerate(table["instance_info"]):
         people = []
@@ -193,7 +192,7 @@ def _mmpose(
             people.append(_checked(np.column_stack([at[:, :2], sure])))
         number = info.get("frame_id", k) if isinstance(info, Mapping) else k
         frames[number if isinstance(number, int) else k] = people[:MAX_PEOPLE]
-    return frames, told
+    return frames, order
 
 
 def _people(people: Sequence[Any], path: Path) -> Frame:

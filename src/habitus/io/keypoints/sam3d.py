@@ -108,8 +108,10 @@ def read_sam3d(
     if (spread := float(np.ptp(drift))) > 0.02:
         notes.append(f"sizes of the person differ by {100 * spread:.0f} % between frames")
     name = plain_name(path.resolve().name)
-    told = {"warnings": tuple(notes), "doubts": (NOTE,)}
-    return Capture(name, layout.labels, markers, rate_hz, "+y", **told), layout
+    capture = Capture(
+        name, layout.labels, markers, rate_hz, "+y", warnings=tuple(notes), doubts=(NOTE,)
+    )
+    return capture, layout
 
 
 def _frame(path: Path, points: MeshPoints) -> tuple[np.ndarray, np.ndarray]:
