@@ -347,7 +347,7 @@ def placed(
     root = person.joints[0]
     known = np.flatnonzero(trunk_seen(points, rig.names))
     seen = points[known][:, rows]
-    there = np.isfinite(seen).all(2)
+    there = np.asarray(np.isfinite(seen).all(2))
     seen = np.where(there[..., None], seen, 0.0)
     turn, shift = procrustes(np.broadcast_to(at_rest, seen.shape), seen, there.astype(float))
     shift = shift + turn @ root - root
