@@ -45,6 +45,7 @@ FILES = (
     "render/kernels/surfaces_vjp.py",
     "render/kernels/projection.py",
     "fit/markers/sequence_kernels.py",
+    "fit/cameras/sequence_kernels.py",
     "fit/labels/kernels.py",
     "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",

@@ -1,14 +1,21 @@
-"""Normal equations of frames that cameras see as keypoints, and one damped step of each: the
-compiled form of `habitus.fit.cameras.sequence.KeypointSequence.linearize` and of
-`habitus.solve.sequence.DenseVisits.visit`.
+"""Normal equations of frames that cameras see as keypoints, for LANES frames at once: the compiled
+form of `habitus.residuals.keypoint_terms.Keypoints` with a Gaussian over the poses.
 
     f = 1/2 sum_ck w_ck rho(|r_ck|^2) + 1/2 sum_k v_k rho_3(|q_k - t_k|^2)
         + 1/2 (z - mean)^T precision (z - mean)
 
 r_ck: pixels of keypoint k in camera c, expected less observed; w, v: information (1 / px^2, 1 /
 m^2), 0 where nothing was seen. rho(s) = s / (1 + w s / h^2): Geman-McClure's of h standard
-deviations, so that a detection weighs at most h^2. All cameras of a keypoint become one 3 x 3
-information and one pull on its point; the matrix is then that of points on a skeleton.
+deviations, so that a detection weighs at most h^2.
+
+All cameras of a keypoint become one 3 x 3 information A and one pull on its point. About the body's
+root, at r from it, they are the 6 x 6 information of a rigid body,
+
+    S = J^T A J,  J = [-[r]x  I],
+
+which add up along the skeleton (Featherstone, "Rigid Body Dynamics Algorithms", ch. 6): the block
+of joints j and i above it is U_j^T S_j U_i, S_j of all that j moves, and U_j the twists of j's
+rotation vector.
 """
 
 from typing import NamedTuple
@@ -16,9 +23,30 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from habitus.kernels.jit import jit_inline, jit_noalloc
+from habitus.kernels.jit import jit, jit_inline
+from habitus.kernels.simd import LANES, load, spread, store, where_less
+from habitus.kernels.simd_linalg import (
+    add3,
+    add_row3,
+    block_row,
+    clear,
+    cross3,
+    dot3,
+    load3,
+    load9,
+    spread3,
+    store3,
+    store9,
+    sub3,
+    turn3,
+    turn_back3,
+)
+from habitus.observe.marker_kernels import move_joints
+from habitus.residuals.marker_kernels import prior_cost, prior_gradient3
 
 NEAR = 0.1
+INFORMATION = 33
+"""Rows of one rigid body: turns (9), turns with shifts (9), shifts (9), pulls of both (6)."""
 
 
 class KeypointData(NamedTuple):
@@ -42,341 +70,264 @@ class KeypointData(NamedTuple):
     precision: Float[np.ndarray, "N N"]
 
 
-class KeypointScratch(NamedTuple):
-    """Room for one frame."""
+class KeypointOffsets(NamedTuple):
+    """Where things lie in the workspace (end, LANES) of one group of frames: the first row of
+    each.
+    """
 
-    world: Float[np.ndarray, "J 3 3"]
-    axes: Float[np.ndarray, "J 3 3"]
-    at: Float[np.ndarray, "J 3"]
-    gradient: Float[np.ndarray, " N"]
-    matrix: Float[np.ndarray, "N N"]
-    step: Float[np.ndarray, " N"]
-    trial: Float[np.ndarray, " N"]
-    information: Float[np.ndarray, "3 3"]
-    pull: Float[np.ndarray, "3"]
-    arms: Float[np.ndarray, "J 3 3"]
-    """Of each joint above a point, how its rotation vector moves it."""
-    informed: Float[np.ndarray, "3 3"]
+    state: int
+    trial: int
+    gradient: int
+    step: int
+    pull: int
+    stiffness: int
+    rest_joint: int
+    local: int
+    left: int
+    world: int
+    axes: int
+    place: int
+    offset: int
+    body: int
+    """`INFORMATION` of each joint with all that it moves."""
+    seen: int
+    """Pixel and weight of each keypoint in each camera."""
+    point: int
+    """Place and weight of each keypoint that is known otherwise."""
+    matrix: int
+    blocks: int
+    end: int
 
     @staticmethod
-    def of(joints: int) -> "KeypointScratch":
-        """For so many joints."""
-        size = 3 + 3 * joints
-        return KeypointScratch(
-            np.empty((joints, 3, 3)),
-            np.empty((joints, 3, 3)),
-            np.empty((joints, 3)),
-            np.empty(size),
-            np.empty((size, size)),
-            np.empty(size),
-            np.empty(size),
-            np.empty((3, 3)),
-            np.empty(3),
-            np.empty((joints, 3, 3)),
-            np.empty((3, 3)),
-        )
+    def of(joints: int, keypoints: int, cameras: int) -> "KeypointOffsets":
+        """For so many of each."""
+        blocks = 1 + joints
+        size = 3 * blocks
+        rows = [size] * 6 + [3 * joints] + [9 * joints] * 4 + [3 * joints] * 2
+        rows += [INFORMATION * joints, 3 * cameras * keypoints, 4 * keypoints]
+        rows += [9 * blocks * (blocks + 1) // 2]
+        first = np.concatenate([[0], np.cumsum(rows)]).tolist()
+        return KeypointOffsets(*first[:-1], blocks, first[-1])
 
 
 @jit_inline
-def _turn(vector, rotation, axes):
-    """The matrix of a rotation vector, and its left Jacobian."""
-    x, y, z = vector[0], vector[1], vector[2]
-    s = x * x + y * y + z * z
-    if s < 1e-8:
-        a, b, c = 1.0 - s / 6.0, 0.5 - s / 24.0, 1.0 / 6.0 - s / 120.0
-    else:
-        t = np.sqrt(s)
-        a, b, c = np.sin(t) / t, (1.0 - np.cos(t)) / s, (t - np.sin(t)) / (s * t)
-    rotation[0, 0] = 1.0 - b * (y * y + z * z)
-    rotation[0, 1] = b * x * y - a * z
-    rotation[0, 2] = b * x * z + a * y
-    rotation[1, 0] = b * x * y + a * z
-    rotation[1, 1] = 1.0 - b * (x * x + z * z)
-    rotation[1, 2] = b * y * z - a * x
-    rotation[2, 0] = b * x * z - a * y
-    rotation[2, 1] = b * y * z + a * x
-    rotation[2, 2] = 1.0 - b * (x * x + y * y)
-    axes[0, 0] = 1.0 - c * (y * y + z * z)
-    axes[0, 1] = c * x * y - b * z
-    axes[0, 2] = c * x * z + b * y
-    axes[1, 0] = c * x * y + b * z
-    axes[1, 1] = 1.0 - c * (x * x + z * z)
-    axes[1, 2] = c * y * z - b * x
-    axes[2, 0] = c * x * z - b * y
-    axes[2, 1] = c * y * z + b * x
-    axes[2, 2] = 1.0 - c * (x * x + y * y)
-
-
-@jit_inline
-def _place(data, room, state):
-    """World rotations, axes and places of all joints."""
+def gather_keypoints(data, offsets, workspace, frames, states, group):
+    """Bring states and observations of a group to its lanes."""
+    keypoints = len(data.bone)
+    cameras = len(data.focal)
+    for k in range(LANES):
+        t = frames[group[k]]
+        for n in range(states.shape[1]):
+            workspace[offsets.state + n, k] = states[group[k], n]
+        for c in range(cameras):
+            for i in range(keypoints):
+                row = offsets.seen + 3 * (c * keypoints + i)
+                workspace[row, k] = data.pixels[t, c, i, 0]
+                workspace[row + 1, k] = data.pixels[t, c, i, 1]
+                workspace[row + 2, k] = data.weights[t, c, i]
+        for i in range(keypoints):
+            for m in range(3):
+                workspace[offsets.point + 4 * i + m, k] = data.points[t, i, m]
+            workspace[offsets.point + 4 * i + 3, k] = data.point_weights[t, i]
     for j in range(len(data.parents)):
-        _turn(state[3 + 3 * j : 6 + 3 * j], room.world[j], room.axes[j])
-        p = data.parents[j]
-        if p < 0:
-            for i in range(3):
-                room.at[j, i] = data.joints[j, i] + state[i]
-            continue
-        for i in range(3):
-            total = room.at[p, i]
-            for m in range(3):
-                total += room.world[p, i, m] * (data.joints[j, m] - data.joints[p, m])
-            room.at[j, i] = total
-        for table in (room.world[j], room.axes[j]):
-            for c in range(3):
-                x, y, z = table[0, c], table[1, c], table[2, c]
-                for i in range(3):
-                    table[i, c] = (
-                        room.world[p, i, 0] * x + room.world[p, i, 1] * y + room.world[p, i, 2] * z
-                    )
+        rest = spread3(data.joints[j, 0], data.joints[j, 1], data.joints[j, 2])
+        store3(workspace, offsets.rest_joint + 3 * j, rest)
+
+
+@jit
+def keypoint_costs(data, offsets, workspace, frames, states, out):
+    """f of frames in their states (F, N), into out (F,)."""
+    group = np.empty(LANES, dtype=np.int64)
+    for first in range(0, len(frames), LANES):
+        for k in range(LANES):
+            group[k] = min(first + k, len(frames) - 1)
+        gather_keypoints(data, offsets, workspace, frames, states, group)
+        cost = keypoint_cost(data, offsets, workspace, offsets.state)
+        store(workspace, offsets.step, cost)
+        for k in range(LANES):
+            out[group[k]] = workspace[offsets.step, k]
+
+
+@jit
+def normal_equations(data, offsets, workspace, frames, states, out, gradients, matrices):
+    """f (F,), gradients (F, N) and matrices (F, N, N) of frames in their states."""
+    group = np.empty(LANES, dtype=np.int64)
+    for first in range(0, len(frames), LANES):
+        for k in range(LANES):
+            group[k] = min(first + k, len(frames) - 1)
+        gather_keypoints(data, offsets, workspace, frames, states, group)
+        cost = linearize_keypoints(data, offsets, workspace)
+        store(workspace, offsets.step, cost)
+        for k in range(LANES):
+            out[group[k]] = workspace[offsets.step, k]
+            for r in range(states.shape[1]):
+                gradients[group[k], r] = workspace[offsets.gradient + r, k]
+                for c in range(r + 1):
+                    row = offsets.matrix + block_row(r // 3, c // 3) + 3 * (r % 3) + c % 3
+                    matrices[group[k], r, c] = workspace[row, k]
+                    matrices[group[k], c, r] = workspace[row, k]
 
 
 @jit_inline
-def _point(data, room, k):
-    """Keypoint k in the world."""
+def keypoint_cost(data, offsets, workspace, state):
+    """f of the states in rows `state`, one lane each."""
+    move_joints(data, offsets, workspace, state)
+    cost = prior_cost(data, workspace, state)
+    for k in range(len(data.bone)):
+        cost = cost + observe(data, offsets, workspace, k)[0]
+    return cost
+
+
+@jit_inline
+def observe(data, offsets, workspace, k):
+    """Of keypoint k its cost, place, pull, and the lower triangle of its information."""
     b = data.bone[k]
-    x, y, z = data.places[k, 0], data.places[k, 1], data.places[k, 2]
-    return (
-        room.at[b, 0] + room.world[b, 0, 0] * x + room.world[b, 0, 1] * y + room.world[b, 0, 2] * z,
-        room.at[b, 1] + room.world[b, 1, 0] * x + room.world[b, 1, 1] * y + room.world[b, 1, 2] * z,
-        room.at[b, 2] + room.world[b, 2, 0] * x + room.world[b, 2, 1] * y + room.world[b, 2, 2] * z,
-    )
-
-
-@jit_inline
-def _observe(data, room, t, k, q, second):
-    """The cost of keypoint k in frame t; with ``second`` its information and pull too."""
-    cost = 0.0
-    if second:
-        for i in range(3):
-            room.pull[i] = 0.0
-            for m in range(3):
-                room.information[i, m] = 0.0
+    own = spread3(data.places[k, 0], data.places[k, 1], data.places[k, 2])
+    world = load9(workspace, offsets.world + 9 * b)
+    q = add3(load3(workspace, offsets.place + 3 * b), turn3(world, own))
+    keypoints = len(data.bone)
     least = 1.0 / (data.reach * data.reach)
+    behind = 0.5 * data.reach * data.reach
+    known = load(workspace, offsets.point + 4 * k + 3)
+    off = sub3(q, load3(workspace, offsets.point + 4 * k))
+    squared = dot3(off, off)
+    share = 1.0 / (1.0 + known * squared * least)
+    cost = 0.5 * known * share * squared
+    weight = known * share * share
+    pull = weight * off[0], weight * off[1], weight * off[2]
+    none = spread(0.0)
+    xx, xy, yy, xz, yz, zz = weight, none, weight, none, none, weight
     for c in range(len(data.focal)):
-        w = data.weights[t, c, k]
-        if w == 0.0:
-            continue
+        row = offsets.seen + 3 * (c * keypoints + k)
+        w = load(workspace, row + 2)
         turn = data.rotation[c]
         x = turn[0, 0] * q[0] + turn[0, 1] * q[1] + turn[0, 2] * q[2] + data.translation[c, 0]
         y = turn[1, 0] * q[0] + turn[1, 1] * q[1] + turn[1, 2] * q[2] + data.translation[c, 1]
         z = turn[2, 0] * q[0] + turn[2, 1] * q[1] + turn[2, 2] * q[2] + data.translation[c, 2]
-        if z < NEAR:
-            cost += 0.5 * data.reach * data.reach
-            continue
-        fx, fy = data.focal[c, 0] / z, data.focal[c, 1] / z
-        u = fx * x + data.centre[c, 0] - data.pixels[t, c, k, 0]
-        v = fy * y + data.centre[c, 1] - data.pixels[t, c, k, 1]
+        hidden = where_less(z, NEAR, w, 0.0)
+        cost = cost + where_less(0.0, hidden, behind, 0.0)
+        w = where_less(z, NEAR, 0.0, w)
+        inverse = 1.0 / where_less(z, NEAR, NEAR, z)
+        fx, fy = data.focal[c, 0] * inverse, data.focal[c, 1] * inverse
+        px, py = x * inverse, y * inverse
+        u = data.focal[c, 0] * px + data.centre[c, 0] - load(workspace, row)
+        v = data.focal[c, 1] * py + data.centre[c, 1] - load(workspace, row + 1)
         squared = u * u + v * v
         share = 1.0 / (1.0 + w * squared * least)
-        cost += 0.5 * w * share * squared
-        if second:
-            weight = w * share * share
-            for i in range(3):
-                gu = fx * (turn[0, i] - x / z * turn[2, i])
-                gv = fy * (turn[1, i] - y / z * turn[2, i])
-                room.pull[i] += weight * (gu * u + gv * v)
-                for m in range(3):
-                    hu = fx * (turn[0, m] - x / z * turn[2, m])
-                    hv = fy * (turn[1, m] - y / z * turn[2, m])
-                    room.information[i, m] += weight * (gu * hu + gv * hv)
-    w = data.point_weights[t, k]
-    if w > 0.0:
-        x = q[0] - data.points[t, k, 0]
-        y = q[1] - data.points[t, k, 1]
-        z = q[2] - data.points[t, k, 2]
-        squared = x * x + y * y + z * z
-        share = 1.0 / (1.0 + w * squared * least)
-        cost += 0.5 * w * share * squared
-        if second:
-            weight = w * share * share
-            for i in range(3):
-                room.information[i, i] += weight
-            room.pull[0] += weight * x
-            room.pull[1] += weight * y
-            room.pull[2] += weight * z
-    return cost
-
-
-@jit_inline
-def _prior(data, room, state, second):
-    cost = 0.0
-    size = len(data.mean)
-    for r in range(6, size):
-        slope = 0.0
-        for c in range(6, size):
-            slope += data.precision[r, c] * (state[c] - data.mean[c])
-        cost += 0.5 * slope * (state[r] - data.mean[r])
-        if second:
-            room.gradient[r] += slope
-    return cost
-
-
-@jit_noalloc
-def frame_cost(data, room, t, state):
-    """f of one frame."""
-    _place(data, room, state)
-    cost = _prior(data, room, state, False)
-    for k in range(len(data.bone)):
-        cost += _observe(data, room, t, k, _point(data, room, k), False)
-    return cost
-
-
-@jit_noalloc
-def linearize_frame(data, room, t, state):
-    """f of one frame; its gradient and the lower triangle of its matrix in the scratch."""
-    size = len(data.mean)
-    _place(data, room, state)
-    for r in range(size):
-        room.gradient[r] = 0.0
-        for c in range(r + 1):
-            room.matrix[r, c] = data.precision[r, c]
-    cost = _prior(data, room, state, True)
-    for k in range(len(data.bone)):
-        q = _point(data, room, k)
-        cost += _observe(data, room, t, k, q, True)
-        for i in range(3):
-            room.gradient[i] += room.pull[i]
-            for m in range(i + 1):
-                room.matrix[i, m] += room.information[i, m]
-        j = data.bone[k]
-        while j >= 0:
-            _add_joint(data, room, k, j, q)
-            j = data.parents[j]
-    return cost
-
-
-@jit_inline
-def _add_joint(data, room, k, j, q):
-    """What joint j, above keypoint k, adds: with place, with itself, and with the joints below it
-    on the way to the keypoint.
-    """
-    x, y, z = q[0] - room.at[j, 0], q[1] - room.at[j, 1], q[2] - room.at[j, 2]
-    arm = room.arms[j]
-    for c in range(3):
-        a, b, e = room.axes[j, 0, c], room.axes[j, 1, c], room.axes[j, 2, c]
-        arm[0, c] = b * z - e * y
-        arm[1, c] = e * x - a * z
-        arm[2, c] = a * y - b * x
-    row = 3 + 3 * j
-    for c in range(3):
-        room.gradient[row + c] += (
-            arm[0, c] * room.pull[0] + arm[1, c] * room.pull[1] + arm[2, c] * room.pull[2]
+        cost = cost + 0.5 * w * share * squared
+        weight = w * share * share
+        ax, ay, az = (
+            fx * (turn[0, 0] - px * turn[2, 0]),
+            fx * (turn[0, 1] - px * turn[2, 1]),
+            fx * (turn[0, 2] - px * turn[2, 2]),
         )
-        for i in range(3):
-            room.informed[i, c] = (
-                room.information[i, 0] * arm[0, c]
-                + room.information[i, 1] * arm[1, c]
-                + room.information[i, 2] * arm[2, c]
-            )
-            room.matrix[row + c, i] += room.informed[i, c]
-    for c in range(3):
-        for m in range(c + 1):
-            room.matrix[row + c, row + m] += (
-                arm[0, m] * room.informed[0, c]
-                + arm[1, m] * room.informed[1, c]
-                + arm[2, m] * room.informed[2, c]
-            )
-    below = data.bone[k]
-    while below != j:
-        other = room.arms[below]
-        down = 3 + 3 * below
-        for c in range(3):
-            for m in range(3):
-                room.matrix[down + c, row + m] += (
-                    other[0, c] * room.informed[0, m]
-                    + other[1, c] * room.informed[1, m]
-                    + other[2, c] * room.informed[2, m]
-                )
-        below = data.parents[below]
+        bx, by, bz = (
+            fy * (turn[1, 0] - py * turn[2, 0]),
+            fy * (turn[1, 1] - py * turn[2, 1]),
+            fy * (turn[1, 2] - py * turn[2, 2]),
+        )
+        pull = (
+            pull[0] + weight * (ax * u + bx * v),
+            pull[1] + weight * (ay * u + by * v),
+            pull[2] + weight * (az * u + bz * v),
+        )
+        xx = xx + weight * (ax * ax + bx * bx)
+        xy = xy + weight * (ax * ay + bx * by)
+        yy = yy + weight * (ay * ay + by * by)
+        xz = xz + weight * (ax * az + bx * bz)
+        yz = yz + weight * (ay * az + by * bz)
+        zz = zz + weight * (az * az + bz * bz)
+    return cost, q, pull, (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 @jit_inline
-def _solve(room, size):
-    """The step -matrix^-1 gradient by Cholesky, in place; False where the matrix is not positive
-    definite.
+def linearize_keypoints(data, offsets, workspace):
+    """f of the states in rows offsets.state, with gradient and matrix (blocks of its lower
+    triangle) in their rows.
     """
-    m = room.matrix
-    for r in range(size):
+    move_joints(data, offsets, workspace, offsets.state)
+    joints = len(data.parents)
+    clear(workspace, offsets.body, offsets.body + INFORMATION * joints)
+    cost = prior_cost(data, workspace, offsets.state)
+    for k in range(len(data.bone)):
+        own, q, pull, information = observe(data, offsets, workspace, k)
+        cost = cost + own
+        r = sub3(q, load3(workspace, offsets.place))
+        add_body(workspace, offsets.body + INFORMATION * data.bone[k], r, pull, information)
+    for j in range(joints - 1, 0, -1):
+        row = offsets.body + INFORMATION * j
+        above = offsets.body + INFORMATION * data.parents[j]
+        for n in range(INFORMATION):
+            store(workspace, above + n, load(workspace, above + n) + load(workspace, row + n))
+    write_prior(data, offsets, workspace)
+    store9(workspace, offsets.matrix, load9(workspace, offsets.body + 18))
+    add_row3(workspace, offsets.gradient, load3(workspace, offsets.body + 30))
+    for j in range(joints):
+        add_joint(data, offsets, workspace, j)
+    return cost
+
+
+@jit_inline
+def add_body(workspace, row, r, pull, a):
+    """Add a point at r from the root, its information ``a`` and pull, to a rigid body."""
+    # B = [r]x A, column by column; C = B [r]x^T, row by row
+    x = cross3(r, (a[0], a[3], a[6]))
+    y = cross3(r, (a[1], a[4], a[7]))
+    z = cross3(r, (a[2], a[5], a[8]))
+    b = (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
+    for n in range(3):
+        add_row3(workspace, row + 3 * n, cross3(r, (x[n], y[n], z[n])))
+        add_row3(workspace, row + 9 + 3 * n, (b[3 * n], b[3 * n + 1], b[3 * n + 2]))
+        add_row3(workspace, row + 18 + 3 * n, (a[3 * n], a[3 * n + 1], a[3 * n + 2]))
+    add_row3(workspace, row + 27, cross3(r, pull))
+    add_row3(workspace, row + 30, pull)
+
+
+@jit_inline
+def write_prior(data, offsets, workspace):
+    """The Gaussian's gradient and matrix."""
+    clear(workspace, offsets.gradient, offsets.gradient + 6)
+    for r in range(6, len(data.mean), 3):
+        gradient = prior_gradient3(data, workspace, offsets.state, r)
+        store3(workspace, offsets.gradient + r, gradient)
+    for r in range(offsets.blocks):
         for c in range(r + 1):
-            total = m[r, c]
-            for i in range(c):
-                total -= m[r, i] * m[c, i]
-            if r == c:
-                if not total > 0.0:
-                    return False
-                m[r, r] = np.sqrt(total)
-            else:
-                m[r, c] = total / m[c, c]
-    for r in range(size):
-        total = -room.gradient[r]
-        for c in range(r):
-            total -= m[r, c] * room.step[c]
-        room.step[r] = total / m[r, r]
-    for r in range(size - 1, -1, -1):
-        total = room.step[r]
-        for c in range(r + 1, size):
-            total -= m[c, r] * room.step[c]
-        room.step[r] = total / m[r, r]
-    return True
+            row = offsets.matrix + block_row(r, c)
+            for i in range(3):
+                for m in range(3):
+                    store(workspace, row + 3 * i + m, spread(data.precision[3 * r + i, 3 * c + m]))
 
 
-@jit_noalloc
-def costs(data, room, frames, states, out):
-    """f of several frames."""
-    for k in range(len(frames)):
-        out[k] = frame_cost(data, room, frames[k], states[k])
+@jit_inline
+def twist(offsets, workspace, j, c):
+    """How entry c of joint j's rotation vector turns and shifts what it moves, at the root."""
+    row = offsets.axes + 9 * j + c
+    axis = load(workspace, row), load(workspace, row + 3), load(workspace, row + 6)
+    away = sub3(load3(workspace, offsets.place + 3 * j), load3(workspace, offsets.place))
+    return axis, cross3(away, axis)
 
 
-@jit_noalloc
-def visit(data, room, level, block):
-    """`habitus.solve.sequence.DenseVisits.visit` of the frames ``block`` of a level (frames,
-    states, links, costs, damping, moved, cost_decrease, relaxations).
-    """
-    frames, states, links, level_costs, dampings, moved, decrease, relaxations = level
-    size = len(data.mean)
-    last = len(states) - 1
-    for b in block:
-        state = states[b]
-        damping = dampings[b]
-        relaxation = relaxations[b]
-        cost = linearize_frame(data, room, frames[b], state)
-        for n in range(size):
-            here = state[n]
-            first = states[max(b - 2, 0), n] - 2.0 * states[max(b - 1, 0), n] + here
-            second = states[max(b - 1, 0), n] - 2.0 * here + states[min(b + 1, last), n]
-            third = here - 2.0 * states[min(b + 1, last), n] + states[min(b + 2, last), n]
-            la, lb, lc = links[b, n], links[b + 1, n], links[b + 2, n]
-            room.trial[n] = la * first - 2.0 * lb * second + lc * third
-            room.gradient[n] += room.trial[n]
-            room.matrix[n, n] += la + 4.0 * lb + lc + damping + 1e-9
-        good = np.isfinite(cost) and _solve(room, size)
-        change, along, spent, square = 0.0, 0.0, 0.0, 0.0
-        if good:
-            for n in range(size):
-                step = relaxation * room.step[n]
-                stiffness = links[b, n] + 4.0 * links[b + 1, n] + links[b + 2, n]
-                change += (room.trial[n] + 0.5 * stiffness * step) * step
-                along -= room.gradient[n] * room.step[n]
-                spent += damping * room.step[n] * room.step[n]
-                if n >= 3:
-                    square += room.step[n] * room.step[n]
-            for n in range(size):
-                room.trial[n] = state[n] + relaxation * room.step[n]
-            trial = frame_cost(data, room, frames[b], room.trial)
-            change += trial - cost
-        if good and change < 1e-13 * cost:
-            for n in range(size):
-                state[n] = room.trial[n]
-            level_costs[b] = trial
-            decrease[b] = -change
-            predicted = -relaxation * along + 0.5 * relaxation * relaxation * (along - spent)
-            ratio = change / predicted if predicted != 0.0 else 0.0
-            factor = 0.1 if ratio > 0.75 else (0.5 if ratio > 0.25 else 2.0)
-            dampings[b] = damping * factor if damping > 1e-2 else 0.0
-        else:
-            level_costs[b] = cost
-            decrease[b] = 0.0
-            dampings[b] = min(max(8.0 * damping, 10.0), 1e12)
-        longer = along / max(along - spent, 1e-6 * along) if along > 0.0 else 1.0
-        moved[b] = np.sqrt(square / (size - 3)) * longer if good else 0.0
+@jit_inline
+def add_joint(data, offsets, workspace, j):
+    """Joint j's row of blocks: with the place, with the joints above it, and with itself."""
+    row = offsets.body + INFORMATION * j
+    turns = load9(workspace, row)
+    mixed = load9(workspace, row + 9)
+    shifts = load9(workspace, row + 18)
+    pull_turn, pull_shift = load3(workspace, row + 27), load3(workspace, row + 30)
+    for c in range(3):
+        w, v = twist(offsets, workspace, j, c)
+        gradient = offsets.gradient + 3 + 3 * j + c
+        own = dot3(w, pull_turn) + dot3(v, pull_shift)
+        store(workspace, gradient, load(workspace, gradient) + own)
+        force_turn = add3(turn3(turns, w), turn3(mixed, v))
+        force_shift = add3(turn_back3(mixed, w), turn3(shifts, v))
+        add_row3(workspace, offsets.matrix + block_row(1 + j, 0) + 3 * c, force_shift)
+        i = j
+        while i >= 0:
+            at = offsets.matrix + block_row(1 + j, 1 + i) + 3 * c
+            for m in range(3):
+                other_w, other_v = twist(offsets, workspace, i, m)
+                value = dot3(force_turn, other_w) + dot3(force_shift, other_v)
+                store(workspace, at + m, load(workspace, at + m) + value)
+            i = data.parents[i]

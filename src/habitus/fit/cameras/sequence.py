@@ -5,22 +5,25 @@
 f_t is that of `habitus.residuals.keypoint_kernels`; a is the standard deviation of accelerations.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
+from habitus.fit.cameras.sequence_kernels import visit
 from habitus.fit.cameras.settings import CameraSettings
-from habitus.fit.markers.sequence_kernels import nearest_equivalent, unwrap
+from habitus.fit.markers.sequence_kernels import LevelArrays, nearest_equivalent, unwrap
+from habitus.kernels.simd import LANES, lane_array
 from habitus.kernels.threads import num_threads
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.keypoints import ShapedKeypoints
 from habitus.residuals.keypoint_kernels import (
     KeypointData,
-    KeypointScratch,
-    costs,
-    linearize_frame,
-    visit,
+    KeypointOffsets,
+    keypoint_costs,
+    normal_equations,
 )
 from habitus.solve.sequence import LevelFrames, SequenceSolution, solve_sequence
 
@@ -77,18 +80,18 @@ class KeypointSequence:
     (3 J).
     """
 
-    lanes = 8
+    lanes = LANES
 
     def __init__(self, data: KeypointData, links: Float[np.ndarray, " N"]):
         self.data = data
         self.links = links
         self.threads = num_threads()
-        self._rooms: list[KeypointScratch] = []
+        self.offsets = KeypointOffsets.of(len(data.parents), len(data.bone), len(data.focal))
+        self._workspaces: list[np.ndarray] = []
 
     def visit(self, level: LevelFrames, block: np.ndarray) -> None:
         """One damped Gauss-Newton step of the frames ``block``."""
-        room = self._room()
-        arrays = (
+        arrays = LevelArrays(
             level.frames,
             level.states,
             level.links,
@@ -98,30 +101,27 @@ class KeypointSequence:
             level.cost_decrease,
             level.relaxations,
         )
-        visit(self.data, room, arrays, block)
-        self._rooms.append(room)
+        with self._workspace() as workspace:
+            visit(self.data, self.offsets, workspace, arrays, block)
 
     def cost(self, frames: np.ndarray, states: np.ndarray) -> np.ndarray:
         """f_t of each frame."""
         out = np.empty(len(frames))
-        room = self._room()
-        costs(self.data, room, frames, np.ascontiguousarray(states), out)
-        self._rooms.append(room)
+        with self._workspace() as workspace:
+            states = np.ascontiguousarray(states)
+            keypoint_costs(self.data, self.offsets, workspace, frames, states, out)
         return out
 
     def linearize(
         self, frames: np.ndarray, states: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """f_t, gradients and Gauss-Newton matrices, frame by frame."""
-        out = []
-        room = self._room()
-        for t, state in zip(frames, states, strict=True):
-            cost = linearize_frame(self.data, room, int(t), np.ascontiguousarray(state))
-            lower = np.tril(room.matrix)
-            out.append((cost, room.gradient.copy(), lower + np.tril(lower, -1).T))
-        self._rooms.append(room)
-        cost, gradient, matrix = zip(*out, strict=True)
-        return np.array(cost), np.stack(gradient), np.stack(matrix)
+        count, size = states.shape
+        out = np.empty(count), np.empty((count, size)), np.empty((count, size, size))
+        with self._workspace() as workspace:
+            states = np.ascontiguousarray(states)
+            normal_equations(self.data, self.offsets, workspace, frames, states, *out)
+        return out
 
     def chart(self, frames: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Root rotation vectors unwrapped; second differences are cut where they jump."""
@@ -137,11 +137,15 @@ class KeypointSequence:
         right[:, 3:6] = nearest_equivalent(right[:, 3:6], left[:, 3:6])
         return left + share[:, None] * (right - left)
 
-    def _room(self) -> KeypointScratch:
+    @contextmanager
+    def _workspace(self) -> Iterator[np.ndarray]:
+        """A workspace that no other thread has."""
         try:
-            return self._rooms.pop()
+            own = self._workspaces.pop()
         except IndexError:
-            return KeypointScratch.of(len(self.data.parents))
+            own = lane_array(self.offsets.end)
+        yield own
+        self._workspaces.append(own)
 
 
 def acceleration_links(

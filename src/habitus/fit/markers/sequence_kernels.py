@@ -116,8 +116,19 @@ def gather_coupling(offsets, workspace, level, group):
 @jit_inline
 def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end):
     """Linearise, step, compare and write back."""
-    unknowns = 3 * offsets.blocks
     cost = linearize(rig, slots, offsets, workspace, data)
+    change, predicted, moved = propose(offsets, workspace, level, group, measured_end)
+    trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
+    compare(offsets, workspace, level, group, cost, trial, change, predicted, moved)
+
+
+@jit_inline
+def propose(offsets, workspace, level, group, measured_end):
+    """States to try, in rows offsets.trial, by the normal equations of a linearised group and the
+    pull and stiffness of its neighbours; the change of the coupling, what the step should gain, and
+    the mean square by which rows 3 to ``measured_end`` would move.
+    """
+    unknowns = 3 * offsets.blocks
     for k in range(LANES):
         workspace[offsets.trial, k] = level.damping[group[min(k, len(group) - 1)]]
         workspace[offsets.trial + 1, k] = level.relaxations[group[min(k, len(group) - 1)]]
@@ -155,12 +166,19 @@ def visit_group(rig, slots, offsets, workspace, data, level, group, measured_end
         spent = spent + damping * newton * newton
         if 3 <= n < measured_end:
             moved = moved + newton * newton
-    trial = frame_cost(rig, offsets, workspace, data, offsets.trial)
-    store(workspace, offsets.gradient, change + trial - cost)
-    store(workspace, offsets.gradient + 1, predicted)
     least = 1e-6 * along
     longer = along / where_less(along - spent, least, least, along - spent)
-    store(workspace, offsets.gradient + 2, longer * longer * moved / (measured_end - 3.0))
+    return change, predicted, longer * longer * moved / (measured_end - 3.0)
+
+
+@jit_inline
+def compare(offsets, workspace, level, group, cost, trial, change, predicted, moved):
+    """Take the steps whose own cost ``trial``, instead of ``cost``, lowers the total; write back
+    the rest.
+    """
+    store(workspace, offsets.gradient, change + trial - cost)
+    store(workspace, offsets.gradient + 1, predicted)
+    store(workspace, offsets.gradient + 2, moved)
     store(workspace, offsets.gradient + 3, trial)
     store(workspace, offsets.gradient + 4, cost)
     write_back(offsets, workspace, level, group)
