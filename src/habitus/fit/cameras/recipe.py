@@ -12,9 +12,10 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from habitus.body.keypoints import keypoint_place
 from habitus.body.model import BodyModel
@@ -45,6 +46,8 @@ NOISE_RANGE = (0.5, 3.0)
 EXCHANGE = 0.5
 """An exchange is undone where it leaves so much of the robust cost."""
 MIN_HEIGHT_PX = 20.0
+SAMPLE = 5000
+"""Frames, at most, by which noise, clocks and what cameras are off are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,14 @@ def fit_cameras(
             )
         )
     return fits
+
+
+class Expected(NamedTuple):
+    """The body's keypoints in the frames ``rows``: pixels and speeds (px/s), (R, C, K, 2)."""
+
+    rows: Int[np.ndarray, " R"]
+    pixels: Float[np.ndarray, "R C K 2"]
+    speed: Float[np.ndarray, "R C K 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,12 +250,21 @@ def reviewed(
     they may). Noise and clocks are estimated once the cameras agree.
     """
     sight = sides_put_back(sight, expected, names, settings)
-    biased = bool(np.max(camera_bias(sight, expected, rate_hz)) > settings.camera_bias)
+    rows = np.arange(1, len(expected) - 1, -(-len(expected) // SAMPLE))
+    if not len(rows):
+        rows = np.arange(len(expected))
+    speed = (
+        0.5
+        * rate_hz
+        * (expected[np.minimum(rows + 1, len(expected) - 1)] - expected[np.maximum(rows - 1, 0)])
+    )
+    known = Expected(rows, expected[rows], speed)
+    biased = bool(np.max(camera_bias(sight, known, rate_hz)) > settings.camera_bias)
     if correct and biased and not free:
         return sight, True
-    sight = replace(sight, noise=estimated_noise(sight, expected, names))
+    sight = replace(sight, noise=estimated_noise(sight, known, names))
     for _ in range(settings.clock_steps):
-        sight = replace(sight, late=estimated_lateness(sight, expected, rate_hz, settings))
+        sight = replace(sight, late=estimated_lateness(sight, known, rate_hz, settings))
     return sight, False
 
 
@@ -287,7 +307,7 @@ def first_sight(
     return sight, points
 
 
-def of_frames(sight: Sight, rows: slice) -> Sight:
+def of_frames(sight: Sight, rows: slice | np.ndarray) -> Sight:
     """Some frames of it."""
     names = ("pixels", "confidence", "size", "exchanged")
     return replace(sight, **{name: getattr(sight, name)[rows] for name in names})
@@ -351,7 +371,7 @@ def placed(
     seen = np.where(there[..., None], seen, 0.0)
     turn, shift = procrustes(np.broadcast_to(at_rest, seen.shape), seen, there.astype(float))
     shift = shift + turn @ root - root
-    nearest = np.abs(np.arange(frames)[:, None] - known).argmin(1)
+    nearest = np.searchsorted(0.5 * (known[1:] + known[:-1]), np.arange(frames))
     poses = np.repeat(pose, frames, axis=0)
     poses[:, 0] = rotvec_from_matrix(turn)[nearest]
     return poses, shift[nearest]
@@ -367,16 +387,18 @@ def unlike_frames(points: Float[np.ndarray, "T K 3"], sight: Sight, count: int) 
     return np.sort(good[farthest_points(posture, min(count, len(good)), first)])
 
 
-def shifted(sight: Sight, rate_hz: float) -> Float[np.ndarray, "T C K 2"]:
-    """The pixels at the frames' own times: each camera's, as late as its clock, between its
-    frames.
+def shifted(
+    sight: Sight, rate_hz: float, rows: Int[np.ndarray, " R"] | slice = slice(None)
+) -> Float[np.ndarray, "R C K 2"]:
+    """The pixels at the times of the frames ``rows``: each camera's, as late as its clock, between
+    its frames.
     """
     frames = len(sight.pixels)
-    out = sight.pixels.copy()
+    out = sight.pixels[rows].copy()
     for c, late in enumerate(sight.late):
         if late == 0.0:
             continue
-        at = np.arange(frames) + late * rate_hz
+        at = np.arange(frames)[rows] + late * rate_hz
         low = np.clip(np.floor(at).astype(int), 0, frames - 1)
         high = np.minimum(low + 1, frames - 1)
         share = (at - low)[:, None, None]
@@ -425,30 +447,30 @@ def _robust(weights: np.ndarray, off: np.ndarray, settings: CameraSettings) -> n
     return (squared / (1.0 + squared / settings.reach**2)).sum(-1)
 
 
-def camera_bias(
-    sight: Sight, expected: Float[np.ndarray, "T C K 2"], rate_hz: float
-) -> Float[np.ndarray, " C"]:
+def camera_bias(sight: Sight, expected: Expected, rate_hz: float) -> Float[np.ndarray, " C"]:
     """By how much all that a camera sees is off in one direction, as a share of the person's
     height: medians over frames and keypoints.
     """
-    off = (shifted(sight, rate_hz) - expected) / np.maximum(sight.size, MIN_HEIGHT_PX)[
-        ..., None, None
-    ]
+    rows = expected.rows
+    off = (shifted(sight, rate_hz, rows) - expected.pixels) / np.maximum(
+        sight.size[rows], MIN_HEIGHT_PX
+    )[..., None, None]
     bias = np.zeros(off.shape[1])
     for c in range(off.shape[1]):
-        seen = off[:, c][(sight.confidence[:, c] > 0.0) & np.isfinite(off[:, c]).all(-1)]
+        seen = off[:, c][(sight.confidence[rows, c] > 0.0) & np.isfinite(off[:, c]).all(-1)]
         bias[c] = np.linalg.norm(np.median(seen, axis=0)) if len(seen) else 0.0
     return bias
 
 
 def estimated_noise(
-    sight: Sight, expected: Float[np.ndarray, "T C K 2"], names: tuple[str, ...]
+    sight: Sight, expected: Expected, names: tuple[str, ...]
 ) -> Float[np.ndarray, "C K"]:
     """Of each keypoint in each camera, as a factor of the table's: by the median distance."""
+    sight = of_frames(sight, expected.rows)
     sd = 1.0 / np.sqrt(
         np.maximum(information(replace(sight, noise=np.ones_like(sight.noise)), names, 1.0), 1e-12)
     )
-    off = np.linalg.norm(expected - sight.pixels, axis=-1) / sd
+    off = np.linalg.norm(expected.pixels - sight.pixels, axis=-1) / sd
     off = np.where(sight.confidence > 0.0, off, np.nan)
     off = np.where(
         np.isfinite(off), off, np.inf
@@ -461,19 +483,19 @@ def estimated_noise(
 
 
 def estimated_lateness(
-    sight: Sight, expected: Float[np.ndarray, "T C K 2"], rate_hz: float, settings: CameraSettings
+    sight: Sight, expected: Expected, rate_hz: float, settings: CameraSettings
 ) -> Float[np.ndarray, " C"]:
     """Seconds by which each camera's clock is late, by the speeds of what it sees; their mean is 0.
 
     What a camera is off on the whole is taken out before; what is no larger than its error, or than
     a quarter of a frame, is none.
     """
-    speed = np.gradient(expected, axis=0) * rate_hz
-    off = shifted(sight, rate_hz) - expected
-    scale = np.maximum(sight.size, MIN_HEIGHT_PX)[..., None]
+    rows, speed = expected.rows, expected.speed
+    off = shifted(sight, rate_hz, rows) - expected.pixels
+    scale = np.maximum(sight.size[rows], MIN_HEIGHT_PX)[..., None]
     late = sight.late.copy()
     for c in range(len(late)):
-        seen = np.isfinite(off[:, c]).all(-1) & (sight.confidence[:, c] > 0.0)
+        seen = np.isfinite(off[:, c]).all(-1) & (sight.confidence[rows, c] > 0.0)
         seen &= np.isfinite(speed[:, c]).all(-1)
         if not seen.any():
             continue
