@@ -57,7 +57,7 @@ def test_keypoints_are_where_a_person_has_them(convention, joints):
         assert named["left_heel"][2] < named["left_ankle"][2] < named["left_big_toe"][2]
     moved = np.abs(points[1] - points[0]).max(1) > 1e-9
     hand = [f"left_{part}" for part in ("wrist", "pinky", "index", "thumb")]
-    below = [name for name in hand if name in named]
+    below = [name for name in named if name in hand]
     assert [name for name, far in zip(named, moved, strict=True) if far] == below
     full = body.full.keypoints(convention, body.full([0.5], pose, [0.1, 0, 0]))
     assert np.abs(full - points).max() < 1e-6

@@ -145,6 +145,9 @@ def _detections(folder: Path) -> list[Target]:
     lines.append(",".join(["0", *map(str, flat)]))
     stream = io.BytesIO()
     np.save(stream, rng.uniform(0, 500, (2, 3, 33, 2)))
+    packed = io.BytesIO()
+    np.savez(packed, pred_keypoints_2d=rng.uniform(0, 500, (70, 2)).astype(np.float32))
+    frames = {f"set/cam{c}/{t}.npz": packed.getvalue() for c in (1, 2) for t in range(2)}
     single = {
         "detections.json": json.dumps(mmpose).encode(),
         "list.json": json.dumps(alphapose).encode(),
@@ -153,5 +156,6 @@ def _detections(folder: Path) -> list[Target]:
     }
     return [
         Target("openpose folder", (openpose,), "set", _read_detections, 2),
+        Target("sam3d keypoints folder", (frames,), "set", _read_detections, 2),
         *(Target(name, ({name: c},), name, _read_detections) for name, c in single.items()),
     ]

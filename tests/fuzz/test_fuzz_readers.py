@@ -63,6 +63,7 @@ NAMES = (
     "detections.json",
     "list.json",
     "detections.csv",
+    "sam3d keypoints folder",
     "detections.npy",
     "cameras.json",
     "cameras.yaml",

@@ -116,7 +116,7 @@ def main() -> None:
         betas = np.clip(rng.normal(size=body.num_betas), -2.5, 2.5)
         assert body is not None
         colours = dressed(body, rng)
-        for view in range(VIEWS):
+        for _ in range(VIEWS):
             motion = poses[rng.integers(len(poses))]
             pose = motion[rng.integers(len(motion))].copy()
             surface = body(betas, pose, np.zeros(3))

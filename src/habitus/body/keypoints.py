@@ -2,9 +2,9 @@
 
 COCO's 17 (Lin et al. 2014, "Microsoft COCO"), OpenPose's BODY_25 (Cao et al. 2019) and BODY_25B
 (Hidalgo et al. 2019), Halpe's 26 (Fang et al. 2022), the body and feet, 23, of COCO-WholeBody (Jin
-et al. 2020), and BlazePose's 33 (Bazarevsky et al. 2020). Annotators put hips, shoulders and elbows
-where the joints are, eyes, ears, heels and toes on the skin; `keypoint_place` reads the table
-assets/keypoints.toml.
+et al. 2020), BlazePose's 33 (Bazarevsky et al. 2020), and 30 of SAM 3D Body's 70. Annotators put
+hips, shoulders and elbows where the joints are, eyes, ears, heels and toes on the skin;
+`keypoint_place` reads the table assets/keypoints.toml.
 
 Files do not always say which of these their points are, and two have 25 points in another order:
 `convention_of` decides by anatomy.
@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,44 +27,63 @@ from habitus.types import Array
 
 
 class KeypointPlace(NamedTuple):
-    """A keypoint of `habitus.assets.keypoints.toml`, which says what its numbers mean."""
+    """A keypoint of `habitus.assets.keypoints.toml`, which says what its numbers mean: ``parts``,
+    ``bone``, ``offset`` (m), ``definition`` (m) and ``noise``.
+    """
 
     parts: tuple[str, ...]
     bone: str | None
+    offset: tuple[float, float, float]
     definition: float
     noise: float
 
 
 @cache
 def keypoint_table() -> Mapping[str, KeypointPlace]:
-    """The shipped table; keypoints of both sides stand in it without their side."""
+    """The shipped table; keypoints of both sides stand in it without their side, those that were
+    learned of one convention as ``blazepose33.knee``.
+    """
     text = (files("habitus.assets") / "keypoints.toml").read_text(encoding="utf-8")
-    return MappingProxyType(
-        {
-            name: KeypointPlace(
-                tuple(row.get("parts", ())), row.get("bone"), row["definition"], row["noise"]
-            )
-            for name, row in tomllib.loads(text).items()
-        }
+    table: dict[str, KeypointPlace] = {}
+    for name, row in tomllib.loads(text).items():
+        if name in CONVENTIONS:
+            table |= {f"{name}.{own}": _place(each, table[own]) for own, each in row.items()}
+        else:
+            table[name] = _place(row, None)
+    return MappingProxyType(table)
+
+
+def _place(row: Mapping[str, Any], plain: KeypointPlace | None) -> KeypointPlace:
+    x, y, z = row.get("offset", (0.0, 0.0, 0.0))
+    return KeypointPlace(
+        tuple(row.get("parts", plain.parts if plain else ())),
+        row.get("bone", plain.bone if plain else None),
+        (x, y, z),
+        row["definition"],
+        row["noise"],
     )
 
 
-def keypoint_place(name: str) -> KeypointPlace:
-    """The place of a keypoint, its parts and bone with its side. Raises HabitusError for an unknown
-    one.
+def keypoint_place(name: str, convention: str = "") -> KeypointPlace:
+    """The place of a keypoint, its parts, bone and offset with its side, as a convention's detector
+    has it where that was learned. Raises HabitusError for an unknown one.
     """
     table = keypoint_table()
     side, _, plain = name.partition("_")
     sided = side in ("left", "right") and plain in table
     if not (sided or name in table):
-        raise HabitusError(f"no keypoint is called {name!r}; expected one of {', '.join(table)}")
-    row = table[plain if sided else name]
+        known = [each for each in table if "." not in each]
+        raise HabitusError(f"no keypoint is called {name!r}; expected one of {', '.join(known)}")
+    key = plain if sided else name
+    row = table.get(f"{convention}.{key}", table[key])
     own = f"{side}_" if sided else ""
     parts = row.parts or (plain if sided else name,)
     middle = {"nose_tip", "chin", "neck"}
+    x, y, z = row.offset
     return KeypointPlace(
         tuple(part if part in middle else own + part for part in parts),
         row.bone if row.bone in (None, "head") else own + row.bone,
+        (-x if side == "right" else x, y, z),
         row.definition,
         row.noise,
     )
@@ -89,6 +108,7 @@ _LEG = ("hip", "knee", "ankle")
 _COCO = ("nose", *_sides("eye", "ear", "shoulder", "elbow", "wrist", *_LEG))
 _EYE = ("eye_inner", "eye", "eye_outer")
 _FOOT = ("big_toe", "small_toe", "heel")
+_MHR_HAND = ("thumb", "index", "pinky", "wrist")
 _LEFT_FOOT = tuple(f"left_{name}" for name in _FOOT)
 _RIGHT_FOOT = tuple(f"right_{name}" for name in _FOOT)
 CONVENTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -125,6 +145,14 @@ CONVENTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *(f"{side}_{eye}" for side in ("left", "right") for eye in _EYE),
             *_sides("ear", "mouth", "shoulder", "elbow", "wrist", "pinky", "index", "thumb"),
             *_sides(*_LEG, "heel", "foot_index"),
+        ),
+        "mhr70": (
+            "nose",
+            *_sides("eye", "ear", "shoulder", "elbow", *_LEG),
+            *(f"left_{name}" for name in _FOOT),
+            *(f"right_{name}" for name in _FOOT),
+            *(f"{side}_{name}" for side in ("right", "left") for name in _MHR_HAND),
+            "neck",
         ),
     }
 )

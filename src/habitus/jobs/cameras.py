@@ -163,7 +163,7 @@ def _read(
     if not isinstance(detections, Detections):
         if options.fps is None:
             raise HabitusError("fps is missing (--fps HZ); detections do not say it")
-        detections = read_detections(detections, options.fps, options.convention)
+        detections = read_detections(detections, options.fps, options.convention, options.names)
     rig = calibration if isinstance(calibration, CameraRig) else read_calibration(calibration)
     return detections, rig
 

@@ -408,8 +408,12 @@ class CameraOptions:
     people: Annotated[str, metavar("N|auto")] = "1"
     """Number of people to fit, those who are seen most first; "auto": all."""
     convention: Annotated[str | None, unset("NAME")] = None
-    """Order of the keypoints: coco17, openpose25, body25b, halpe26, wholebody23 or blazepose33; by
-    default names in the files, else the person's proportions.
+    """Order of the keypoints: coco17, openpose25, body25b, halpe26, wholebody23, blazepose33 or
+    mhr70; by default names in the files, else the person's proportions.
+    """
+    names: Annotated[Path | None, unset("FILE")] = None
+    """Keypoints by the files' own names (DeepLabCut), a .toml of lines such as knee_L =
+    "left_knee".
     """
     keep_cameras: Flag = False
     """Take the calibration as it is; by default each camera is corrected a little, and how much is

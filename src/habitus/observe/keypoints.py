@@ -3,8 +3,9 @@
     q_k = W_b (o_k(betas) + d_k) + x_b(betas, pose) + trans
 
 b is the bone of keypoint k (`habitus.body.keypoints.keypoint_place`), o_k its place in the bone's
-rest frame, by the joints and landmarks that define it, and d_k what the detector's own definition
-adds (m). A joint's keypoint rides on the bone above it: the elbow on the upper arm.
+rest frame, by the joints and landmarks that define it and a learned offset, and d_k what the
+detector's own definition adds (m). A joint's keypoint rides on the bone above it: the elbow on the
+upper arm.
 """
 
 from collections.abc import Sequence
@@ -25,21 +26,25 @@ class KeypointRig:
     """A body's skeleton and K keypoints on it, all affine in the betas (m; rest pose).
 
     ``rest_joints`` (J, 3) and ``places`` (K, 3; from the joint of ``bone`` (K,)) at zero betas,
-    ``joint_dirs`` and ``place_dirs`` how they change.
+    ``joint_dirs`` and ``place_dirs`` how they change. ``definition`` (m): spread of people's and
+    detectors' own places about these; ``noise``: of one detection, as a share of the person's
+    height.
     """
 
     names: tuple[str, ...]
     parents: Int[np.ndarray, " J"]
     bone: Int[np.ndarray, " K"]
+    definition: Float[np.ndarray, " K"]
+    noise: Float[np.ndarray, " K"]
     rest_joints: Float[np.ndarray, "J 3"]
     joint_dirs: Float[np.ndarray, "J 3 B"]
     places: Float[np.ndarray, "K 3"]
     place_dirs: Float[np.ndarray, "K 3 B"]
 
     @staticmethod
-    def of(body: BodyModel, names: Sequence[str], where: str = "the keypoints") -> "KeypointRig":
-        """The keypoints of these names on a body. Raises HabitusError where it has no such
-        places.
+    def of(body: BodyModel, names: Sequence[str], convention: str = "") -> "KeypointRig":
+        """The keypoints of these names on a body, where the convention's detector puts them as far
+        as that was learned. Raises HabitusError where the body has no such places.
         """
         regressor = np.asarray(body.joint_regressor, float)
         template = np.asarray(body.v_template, float)
@@ -48,9 +53,10 @@ class KeypointRig:
         joint_dirs = (regressor @ directions.reshape(len(template), -1)).reshape(len(joints), 3, -1)
         number = {name: k for k, name in enumerate(body.joint_names)}
         places, place_dirs, bones = [], [], []
-        for name in names:
+        table = [keypoint_place(name, convention) for name in names]
+        for name, place in zip(names, table, strict=True):
             at, slope = [], []
-            for part in keypoint_place(name).parts:
+            for part in place.parts:
                 if part in number:
                     at.append(joints[number[part]])
                     slope.append(joint_dirs[number[part]])
@@ -59,17 +65,19 @@ class KeypointRig:
                     slope.append(directions[body.landmarks[part]])
                 else:
                     raise HabitusError(
-                        f"{body.name} has neither a joint nor a landmark {part!r}, where {where} "
-                        f"have {name}"
+                        f"{body.name} has neither a joint nor a landmark {part!r}, where "
+                        f"{convention or 'the keypoints'} have {name}"
                     )
             bone = keypoint_bone(name, body.joint_names, body.parents)
-            places.append(np.mean(at, axis=0) - joints[bone])
+            places.append(np.mean(at, axis=0) - joints[bone] + place.offset)
             place_dirs.append(np.mean(slope, axis=0) - joint_dirs[bone])
             bones.append(bone)
         return KeypointRig(
             tuple(names),
             np.array(body.parents, np.int64),
             np.array(bones, np.int64),
+            np.array([place.definition for place in table]),
+            np.array([place.noise for place in table]),
             joints,
             joint_dirs,
             np.array(places),

@@ -107,7 +107,7 @@ class KeypointOffsets(NamedTuple):
         rows += [INFORMATION * joints, 3 * cameras * keypoints, 4 * keypoints]
         rows += [9 * blocks * (blocks + 1) // 2]
         first = np.concatenate([[0], np.cumsum(rows)]).tolist()
-        return KeypointOffsets(*first[:-1], blocks, first[-1])
+        return KeypointOffsets._make([*first[:-1], blocks, first[-1]])
 
 
 @jit_inline

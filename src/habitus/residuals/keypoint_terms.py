@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.keypoints import keypoint_place
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.observe.camera_rig import NEAR, CameraRig
@@ -65,9 +64,8 @@ class Keypoints:
             own = at[index][there[index]]
             size[index] = np.linalg.norm(np.ptp(own, axis=0))
         typical = np.array([np.median(own[own > 0]) if (own > 0).any() else 1.0 for own in size.T])
-        noise = np.array([keypoint_place(name).noise for name in seen.names])
-        sd = np.maximum(typical, 20.0)[None, :, None] * noise
         rig = KeypointRig.of(body, seen.names, seen.convention)
+        sd = np.maximum(typical, 20.0)[None, :, None] * rig.noise
         return Keypoints(rig, cameras, at, np.where(there, 1.0 / sd**2, 0.0), rows, reach)
 
     def __call__(

@@ -190,3 +190,40 @@ def test_rates_conventions_and_folders_are_checked(tmp_path):
         read_detections(tmp_path, 60)
     with pytest.raises(HabitusError, match="no such folder"):
         read_detections(tmp_path / "none", 60)
+
+
+def test_names_of_ones_own_are_mapped(tmp_path):
+    """DeepLabCut's names are the user's: a file says what they are."""
+    _deeplabcut(tmp_path, "coco17")
+    for path in tmp_path.glob("*.csv"):
+        text = path.read_text()
+        for name in CONVENTIONS["coco17"]:
+            text = text.replace(name, f"part {name[::-1]}")
+        path.write_text(text)
+    with pytest.raises(HabitusError, match="--names"):
+        read_detections(tmp_path, 60)
+    lines = [f'"part {name[::-1]}" = "{name}"' for name in CONVENTIONS["coco17"]]
+    (tmp_path / "names.toml").write_text("\n".join(lines))
+    found = read_detections(tmp_path, 60, names=tmp_path / "names.toml")
+    assert found.names == CONVENTIONS["coco17"]
+    np.testing.assert_allclose(found.pixels[2, 0, 0], _person("coco17", 2.0)[:, :2] + 0.5)
+    with pytest.raises(HabitusError, match="expected a keypoint"):
+        read_detections(tmp_path, 60, names={"part 1": "tail"})
+    with pytest.raises(HabitusError, match="which the names map"):
+        read_detections(tmp_path, 60, names={"part 99": "nose"})
+
+
+def test_sam_3d_bodys_keypoints_are_a_detectors(tmp_path):
+    """One .npz a frame and camera; finger joints and second elbows are left out."""
+    for camera in ("cam1", "cam2"):
+        (tmp_path / camera).mkdir()
+        for t in range(3):
+            at = np.arange(140.0).reshape(70, 2) + t
+            np.savez(tmp_path / camera / f"{t:03d}.npz", pred_keypoints_2d=at.astype(np.float32))
+    found = read_detections(tmp_path, 25)
+    assert found.convention == "mhr70" and found.names == CONVENTIONS["mhr70"]
+    wrist = found.names.index("left_wrist")
+    assert found.pixels[1, 0, 0, wrist].tolist() == [125.5, 126.5]  # row 62
+    np.savez(tmp_path / "cam1" / "000.npz", pred_keypoints_2d=np.zeros((69, 2)))
+    with pytest.raises(HabitusError, match=r"expected \(70, 2\)"):
+        read_detections(tmp_path, 25)

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from habitus.body.keypoints import keypoint_place
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.fit.cameras.settings import CameraSettings
@@ -94,7 +93,7 @@ def shape_stage(
 ) -> CameraShape:
     """Everything from a start, in rounds of falling ``reaches``. correct: cameras are unknowns."""
     own = mirrored(rig.names)
-    spread = np.repeat([keypoint_place(name).definition for name in rig.names], 3)
+    spread = np.repeat(rig.definition, 3)
     sd = 1.0 / np.sqrt(((own / spread[:, None]) ** 2).sum(0))
     free = np.linalg.lstsq(own, start.offsets.ravel(), rcond=None)[0]
     unknowns = {

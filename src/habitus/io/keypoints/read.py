@@ -3,6 +3,7 @@
     trial/cam01_json/*.json      OpenPose and what writes its form (rtmlib): a file a frame
     trial/cam01.json             MMPose (``instance_info``), AlphaPose or COCO (a list over images)
     trial/cam01.csv              DeepLabCut: a row a frame, names in its second line
+    trial/cam01/*.npz            SAM 3D Body: a file a frame
     trial/points2d.npy           FreeMoCap: (cameras, frames, points, 2 or 3)
 
 The order of points is never taken from their number alone: names in the file, then the person's
@@ -12,16 +13,25 @@ proportions (`habitus.body.keypoints.convention_of`), else the files are refused
 import csv
 import io
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from habitus.body.keypoints import CONVENTIONS, convention_of, keypoint_place
 from habitus.errors import HabitusError, listed, shown
 from habitus.io.archives import read_npy
+from habitus.io.keypoints.archives import (
+    MAX_FRAMES,
+    MAX_PEOPLE,
+    MAX_PIXEL,
+    MHR70,
+    Frame,
+    checked,
+    sam3d_frames,
+)
 from habitus.io.limits import (
     MAX_NAMES,
     Allowance,
@@ -33,27 +43,27 @@ from habitus.io.names import numeric_order, plain_name
 from habitus.observe.detections import Detections
 from habitus.types import PathLike
 
-MAX_PIXEL = 1e6
-MAX_PEOPLE = 20
-"""In one frame of one camera."""
-MAX_FRAMES = 1_000_000
 INNER = ("pose", "keypoints", "json")
 """Folders in which detections of all cameras may lie."""
 SAMPLE = 200
 """People by whom the convention is decided."""
 
-Frame = list[Float[np.ndarray, "K 3"]]
-"""The people of one frame: u, v, confidence of each keypoint."""
 
-
-def read_detections(source: PathLike, rate_hz: float, convention: str | None = None) -> Detections:
+def read_detections(
+    source: PathLike,
+    rate_hz: float,
+    convention: str | None = None,
+    names: Mapping[str, str] | PathLike | None = None,
+) -> Detections:
     """The detections of all cameras in a folder, or of one in a file.
 
     rate_hz: frames a second, which no such file says. convention: of the points' order, one of
     `habitus.body.keypoints.CONVENTIONS`; by itself by the files' names or the people's proportions.
+    names: keypoints by the files' own names, {"knee_L": "left_knee"}, or a .toml of such lines.
     Raises HabitusError with the file named.
     """
     path = Path(source)
+    own_names = read_names(names)
     if not 0.0 < rate_hz < 1e5:
         raise HabitusError(f"the frame rate is {rate_hz!r}; expected frames a second")
     if convention is not None and convention not in CONVENTIONS:
@@ -77,8 +87,31 @@ def read_detections(source: PathLike, rate_hz: float, convention: str | None = N
             "AlphaPose's or DeepLabCut's detections"
         )
     named = {names for _, names in read.values() if names is not None}
-    chosen, names = _convention(path, [frames for frames, _ in read.values()], named, convention)
-    return _stacked(path, read, rate_hz, chosen, names)
+    everyone = [frames for frames, _ in read.values()]
+    chosen, known = _convention(path, everyone, named, convention, own_names)
+    return _stacked(path, read, rate_hz, chosen, known)
+
+
+def read_names(names: Mapping[str, str] | PathLike | None) -> Mapping[str, str]:
+    """Keypoints by a file's own names, of a dictionary or a .toml. Raises HabitusError for unknown
+    keypoints.
+    """
+    if names is None:
+        return {}
+    if isinstance(names, Mapping):
+        table, where = dict(names), "names"
+    else:
+        where = str(names)
+        try:
+            table = tomllib.loads(read_text_file(Path(names)))
+        except (OSError, UnicodeDecodeError, ValueError) as error:
+            raise HabitusError(f"{where}: is no TOML ({shown(error, 80)})") from error
+    for own, name in table.items():
+        if not isinstance(name, str) or not known_keypoint(name):
+            raise HabitusError(
+                f"{where}: {shown(own)} is {shown(name)}; expected a keypoint such as left_knee"
+            )
+    return {own: known_keypoint(name) for own, name in table.items()}
 
 
 def _cameras(path: Path) -> Iterator[tuple[str, Path]]:
@@ -89,7 +122,7 @@ def _cameras(path: Path) -> Iterator[tuple[str, Path]]:
     if not path.is_dir():
         raise HabitusError(f"{path}: no such folder; expected detections of each camera")
     inner = sorted(path.iterdir(), key=lambda p: numeric_order(p.name))
-    folders = [p for p in inner if p.is_dir() and any(p.glob("*.json"))]
+    folders = [p for p in inner if p.is_dir() and (any(p.glob("*.json")) or any(p.glob("*.npz")))]
     files = [p for p in inner if p.is_file() and p.suffix.lower() in (".json", ".csv")]
     if not folders and not files:
         deeper = [
@@ -135,6 +168,8 @@ def _camera(where: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
         return _deeplabcut(where)
     if where.is_file():
         return _whole(where)
+    if any(where.glob("*.npz")):
+        return sam3d_frames(where)
     frames: dict[int, Frame] = {}
     paths = sorted(where.glob("*.json"), key=lambda p: numeric_order(p.name))
     check_count(len(paths), MAX_FRAMES, f"{where}: frames")
@@ -189,7 +224,7 @@ def _mmpose(
             sure = _array(one.get("keypoint_scores"), path).ravel()
             if at.ndim != 2 or at.shape[1] < 2 or len(sure) != len(at):
                 raise HabitusError(f"{path}: keypoints and scores do not fit each other")
-            people.append(_checked(np.column_stack([at[:, :2], sure])))
+            people.append(checked(np.column_stack([at[:, :2], sure])))
         number = info.get("frame_id", k) if isinstance(info, Mapping) else k
         frames[number if isinstance(number, int) else k] = people[:MAX_PEOPLE]
     return frames, order
@@ -205,7 +240,7 @@ def _people(people: Sequence[Any], path: Path) -> Frame:
             next((person[k] for k in ("pose_keypoints_2d", "keypoints") if k in person), None), path
         ).ravel()
         if len(flat) and len(flat) % 3 == 0:
-            found.append(_checked(flat.reshape(-1, 3)))
+            found.append(checked(flat.reshape(-1, 3)))
     return found
 
 
@@ -216,13 +251,6 @@ def _array(value: Any, path: Path) -> np.ndarray:
         raise HabitusError(
             f"{path}: keypoints are no numbers; expected u, v, confidence"
         ) from error
-
-
-def _checked(row: np.ndarray) -> Float[np.ndarray, "K 3"]:
-    """With confidence 0 where there is no pixel."""
-    with np.errstate(invalid="ignore"):
-        seen = np.isfinite(row).all(1) & (row[:, 2] > 0) & (np.abs(row[:, :2]) < MAX_PIXEL).all(1)
-    return np.where(seen[:, None], row, 0.0)
 
 
 def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
@@ -262,7 +290,7 @@ def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
                 with_value = _float(text)
                 table[people.index(owner), names.index(part), place[coord]] = with_value
         digits = re.findall(r"\d+", row[0])
-        frames[int(digits[-1][-9:]) if digits else len(frames)] = [_checked(one) for one in table]
+        frames[int(digits[-1][-9:]) if digits else len(frames)] = [checked(one) for one in table]
     return frames, names
 
 
@@ -278,8 +306,11 @@ def _convention(
     read: Sequence[dict[int, Frame]],
     named: set[tuple[str, ...]],
     asked: str | None,
+    own_names: Mapping[str, str],
 ) -> tuple[str, tuple[str, ...]]:
     """The convention, and the names of all points, "" for those that are not used."""
+    if named == {MHR70} and asked in (None, "mhr70"):
+        return "mhr70", MHR70
     people = [row for frames in read for frame in frames.values() for row in frame]
     counts = {len(row) for row in people}
     if len(counts) > 1:
@@ -297,9 +328,20 @@ def _convention(
     if len(named) > 1:
         raise HabitusError(f"{path}: cameras name their keypoints differently; expected one list")
     if named:
-        names = tuple(known_keypoint(name) for name in next(iter(named)))
+        said = next(iter(named))
+        names = tuple(own_names.get(name, known_keypoint(name)) for name in said)
+        if own_names and not set(own_names) <= set(said):
+            raise HabitusError(
+                f"{path}: has no {listed(sorted(set(own_names) - set(said)))}, which the names "
+                f"map; its keypoints are {listed(said)}"
+            )
         if len(names) == count and sum(map(bool, names)) >= 8:
             return "named", names
+        if sum(map(bool, names)) < count:
+            raise HabitusError(
+                f"{path}: {sum(map(bool, names))} of its keypoints have known names; expected 8 or "
+                f"more of {listed(said)}: map them (--names FILE)"
+            )
     if count in (133, 136):  # COCO-WholeBody and Halpe with faces and hands: the body comes first
         own = "wholebody23" if count == 133 else "halpe26"
         return own, (*CONVENTIONS[own], *[""] * (count - len(CONVENTIONS[own])))
