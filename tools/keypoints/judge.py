@@ -3,7 +3,7 @@ the places that were learned of it.
 
     python tools/keypoints/judge.py make FOLDER CAPTURE... [--people 2]
     for camera in FOLDER/*/cam*; do python tools/keypoints/detect.py $camera; done
-    python tools/keypoints/judge.py fit FOLDER blazepose33
+    python tools/keypoints/judge.py fit FOLDER
 
 ``make``: for each capture and person a scene of four cameras around the person, a folder of
 pictures each. ``fit``: joint error (mm) of `habitus.fit_cameras`, over all joints of 24 and frames.
@@ -71,7 +71,7 @@ def make(options: argparse.Namespace) -> None:
 
 def fit(options: argparse.Namespace) -> None:
     """Fit with the learned places and without, and print the errors."""
-    names = convention_names(options.captures[0].name)
+    names = convention_names(options.convention)
     rows = []
     for folder in sorted(path for path in options.folder.iterdir() if path.is_dir()):
         truth = pickle.loads((folder / "truth.pkl").read_bytes())
@@ -86,7 +86,7 @@ def fit(options: argparse.Namespace) -> None:
         seen = np.isfinite(found).all(-1)
         true = np.array([body(truth["betas"], p, np.zeros(3)).joints for p in truth["pose"]])
         errors = []
-        for convention in (options.captures[0].name, "named"):
+        for convention in (options.convention, "named"):
             detections = Detections(
                 folder.name, convention, names, truth["rig"].names,
                 np.where(seen[..., None], found[..., :2], np.nan)[:, :, None],
@@ -108,7 +108,8 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     options.add_argument("what", choices=("make", "fit"))
     options.add_argument("folder", type=Path)
-    options.add_argument("captures", nargs="+", type=Path)
+    options.add_argument("captures", nargs="*", type=Path)
+    options.add_argument("--convention", default="blazepose33")
     options.add_argument("--people", type=int, default=2)
     options.add_argument("--seed", type=int, default=3)
     asked = options.parse_args()

@@ -40,8 +40,8 @@ class KeypointPlace(NamedTuple):
 
 @cache
 def keypoint_table() -> Mapping[str, KeypointPlace]:
-    """The shipped table; keypoints of both sides stand in it without their side, those that were
-    learned of one convention as ``blazepose33.knee``.
+    """The shipped table. Keypoints of both sides are listed without their side, those learned for
+    one convention as ``blazepose33.knee``.
     """
     text = (files("habitus.assets") / "keypoints.toml").read_text(encoding="utf-8")
     table: dict[str, KeypointPlace] = {}
@@ -54,6 +54,7 @@ def keypoint_table() -> Mapping[str, KeypointPlace]:
 
 
 def _place(row: Mapping[str, Any], plain: KeypointPlace | None) -> KeypointPlace:
+    """A row of the table; parts and bone are those of the general row unless it has its own."""
     x, y, z = row.get("offset", (0.0, 0.0, 0.0))
     return KeypointPlace(
         tuple(row.get("parts", plain.parts if plain else ())),
@@ -65,8 +66,8 @@ def _place(row: Mapping[str, Any], plain: KeypointPlace | None) -> KeypointPlace
 
 
 def keypoint_place(name: str, convention: str = "") -> KeypointPlace:
-    """The place of a keypoint, its parts, bone and offset with its side, as a convention's detector
-    has it where that was learned. Raises HabitusError for an unknown one.
+    """The place of a keypoint: the one learned for the convention's detector where there is one,
+    else the general one. Raises HabitusError for an unknown keypoint.
     """
     table = keypoint_table()
     side, _, plain = name.partition("_")
