@@ -40,12 +40,10 @@ def main(seed: int = 0) -> dict[str, float]:
     sensor = hb.Markers(capture, layout=layout, frames=FRAMES)
     settings = hb.FitSettings(motion=False)
     nothing = {"nothing": lambda betas: 0.0 * betas}
-    keypoints = hb.terms.Keypoints.of(
-        body, scene.detections, scene.rig, frames=FRAMES, rows=range(len(FRAMES)), reach=8.0
-    )
+    keypoints = hb.Keypoints(scene.detections, scene.rig)
     fits = {
         "six markers": hb.Fit(body, sensor, settings, nothing).solve(),
-        "both at once": hb.Fit(body, sensor, settings, {"keypoints": keypoints}).solve(),
+        "both at once": hb.Fit(body, [sensor, keypoints], settings).solve(),
     }
     errors = {
         name: 1e3 * float(np.linalg.norm(_joints(fit) - truth[list(FRAMES)], axis=-1).mean())

@@ -20,7 +20,7 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.suspects import Suspect
 
 LISTED = set(
-    "BodyModel Camera Depth Fit FitSettings HabitusError Markers Mosh MoshWeights Scan Term Trainer __version__ archive body_from_measurements compare draw "
+    "BodyModel Camera Depth Fit FitSettings HabitusError Keypoints Markers Mosh MoshWeights Scan Term Trainer __version__ archive body_from_measurements compare draw "
     "evaluate exaggerate "
     "export_file fill_capture fit_cameras fit_rgbd hand_pose label live load_body load_fit load_layout load_motion "
     "minimize mosh "

@@ -118,6 +118,12 @@ def errors() -> str:
     return ""
 
 
+def keypoints(body: hb.BodyModel) -> None:
+    cameras = hb.Keypoints("pose", "Calib.toml", fps=60, delay=0.5)
+    fit = hb.Fit(body, [hb.Markers("walk.c3d"), cameras]).solve()
+    print(fit.residuals_mm, fit.results[0].verdict)
+
+
 def sensors(body: hb.BodyModel, points: np.ndarray) -> None:
     fit = hb.Fit(
         body,

@@ -36,6 +36,7 @@ from habitus.jobs.selection import select_markers as select_markers
 from habitus.jobs.selection import select_poses as select_poses
 from habitus.jobs.sensors import Depth as Depth
 from habitus.jobs.sensors import Fit as Fit
+from habitus.jobs.sensors import Keypoints as Keypoints
 from habitus.jobs.sensors import Markers as Markers
 from habitus.jobs.sensors import Scan as Scan
 from habitus.jobs.train import Trainer as Trainer

@@ -14,12 +14,15 @@ from sensor_people import (
     SHOTS,
     body,
     halves,
+    joint_error,
     person,
     scan_of,
 )
 
 import habitus as hb
 from habitus.observe.camera import RgbdCapture
+from habitus.observe.keypoints import KeypointRig, convention_names
+from habitus_lab.population.camera_scenes import detected, ring
 
 
 def same(found, expected, *names):
@@ -72,6 +75,52 @@ def test_views_alone_are_what_fit_rgbd_makes_of_them():
     np.testing.assert_allclose(fit.vertices(0) @ view.turn.T + view.shift, surface, atol=1e-9)
 
 
+def filmed(seed, rate_hz, delay, cameras=2):
+    """Keypoints of a made person in cameras of the capture's world, from ``delay`` seconds on."""
+    betas, pose, trans = person(seed)[0]
+    fps = person(seed)[1].fps
+    rows = np.arange(round(delay * fps), len(pose), round(fps / rate_hz))
+    names = convention_names("body25b")
+    shaped = KeypointRig.of(body(), names).shaped(betas, np.zeros((len(names), 3)))
+    points = shaped.points(pose[rows], trans[rows])
+    rig = ring(cameras, points.mean((0, 1)), 3.5, 180.0)
+    rng = np.random.default_rng(seed)
+    return detected(points, names, "body25b", rig, rate_hz, rng), rig
+
+
+def test_keypoints_alone_are_what_fit_cameras_makes_of_them():
+    sensor = hb.Keypoints(*filmed(0, 30.0, 0.0))
+    fit = hb.Fit(body(), sensor, QUICK).solve()
+    (expected,) = hb.fit_cameras(sensor.detections, sensor.calibration, body())
+    (found,) = fit.results
+    same(found, expected, "betas", "pose", "trans", "keypoint_places")
+    same(fit, expected, "betas", "pose", "trans")
+    assert fit.verdicts["keypoints"] == expected.verdict
+    assert 0.0 < fit.residuals_mm["keypoints"]["median"] < 30.0
+
+
+def test_keypoints_help_a_capture_of_another_rate_that_began_earlier():
+    truth, markers, _ = person(0)
+    few = np.full_like(markers.capture, np.nan)
+    few[:, ::2] = markers.capture[:, ::2]
+    sensor = replace(markers, capture=few, frames=(16, 24, 32, 40))
+    seen = hb.Keypoints(*filmed(0, 15.0, 0.4), delay=0.4)
+
+    def error(*sensors):
+        fit = hb.Fit(body(), sensors, QUICK).solve()
+        assert fit.poses == tuple(f"frame {k}" for k in sensor.frames)
+        joints = body()(fit.betas, fit.pose, fit.trans).joints
+        return joint_error(joints, truth, sensor.frames)
+
+    nothing = hb.Fit(body(), sensor, QUICK, {"nothing": lambda betas: 0.0 * betas}).solve()
+    alone = joint_error(
+        body()(nothing.betas, nothing.pose, nothing.trans).joints, truth, sensor.frames
+    )
+    together = error(sensor, seen)
+    assert together < 0.7 * alone
+    assert together < 0.8 * error(sensor, replace(seen, delay=0.0))
+
+
 CASES = {
     "nothing": (lambda markers, views: [], "no sensor"),
     "frames without capture": (
@@ -95,6 +144,22 @@ CASES = {
     "no such capture": (
         lambda markers, views: [markers, hb.Depth(views, frames=SHOTS, capture=1)],
         "capture 1",
+    ),
+    "keypoints without capture": (
+        lambda markers, views: [hb.Keypoints(*filmed(0, 30.0, 0.0)), hb.Depth(views)],
+        "without a capture",
+    ),
+    "whose keypoints": (
+        lambda markers, views: [markers, markers, hb.Keypoints(*filmed(0, 30.0, 0.0))],
+        "capture=0",
+    ),
+    "keypoints of another time": (
+        lambda markers, views: [markers, hb.Keypoints(*filmed(0, 30.0, 0.0), delay=100.0)],
+        "delay",
+    ),
+    "two sets of keypoints": (
+        lambda markers, views: [hb.Keypoints(*filmed(0, 30.0, 0.0))] * 2,
+        "2 sets",
     ),
     "two units": (
         lambda markers, views: [hb.Scan(np.zeros((9, 3)), unit=unit) for unit in ("m", "mm")],

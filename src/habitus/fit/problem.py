@@ -4,6 +4,7 @@
 
     sum_f |x(m, state_f) - observed_f|^2 / s^2        markers    (M eq. 3, with E_S and E_I of m)
     + sum of robust squared distances / s^2           pixels and points to the skin (T eq. 4.5)
+    + sum of robust squared pixels / s^2              keypoints in calibrated cameras
     + silhouettes + shape prior + pose prior          (T 4.6.1, M eqs. 6 and 7)
 
 Shape and latent markers are shared by all; a frame is one of a capture, or belongs to a view or a
@@ -31,6 +32,7 @@ from habitus.body.prior import PosePrior
 from habitus.body.state import BodyState
 from habitus.errors import HabitusError
 from habitus.fit.body_fit import BodyFit, FitSettings, JointStage
+from habitus.fit.cameras.people import one_person
 from habitus.fit.markers.energy import place, shape_terms
 from habitus.fit.markers.recipe import fit_known
 from habitus.fit.markers.result import MarkerFit
@@ -42,7 +44,7 @@ from habitus.fit.points.skin_offsets import (
     skin_planes_term,
     skin_prior,
 )
-from habitus.fit.sensors import SensorData
+from habitus.fit.sensors import DetectionData, SensorData
 from habitus.fit.starts import (
     MarkerStart,
     ScanPoints,
@@ -63,6 +65,7 @@ from habitus.kernels.threads import one_blas_thread
 from habitus.mesh.proximity import signed_distance
 from habitus.observe.marker_prediction import marked_body, predict
 from habitus.observe.markers import LatentMarkers, attach
+from habitus.residuals.keypoint_terms import Keypoints
 from habitus.residuals.points import PointSolver, points_term
 from habitus.residuals.shape_stage import pose_prior, shape_prior
 from habitus.residuals.surface_terms import Depth, Points, Silhouette
@@ -115,8 +118,9 @@ def fit_sensors(
         clock = [time.perf_counter()]
         progress("start", 0.0)
         problem, state, verdicts = start(body, prior, data, settings)
+        seen = keypoint_terms(problem, data.detections)
         clock.append(time.perf_counter())
-        result = _together(problem, state, terms or {}, progress)
+        result = _together(problem, state, _joined(seen, terms or {}), progress)
         state = result.values
         offset = None if problem.field is None else problem.field.offset(state["skin"])
         clock.append(time.perf_counter())
@@ -190,6 +194,34 @@ def start(
     )
     verdicts = {} if scans is None else {each.scan_name: each.verdict for each in scans.fits}
     return problem, state, verdicts
+
+
+def keypoint_terms(problem: Problem, sensors: Sequence[DetectionData]) -> dict[str, Term]:
+    """A term for each sensor: of its frames, those nearest in time to the poses of its capture.
+
+    Raises HabitusError where none of the poses was seen.
+    """
+    terms = {}
+    for k, each in enumerate(sensors):
+        assert problem.markers is not None
+        rate = problem.markers.recordings[each.capture].rate_hz
+        seen, count = each.detections.rate_hz, each.detections.num_frames
+        frames, rows = [], []
+        for row, (capture, frame) in enumerate(problem.markers.frames):
+            nearest = round((frame / rate - each.delay) * seen)
+            if capture == each.capture and 0 <= nearest < count:
+                frames.append(nearest)
+                rows.append(row)
+        if not rows:
+            raise HabitusError(
+                f"{each.detections.name}: none of the capture's frames that are solved lies within "
+                f"the {count} frames of the keypoints; check the delay, or give frames"
+            )
+        person, cameras = one_person(each.detections, each.cameras)
+        name = "keypoints" if len(sensors) == 1 else f"keypoints {k}"
+        term = Keypoints.of(problem.body, person, cameras, frames, rows)
+        terms[name] = Term(term, name=name)
+    return terms
 
 
 def _pose_names(

@@ -15,6 +15,8 @@ from habitus.errors import HabitusError
 from habitus.fit.markers.recordings import Recording
 from habitus.fit.points.scan import Scan
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.camera_rig import CameraRig
+from habitus.observe.detections import Detections
 
 if TYPE_CHECKING:  # depth views need PyTorch; markers and scans do not
     from habitus.observe.camera import DepthView
@@ -65,6 +67,18 @@ class ScanData:
 
 
 @dataclass(frozen=True, eq=False)
+class DetectionData:
+    """Keypoints in calibrated cameras of the capture's world; the first frame was taken ``delay``
+    seconds after the first of the capture.
+    """
+
+    detections: Detections
+    cameras: CameraRig
+    capture: int = 0
+    delay: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class SensorData:
     """All that was observed of one person. layout: of all captures, whose latent markers are the
     same. unit, up: of scans with a pose of their own, or "auto".
@@ -74,6 +88,7 @@ class SensorData:
     layout: MarkerLayout | None = None
     views: tuple[ViewData, ...] = ()
     scans: tuple[ScanData, ...] = ()
+    detections: tuple[DetectionData, ...] = ()
     unit: str = "auto"
     up: str = "auto"
 
@@ -83,9 +98,21 @@ class SensorData:
         return tuple(each.at.frame for each in given if each.at and each.at.capture == capture)
 
     def check(self) -> None:
-        """Raises HabitusError where there is no sensor, and for frames that no capture has."""
+        """Raises HabitusError where there is no sensor, keypoints have no capture, and for frames
+        that no capture has.
+        """
         if not (self.captures or self.views or self.scans):
             raise HabitusError("no sensor was given; expected markers, depth views or scans")
+        if self.detections and not self.captures:
+            raise HabitusError(
+                "keypoints were given without a capture; expected markers in the same world, or "
+                "the keypoints alone"
+            )
+        for each in self.detections:
+            if not 0 <= each.capture < len(self.captures):
+                raise HabitusError(
+                    f"keypoints are of capture {each.capture}; {len(self.captures)} are given"
+                )
         named = sorted({each.at for each in (*self.views, *self.scans) if each.at is not None})
         for capture, frame in named:
             if not 0 <= capture < len(self.captures):

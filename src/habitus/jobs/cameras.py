@@ -63,7 +63,7 @@ def fit_cameras(
     "default", "female", "male". Raises HabitusError where names of cameras differ, and where nobody
     is seen by two cameras at once.
     """
-    detections, rig = _read(detections, calibration, options)
+    detections, rig = read_cameras(detections, calibration, options)
     model = loaded(body, age=options.age)
     people = None if options.people == "auto" else _count(options.people)
     if options.height is not None and not 0.4 < options.height < 2.6:
@@ -100,7 +100,7 @@ def cameras(
         return [sam3d(folder, out, body, options=options, progress=progress)]
     with result_lock(out, CAMERA_FILES):
         progress("reading")
-        detections, rig = _read(folder, calibration, options)
+        detections, rig = read_cameras(folder, calibration, options)
         progress(
             f"fitting {detections.num_frames} frames of {len(rig.cameras)} cameras, keypoints "
             f"{detections.convention}"
@@ -144,7 +144,7 @@ def sam3d(
     return fit
 
 
-def _read(
+def read_cameras(
     detections: Detections | PathLike,
     calibration: CameraRig | PathLike | None,
     options: CameraOptions,

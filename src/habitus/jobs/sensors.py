@@ -6,8 +6,8 @@ both = hb.Fit(body, [hb.Markers("walk.c3d"), hb.Depth("views", frames=(10, 45))]
 ```
 
 Sensors of one kind alone are fitted by the recipe of that kind, `habitus.Mosh`,
-`habitus.register_scans` or `habitus.fit_rgbd`; `habitus.fit.problem` says what is minimised for
-several kinds.
+`habitus.register_scans`, `habitus.fit_rgbd` or `habitus.fit_cameras`; `habitus.fit.problem` says
+what is minimised for several kinds.
 """
 
 import os
@@ -27,6 +27,7 @@ from habitus.fit.body_fit import BodyFit, FitSettings
 from habitus.fit.points.scan import Scan as ReadScan
 from habitus.fit.problem import distances_to, fit_sensors, pose_name, verdicts_of
 from habitus.fit.sensors import (
+    DetectionData,
     FrameOf,
     MarkerData,
     ScanData,
@@ -38,11 +39,15 @@ from habitus.fit.starts import into_frame
 from habitus.io.captures.read import Capture, read_capture
 from habitus.io.scans import read_scan
 from habitus.jobs.bodies import loaded
+from habitus.jobs.cameras import CameraResult, fit_cameras, read_cameras
 from habitus.jobs.mosh import Mosh
+from habitus.jobs.options import CameraOptions
 from habitus.jobs.register import register_scans
 from habitus.jobs.results import MarkerResult, ScanResult
 from habitus.jobs.subjects import LayoutChoice, subject_of
 from habitus.markers.layouts import MarkerLayout
+from habitus.observe.camera_rig import CameraRig
+from habitus.observe.detections import Detections
 from habitus.solve.terms import Term
 from habitus.types import PathLike, Progress
 
@@ -119,6 +124,28 @@ class Depth:
 
 
 @dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Keypoints of a detector in calibrated cameras, one camera or several, for `Fit`.
+
+    detections: what `habitus.read_detections` read, or the folder it reads (then with ``fps``).
+    calibration: what `habitus.read_calibration` read, or its file, in the capture's world and
+    metres. delay: seconds from the capture's first frame to the detections' first; frames are
+    matched by time. capture: number of the capture that was filmed, where there are several. Of
+    several people the one is taken who is seen most.
+    """
+
+    detections: Detections | PathLike
+    calibration: CameraRig | PathLike
+    fps: float | None = None
+    delay: float = 0.0
+    capture: int | None = None
+
+    def read(self) -> tuple[Detections, CameraRig]:
+        """Detections and cameras. Raises HabitusError."""
+        return read_cameras(self.detections, self.calibration, CameraOptions(fps=self.fps))
+
+
+@dataclass(frozen=True, eq=False)
 class Scan:
     """A scan of the person, for `Fit`; give several for several scans.
 
@@ -149,7 +176,7 @@ class Scan:
         return scan
 
 
-Sensor = Markers | Depth | Scan
+Sensor = Markers | Depth | Keypoints | Scan
 """What `Fit` takes."""
 
 
@@ -162,7 +189,7 @@ class PersonFit(BodyFit):
     """
 
     motions: tuple[MarkerResult, ...] = ()
-    results: tuple[Union[MarkerResult, ScanResult, "DepthResult"], ...] = ()
+    results: tuple[Union[MarkerResult, ScanResult, CameraResult, "DepthResult"], ...] = ()
 
     @property
     def motion(self) -> MarkerResult | None:
@@ -174,13 +201,15 @@ class PersonFit(BodyFit):
 class Fit:
     """One person from any sensors: `solve` gives the shape they share and the poses they saw.
 
-    body: loaded, "default" or a file. sensors: `Markers`, `Depth`, `Scan`, any number of each.
-    settings: weights and schedule. terms: terms of your own by name, functions or `habitus.Term`,
-    of betas, pose (F, J, 3) and trans (F, 3); the F poses are those of the result. prior: of poses;
-    the body's own or the shipped one without it.
+    body: loaded, "default" or a file. sensors: `Markers`, `Depth`, `Keypoints`, `Scan`, any number
+    of each; keypoints alone, or with the captures that were filmed. settings: weights and schedule.
+    terms: terms of your own by name, functions or `habitus.Term`, of betas, pose (F, J, 3) and
+    trans (F, 3); the F poses are those of the result. prior: of poses; the body's own or the
+    shipped one without it.
 
     Sensors of one kind, with the recipe's own noise and without terms or a prior of your own, are
-    fitted by `habitus.Mosh`, `habitus.register_scans` or `habitus.fit_rgbd`, with their settings.
+    fitted by `habitus.Mosh`, `habitus.register_scans`, `habitus.fit_rgbd` or
+    `habitus.fit_cameras`, with their settings.
     """
 
     body: BodyModel | PathLike
@@ -200,7 +229,8 @@ class Fit:
         for each in sensors:
             if not isinstance(each, Sensor):
                 raise HabitusError(
-                    f"a sensor is a {type(each).__name__}; expected Markers, Depth or Scan"
+                    f"a sensor is a {type(each).__name__}; expected Markers, Depth, Keypoints or "
+                    "Scan"
                 )
         kinds = {type(each) for each in sensors}
         if len(kinds) == 1 and not self._beyond_a_recipe(sensors):
@@ -213,7 +243,7 @@ class Fit:
             return True
         named = any(getattr(each, "frame", None) is not None for each in sensors)
         named |= any(isinstance(each, Depth) and each.frames is not None for each in sensors)
-        return named or any(each.noise is not None for each in sensors)
+        return named or any(getattr(each, "noise", None) is not None for each in sensors)
 
     def _jointly(self, sensors: Sequence[Sensor], progress: Progress) -> PersonFit:
         body = loaded(self.body)
@@ -252,6 +282,7 @@ def _read(sensors: Sequence[Sensor], body: BodyModel, progress: Progress) -> Sen
         layout,
         tuple(view for each in sensors if isinstance(each, Depth) for view in _views(each, count)),
         tuple(ScanData(each.read(), _at(each, each.frame, count), each.noise) for each in scans),
+        tuple(_detections(each, count) for each in sensors if isinstance(each, Keypoints)),
         unit,
         up,
     )
@@ -266,6 +297,14 @@ def _views(sensor: Depth, captures: int) -> list[ViewData]:
         ViewData(view, _at(sensor, frame, captures), sensor.noise)
         for view, frame in zip(views, frames, strict=True)
     ]
+
+
+def _detections(sensor: Keypoints, captures: int) -> DetectionData:
+    if sensor.capture is None and captures > 1:
+        raise HabitusError(
+            f"keypoints with {captures} captures; say of which with capture=0, the first"
+        )
+    return DetectionData(*sensor.read(), sensor.capture or 0, sensor.delay)
 
 
 def _at(sensor: Depth | Scan, frame: int | None, captures: int) -> FrameOf | None:
@@ -410,7 +449,31 @@ def _by_rgbd(fit: Fit, sensors: Sequence[Depth], progress: Progress) -> PersonFi
     )
 
 
+def _by_cameras(fit: Fit, sensors: Sequence[Keypoints], progress: Progress) -> PersonFit:
+    """The person who is seen most, by `habitus.fit_cameras`."""
+    if len(sensors) > 1:
+        raise HabitusError(
+            f"{len(sensors)} sets of keypoints; expected one, with all cameras of one calibration"
+        )
+    (result,) = fit_cameras(*sensors[0].read(), fit.body)
+    size = np.maximum(result.size_px, 1.0)[..., None]
+    off = (result.errors_px / size * result.height).ravel()
+    return PersonFit(
+        body=result.body,
+        betas=result.betas,
+        pose=result.pose,
+        trans=result.trans,
+        poses=tuple(f"frame {result.first_frame + k}" for k in range(len(result.pose))),
+        status=result.status,
+        costs=result.costs,
+        residuals={"keypoints": off[np.isfinite(off)]},
+        verdicts={"keypoints": result.verdict},
+        seconds=result.stage_seconds,
+        results=(result,),
+    )
+
+
 RECIPES: Mapping[type, Callable[[Fit, Any, Progress], PersonFit]] = MappingProxyType(
-    {Markers: _by_mosh, Depth: _by_rgbd, Scan: _by_register}
+    {Markers: _by_mosh, Depth: _by_rgbd, Keypoints: _by_cameras, Scan: _by_register}
 )
 """Of sensors of one kind."""

@@ -7,14 +7,14 @@ their middles.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from habitus.errors import HabitusError
-from habitus.fit.cameras.settings import CameraSettings, PeopleSettings
+from habitus.fit.cameras.settings import CAMERAS, CameraSettings, PeopleSettings
 from habitus.fit.cameras.triangulate import triangulated
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
@@ -72,6 +72,21 @@ def tracks(detections: Detections, rig: CameraRig, settings: CameraSettings) -> 
             "cameras"
         )
     return [track for _, track in sorted(people, key=lambda each: -each[0])]
+
+
+def one_person(
+    detections: Detections, rig: CameraRig, settings: CameraSettings = CAMERAS
+) -> tuple[Detections, CameraRig]:
+    """The detections of the person who is seen most, and the cameras without their distortion, in
+    which these pixels are. Raises HabitusError where nobody is seen.
+    """
+    own = detections.of_cameras(rig.names)
+    person = tracks(own, rig, settings)[0]
+    cameras = tuple(replace(camera, distortion=np.zeros(8)) for camera in rig.cameras)
+    followed = replace(
+        own, pixels=person.pixels[:, :, None], confidence=person.confidence[:, :, None]
+    )
+    return followed, replace(rig, cameras=cameras)
 
 
 def _size(pixels: np.ndarray, confidence: np.ndarray) -> Float[np.ndarray, "T C P"]:
