@@ -32,6 +32,7 @@ from habitus_lab.population.camera_scenes import CameraScene, camera_scene, dist
 
 JOINTS = 22
 SCENES = {
+    "1 camera, height given": {"cameras": 1, "height": True},
     "2 cameras": {"cameras": 2},
     "4 cameras": {"cameras": 4},
     "8 cameras": {"cameras": 8},
@@ -59,6 +60,7 @@ def scene_of(motion: tuple, seed: int, row: int, **asked: object) -> tuple[Camer
     """A scene, and the cameras as they are said to be."""
     rng = np.random.default_rng([seed, row])
     off = asked.pop("off", None)
+    asked.pop("height", None)
     body = hb.load_body(str(rng.choice(["female", "male"])))
     scene = camera_scene(body, *motion, rng=rng, **asked)
     return scene, scene.rig if off is None else disturbed(scene.rig, *off, rng)
@@ -76,12 +78,15 @@ def errors_of(scene: CameraScene, fit: object) -> dict[str, float]:
     )
     rest = scene.body.rest_vertices(scene.betas)[:, 1]
     shift = (np.asarray(found.joints)[:, :JOINTS] - joints).mean((0, 1))
+    about = np.asarray(found.joints)[:, :JOINTS] - joints
+    about = 1e3 * np.linalg.norm(about - about[:, :1], axis=-1)
     placed = 1e3 * np.linalg.norm(np.asarray(found.joints)[:, :JOINTS] - joints - shift, axis=-1)
     return {
         "joints": float(apart.mean()),
         "joints 95 %": float(np.percentile(apart, 95)),
         "skin": float(skin.mean()),
         "placed": float(placed.mean()),
+        "about pelvis": float(about.mean()),
         "height cm": 100.0 * float(fit.height - np.ptp(rest)),
     }
 
@@ -93,8 +98,10 @@ def scene_rows(motions: dict[str, tuple], options: argparse.Namespace) -> list[d
         for kind, asked in SCENES.items():
             for seed in range(options.seeds):
                 scene, rig = scene_of(motion, seed, k, **asked)
+                rest = scene.body.rest_vertices(scene.betas)[:, 1]
+                height = float(np.ptp(rest)) if asked.get("height") else None
                 began = time.perf_counter()
-                (fit,) = fit_cameras(scene.detections, rig)
+                (fit,) = fit_cameras(scene.detections, rig, height=height)
                 seconds = time.perf_counter() - began
                 errors = errors_of(scene, fit)
                 rows.append(
@@ -185,7 +192,7 @@ def measure(options: argparse.Namespace) -> dict:
     summary = []
     for kind in SCENES:
         own = [row for row in rows if row["scene"] == kind]
-        keys = ("joints", "joints 95 %", "skin", "placed", "seconds")
+        keys = ("joints", "joints 95 %", "skin", "placed", "about pelvis", "seconds")
         means = {key: float(np.mean([row[key] for row in own])) for key in keys}
         height = float(np.sqrt(np.mean([row["height cm"] ** 2 for row in own])))
         good = sum(row["verdict"] == "good" for row in own)

@@ -34,7 +34,7 @@ class _Files:
 
 @dataclass(frozen=True, kw_only=True)
 class Cameras(Strict, CameraOptions, _Files):
-    """Fit bodies to 2D keypoints of two or more calibrated cameras.
+    """Fit bodies to 2D keypoints of calibrated cameras.
 
     habitus cameras trial/pose --calibration Calib.toml --fps 60 --out results
 

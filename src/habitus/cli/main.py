@@ -24,7 +24,7 @@ COMMANDS = {
     "register": "Register scans of people to a body: surfaces in its topology, for training and "
     "measuring.",
     "rgbd": "Fit a body to images of a depth camera: shape, pose, light, albedo, measurements.",
-    "cameras": "Fit bodies to 2D keypoints of two or more calibrated cameras.",
+    "cameras": "Fit bodies to 2D keypoints of calibrated cameras.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture "
     "of the tapes.",
     "body": "Estimate a person's body from some measurements: height, weight, sex, age, waist, …",

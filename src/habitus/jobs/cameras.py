@@ -60,8 +60,9 @@ def fit_cameras(
     detections: what `habitus.read_detections` read, or the folder it reads (then with ``fps``); or
     a .trc, .c3d or .npy of keypoints in space. calibration: what `habitus.read_calibration` read,
     or its file; None for keypoints in space. body: a model, a file,
-    "default", "female", "male". Raises HabitusError where names of cameras differ, and where nobody
-    is seen by two cameras at once.
+    "default", "female", "male". One camera leaves depth open: its verdict is doubtful at best.
+    Raises HabitusError where names of cameras differ, and where nobody is seen by two cameras at
+    once.
     """
     detections, rig = read_cameras(detections, calibration, options)
     model = loaded(body, age=options.age)

@@ -38,8 +38,11 @@ class Detections:
 
     def of_cameras(self, names: tuple[str, ...]) -> "Detections":
         """Those of these cameras, in their order. Names match where their letters and numbers do:
-        ``cam01_json`` is ``cam_01``. Raises HabitusError where one is missing.
+        ``cam01_json`` is ``cam_01``; one camera alone matches whatever its name. Raises
+        HabitusError where one is missing.
         """
+        if len(names) == len(self.cameras) == 1:
+            return replace(self, cameras=names)
         own = {_plain(name): k for k, name in enumerate(self.cameras)}
         rows = [own.get(_plain(name), -1) for name in names]
         if -1 in rows or len(own) < len(self.cameras):

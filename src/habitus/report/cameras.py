@@ -51,6 +51,10 @@ GUESSED = (
     "Keypoints tell of the lengths of bones. Girths and mass, fingers, the face, and turns of "
     "forearms, thighs and head about their own axis come from what is usual for people."
 )
+ALONE = (
+    " One camera sees no depth: distance, and turns towards the camera and away from it, are "
+    "guesses of the priors."
+)
 MOMENTS = 3
 """Overlays of each camera."""
 PICTURE = 300
@@ -61,11 +65,12 @@ MARGIN = 0.15
 def camera_page(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
     """The report as text. numbers: `habitus.results.cameras.camera_metrics` of the fit."""
     numbers = finite(dict(numbers))
+    guessed = GUESSED + ALONE * (len(numbers["cameras"]) == 1)
     below = [
         *_overlays(fit),
         _cameras(numbers),
         _keypoints(fit),
-        card("Measurements", measurements_table(fit.measurements), GUESSED),
+        card("Measurements", measurements_table(fit.measurements), guessed),
         columns(
             card("Notes", notes_list(fit.warnings)),
             solution_card(numbers["status"], numbers["costs"], TERMS),
@@ -83,7 +88,7 @@ def camera_page(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
 def _head(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
     count = len(numbers["cameras"])
     facts = [
-        f"{count} cameras",
+        f"{count} cameras" if count > 1 else "1 camera",
         f"{len(fit.pose)} frames at {fit.rate_hz:g} Hz",
         f"keypoints {fit.convention}",
         f"body {fit.body_name}",

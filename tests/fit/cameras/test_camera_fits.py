@@ -11,6 +11,7 @@ import pytest
 from habitus.body.keypoints import CONVENTIONS
 from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
+from habitus.fit.cameras.one_camera import _turns, placed_by_one
 from habitus.fit.cameras.people import tracks
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.settings import CAMERAS
@@ -19,9 +20,11 @@ from habitus.fit.cameras.triangulate import triangulated
 from habitus.io.models.bodies import load_body
 from habitus.jobs.cameras import fit_cameras
 from habitus.observe.camera_rig import CameraRig
-from habitus.observe.detections import Detections
-from habitus.rotations import matrix_from_rotvec
-from habitus_lab.population.camera_scenes import CameraScene, camera_scene, disturbed
+from habitus.observe.keypoints import KeypointRig, convention_names
+from habitus.report.cameras import camera_page
+from habitus.results.cameras import camera_metrics
+from habitus.rotations import matrix_from_rotvec, rotvec_from_matrix
+from habitus_lab.population.camera_scenes import CameraScene, camera_scene, disturbed, ring
 
 RATE = 50.0
 FRAMES = 40
@@ -235,12 +238,85 @@ def test_a_rig_that_is_not_corrected_is_the_same():
     np.testing.assert_allclose(same.translation, rig.translation)
 
 
-def test_one_camera_and_strangers_are_refused():
+@cache
+def by_one_camera(number: int = 0, given: bool = True) -> CameraFit:
     made = scene()
-    one = Detections("one", "body25b", made.detections.names, ("cam1",),
-                     made.detections.pixels[:, :1], made.detections.confidence[:, :1], RATE)  # fmt: skip
-    with pytest.raises(HabitusError, match="1 camera; expected two"):
-        fit_cameras(one, CameraRig(made.rig.cameras[:1]))
+    seen = made.detections
+    one = replace(
+        seen,
+        cameras=("video",),
+        pixels=seen.pixels[:, number : number + 1],
+        confidence=seen.confidence[:, number : number + 1],
+    )
+    rest = made.body.rest_vertices(made.betas)[:, 1]
+    height = float(np.ptp(rest)) if given else None
+    (fit,) = fit_cameras(one, CameraRig(made.rig.cameras[number : number + 1]), height=height)
+    return fit
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_one_camera_finds_the_person_and_says_that_depth_is_open(number):
+    """From the front, the sides and the back."""
+    made, fit = scene(), by_one_camera(number)
+    rows = slice(fit.first_frame, fit.first_frame + len(fit.pose))
+    truth = np.asarray(made.body(made.betas, made.pose[rows], made.trans[rows]).joints)[:, :22]
+    off = fit.joints()[:, :22] - truth
+    assert np.linalg.norm(off - off[:, :1], axis=-1).mean() < 0.08
+    across = off @ made.rig.rotation[number, :2].T
+    assert np.median(np.linalg.norm(across, axis=-1)) < 0.03
+    assert fit.verdict.level == "doubtful"
+    assert "One camera leaves depth open: distance" in " ".join(fit.verdict.reasons)
+    assert not fit.corrections.any() and not fit.late.any()
+
+
+def test_one_camera_without_a_height_says_so():
+    reasons = " ".join(by_one_camera(given=False).verdict.reasons)
+    assert "size and distance" in reasons
+
+
+def test_the_page_of_one_camera_names_what_is_guessed():
+    fit = by_one_camera()
+    page = camera_page(fit, camera_metrics(fit))
+    assert "1 camera<" in page or "1 camera ·" in page
+    assert "One camera sees no depth" in page
+
+
+def test_a_planted_mean_pose_is_placed_by_one_camera():
+    """Headings that are tried, without noise: place and turn come out exactly."""
+    body = load_body("female")
+    names = convention_names("body25b")
+    mean = prior_of(body).for_joints(body.joint_names).mean
+    rig = KeypointRig.of(body, names)
+    person = rig.shaped(np.zeros(body.num_betas), np.zeros((len(names), 3)))
+    camera = ring(1, np.array([0.2, 0.1, 0.0]), 4.0).cameras[0]
+    turns = _turns()
+    picks = np.repeat([30, 31, 32], 5)
+    pose = np.tile(np.concatenate([np.zeros(3), mean]).reshape(1, -1, 3), (len(picks), 1, 1))
+    pose[:, 0] = rotvec_from_matrix(camera.rotation.T @ turns[picks])
+    trans = np.array([0.1, 0.2, -0.1]) + np.linspace(0.0, 0.3, len(picks))[:, None]
+    pixels = camera.project(person.points(pose, trans))
+    sure = np.ones(pixels.shape[:2])
+    sure[7] = 0.0
+    found, place = placed_by_one(camera, pixels, sure, names, person, mean)
+    seen = sure[:, 0] > 0.0
+    np.testing.assert_allclose(place[seen], trans[seen], atol=1e-6)
+    np.testing.assert_allclose(
+        matrix_from_rotvec(found[seen, 0]), matrix_from_rotvec(pose[seen, 0]), atol=1e-9
+    )
+    np.testing.assert_allclose(place[7], trans[[6, 8]].mean(0), atol=0.03)
+
+
+def test_nobody_and_strangers_are_refused():
+    made = scene()
+    seen = made.detections
+    nobody = replace(
+        seen,
+        cameras=("video",),
+        pixels=np.full_like(seen.pixels[:, :1], np.nan),
+        confidence=np.zeros_like(seen.confidence[:, :1]),
+    )
+    with pytest.raises(HabitusError, match="nobody is seen"):
+        fit_cameras(nobody, CameraRig(made.rig.cameras[:1]))
     with pytest.raises(HabitusError, match="expected the same names"):
         fit_cameras(replace(made.detections, cameras=("a", "b", "c", "d")), made.rig)
     with pytest.raises(HabitusError, match="people is"):

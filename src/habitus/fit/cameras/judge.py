@@ -107,6 +107,10 @@ def _calibration(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
 
 
 def _coverage(fit: CameraSolution, limits: CameraLimits) -> Iterator[Reason]:
+    if fit.confidence.shape[1] == 1:
+        given = "" if fit.given_height is not None else "size and "
+        yield Reason(DOUBTFUL, "alone", {"given": given})
+        return
     covered = float(((fit.confidence > 0.0).sum(1) >= 2).mean())
     if (level := below(covered, limits.covered)) != GOOD:
         yield Reason(level, "covered", {"share": percent(covered)})
@@ -154,6 +158,8 @@ SENTENCES: Mapping[str, str] = MappingProxyType(
         "covered": "Two cameras or more see only {share} of the keypoints.",
         "stature": "The body is {height:.2f} m tall; people are .5 to 2.3 m: the calibration may "
         "be in another unit.",
+        "alone": "One camera leaves depth open: {given}distance, turns towards the camera and what "
+        "it does not see come from the priors.",
         "height": "The body is {height:.0f} cm tall; {given:.0f} cm were given.",
         "acceleration": "Joints accelerate by {value:.0f} m/s^2 (RMS); the motion trembles.",
         "pose": "Poses are {value:.1f} standard deviations (RMS) from usual ones.",

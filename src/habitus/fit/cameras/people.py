@@ -65,6 +65,8 @@ def tracks(detections: Detections, rig: CameraRig, settings: CameraSettings) -> 
         if own.any(1).mean() >= settings.people.min_share and (sure > 0).any():
             area = np.where(own, np.take_along_axis(size, rows[..., 0], 2)[..., 0], 0.0)
             people.append((float(np.nansum(area)), Track(at, sure)))
+    if not people and len(rig.cameras) == 1:
+        raise HabitusError(f"{detections.name}: nobody is seen in a fifth of the frames")
     if not people:
         raise HabitusError(
             "nobody is seen by two cameras at once in a fifth of the frames; check that the "

@@ -2,7 +2,7 @@
 
 1. People are matched between cameras and followed (`people`), their keypoints triangulated.
 2. Each person's place and heading in every frame from hips and shoulders; poses by the triangulated
-   points, frame by frame.
+   points, frame by frame. Of one camera place and heading are found by its pixels (`one_camera`).
 3. In rounds: the shape stage on frames unlike each other (`shape`: betas, the detector's own places
    of keypoints, corrections of cameras), then the pose stage on all (`sequence`), by pixels. After
    each round left and right that a camera exchanged are put back, the noise of each keypoint in
@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
+from habitus.fit.cameras.one_camera import placed_by_one
 from habitus.fit.cameras.people import Track, chosen, tracks
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.review import (
@@ -31,7 +32,7 @@ from habitus.fit.cameras.review import (
 )
 from habitus.fit.cameras.sequence import keypoint_data, solve_poses
 from habitus.fit.cameras.settings import CAMERAS, CameraSettings
-from habitus.fit.cameras.shape import CameraShape, ShapeData, shape_stage
+from habitus.fit.cameras.shape import CameraShape, ShapeData, betas_of_height, shape_stage
 from habitus.fit.cameras.triangulate import triangulated
 from habitus.mesh.proximity import farthest_points
 from habitus.observe.camera_rig import CameraRig
@@ -40,6 +41,8 @@ from habitus.observe.keypoints import KeypointRig, ShapedKeypoints
 from habitus.rotations import procrustes, rotvec_from_matrix
 
 Progress = Callable[[str, float], None]
+MIN_KEYPOINTS = 6
+"""Of a frame of one camera."""
 TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 
 
@@ -59,12 +62,9 @@ def fit_cameras(
     """Everybody whom the cameras see, or the first ``people``.
 
     height: of the one person (m), where it is known. correct: estimate corrections of the cameras.
-    up: the world's axis that points up. Raises HabitusError where nobody is seen by two cameras.
+    up: the world's axis that points up. One camera leaves depth open: the verdict says so. Raises
+    HabitusError where nobody is seen by two cameras, of one camera where nobody is seen.
     """
-    if len(rig.cameras) < 2:
-        raise HabitusError(
-            f"{len(rig.cameras)} camera; expected two or more: one alone leaves depth open"
-        )
     progress("people", 0.0)
     found = chosen(tracks(detections.of_cameras(rig.names), rig, settings), people)
     fits = []
@@ -109,7 +109,10 @@ def fit_person(
     """
     began = time.perf_counter()
     keypoints = KeypointRig.of(body, detections.names, detections.convention)
-    start = start_person(body, prior, detections, track, rig, keypoints, settings)
+    alone = len(rig.cameras) == 1
+    correct = correct and not alone
+    begin = start_alone if alone else start_person
+    start = begin(body, prior, detections, track, rig, keypoints, settings, height)
     sight, pose, trans = start.sight, start.pose, start.trans
     given = prior.for_joints(body.joint_names)
     none = np.zeros((len(keypoints.names), 3)), np.zeros((len(rig.cameras), 6))
@@ -172,6 +175,7 @@ def start_person(
     rig: CameraRig,
     keypoints: KeypointRig,
     settings: CameraSettings,
+    height: float | None = None,
 ) -> Start:
     """Poses of the mean shape by triangulated keypoints, over the frames in which shoulders and
     hips are known. Raises HabitusError where they are known in too few.
@@ -202,6 +206,60 @@ def start_person(
         weights,
     )
     pose, trans, _ = solve_poses(rough, pose, trans, detections.rate_hz, settings)
+    return Start(sight, points, pose, trans, kept.start)
+
+
+def start_alone(
+    body: BodyModel,
+    prior: PosePrior,
+    detections: Detections,
+    track: Track,
+    rig: CameraRig,
+    keypoints: KeypointRig,
+    settings: CameraSettings,
+    height: float | None = None,
+) -> Start:
+    """Of one camera: the mean pose put by its pixels, then poses by them with a falling reach.
+    Raises HabitusError where too few frames show the person.
+    """
+    enough = np.flatnonzero((track.confidence[:, 0] > 0.0).sum(1) >= MIN_KEYPOINTS)
+    if len(enough) < min(5, len(track.pixels)):
+        raise HabitusError(
+            f"{detections.name}: {len(enough)} of {len(track.pixels)} frames show "
+            f"{MIN_KEYPOINTS} keypoints or more of a person"
+        )
+    kept = slice(int(enough[0]), int(enough[-1]) + 1)
+    pixels, sure = track.pixels[kept], track.confidence[kept]
+    given = prior.for_joints(body.joint_names)
+    betas = np.zeros(body.num_betas) if height is None else betas_of_height(body, height)
+    person = keypoints.shaped(betas, np.zeros((len(keypoints.names), 3)))
+    camera = rig.cameras[0]
+    pose, trans = placed_by_one(
+        camera, pixels[:, 0], sure[:, 0], keypoints.names, person, given.mean
+    )
+    middle = person.joints[0] + trans
+    depth = np.maximum(middle @ camera.rotation[2] + camera.translation[2], 0.3)
+    size = (height or 1.7) * camera.focal.mean() / depth
+    sight = Sight(
+        pixels,
+        sure,
+        size[:, None],
+        np.ones((1, len(keypoints.names))),
+        np.zeros(1),
+        np.zeros((len(pixels), 1), bool),
+    )
+    for reach in settings.reaches:
+        seen = keypoint_data(
+            person,
+            rig,
+            pixels,
+            information(sight, keypoints, settings.noise),
+            given.mean,
+            given.precision,
+            reach,
+        )
+        pose, trans, _ = solve_poses(seen, pose, trans, detections.rate_hz, settings)
+    points = np.where(sure[:, 0, :, None] > 0.0, person.points(pose, trans), np.nan)
     return Start(sight, points, pose, trans, kept.start)
 
 

@@ -283,3 +283,11 @@ def height_term(body: BodyModel, height: float, sd: float) -> Term:
         return np.array([rest[top] - rest[bottom] - height]) / sd, {"betas": slope[None] / sd}
 
     return Term(residual, name="height")
+
+
+def betas_of_height(body: BodyModel, height: float) -> Float[np.ndarray, " B"]:
+    """The likeliest shape of a height (m): the shortest betas, to first order of the mean shape."""
+    term = height_term(body, height, 1.0)
+    off, slopes = term.residual(np.zeros(body.num_betas))
+    slope = slopes["betas"][0]
+    return -slope * off[0] / (slope @ slope)
