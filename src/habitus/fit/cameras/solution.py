@@ -28,8 +28,9 @@ class CameraSolution(BodyMotion):
     times; confidence (T, C, K). ``keypoint_places`` (K, 3): what the fit added to the places of the
     table, in their bones' frames (m). cameras: as corrected; corrections (C, 6): turns (rad) and
     shifts (m) in each camera's frame; late (C,): seconds. ``size_px`` (T, C): the person's height
-    in the images. exchanged (T, C): where left and right were put back. ``triangulated`` (T, K, 3).
-    given_height: the height that was given (m), None without one.
+    in the images. exchanged (T, C): where left and right were put back. ``triangulated`` (T, K, 3):
+    of one camera those of the first poses. given_height: the height that was given (m), None
+    without one.
     """
 
     keypoint_names: tuple[str, ...] = ()
