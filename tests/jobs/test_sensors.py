@@ -168,6 +168,12 @@ CASES = {
 }
 
 
+def test_keypoints_alone_with_a_term_are_refused():
+    terms = {"nothing": lambda betas: 0.0 * betas}
+    with pytest.raises(hb.HabitusError, match="without a capture"):
+        hb.Fit(body(), hb.Keypoints(*filmed(0, 30.0, 0.0)), QUICK, terms).solve()
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_what_cannot_be_fitted_is_refused(case):
     sensors, word = CASES[case]

@@ -101,13 +101,13 @@ class SensorData:
         """Raises HabitusError where there is no sensor, keypoints have no capture, and for frames
         that no capture has.
         """
-        if not (self.captures or self.views or self.scans):
-            raise HabitusError("no sensor was given; expected markers, depth views or scans")
         if self.detections and not self.captures:
             raise HabitusError(
                 "keypoints were given without a capture; expected markers in the same world, or "
-                "the keypoints alone"
+                "the keypoints alone, without terms or a prior"
             )
+        if not (self.captures or self.views or self.scans):
+            raise HabitusError("no sensor; expected markers, keypoints, depth views or scans")
         for each in self.detections:
             if not 0 <= each.capture < len(self.captures):
                 raise HabitusError(

@@ -1,7 +1,7 @@
 """The start of a fit to keypoints of one camera: where the person is and faces in every frame.
 
 Of the mean pose at headings about the image's vertical and some tilts, the place is linear in the
-pixels (u z = f x, weighed by the detections' information):
+pixels (u z = f x, weighted by confidence):
 
     (p_xy + t_xy) - (u - c) / f (p_z + t_z) = 0
 
@@ -21,7 +21,8 @@ TILTS = (-30.0, -10.0, 10.0, 30.0)
 """Degrees about the image's horizontal, of the camera's own tilt and of leaning people."""
 LIMBS = 0.05
 """Weight of keypoints of arms and legs; those of the trunk and the head have 1."""
-TRUNK = ("shoulder", "hip", "neck", "nose", "eye", "ear", "head", "top")
+STEADY = ("shoulder", "hip", "neck", "nose", "eye", "ear", "head", "top")
+"""Parts of the names of keypoints on trunk and head."""
 MISFIT = 0.06
 """Distance of keypoints from those of the mean pose (sd), as a share of the person's height."""
 TURN = 4.0
@@ -36,14 +37,15 @@ def placed_by_one(
     person: ShapedKeypoints,
     mean: Float[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
-    """The mean pose of a person in every frame, turned and put by ideal pixels (NaN where missing).
+    """Pose (rad) and place (m, in the world) of a person in every frame: the mean pose, turned and
+    placed by pixels without distortion (NaN where missing). mean: of all joints but the root.
 
-    A frame that shows fewer than four keypoints is as its neighbours.
+    A frame that shows fewer than four keypoints is as the nearest one that shows more.
     """
     pose = np.concatenate([np.zeros(3), mean]).reshape(1, -1, 3)
     own = person.points(pose, np.zeros((1, 3)))[0] - person.joints[0]
     height = float(np.ptp(person.joints[:, 1])) * 1.1
-    trunk = np.array([any(part in name for part in TRUNK) for name in names])
+    trunk = np.array([any(part in name for part in STEADY) for name in names])
     weight = np.where(np.isfinite(pixels).all(-1), confidence, 0.0) * np.where(trunk, 1.0, LIMBS)
     weight = np.where(((weight > 0.0).sum(1) >= 4)[:, None], weight, 0.0)
     turns = _turns()
@@ -54,11 +56,9 @@ def placed_by_one(
         places[:, k], costs[:, k] = _place(own @ turn.T, plane, weight, height)
     known = np.flatnonzero(weight.any(1))
     path = _cheapest(costs[known], _angles(turns))
-    nearest = known[np.abs(np.arange(len(pixels))[:, None] - known).argmin(1)]
-    chosen = np.empty(len(pixels), int)
-    chosen[known] = path
-    chosen = chosen[nearest]
-    there = places[nearest, chosen]
+    nearest = np.searchsorted(0.5 * (known[1:] + known[:-1]), np.arange(len(pixels)))
+    chosen = path[nearest]
+    there = places[known[nearest], chosen]
     root = (there - camera.translation) @ camera.rotation
     poses = np.repeat(pose, len(pixels), axis=0)
     poses[:, 0] = rotvec_from_matrix(camera.rotation.T @ turns[chosen])
