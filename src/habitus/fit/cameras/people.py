@@ -1,9 +1,11 @@
 """Who is who: detections of several people in several cameras, grouped by where their rays meet and
 followed over time.
 
-In each frame, detections of different cameras whose keypoints meet in space to within a share of
-the person's size are merged, the closest first, one detection a camera; groups are followed by
-their middles.
+In each frame, detections near the pixels that a person's last points in space predict are that
+person's, one a camera, by least sum of distances: so people who touch keep their own. Of the rest,
+detections of different cameras whose keypoints meet in space to within a share of the person's size
+are merged, the closest first, one detection a camera; such a group is a person who was lost
+nearby, or somebody new.
 """
 
 from collections.abc import Sequence
@@ -12,12 +14,18 @@ from itertools import combinations
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
 
 from habitus.errors import HabitusError
 from habitus.fit.cameras.settings import CAMERAS, CameraSettings, PeopleSettings
 from habitus.fit.cameras.triangulate import triangulated
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
+
+GAIN = 0.7
+"""Share of the way from a predicted point to the one seen that a track takes,"""
+MAX_JUMP = 0.25
+"""up to which distance (m): a keypoint further off is another person's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +115,40 @@ def _largest(size: Float[np.ndarray, "T C P"]) -> Int[np.ndarray, "T C"]:
     return np.where(filled.max(2) > 0.0, filled.argmax(2), -1)
 
 
+@dataclass(eq=False)
+class _Followed:
+    """A track that may go on: its detection in each frame and camera, the last frame in which
+    enough cameras saw it, its points (m) there, NaN where unknown, and their velocity (m/frame).
+    """
+
+    who: Int[np.ndarray, "T C"]
+    last: int
+    points: Float[np.ndarray, "K 3"]
+    velocity: Float[np.ndarray, "3"]
+
+    @property
+    def middle(self) -> Float[np.ndarray, "3"]:
+        """The median of its points (m)."""
+        return _median(self.points)
+
+    def predicted(self, frame: int) -> Float[np.ndarray, "K 3"]:
+        """Its points (m) in a later frame, moved on as one."""
+        return self.points + self.velocity * (frame - self.last)
+
+    def seen(self, frame: int, who: Int[np.ndarray, " C"], points: np.ndarray) -> None:
+        """Go on with detections and the points that they triangulate to; points that are not seen,
+        or are far from where they were expected, move on with the others.
+        """
+        step = _median(points - self.points) / (frame - self.last)
+        expected = self.predicted(frame)
+        near = np.linalg.norm(points - expected, axis=-1, keepdims=True) < MAX_JUMP
+        followed = np.where(near, expected + GAIN * (points - expected), expected)
+        self.points = np.where(np.isfinite(expected), followed, points)
+        self.velocity = np.where(np.isfinite(step), step, self.velocity)
+        self.who[frame] = who
+        self.last = frame
+
+
 def _followed(
     pixels: np.ndarray,
     confidence: np.ndarray,
@@ -115,37 +157,125 @@ def _followed(
     rate_hz: float,
     settings: PeopleSettings,
 ) -> list[Int[np.ndarray, "T C"]]:
-    """The detection of each person in each frame and camera, -1 for none."""
-    frames, cameras = pixels.shape[:2]
+    """The detection of each person in each frame and camera, -1 for none. Detections near what a
+    track's last points predict are its own; the others are grouped by their rays.
+    """
+    frames = len(pixels)
     distance = _distances(pixels, confidence, size, rig, settings)
-    open_tracks: list[tuple[np.ndarray, int, np.ndarray]] = []  # middle, last frame, who
+    everybody: list[_Followed] = []
     for t in range(frames):
-        groups = _groups(distance[t], np.isfinite(size[t]), settings)
-        groups = [who for who in groups if (who >= 0).sum() >= settings.min_views]
-        middles = [_middle(pixels[t], confidence[t], who, rig) for who in groups]
-        pairs = sorted(
-            (float(np.linalg.norm(middle - place)), g, k)
-            for g, middle in enumerate(middles)
-            for k, (place, last, _) in enumerate(open_tracks)
-            if t - last <= settings.max_gap * rate_hz
-        )
-        used_groups: set[int] = set()
-        used_tracks: set[int] = set()
-        for off, g, k in pairs:
-            _, last, who = open_tracks[k]
-            if g in used_groups or k in used_tracks:
-                continue
-            if off < settings.max_step * np.sqrt(max(1.0, t - last)):
-                who[t] = groups[g]
-                open_tracks[k] = (middles[g], t, who)
-                used_groups.add(g)
-                used_tracks.add(k)
-        for g, who_now in enumerate(groups):
-            if g not in used_groups and np.isfinite(middles[g]).all():
-                who = np.full((frames, cameras), -1)
-                who[t] = who_now
-                open_tracks.append((middles[g], t, who))
-    return [who for _, _, who in open_tracks]
+        active = [k for k in everybody if t - k.last <= settings.max_gap * rate_hz]
+        free = np.isfinite(size[t])
+        waiting = []
+        expected = [rig.project(track.predicted(t)) for track in active]
+        rows = _near_prediction(expected, pixels[t], confidence[t], size[t], settings)
+        for track, who in zip(active, rows, strict=True):
+            who = _meeting(distance[t], who, free.shape[1], settings)
+            own = np.flatnonzero(who >= 0)
+            if len(own):
+                free[own, who[own]] = False
+                if len(own) < settings.min_views:
+                    track.who[t] = who
+                    continue
+                track.seen(t, who, _points(pixels[t], confidence[t], size[t], who, rig, settings))
+            else:
+                waiting.append(track)
+        groups = [
+            who
+            for who in _groups(distance[t], free, settings)
+            if (who >= 0).sum() >= settings.min_views
+        ]
+        points = [_points(pixels[t], confidence[t], size[t], who, rig, settings) for who in groups]
+        for who, own in _by_middles(waiting, groups, points, t, settings):
+            if own is None:
+                everybody.append(_started(t, groups[who], points[who], frames))
+            else:
+                own.seen(t, groups[who], points[who])
+    return [track.who for track in everybody]
+
+
+def _median(points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "3"]:
+    """Of those that are known, NaN where none is."""
+    known = points[np.isfinite(points).all(-1)]
+    return np.median(known, axis=0) if len(known) else np.full(3, np.nan)
+
+
+def _near_prediction(
+    expected: Sequence[Float[np.ndarray, "C K 2"]],
+    pixels: Float[np.ndarray, "C P K 2"],
+    confidence: Float[np.ndarray, "C P K"],
+    size: Float[np.ndarray, "C P"],
+    settings: PeopleSettings,
+) -> Int[np.ndarray, "n C"]:
+    """Of each track in each camera the detection, -1 for none: those with the least sum of mean
+    distances from the ``expected`` pixels, up to a share of the person's size.
+    """
+    out = np.full((len(expected), len(size)), -1)
+    if not len(expected):
+        return out
+    off = np.linalg.norm(np.stack(expected)[:, :, None] - pixels, axis=-1) / size[..., None]
+    seen = np.isfinite(off) & (confidence > 0.0)
+    count = seen.sum(-1)
+    total = np.where(seen, np.minimum(off, 2.0 * settings.max_prediction), 0.0).sum(-1)
+    share = np.where(count >= settings.min_common, total / np.maximum(count, 1), np.inf)
+    for c in range(len(size)):
+        cost = np.minimum(share[:, c], settings.max_prediction)
+        for k, p in zip(*linear_sum_assignment(cost), strict=True):
+            if cost[k, p] < settings.max_prediction:
+                out[k, c] = p
+    return out
+
+
+def _meeting(
+    distance: Float[np.ndarray, "n n"],
+    who: Int[np.ndarray, " C"],
+    people: int,
+    settings: PeopleSettings,
+) -> Int[np.ndarray, " C"]:
+    """Those of a person's detections whose rays meet most of the others'."""
+    own = np.flatnonzero(who >= 0)
+    if len(own) < 2:
+        return who
+    rows = own * people + who[own]
+    pairs = distance[np.ix_(rows, rows)].copy()
+    np.fill_diagonal(pairs, np.nan)
+    out = who.copy()
+    out[own[np.nanmedian(pairs, axis=1) > settings.max_line_distance]] = -1
+    return out
+
+
+def _by_middles(
+    waiting: Sequence[_Followed],
+    groups: Sequence[np.ndarray],
+    points: Sequence[np.ndarray],
+    frame: int,
+    settings: PeopleSettings,
+) -> list[tuple[int, _Followed | None]]:
+    """Which group is the track that waits nearest to it, or None: somebody new."""
+    middles = [_median(each) for each in points]
+    pairs = sorted(
+        (float(np.linalg.norm(middle - track.middle)), g, k)
+        for g, middle in enumerate(middles)
+        for k, track in enumerate(waiting)
+    )
+    out: dict[int, _Followed | None] = {}
+    used: set[int] = set()
+    for off, g, k in pairs:
+        near = off < settings.max_step * np.sqrt(max(1.0, frame - waiting[k].last))
+        if near and g not in out and k not in used:
+            out[g] = waiting[k]
+            used.add(k)
+    new = {g: None for g in range(len(groups)) if g not in out and np.isfinite(middles[g]).all()}
+    return list((out | new).items())
+
+
+def _started(
+    frame: int, who: Int[np.ndarray, " C"], points: Float[np.ndarray, "K 3"], frames: int
+) -> _Followed:
+    """A track whose first frame this is."""
+    rows = np.full((frames, len(who)), -1)
+    rows[frame] = who
+    return _Followed(rows, frame, points, np.zeros(3))
 
 
 def _distances(
@@ -211,18 +341,20 @@ def _groups(
     return groups
 
 
-def _middle(
-    pixels: np.ndarray, confidence: np.ndarray, who: np.ndarray, rig: CameraRig
-) -> Float[np.ndarray, "3"]:
-    """The median of a group's points in space (m)."""
-    own = who >= 0
-    rows = np.flatnonzero(own)
+def _points(
+    pixels: np.ndarray,
+    confidence: np.ndarray,
+    size: np.ndarray,
+    who: np.ndarray,
+    rig: CameraRig,
+    settings: PeopleSettings,
+) -> Float[np.ndarray, "K 3"]:
+    """A group's points in space (m), NaN where fewer than two of its cameras agree on one."""
+    rows = np.flatnonzero(who >= 0)
+    own = who[rows]
     cameras = CameraRig(tuple(rig.cameras[c] for c in rows))
-    at = np.stack([pixels[c, who[c]] for c in rows])
-    sure = np.stack([confidence[c, who[c]] for c in rows])
-    points = triangulated(cameras, at, sure, np.inf)[0]
-    with np.errstate(all="ignore"):
-        return np.nanmedian(points, axis=0)
+    reach = settings.max_line_distance * size[rows, own, None]
+    return triangulated(cameras, pixels[rows, own], confidence[rows, own], reach)[0]
 
 
 def chosen(people: Sequence[Track], count: int | None) -> list[Track]:

@@ -16,6 +16,9 @@ class PeopleSettings:
     max_line_distance: float = 0.05
     """Median distance of keypoints from each other's epipolar lines, up to which two detections are
     one person's, as a share of the person's height in pixels."""
+    max_prediction: float = 0.1
+    """Mean distance of a detection's keypoints from where a person's last points predict them, each
+    counted up to twice this, up to which it is that person's; a share of the same height."""
     max_step: float = 0.35
     """Metres between a person's middle in one frame and in the next that shows it."""
     max_gap: float = 1.0
