@@ -28,6 +28,10 @@ class _Files:
     """Output folder: body.npz, body.glb, measurements.csv, metrics.json and report.html; of several
     people a folder of these each.
     """
+    videos: Annotated[Path | None, unset("FOLDER")] = None
+    """The cameras' videos (cam01.mp4 for cam_01; needs habitus[video]): the report shows the body
+    over their pictures; and the frame rate, where --fps does not give it.
+    """
     body: Annotated[str, metavar("NAME|FILE")] = "default"
     """Body to fit: female, male, neutral, a file, or default: the neutral one."""
 
@@ -66,6 +70,7 @@ def run(options: Cameras, console: "Console | None" = None) -> int:
         options.calibration,
         options.out,
         options.body,
+        videos=options.videos,
         options=options,
         progress=lambda text: say(console, text, "note"),
     )

@@ -4,8 +4,12 @@ out.
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
+from jaxtyping import UInt8
 
 from habitus.body.model import BodyModel
 from habitus.body.prior import prior_of
@@ -14,6 +18,7 @@ from habitus.fit.cameras.recipe import fit_cameras as fitted
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.settings import CAMERAS
 from habitus.io.cameras.read import read_calibration
+from habitus.io.cameras.videos import read_videos, stills
 from habitus.io.keypoints.points import POINT_ENDINGS, read_points
 from habitus.io.keypoints.read import read_detections
 from habitus.io.keypoints.sam3d import read_sam3d
@@ -24,7 +29,7 @@ from habitus.jobs.results import Exportable, MarkerResult, with_methods
 from habitus.kernels.threads import one_blas_thread
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
-from habitus.report.cameras import camera_page
+from habitus.report.cameras import camera_page, moments
 from habitus.results.cameras import CAMERA_FILES, save_cameras
 from habitus.results.save import MARKER_FILES, result_lock
 from habitus.types import PathLike
@@ -38,13 +43,15 @@ class CameraResult(Exportable, CameraFit):
         """The same fit, with the methods."""
         return with_methods(cls, fit)
 
-    def save(self, folder: PathLike) -> None:
+    def save(self, folder: PathLike, videos: PathLike | None = None) -> None:
         """Write body.npz, body.glb, measurements.csv, metrics.json and report.html, as ``habitus
-        cameras`` does.
+        cameras`` does; with a folder of the cameras' ``videos`` the report shows the body over
+        their pictures (the extra ``video``).
 
-        Raises HabitusError where the folder cannot be written.
+        Raises HabitusError where the folder cannot be written, or the videos cannot be read.
         """
-        save_cameras(self, folder, camera_page)
+        pictures = None if videos is None else _stills(self, videos)
+        save_cameras(self, folder, partial(camera_page, pictures=pictures))
 
 
 @takes(CameraOptions)
@@ -91,16 +98,22 @@ def cameras(
     out: PathLike,
     body: BodyModel | PathLike = "default",
     *,
+    videos: PathLike | None = None,
     options: CameraOptions,
     progress: Callable[[str], Any] = lambda text: None,
 ) -> list[CameraResult | MarkerResult]:
     """Read detections and calibration, fit, and write the results into the folder ``out``, of
-    several people into ``out``/person_N, as ``habitus cameras`` does. Raises HabitusError.
+    several people into ``out``/person_N, as ``habitus cameras`` does. videos: a folder with each
+    camera's, for the report. Raises HabitusError.
     """
+    if videos is not None and (calibration is None or options.source == "sam3d"):
+        raise HabitusError("videos are given; expected them beside a calibration of their cameras")
     if options.source == "sam3d":
         return [sam3d(folder, out, body, options=options, progress=progress)]
     with result_lock(out, CAMERA_FILES):
         progress("reading")
+        if videos is not None:
+            options = _with_rate(options, videos, calibration)
         detections, rig = read_cameras(folder, calibration, options)
         progress(
             f"fitting {detections.num_frames} frames of {len(rig.cameras)} cameras, keypoints "
@@ -111,7 +124,7 @@ def cameras(
         fits = fit_cameras(detections, rig, body, options=options)
         progress("writing")
         for k, fit in enumerate(fits, 1):
-            fit.save(out if len(fits) == 1 else Path(out) / f"person_{k}")
+            fit.save(out if len(fits) == 1 else Path(out) / f"person_{k}", videos)
     return [*fits]
 
 
@@ -167,6 +180,40 @@ def read_cameras(
         detections = read_detections(detections, options.fps, options.convention, options.names)
     rig = calibration if isinstance(calibration, CameraRig) else read_calibration(calibration)
     return detections, rig
+
+
+def _with_rate(
+    options: CameraOptions, videos: PathLike, calibration: PathLike | None
+) -> CameraOptions:
+    """The options with the videos' frame rate, where none is given; the videos are checked."""
+    assert calibration is not None
+    rates = {v.rate_hz for v in read_videos(videos, read_calibration(calibration)).values()}
+    if options.fps is not None:
+        return options
+    if max(rates) > 1.001 * min(rates):
+        raise HabitusError(
+            f"the videos run at {', '.join(f'{rate:g}' for rate in sorted(rates))} frames a "
+            "second; expected one rate, or --fps HZ"
+        )
+    return replace(options, fps=max(rates))
+
+
+def _stills(fit: CameraFit, videos: PathLike) -> dict[tuple[int, int], UInt8[np.ndarray, "H W 3"]]:
+    """Pictures of each camera at the report's moments, by camera and frame of the fit."""
+    cameras = fit.cameras
+    assert cameras is not None
+    late = np.rint(fit.late * fit.rate_hz).astype(int)
+    number = {
+        (c, t): fit.first_number + t + int(late[c])
+        for c in range(len(cameras.cameras))
+        for t in moments(len(fit.pose))
+    }
+    asked = {
+        name: [number[c, t] for c, t in number if c == k] for k, name in enumerate(cameras.names)
+    }
+    taken = stills(read_videos(videos, cameras), asked)
+    keys = {key: (cameras.names[key[0]], frame) for key, frame in number.items()}
+    return {key: taken[at] for key, at in keys.items() if at in taken}
 
 
 def _count(text: str) -> int:

@@ -59,6 +59,12 @@ class RigCamera:
         plane[~(off < 1e-6)] = np.nan
         return self.focal * plane + self.centre
 
+    def distorted(self, pixels: Float[np.ndarray, "*any 2"]) -> Float[np.ndarray, "*any 2"]:
+        """Pixels in the images of those that the camera would have without distortion."""
+        return self.focal * _distorted((pixels - self.centre) / self.focal, self.distortion) + (
+            self.centre
+        )
+
     def moved(self, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> "RigCamera":
         """The camera after a turn and a shift (m) in its own frame: p becomes ``turn`` p +
         ``shift``.

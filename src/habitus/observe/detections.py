@@ -14,7 +14,8 @@ class Detections:
 
     names (K,): of `habitus.body.keypoints.CONVENTIONS`, or of the table assets/keypoints.toml.
     pixels (T, C, P, K, 2): pixel centres at halves, NaN where missing; confidence (T, C, P, K), 0
-    to 1, 0 where missing. The order of people means nothing.
+    to 1, 0 where missing. The order of people means nothing. first_number: the first frame's in the
+    files' own numbers.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Detections:
     confidence: Float[np.ndarray, "T C P K"]
     rate_hz: float
     notes: tuple[str, ...] = ()
+    first_number: int = 0
 
     @property
     def num_frames(self) -> int:
@@ -43,8 +45,8 @@ class Detections:
         """
         if len(names) == len(self.cameras) == 1:
             return replace(self, cameras=names)
-        own = {_plain(name): k for k, name in enumerate(self.cameras)}
-        rows = [own.get(_plain(name), -1) for name in names]
+        own = {plain_camera_name(name): k for k, name in enumerate(self.cameras)}
+        rows = [own.get(plain_camera_name(name), -1) for name in names]
         if -1 in rows or len(own) < len(self.cameras):
             raise HabitusError(
                 f"{self.name}: detections of {listed(self.cameras)}, calibration of "
@@ -58,7 +60,7 @@ class Detections:
         )
 
 
-def _plain(name: str) -> tuple[str, str]:
+def plain_camera_name(name: str) -> tuple[str, str]:
     """Letters without what names of files add, and numbers without leading zeros."""
     low = name.lower()
     for ending in ("_json", "-json", "_keypoints", "_pose", ".json"):

@@ -7,12 +7,12 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from habitus.errors import shown
 from habitus.export.png import png
 from habitus.fit.cameras.result import CameraFit
-from habitus.observe.camera_rig import NEAR, CameraRig
+from habitus.observe.camera_rig import NEAR, CameraRig, RigCamera
 from habitus.report.drawing import Look, draw_surface, plain_colours, still_page
 from habitus.report.shell import (
     MAX_NAME,
@@ -60,14 +60,27 @@ MOMENTS = 3
 PICTURE = 300
 """Pixels, the height of an overlay."""
 MARGIN = 0.15
+BODY_COLOUR, CAMERA_COLOUR, GIVEN_COLOUR = (158, 153, 145), (20, 110, 130), (180, 180, 180)
+FRUSTUM = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1], [1, 3, 2], [1, 4, 3]])
+FRUSTUM_LENGTH = 0.3
+"""Metres."""
+OVER_PICTURE = 0.6
+"""Opacity of the body over a picture."""
+SAMPLES = 3
+"""Samples of a picture along a side of an overlay's pixel."""
+Pictures = Mapping[tuple[int, int], UInt8[np.ndarray, "H W 3"]]
 
 
-def camera_page(fit: CameraFit, numbers: Mapping[str, Any]) -> str:
-    """The report as text. numbers: `habitus.results.cameras.camera_metrics` of the fit."""
+def camera_page(
+    fit: CameraFit, numbers: Mapping[str, Any], pictures: Pictures | None = None
+) -> str:
+    """The report as text. numbers: `habitus.results.cameras.camera_metrics` of the fit; pictures:
+    of the cameras' videos at `moments`, by camera and frame.
+    """
     numbers = finite(dict(numbers))
     guessed = GUESSED + ALONE * (len(numbers["cameras"]) == 1)
     below = [
-        *_overlays(fit),
+        *_overlays(fit, pictures or {}),
         _cameras(numbers),
         _keypoints(fit),
         card("Measurements", measurements_table(fit.measurements), guessed),
@@ -149,48 +162,90 @@ def _keypoints(fit: CameraFit) -> str:
     return card("Keypoints", numbers_table(rows, heads), lead)
 
 
-def _moments(fit: CameraFit) -> list[int]:
-    return np.unique(
-        np.linspace(0, len(fit.pose) - 1, MOMENTS + 2).round().astype(int)[1:-1]
-    ).tolist()
+def moments(frames: int) -> list[int]:
+    """The frames of the overlays."""
+    return np.unique(np.linspace(0, frames - 1, MOMENTS + 2).round().astype(int)[1:-1]).tolist()
 
 
 def _looks(fit: CameraFit) -> list[Look]:
-    """The body at some moments, upright."""
-
+    """The body at some moments, upright, and among the cameras."""
     turn = up_rotation(fit.up_axis)
     looks = []
-    for t in _moments(fit):
+    for t in moments(len(fit.pose)):
         vertices = np.asarray(fit.vertices(t)) @ turn.T
         vertices = vertices - [vertices[:, 0].mean(), vertices[:, 1].min(), vertices[:, 2].mean()]
         caption = f"The body at {t / fit.rate_hz:.2f} s."
         looks.append(Look(f"{t / fit.rate_hz:.2f} s", caption, vertices, fit.body.faces))
-    return looks
+    return [*looks, _among_cameras(fit, turn)]
 
 
-def _overlays(fit: CameraFit) -> list[str]:
+def _among_cameras(fit: CameraFit, turn: Float[np.ndarray, "3 3"]) -> Look:
+    """The body in the middle of the recording and what each camera's image spans nearby; cameras as
+    they were given are grey.
+    """
+    assert fit.cameras is not None and fit.given_cameras is not None
+    surface = np.asarray(fit.vertices(len(fit.pose) // 2)) @ turn.T
+    points, faces = [surface], [fit.body.faces]
+    colours: list[np.ndarray] = [np.full(surface.shape, BODY_COLOUR, np.uint8)]
+    rigs = [(fit.cameras, CAMERA_COLOUR, FRUSTUM_LENGTH)]
+    if fit.corrections.any():
+        rigs.append((fit.given_cameras, GIVEN_COLOUR, 0.9 * FRUSTUM_LENGTH))
+    for rig, colour, length in rigs:
+        for camera in rig.cameras:
+            faces.append(FRUSTUM + sum(map(len, points)))
+            points.append(_frustum(camera, length) @ turn.T)
+            colours.append(np.full((5, 3), colour, np.uint8))
+    names = ", ".join(shown(name, MAX_NAME) for name in fit.cameras.names)
+    caption = f"The cameras ({names}) around the body, in the middle of the recording"
+    caption += "; grey: as calibrated." if len(rigs) > 1 else "."
+    return Look(
+        "Cameras",
+        caption,
+        np.concatenate(points),
+        np.concatenate(faces),
+        colours=np.concatenate(colours),
+        alone=True,
+    )
+
+
+def _frustum(camera: RigCamera, length: float) -> Float[np.ndarray, "5 3"]:
+    """A camera's place and the corners of its image in a plane ``length`` before it (m)."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [camera.width, camera.height]
+    rays = np.column_stack([(corners - camera.centre) / camera.focal, np.ones(4)])
+    own = np.concatenate([np.zeros((1, 3)), length * rays])
+    return (own - camera.translation) @ camera.rotation
+
+
+def _overlays(fit: CameraFit, pictures: Pictures) -> list[str]:
     """A card for each camera, with the body and its keypoints over the detected ones."""
     cameras = fit.cameras
     assert cameras is not None
-    surfaces = {t: np.asarray(fit.vertices(t)) for t in _moments(fit)}
+    surfaces = {t: np.asarray(fit.vertices(t)) for t in moments(len(fit.pose))}
     cards = []
     for c, name in enumerate(cameras.names):
-        pictures = "".join(
-            f"<figure>{overlay(fit, cameras, c, t, surface)}"
+        figures = "".join(
+            f"<figure>{overlay(fit, cameras, c, t, surface, pictures.get((c, t)))}"
             f"<figcaption>{t / fit.rate_hz:.2f} s</figcaption></figure>"
             for t, surface in surfaces.items()
         )
         lead = "Dots are detected keypoints, rings the body's, in an image without distortion."
         cards.append(
-            card(f"Camera {shown(name, MAX_NAME)}", f"<div class='shots'>{pictures}</div>", lead)
+            card(f"Camera {shown(name, MAX_NAME)}", f"<div class='shots'>{figures}</div>", lead)
         )
     return cards
 
 
 def overlay(
-    fit: CameraFit, cameras: CameraRig, c: int, t: int, surface: Float[np.ndarray, "V 3"]
+    fit: CameraFit,
+    cameras: CameraRig,
+    c: int,
+    t: int,
+    surface: Float[np.ndarray, "V 3"],
+    picture: UInt8[np.ndarray, "H W 3"] | None = None,
 ) -> str:
-    """One camera at one moment, as SVG: the body, detected keypoints (dots) and its own (rings)."""
+    """One camera at one moment, as SVG: the body, over the camera's picture where there is one,
+    detected keypoints (dots) and its own (rings).
+    """
     pixels = cameras.project(surface)[c]
     own, seen = fit.predicted[t, c], fit.observed[t, c]
     sure = fit.confidence[t, c] > 0.0
@@ -203,14 +258,21 @@ def overlay(
     low, high = low - pad, high + pad
     width, height = high - low
     scale = PICTURE / height
-    image = ""
+    size = (max(1, int(np.ceil(scale * width))), PICTURE)
+    layers = []
+    if picture is not None:
+        layers.append(undistorted(picture, cameras.cameras[c], low, scale, size))
     if np.isfinite(pixels).all():
         depth = surface @ cameras.rotation[c, 2] + cameras.translation[c, 2]
         flat = np.column_stack([scale * (pixels - low), -scale * height * (depth - depth.min())])
         if depth.min() > NEAR:
-            size = (max(1, int(np.ceil(scale * width))), PICTURE)
-            drawn = draw_surface(flat, fit.body.faces, plain_colours(len(flat)), *size)
-            image = f"<image href='{image_uri(png(drawn))}' width='{size[0]}' height='{size[1]}'/>"
+            layers.append(draw_surface(flat, fit.body.faces, plain_colours(len(flat)), *size))
+    share = f" opacity='{OVER_PICTURE}'" if picture is not None else ""
+    image = "".join(
+        f"<image href='{image_uri(png(layer))}' width='{size[0]}' height='{size[1]}'"
+        f"{share if k else ''}/>"
+        for k, layer in enumerate(layers)
+    )
     marks = []
     radius = 2.2
     for name, (x, y), there in zip(
@@ -236,3 +298,27 @@ def overlay(
         f"<svg viewBox='{box}' width='{scale * width:.0f}' height='{PICTURE}' role='img' "
         f"aria-label='Body and keypoints in one camera'>{image}{''.join(marks)}</svg>"
     )
+
+
+def undistorted(
+    picture: UInt8[np.ndarray, "H W 3"],
+    camera: RigCamera,
+    low: Float[np.ndarray, "2"],
+    scale: float,
+    size: tuple[int, int],
+) -> UInt8[np.ndarray, "h w 3"]:
+    """A part of a camera's picture without the lens' distortion: from the pixel ``low`` on,
+    ``scale`` pixels for one, ``size`` wide and high; grey where the picture ends.
+    """
+    width, height = size
+    columns, rows = (
+        (np.arange(SAMPLES * n) + 0.5) / (SAMPLES * scale) + start
+        for n, start in zip(size, low, strict=True)
+    )
+    at = camera.distorted(np.stack(np.meshgrid(columns, rows), -1))
+    x, y = np.moveaxis(np.floor(np.nan_to_num(at, nan=-1.0)).astype(int), -1, 0)
+    inside = (x >= 0) & (y >= 0) & (x < picture.shape[1]) & (y < picture.shape[0])
+    samples = np.full((*x.shape, 3), 128.0)
+    samples[inside] = picture[y[inside], x[inside]]
+    blocks = samples.reshape(height, SAMPLES, width, SAMPLES, 3)
+    return np.rint(blocks.mean((1, 3))).astype(np.uint8)

@@ -264,7 +264,7 @@ class Look:
 
     ``name`` is the text of its button, ``caption`` stands under it; ``colours`` (N, 3) are sRGB,
     grey where None; ``ramp`` are the colours of a scale whose first is for ``ends[0]`` and whose
-    last for ``ends[1]``.
+    last for ``ends[1]``. Looks are framed together, one that is ``alone`` by itself.
     """
 
     name: str
@@ -275,6 +275,7 @@ class Look:
     colours: UInt8[np.ndarray, "N 3"] | None = None
     ramp: Sequence[str] = ()
     ends: tuple[str, str] = ("", "")
+    alone: bool = False
 
 
 def still_page(
@@ -331,17 +332,29 @@ def _still_data(
     looks: Sequence[Look], blob: Blob, over: Look | None, facing: float
 ) -> dict[str, Any]:
     """What the script reads; arrays go into ``blob``."""
-    points = np.concatenate([look.points for look in looks])
-    low = points.min(0)
-    high = points.max(0)
+    box = _box(looks)
+    together = _frame(*_box([look for look in looks if not look.alone]))
     known: dict[int, str] = {}
     return {
-        "looks": [_packed(look, blob, known, (low, high)) for look in looks],
-        "over": None if over is None else _packed(over, blob, known, (low, high)),
-        "middle": ((low + high) / 2).tolist(),
-        "size": float(max(high[1] - low[1], SHALLOW * np.hypot(*(high - low)[[0, 2]]))),
+        "looks": [
+            _packed(look, blob, known, box) | (_frame(*_box([look])) if look.alone else together)
+            for look in looks
+        ],
+        "over": None if over is None else _packed(over, blob, known, box),
         "facing": facing,
     }
+
+
+def _box(looks: Sequence[Look]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """The lowest and the highest coordinates (m)."""
+    points = np.concatenate([look.points for look in looks])
+    return points.min(0), points.max(0)
+
+
+def _frame(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> dict[str, Any]:
+    """What the viewer looks at, and the height (m) that it shows."""
+    size = max(high[1] - low[1], SHALLOW * np.hypot(*(high - low)[[0, 2]]))
+    return {"middle": ((low + high) / 2).tolist(), "size": float(size)}
 
 
 def _still_html(looks: Sequence[Look], title: str, over: Look | None) -> str:

@@ -30,7 +30,7 @@ class CameraSolution(BodyMotion):
     shifts (m) in each camera's frame; late (C,): seconds. ``size_px`` (T, C): the person's height
     in the images. exchanged (T, C): where left and right were put back. ``triangulated`` (T, K, 3):
     of one camera those of the first poses. given_height: the height that was given (m), None
-    without one.
+    without one. first_number: the first frame's in the files' own numbers.
     """
 
     keypoint_names: tuple[str, ...] = ()
@@ -47,6 +47,7 @@ class CameraSolution(BodyMotion):
     triangulated: Float[np.ndarray, "T K 3"] = field(default_factory=lambda: np.zeros((0, 0, 3)))
     given_height: float | None = None
     first_frame: int = 0
+    first_number: int = 0
     status: str = ""
     costs: Mapping[str, float] = field(default_factory=dict)
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
@@ -101,6 +102,7 @@ class CameraSolution(BodyMotion):
             triangulated=points,
             given_height=height,
             first_frame=first_frame,
+            first_number=detections.first_number + first_frame,
             status=status,
             costs=dict(shape.costs),
             stage_seconds={"fit": seconds},

@@ -414,6 +414,7 @@ def _stacked(
         np.clip(confidence, 0.0, 1.0),
         float(rate_hz),
         tuple(notes),
+        first,
     )
 
 

@@ -9,11 +9,11 @@ const view = { ...START, look: 0, over: false, spin: !calm };
 
 const VERTEX = `#version 300 es
 in vec3 place; in vec3 normal; in vec4 colour;
-uniform mat3 turn; uniform vec3 middle; uniform vec4 fit; uniform vec3 skin; uniform float tinted; uniform float wide; uniform float lift;
+uniform mat3 turn; uniform vec3 middle; uniform vec4 fit; uniform vec3 skin; uniform float tinted; uniform float wide; uniform float lift; uniform float deep;
 out vec3 n; out vec3 c;
 void main() {
   vec3 p = turn * (place - middle);
-  gl_Position = vec4(p.x * fit.x + fit.z, p.y * fit.y + fit.w, -p.z * 0.2 - lift, 1.0);
+  gl_Position = vec4(p.x * fit.x + fit.z, p.y * fit.y + fit.w, -p.z * deep - lift, 1.0);
   gl_PointSize = wide; n = turn * normal; c = mix(skin, colour.rgb, tinted);
 }`;
 const FRAGMENT = `#version 300 es
@@ -81,9 +81,8 @@ function loaded(shader, look) {
 }
 
 function scene() {
-  const shader = compiled(), place = Object.fromEntries(['turn', 'middle', 'fit', 'skin', 'tinted', 'wide', 'lift', 'sided'].map(n => [n, gl.getUniformLocation(shader, n)]));
+  const shader = compiled(), place = Object.fromEntries(['turn', 'middle', 'fit', 'skin', 'tinted', 'wide', 'lift', 'deep', 'sided'].map(n => [n, gl.getUniformLocation(shader, n)]));
   gl.enable(gl.DEPTH_TEST);
-  gl.uniform3fv(place.middle, report.middle);
   return { place, looks: report.looks.map(look => loaded(shader, look)), over: report.over && loaded(shader, report.over) };
 }
 
@@ -104,7 +103,9 @@ function draw(drawn) {
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   const [sy, cy, sp, cp] = [Math.sin(view.yaw), Math.cos(view.yaw), Math.sin(view.pitch), Math.cos(view.pitch)];
   gl.uniformMatrix3fv(drawn.place.turn, false, [cy, sp * sy, -cp * sy, 0, cp, sp, sy, -sp * cy, cp * cy]);
-  const scale = 1.84 / report.size * view.near;
+  const frame = report.looks[view.look], scale = 1.84 / frame.size * view.near;
+  gl.uniform3fv(drawn.place.middle, frame.middle);
+  gl.uniform1f(drawn.place.deep, 0.36 / Math.max(frame.size, 1.8));
   gl.uniform4f(drawn.place.fit, scale * height / width, scale, view.right, view.up);
   show(drawn, drawn.looks[view.look], [0.62, 0.60, 0.57], scale / 2, 0);
   if (view.over) show(drawn, drawn.over, [0.85, 0.35, 0.05], scale / 2, 0.001);
