@@ -57,6 +57,7 @@ MENU = {
     "How-to: several sensors": ("several-sensors",),
     "How-to: cameras, scans and images": (
         "cameras",
+        "from-cameras-to-blender",
         "registering-scans",
         "rgbd",
         "rendering",
