@@ -114,6 +114,27 @@ def test_keypoints_in_space_need_no_calibration(scene, tmp_path):
     assert not fit.corrections.any()
 
 
+def test_markers_that_a_network_added_are_left_out(scene, tmp_path):
+    """OpenCap's and Pose2Sim's augmented files hold them beside the keypoints."""
+    labels = [_short(name) for name in scene.detections.names]
+    added = [f"r_{name}_study" for name in ("knee", "mknee", "toe", "calc", "ankle", "sh1")]
+    points = np.concatenate([scene.keypoints, scene.keypoints[:, : len(added)] + 0.02], 1)
+    capture = Capture("points", (*labels, *added), points, RATE, "+y")
+    hb.write_trc(capture, tmp_path / "points.trc")
+    detections, _ = read_points(tmp_path / "points.trc")
+    assert len(detections.names) == len(labels)
+    for name, label in zip(detections.names, labels, strict=True):
+        assert _short(name) == label
+
+
+def test_points_without_keypoints_are_listed_by_their_own_names(tmp_path):
+    points = np.random.default_rng(0).normal(size=(9, 9, 3)).cumsum(0) * 0.01
+    labels = tuple(f"M{k}X" for k in range(9))
+    hb.write_trc(Capture("points", labels, points, RATE, "+y"), tmp_path / "points.trc")
+    with pytest.raises(HabitusError, match=r"0 of its 9 points.*M0X"):
+        read_points(tmp_path / "points.trc")
+
+
 def _short(name: str) -> str:
     side, _, plain = name.partition("_")
     words = "".join(part.capitalize() for part in (plain or side).split("_"))

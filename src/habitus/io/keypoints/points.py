@@ -6,6 +6,7 @@ anywhere in the scene: the fit to cameras, its verdict and its page then take po
 pixels.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,9 @@ from jaxtyping import Float
 from habitus.body.keypoints import CONVENTIONS
 from habitus.errors import HabitusError, listed
 from habitus.io.archives import read_npy
-from habitus.io.captures.read import read_capture
+from habitus.io.captures.read import Capture, captures_of, read_raw
 from habitus.io.keypoints.read import known_keypoint
-from habitus.io.names import plain_name
+from habitus.io.names import plain_name, shown_stem
 from habitus.observe.camera_rig import CameraRig, RigCamera
 from habitus.observe.detections import Detections
 from habitus.types import PathLike
@@ -29,6 +30,8 @@ MILLIMETRE = 0.001
 MAX_METRES = 100.0
 """Across all points: beyond it numbers are millimetres."""
 MIN_KEYPOINTS = 8
+ADDED = "_study"
+"""Ending of the names of markers that OpenCap's and Pose2Sim's networks add to keypoints."""
 
 
 def read_points(
@@ -42,16 +45,18 @@ def read_points(
     path = Path(source)
     if path.suffix.lower() == ".npy":
         names, points, rate, notes = _array(path, rate_hz, convention)
+        labels = names
     else:
-        capture = read_capture(path)
-        names = tuple(known_keypoint(label) for label in capture.labels)
+        capture = _detected(path)
+        labels = capture.labels
+        names = tuple(known_keypoint(label) for label in labels)
         points, rate = np.asarray(capture.markers, float), capture.rate_hz
         notes = tuple(capture.warnings)
     kept = [k for k, name in enumerate(names) if name and name not in names[:k]]
     if len(kept) < MIN_KEYPOINTS:
         raise HabitusError(
             f"{path}: {len(kept)} of its {len(names)} points are named as keypoints are; expected "
-            f"{MIN_KEYPOINTS} or more, such as left_hip, LHip, RAnkle, Nose ({listed(names)})"
+            f"{MIN_KEYPOINTS} or more, such as left_hip, LHip, RAnkle, Nose ({listed(labels)})"
         )
     points = points[:, kept]
     rig = axes_rig(points)
@@ -68,6 +73,18 @@ def read_points(
         (*notes, "keypoints in space: a pixel is a millimetre, cameras are the three axes"),
     )
     return detections, rig
+
+
+def _detected(path: Path) -> Capture:
+    """The points of a file without the markers that a network added to its keypoints, which
+    `habitus mosh` takes instead. Raises HabitusError.
+    """
+    raw, rate = read_raw(path)
+    kept = [k for k, label in enumerate(raw.labels) if not label.endswith(ADDED)]
+    if 0 < len(kept) < len(raw.labels):
+        labels = tuple(raw.labels[k] for k in kept)
+        raw = replace(raw, labels=labels, points=np.asarray(raw.points)[:, kept])
+    return captures_of(raw, rate, shown_stem(path), path.name)[0]
 
 
 def axes_rig(points: Float[np.ndarray, "T K 3"]) -> CameraRig:
