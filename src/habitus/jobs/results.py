@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from habitus.body.anatomical_angles import AngleTable
 from habitus.body.motion import BodyMotion, Moving
 from habitus.errors import HabitusError, shown
 from habitus.export.motion import Exported, export_motion
@@ -18,6 +19,7 @@ from habitus.fit.points.scan_result import ScanFit
 from habitus.io.captures.read import Capture
 from habitus.io.names import file_name
 from habitus.io.people import BodyLike, read_fit, read_motion
+from habitus.jobs.anatomy import angles
 from habitus.report.fit.page import report_page
 from habitus.report.registration import scan_page
 from habitus.results.save import save_markers, save_scan
@@ -36,6 +38,12 @@ class Exportable(Moving):
         the path cannot be written.
         """
         return export_motion(self, path, **options)
+
+    def angles(self, convention: str = "isb") -> AngleTable:
+        """Joint angles (degrees) by "isb", "pig" (Plug-in Gait) or "opensim"
+        (`habitus.jobs.anatomy.angles`, docs/for-laboratories.md). Raises HabitusError.
+        """
+        return angles(self, convention)
 
 
 class MarkerResult(Exportable, MarkerFit):
