@@ -88,15 +88,23 @@ def parse_c3d(content: bytes, name: str) -> RawPoints:
     )
 
 
+def find_data(content: bytes, name: str) -> tuple[DataPlace, Header, Parameters]:
+    """Where the frames of a C3D file's bytes lie, with points or without, its header and its
+    parameters.
+    """
+    header, parameters = read_parameters(content, name)
+    place = _data_place(header, parameters, len(content))
+    available = max(0, (len(content) - place.start) // max(1, place.stride))
+    return replace(place, frames=min(place.frames, available)), header, parameters
+
+
 def find_points(content: bytes, name: str) -> tuple[DataPlace, str]:
     """Where the points of a C3D file's bytes lie, as `parse_c3d` reads them, and the processor that
     wrote them.
     """
-    header, parameters = read_parameters(content, name)
-    place = _data_place(header, parameters, len(content))
+    place, header, parameters = find_data(content, name)
     _refuse_pointless(place, header, parameters, name)
-    available = max(0, (len(content) - place.start) // place.stride)
-    return replace(place, frames=min(place.frames, available)), parameters.processor
+    return place, parameters.processor
 
 
 def _refuse_pointless(place: DataPlace, header: Header, parameters: Parameters, name: str) -> None:
