@@ -25,6 +25,7 @@ COMMANDS = {
     "measuring.",
     "rgbd": "Fit a body to images of a depth camera: shape, pose, light, albedo, measurements.",
     "cameras": "Fit bodies to 2D keypoints of calibrated cameras.",
+    "gait": "Compute joint angles by convention, strides, and joint moments from force plates.",
     "measure": "Measure a person: height, mass, circumferences, breadths, lengths, with a picture "
     "of the tapes.",
     "body": "Estimate a person's body from some measurements: height, weight, sex, age, waist, …",

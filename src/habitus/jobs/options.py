@@ -425,3 +425,22 @@ class CameraOptions:
     """Age of the person, 1 to 90; an adult by default."""
     settings: Annotated[KeypointSettings, PythonOnly] = None
     """Settings of the recipe."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitOptions:
+    """Options of `habitus gait`."""
+
+    convention: Literal["isb", "pig", "opensim"] = "isb"
+    """Of the joint angles: ISB's, Plug-in Gait's, or the coordinates of OpenSim's models."""
+    mass: Annotated[float | None, unset("KG")] = None
+    """Of the person; by default what the capture records, else what the body's volume says."""
+    plates: Literal["auto", "none"] = "auto"
+    """Force plates of the capture: used where there are some, or not at all."""
+    events: Literal["auto", "motion"] = "auto"
+    """Foot strikes and offs: the file's and the plates' where there are some, or by the motion
+    alone."""
+    band: Annotated[Path | None, unset("CSV")] = None
+    """A laboratory's own reference, drawn behind the curves: a .csv with the columns percent, and
+    for each curve NAME_mean and NAME_sd, such as knee_flexion_mean.
+    """

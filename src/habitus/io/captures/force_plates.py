@@ -52,9 +52,9 @@ class ForcePlate:
     notes: tuple[str, ...] = ()
 
     @property
-    def normal(self) -> Float[np.ndarray, "3"]:
-        """Of the surface, away from the sensors."""
-        return _axes(self.corners)[:, 2]
+    def up(self) -> Float[np.ndarray, "3"]:
+        """Normal of the surface, away from the sensors."""
+        return _up(_axes(self.corners))
 
     @property
     def loaded(self) -> Bool[np.ndarray, " S"]:
@@ -127,6 +127,12 @@ def _axes(corners: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "3 3"]:
     return np.column_stack([x, np.cross(z, x), z])
 
 
+def _up(axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
+    """The plate's normal along which the world's upward axis grows, whether z points down or up."""
+    normal = axes[:, 2]
+    return normal * np.sign(normal[np.abs(normal).argmax()])
+
+
 def _plate(
     number: int,
     kind: int,
@@ -144,8 +150,7 @@ def _plate(
     force, moment = _kistler(channels, origin) if kind == 3 else _surface(channels, origin, unit)
     axes = _axes(corners)
     force, moment = force @ axes.T, moment @ axes.T
-    # z of a plate's axes may point down: the person is pushed up, away from the floor
-    up = axes[:, 2] * np.sign(axes[:, 2][np.abs(axes[:, 2]).argmax()])
+    up = _up(axes)
     if (force @ up).sum() < 0.0:
         force, moment = -force, -moment
     centre = corners.mean(0)

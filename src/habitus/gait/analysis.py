@@ -1,0 +1,283 @@
+"""A gait analysis: angles, events, strides, contacts with force plates, the residual of Newton's
+equation and the moments and powers of the legs' joints.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
+
+from habitus.body.anatomical_angles import AngleTable, segment_rotations
+from habitus.body.anatomy import SIDES, Anatomy
+from habitus.body.motion import Moving
+from habitus.body.segments import SegmentMasses
+from habitus.gait.contacts import Contact, PlateForces, find_contacts
+from habitus.gait.cycles import Stride, strides
+from habitus.gait.dynamics import (
+    GRAVITY,
+    MOTION_HZ,
+    GroundForces,
+    Loads,
+    angular_velocity,
+    ground_forces,
+    joint_moment,
+    loads,
+    residual,
+)
+from habitus.gait.events import FootEvents, motion_events
+from habitus.rotations import up_rotation
+
+SOLE = ("heel", "hallux", "toe_tip", "mt1_head", "mt2_head", "mt5_head")
+"""Landmarks of a sole; the first and the third give events."""
+SAME_EVENT = 0.15
+"""Seconds within which a plate or the file tells of an event that the motion shows too."""
+JOINTS = (
+    ("hip", "thigh", "hip", ("extension", "abduction", "external_rotation")),
+    ("knee", "shank", "hip", ("extension", "abduction", "external_rotation")),
+    ("ankle", "foot", "knee", ("plantarflexion", "eversion", "external_rotation")),
+)
+"""Joint, segment below it, joint with which its centre moves, and how its moments are called about
+Z, X and Y."""
+EXTENDS = {"hip": -1.0, "knee": 1.0, "ankle": -1.0}
+"""Sign of a turn of the lower segment about Z, to the right, that extends the joint."""
+MAX_RESIDUAL = 0.05
+"""Share of the body weight up to which the forces of plates and those that the motion needs agree
+(mean over the frames all of whose contacts are on plates)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curves:
+    """Numbers over time: values (T, N) in columns ``names`` with their ``units``, NaN where there
+    is none.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Float[np.ndarray, "T N"]
+
+
+@dataclass(frozen=True, eq=False)
+class GaitAnalysis:
+    """What a walk was. angles: by a convention; events of each foot; strides; contacts: loads on
+    plates, refused ones with the reason; masses: of the body's parts; residual (T, 3): force (N) of
+    the plates beyond what the motion needs, NaN in frames whose contacts are not all on plates;
+    dynamics: moments (Nm/kg) and powers (W/kg) of the legs' joints, and ground forces (N/kg).
+    """
+
+    name: str
+    rate_hz: float
+    angles: AngleTable
+    events: Mapping[str, FootEvents]
+    strides: tuple[Stride, ...]
+    contacts: tuple[Contact, ...]
+    masses: SegmentMasses
+    residual: Float[np.ndarray, "T 3"]
+    dynamics: Curves
+    up: Float[np.ndarray, "3"]
+    centres_mm: Mapping[str, float]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def weight(self) -> float:
+        """Body weight (N)."""
+        return GRAVITY * self.masses.total
+
+    @property
+    def residual_share(self) -> float | None:
+        """Mean size of the residual as a share of the body weight; None without such frames."""
+        known = self.residual[np.isfinite(self.residual).all(1)]
+        return float(np.linalg.norm(known, axis=1).mean() / self.weight) if len(known) else None
+
+    @property
+    def vertical_bias(self) -> float | None:
+        """Mean vertical residual as a share of the body weight: a mass, or a plate's zero, that is
+        off; None without such frames.
+        """
+        known = self.residual[np.isfinite(self.residual).all(1)]
+        return float((known @ self.up).mean() / self.weight) if len(known) else None
+
+
+def analyse(
+    moving: Moving,
+    anatomy: Anatomy,
+    angles: AngleTable,
+    masses: SegmentMasses,
+    plates: Sequence[PlateForces] = (),
+    file_events: Mapping[str, FootEvents] | None = None,
+    notes: Sequence[str] = (),
+) -> GaitAnalysis:
+    """The analysis of a motion, with force plates and a file's events where there are such."""
+    up = up_rotation(moving.up_axis).T @ np.array([0.0, 1.0, 0.0])
+    rows = {side: [moving.body.landmarks[f"{side}_{name}"] for name in SOLE] for side in SIDES}
+    feet = {side: moving.points(own) for side, own in rows.items()}
+    contacts = tuple(find_contacts(plates, feet, moving.rate_hz))
+    events = {
+        side: _events(side, feet[side], moving.rate_hz, contacts, (file_events or {}).get(side))
+        for side in SIDES
+    }
+    heels = {side: points[:, 0] for side, points in feet.items()}
+    own, turns, joints = _motion(moving, masses, up)
+    dynamics, rest = _dynamics(
+        moving, anatomy, masses, plates, contacts, events, own, turns, joints, up
+    )
+    centres = {
+        side: 1e3
+        * float(np.linalg.norm(anatomy.harrington_hip(side) - anatomy.joints[f"{side}_hip"]))
+        for side in SIDES
+    }
+    return GaitAnalysis(
+        moving.capture_name,
+        moving.rate_hz,
+        angles,
+        events,
+        tuple(strides(events, heels, moving.rate_hz, up)),
+        contacts,
+        masses,
+        rest,
+        dynamics,
+        up,
+        centres,
+        tuple(notes),
+    )
+
+
+def _events(
+    side: str,
+    foot: Float[np.ndarray, "T P 3"],
+    rate_hz: float,
+    contacts: Sequence[Contact],
+    filed: FootEvents | None,
+) -> FootEvents:
+    """A foot's events by its motion, put right where a plate or the file tells them."""
+    found = motion_events(foot[:, 0], foot[:, 2], rate_hz)
+    own = [c for c in contacts if c.side == side and not c.refused]
+    strikes = np.array([c.start for c in own if c.start is not None])
+    offs = np.array([c.end for c in own if c.end is not None])
+    sources = ["motion"] if len(found.strikes) + len(found.offs) else []
+    sources += ["plates"] if len(strikes) + len(offs) else []
+    found = FootEvents(_replaced(found.strikes, strikes), _replaced(found.offs, offs))
+    if filed is not None:
+        sources.append("file")
+        found = FootEvents(
+            _replaced(found.strikes, filed.strikes), _replaced(found.offs, filed.offs)
+        )
+    return FootEvents(found.strikes, found.offs, " and ".join(sources) or "none")
+
+
+def _replaced(
+    times: Float[np.ndarray, " n"], better: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, " k"]:
+    if not len(better):
+        return times
+    far = np.abs(times[:, None] - better).min(1) > SAME_EVENT
+    return np.sort(np.concatenate([times[far], better]))
+
+
+def _motion(
+    moving: Moving, masses: SegmentMasses, up: Float[np.ndarray, "3"]
+) -> tuple[Loads, Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
+    """Loads of the body's parts, rotations of its joints from rest, and the joints (m), before soft
+    tissue was let go: it takes over some of the bones' motion.
+    """
+    pose, trans = (np.asarray(part, np.float64) for part in moving.pose_stage)
+    turns = np.empty((*pose.shape[:2], 3, 3))
+    for k, parent in enumerate(moving.body.parents):
+        own = Rotation.from_rotvec(pose[:, k]).as_matrix()
+        turns[:, k] = own if parent < 0 else turns[:, parent] @ own
+    rest = np.asarray(moving.body.rest_joints(np.asarray(moving.betas, np.float64)))
+    joints = np.empty(pose.shape)
+    for k, parent in enumerate(moving.body.parents):
+        if parent < 0:
+            joints[:, k] = rest[k] + trans
+        else:
+            joints[:, k] = joints[:, parent] + turns[:, parent] @ (rest[k] - rest[parent])
+    centres = joints + np.einsum("tjab,jb->tja", turns, masses.centre - rest)
+    return (loads(masses.mass, masses.inertia, centres, turns, moving.rate_hz, up), turns, joints)
+
+
+def _dynamics(
+    moving: Moving,
+    anatomy: Anatomy,
+    masses: SegmentMasses,
+    plates: Sequence[PlateForces],
+    contacts: Sequence[Contact],
+    events: Mapping[str, FootEvents],
+    own: Loads,
+    turns: Float[np.ndarray, "T J 3 3"],
+    joints: Float[np.ndarray, "T J 3"],
+    up: Float[np.ndarray, "3"],
+) -> tuple[Curves, Float[np.ndarray, "T 3"]]:
+    """Moments, powers and ground forces where they are known, and the residual."""
+    frames, rate = len(joints), moving.rate_hz
+    by_number = {plate.number: plate for plate in plates}
+    segments = segment_rotations(moving, anatomy, "pig", np.asarray(moving.pose_stage[0]))
+    spin = angular_velocity(turns, rate)
+    body = moving.body.joint_names
+    names: list[str] = []
+    units: list[str] = []
+    columns: list[np.ndarray] = []
+    slow: list[GroundForces] = []
+    known: dict[str, Bool[np.ndarray, " T"]] = {}
+    for side in SIDES:
+        used = [c for c in contacts if c.side == side and not c.refused]
+        spans = [(c.start or 0.0, np.inf if c.end is None else c.end) for c in used]
+        given = [(by_number[c.plate], *span) for c, span in zip(used, spans, strict=True)]
+        ground = [ground_forces(plate, a, b, frames, rate) for plate, a, b in given]
+        slow += [ground_forces(plate, a, b, frames, rate, MOTION_HZ) for plate, a, b in given]
+        at = np.arange(frames) / rate
+        stance = np.zeros(frames, bool)
+        for first, last in spans:
+            stance |= (at >= first) & (at <= last)
+        known[side] = stance | _swing(events[side], frames, rate) if len(plates) else stance
+        total = sum((g.force for g in ground), np.zeros((frames, 3))) / masses.total
+        names.append(f"{side}_ground_force_up")
+        units.append("N/kg")
+        columns.append(np.where(known[side], total @ up, np.nan))
+        for joint, lower, carrier, parts in JOINTS:
+            hub = body.index(f"{side}_{carrier}")
+            offset = anatomy.centre(f"{side}_{joint}") - anatomy.joints[body[hub]]
+            centre = joints[:, hub] + turns[:, hub] @ offset
+            top = body.index(f"{side}_{joint}")
+            moment = joint_moment(own, _below(top, moving.body.parents), centre, ground)
+            power = (moment * (spin[:, top] - spin[:, moving.body.parents[top]])).sum(1)
+            local = segments[f"{side}_{lower}"].inv().apply(moment)
+            sign = 1.0 if side == "right" else -1.0
+            signed = (EXTENDS[joint] * local[:, 2], -sign * local[:, 0], -sign * local[:, 1])
+            for part, values in zip(parts, signed, strict=True):
+                names.append(f"{side}_{joint}_{part}_moment")
+                units.append("Nm/kg")
+                columns.append(np.where(known[side], values / masses.total, np.nan))
+            names.append(f"{side}_{joint}_power")
+            units.append("W/kg")
+            columns.append(np.where(known[side], power / masses.total, np.nan))
+    covered = known["left"] & known["right"] if slow else np.zeros(frames, bool)
+    covered = covered & (sum((np.linalg.norm(g.force, axis=1) for g in slow), np.zeros(frames)) > 0)
+    rest = np.where(covered[:, None], residual(own, slow), np.nan)
+    return Curves(tuple(names), tuple(units), np.column_stack(columns)), rest
+
+
+def _swing(events: FootEvents, frames: int, rate_hz: float) -> Bool[np.ndarray, " T"]:
+    """Frames in which a foot is in the air: from an off to the next strike, and up to a strike that
+    comes first.
+    """
+    at = np.arange(frames) / rate_hz
+    out = np.zeros(frames, bool)
+    if len(events.strikes) and (not len(events.offs) or events.strikes[0] < events.offs[0]):
+        out |= at < events.strikes[0]
+    for off in events.offs:
+        later = events.strikes[events.strikes > off]
+        out |= (at > off) & (at < (later[0] if len(later) else np.inf))
+    return out
+
+
+def _below(joint: int, parents: Sequence[int]) -> Bool[np.ndarray, " J"]:
+    """The joint and all that hang on it."""
+    out = np.zeros(len(parents), bool)
+    for k in range(len(parents)):
+        at = k
+        while at >= 0 and at != joint:
+            at = int(parents[at])
+        out[k] = at == joint
+    return out
