@@ -132,7 +132,7 @@ def analyse(
         moving.rate_hz,
         angles,
         events,
-        tuple(strides(events, heels, moving.rate_hz, up)),
+        tuple(strides(events, heels, joints[:, 0], moving.rate_hz, up)),
         contacts,
         masses,
         rest,

@@ -12,10 +12,16 @@ from habitus.gait.events import FootEvents
 
 POINTS = 101
 """Of a normalised cycle: 0 to 100 %."""
-MAX_STRIDE = 3.0
-"""Seconds: longer is no stride."""
+MIN_STRIDE, MAX_STRIDE = 0.4, 2.5
+"""Seconds of a stride of somebody who walks or runs."""
 MIN_LENGTH = 0.3
-"""Metres that the heel goes in a stride of somebody who walks."""
+"""Metres that the heel goes in it."""
+OTHER_STRIKE = (0.3, 0.7)
+"""Shares of the cycle between which the other foot strikes."""
+MIN_STRAIGHT = 0.9
+"""Way of the pelvis from strike to strike, as a share of its horizontal path,"""
+MAX_APART = 0.45
+"""which differs from the heel's by no more than this share of it."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +67,14 @@ class Stride:
 def strides(
     events: Mapping[str, FootEvents],
     heels: Mapping[str, Float[np.ndarray, "T 3"]],
+    pelvis: Float[np.ndarray, "T 3"],
     rate_hz: float,
     up: Float[np.ndarray, "3"],
 ) -> list[Stride]:
-    """The strides of both feet, in order of time. heels: m; up: the vertical.
+    """The strides of both feet, in order of time. heels, pelvis: m; up: the vertical.
 
-    A stride lasts `MAX_STRIDE` at most, its foot goes `MIN_LENGTH`, and has one off between.
+    A stride has one foot off, the other foot strikes in its middle, and the pelvis goes straight
+    and as far as the foot: steps of games, dances and turns on the spot are none.
     """
     out = []
     for side, own in events.items():
@@ -74,14 +82,14 @@ def strides(
         other = events.get(other_side, FootEvents(np.zeros(0), np.zeros(0)))
         for start, end in zip(own.strikes[:-1], own.strikes[1:], strict=True):
             offs = own.offs[(own.offs > start) & (own.offs < end)]
-            if end - start > MAX_STRIDE or len(offs) != 1:
+            if not MIN_STRIDE < end - start < MAX_STRIDE or len(offs) != 1:
                 continue
             at = {s: _at(points, rate_hz) for s, points in heels.items()}
             way = _flat(at[side](end) - at[side](start), up)
             length = float(np.linalg.norm(way))
-            if length < MIN_LENGTH:
-                continue
             strike = _first(other.strikes, start, end)
+            if length < MIN_LENGTH or not _walks(pelvis, way, start, end, strike, rate_hz, up):
+                continue
             off = _first(other.offs, start, end)
             step = width = None
             if strike is not None:
@@ -105,6 +113,31 @@ def strides(
     return sorted(out, key=lambda each: each.start)
 
 
+def _walks(
+    pelvis: Float[np.ndarray, "T 3"],
+    way: Float[np.ndarray, "3"],
+    start: float,
+    end: float,
+    other_strike: float | None,
+    rate_hz: float,
+    up: Float[np.ndarray, "3"],
+) -> bool:
+    """Whether a foot's way between two strikes is a stride's. Where the other foot's strike is not
+    known, its time is no reason against it.
+    """
+    share = 0.5 if other_strike is None else (other_strike - start) / (end - start)
+    path = pelvis[round(start * rate_hz) : round(end * rate_hz) + 1]
+    flat = path - np.outer(path @ up, up)
+    steps = np.linalg.norm(np.diff(flat, axis=0), axis=1).sum()
+    own = flat[-1] - flat[0]
+    apart = np.linalg.norm(own - way)
+    return bool(
+        OTHER_STRIKE[0] < share < OTHER_STRIKE[1]
+        and np.linalg.norm(own) > MIN_STRAIGHT * steps
+        and apart < MAX_APART * np.linalg.norm(way)
+    )
+
+
 def normalised(
     values: Float[np.ndarray, "S N"], rate_hz: float, start: float, end: float
 ) -> Float[np.ndarray, "101 N"]:
@@ -122,7 +155,8 @@ def symmetry(left: Sequence[float], right: Sequence[float]) -> float | None:
     if not len(left) or not len(right):
         return None
     one, other = float(np.mean(left)), float(np.mean(right))
-    return (other - one) / (0.5 * (one + other))
+    middle = 0.5 * (one + other)
+    return (other - one) / middle if middle else 0.0
 
 
 def _at(points: Float[np.ndarray, "T 3"], rate_hz: float):

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from habitus.body.anatomy import SIDES
 from habitus.errors import shown
 from habitus.gait.analysis import MAX_RESIDUAL, GaitAnalysis
-from habitus.gait.cycles import POINTS
+from habitus.gait.cycles import POINTS, symmetry
 from habitus.report.shell import (
     MAX_NAME,
     Tile,
@@ -92,7 +92,7 @@ def _tiles(analysis: GaitAnalysis) -> list[Tile]:
     means = stride_means(analysis.strides)
     out: list[Tile] = []
     for name in ("speed_m_s", "cadence_steps_min", "stride_length_m"):
-        known = [own[name] for own in means.values() if own[name] is not None]
+        known = [value for own in means.values() if (value := own[name]) is not None]
         if known:
             title, unit, digits, factor = NUMBER_TEXTS[name]
             value = factor * float(np.mean(known))
@@ -118,9 +118,8 @@ def _strides(analysis: GaitAnalysis) -> list[str]:
         title, unit, digits, factor = NUMBER_TEXTS[name]
         cells = [means[side][name] for side in SIDES]
         texts = ["" if c is None else f"{factor * c:.{digits}f}" for c in cells]
-        both = None not in cells and sum(cells) > 0
-        share = round(200 * (cells[1] - cells[0]) / sum(cells)) if both else 0
-        differ = f"{share:+d} %" if both else ""
+        share = symmetry(*([] if cell is None else [cell] for cell in cells))
+        differ = "" if share is None else f"{round(100 * share):+d} %"
         rows.append((f"{title} ({unit})", *texts, differ))
     counts = [str(sum(s.side == side for s in analysis.strides)) for side in SIDES]
     rows.insert(0, ("Strides", *counts, ""))

@@ -131,10 +131,9 @@ def side_curves(
     body, moments, powers and ground forces; names without the side.
     """
     names, columns = [], []
-    tables = (
-        (analysis.angles.names, analysis.angles.values),
-        (analysis.dynamics.names, analysis.dynamics.values) if analysis.contacts else ((), None),
-    )
+    tables = [(analysis.angles.names, analysis.angles.values)]
+    if analysis.contacts:
+        tables.append((analysis.dynamics.names, analysis.dynamics.values))
     other = "left_" if side == "right" else "right_"
     for heads, values in tables:
         for k, head in enumerate(heads):

@@ -1,0 +1,182 @@
+"""`habitus gait` from a capture of a laboratory to its files, against the laboratory's own numbers."""
+
+import csv
+import json
+
+import ezc3d
+import numpy as np
+import pytest
+
+import habitus as hb
+from habitus.body.motion import BodyMotion
+from habitus.cli.main import main
+from habitus.errors import HabitusError
+from habitus.jobs.gait import gait, gaits
+from habitus.jobs.results import Motion
+
+
+@pytest.fixture(scope="module")
+def walk(shared, tmp_path_factory):
+    """A child's walk over two plates, fitted and analysed by Plug-in Gait's convention."""
+    out = tmp_path_factory.mktemp("gait") / "out"
+    (result,) = gaits([shared / "mocap" / "HC030A05.c3d"], out, convention="pig")
+    return result, out
+
+
+def own_output(path, name: str) -> np.ndarray:
+    """What the laboratory's software wrote (T, 3), NaN where nothing."""
+    file = ezc3d.c3d(str(path))
+    point = file["parameters"]["POINT"]
+    keys = sorted((k for k in point if k.startswith("LABELS")), key=lambda k: (len(k), k))
+    labels = [label for key in keys for label in point[key]["value"]]
+    values = file["data"]["points"][:3, next(k for k, v in enumerate(labels) if v.endswith(name))].T
+    return np.where(np.abs(values).sum(1, keepdims=True) > 0, values, np.nan)
+
+
+def rows_of(path) -> tuple[list[str], np.ndarray]:
+    rows = list(csv.reader(path.read_text().splitlines()))
+    return rows[0], np.array(
+        [[float(cell) if cell else np.nan for cell in row] for row in rows[1:]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "theirs", "offset", "shape"),
+    [("pelvis_tilt", "PelvisAngles", 3.0, 1.5), ("hip_flexion", "HipAngles", 4.0, 2.2),
+     ("knee_flexion", "KneeAngles", 3.0, 2.0), ("ankle_dorsiflexion", "AnkleAngles", 4.0, 2.5)],
+)  # fmt: skip
+def test_sagittal_angles_agree_with_plug_in_gait(walk, shared, name, theirs, offset, shape):
+    for side in ("left", "right"):
+        own = walk[0].angles[f"{side}_{name}"]
+        reference = own_output(shared / "mocap" / "HC030A05.c3d", side[0].upper() + theirs)[:, 0]
+        off = (own - reference)[np.isfinite(reference)]
+        assert np.sqrt(np.mean(off**2)) < offset and off.std() < shape
+
+
+def test_moments_agree_with_plug_in_gait(walk, shared):
+    analysis = walk[0]
+    table = dict(zip(analysis.dynamics.names, analysis.dynamics.values.T, strict=True))
+    for contact in analysis.contacts:
+        rows = slice(int(contact.start * 100), int(contact.end * 100))
+        for name, theirs, most in (
+            ("ankle_plantarflexion", "AnkleMoment", 0.08),
+            ("knee_extension", "KneeMoment", 0.08),
+            ("hip_extension", "HipMoment", 0.14),
+        ):
+            reference = own_output(
+                shared / "mocap" / "HC030A05.c3d", contact.side[0].upper() + theirs
+            )
+            off = table[f"{contact.side}_{name}_moment"][rows] - 1e-3 * reference[rows, 0]
+            assert np.sqrt(np.nanmean(off**2)) < most, (contact.side, name)
+
+
+def test_forces_and_motion_agree(walk):
+    analysis = walk[0]
+    assert [contact.side for contact in analysis.contacts] == ["right", "left"]
+    assert not any(contact.refused for contact in analysis.contacts)
+    assert analysis.residual_share < 0.045 and abs(analysis.vertical_bias) < 0.015
+    assert analysis.masses.total == pytest.approx(45.8) and "recorded" in analysis.masses.source
+
+
+def test_events_by_the_motion_agree_with_the_plates(walk, shared):
+    fit = hb.mosh(shared / "mocap" / "HC030A05.c3d")[0]
+    blind = gait(fit)
+    assert {events.source for events in blind.events.values()} == {"motion"} and not blind.contacts
+    for contact in walk[0].contacts:
+        own = blind.events[contact.side]
+        assert np.abs(own.strikes - contact.start).min() < 0.03
+        assert np.abs(own.offs - contact.end).min() < 0.03
+
+
+def test_files_hold_what_the_analysis_does(walk):
+    analysis, out = walk
+    heads, table = rows_of(out / "angles.csv")
+    assert heads[0] == "time_s" and "left_knee_flexion_deg" in heads
+    assert "left_hip_internal_rotation_deg_not_validated" in heads
+    np.testing.assert_allclose(table[:, 0], np.arange(len(table)) / 100.0, atol=1e-9)
+    np.testing.assert_allclose(table[:, 1:], analysis.angles.values, atol=1e-4)
+    heads, table = rows_of(out / "dynamics.csv")
+    assert "right_knee_extension_moment_Nm_kg" in heads and "residual_x_N" in heads
+    rows = list(csv.DictReader((out / "cycles.csv").read_text().splitlines()))
+    assert len(rows) == 101 * len(analysis.strides) and {r["side"] for r in rows} == {
+        "left",
+        "right",
+    }
+    stride = next(s for s in analysis.strides if s.side == "left")
+    first = next(r for r in rows if r["side"] == "left")
+    expected = np.interp(
+        stride.start * 100,
+        np.arange(len(analysis.angles.values)),
+        analysis.angles["left_knee_flexion"],
+    )
+    assert abs(float(first["knee_flexion_deg"]) - expected) < 1e-3
+    numbers = json.loads((out / "gait.json").read_text())
+    assert numbers["landmarks_from_markers"]["left_asis"] == "LASI"
+    assert numbers["residual_share_of_weight"] == pytest.approx(analysis.residual_share)
+    assert "left_knee_adduction" in numbers["angles_not_validated"]
+    page = (out / "gait.html").read_text()
+    assert page.count("<svg") > 20 and "Not validated" in page.replace(
+        "not validated", "Not validated"
+    )
+
+
+def test_a_laboratorys_band_is_drawn_and_a_wrong_one_refused(walk, tmp_path):
+    analysis, _ = walk
+    band = tmp_path / "band.csv"
+    lines = ["percent,knee_flexion_mean,knee_flexion_sd"]
+    lines += [f"{p},{30 + 0.1 * p},5" for p in range(0, 101, 2)]
+    band.write_text("\n".join(lines))
+    analysis.save(tmp_path / "out", band)
+    assert (tmp_path / "out" / "gait.html").read_text().count("<polygon") == 1
+    for text, message in (
+        ("a,b\n1,2\n", "expected percent"),
+        ("", "none"),
+        ("percent,a_mean,a_sd\n0,x,1\n5,1,1\n", "expected numbers"),
+        ("percent,a_mean,a_sd\n5,1,1\n5,1,1\n", "does not rise"),
+    ):
+        band.write_text(text)
+        with pytest.raises(HabitusError, match=message) as caught:
+            analysis.save(tmp_path / "out", band)
+        assert "\n" not in str(caught.value)
+
+
+def test_angles_of_any_sensors_fit_come_by_the_same_call(walk, tmp_path):
+    fit = walk[0]
+    body = hb.load_body("female")
+    pose = np.zeros((5, len(body.joint_names), 3))
+    motion = Motion.of(
+        BodyMotion(
+            body, np.zeros(body.num_betas), pose, np.zeros((5, 3)), 30.0, "+y", body_name="female"
+        )
+    )
+    table = motion.angles("isb")
+    assert table.values.shape == (5, len(table.names)) and not table.sources
+    motion.export(tmp_path / "still.npz")
+    again = gait(tmp_path / "still.npz")
+    np.testing.assert_allclose(again.angles.values, table.values, atol=1e-3)
+    assert not again.strides and again.residual_share is None
+    assert fit.angles.sources
+
+
+def test_the_command(shared, tmp_path, capsys):
+    source = shared / "mocap" / "HC042A40.c3d"
+    main(["gait", str(source), "--out", str(tmp_path / "out"), "--convention", "opensim"])
+    said = capsys.readouterr().out
+    assert "beyond the plate's edge" in said and "strides" in said
+    with open(tmp_path / "out" / "angles.csv") as file:
+        assert "hip_flexion_r_deg" in file.readline()
+    for extra in ([str(tmp_path / "none.c3d")], [str(source), "--mass", "900"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["gait", *extra, "--out", str(tmp_path / "o")])
+        assert ended.value.code == 2
+    assert "mass is 900 kg" in capsys.readouterr().err
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_result_folder_takes_its_capture_from_a_folder(shared, tmp_path):
+    fit = hb.mosh(shared / "mocap" / "HC042A13.c3d")[0]
+    fit.save(tmp_path / "HC042A13")
+    (result,) = gaits([tmp_path / "HC042A13"], tmp_path / "out", captures=shared / "mocap")
+    assert len(result.contacts) == 2 and result.residual_share < 0.045
+    (without,) = gaits([tmp_path / "HC042A13"], tmp_path / "out")
+    assert not without.contacts
