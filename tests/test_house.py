@@ -219,7 +219,8 @@ def test_readme_names_the_two_commands_and_the_main_subcommands():
     assert all(f"make {name}" in text for name in ("demo", "test"))
     shown = set(re.findall(r"`habitus ([a-z-]+) [A-Z]", text))
     assert shown == {
-        "mosh", "archive", "label", "rgbd", "cameras", "register", "measure", "export", "train",
+        "mosh", "archive", "label", "rgbd", "cameras", "gait", "register", "measure", "export",
+        "train",
     }  # fmt: skip
     rules = (ROOT / "Makefile").read_text()
     assert all(re.search(rf"^{name}:", rules, re.MULTILINE) for name in ("demo", "test"))

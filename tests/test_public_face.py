@@ -22,7 +22,7 @@ from habitus.fit.markers.suspects import Suspect
 LISTED = set(
     "BodyModel Camera Depth Fit FitSettings HabitusError Keypoints Markers Mosh MoshWeights Scan Term Trainer __version__ archive body_from_measurements compare draw "
     "evaluate exaggerate "
-    "export_file fill_capture fit_cameras fit_rgbd hand_pose label live load_body load_fit load_layout load_motion "
+    "export_file fill_capture fit_cameras fit_rgbd gait hand_pose label live load_body load_fit load_layout load_motion "
     "minimize mosh "
     "open_registrations read_calibration read_capture read_detections read_views register_scans retarget select_markers "
     "select_poses "

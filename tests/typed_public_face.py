@@ -8,9 +8,11 @@ from typing import Any, assert_type
 import numpy as np
 
 import habitus as hb
+from habitus.body.anatomical_angles import AngleTable
 from habitus.body.model import BodyModel
 from habitus.io.captures.read import Capture
 from habitus.jobs.comparing import Comparison
+from habitus.jobs.gait import GaitResult
 from habitus.jobs.results import MarkerResult, Motion
 from habitus.markers.layouts import MarkerLayout
 from habitus.observe.camera import Camera
@@ -57,6 +59,8 @@ def motions(fit: MarkerResult) -> None:
     assert_type(motion, Motion)
     assert_type(hb.load_fit("results/walk/body.npz"), MarkerResult)
     hb.export_file(motion, "walk.fbx")
+    assert_type(fit.angles("isb"), AngleTable)
+    assert_type(hb.gait(fit, "walk.c3d", mass=70.0), GaitResult)
     hb.exaggerate(fit, 2.0)
     hb.retarget(fit, "female")
     hb.simulate_soft_tissue(fit.body, fit.betas, fit.pose, fit.trans, fit.rate_hz)

@@ -45,6 +45,7 @@ __all__ = [
     "fill_capture",
     "fit_cameras",
     "fit_rgbd",
+    "gait",
     "hand_pose",
     "label",
     "live",
@@ -96,6 +97,7 @@ _MODULES = {
     "fill_capture": "habitus.jobs.virtual_markers",
     "fit_cameras": "habitus.jobs.cameras",
     "fit_rgbd": "habitus.jobs.rgbd",
+    "gait": "habitus.jobs.gait",
     "hand_pose": "habitus.body.hands",
     "label": "habitus.jobs.label",
     "live": "habitus.jobs.live",
@@ -148,8 +150,8 @@ def __getattr__(name: str) -> object:
 
 
 class _PublicFace(type(sys)):
-    """Keeps `habitus.evaluate` the function when the package of that name is imported, which would
-    take its place.
+    """Keeps `habitus.evaluate` and `habitus.gait` functions when the packages of these names are
+    imported, which would take their place.
     """
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -22,6 +22,7 @@ from habitus.jobs.comparing import compare as compare
 from habitus.jobs.estimates import body_from_measurements as body_from_measurements
 from habitus.jobs.evaluate import evaluate as evaluate
 from habitus.jobs.exporting import export_file as export_file
+from habitus.jobs.gait import gait as gait
 from habitus.jobs.label import label as label
 from habitus.jobs.live import live as live
 from habitus.jobs.mosh import Mosh as Mosh

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import ezc3d
 import numpy as np
@@ -171,6 +172,16 @@ def test_the_command(shared, tmp_path, capsys):
         assert ended.value.code == 2
     assert "mass is 900 kg" in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+def test_plates_weigh_whose_mass_is_not_known(shared):
+    """Where they bear the person for a second; within what a volume may be off."""
+    path = shared / "mocap" / "HC042A13.c3d"
+    fit = replace(hb.mosh(path)[0], recorded={})
+    analysis = gait(fit, path)
+    assert "plates" in analysis.masses.source
+    assert abs(analysis.masses.total - 59.9) < 1.0 and abs(analysis.vertical_bias) < 0.005
+    assert gait(fit).masses.source == "volume"
 
 
 def test_a_result_folder_takes_its_capture_from_a_folder(shared, tmp_path):

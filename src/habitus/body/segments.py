@@ -8,7 +8,7 @@ of a known mass.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -40,6 +40,10 @@ class SegmentMasses:
     centre: Float[np.ndarray, "J 3"]
     inertia: Float[np.ndarray, "J 3 3"]
     source: str
+
+    def scaled(self, factor: float, source: str) -> "SegmentMasses":
+        """The same parts, denser by a factor."""
+        return replace(self, mass=factor * self.mass, inertia=factor * self.inertia, source=source)
 
     @property
     def total(self) -> float:

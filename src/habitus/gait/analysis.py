@@ -47,6 +47,21 @@ MAX_RESIDUAL = 0.05
 (mean over the frames all of whose contacts are on plates)."""
 
 
+MIN_WEIGHED = 1.0
+"""Seconds with all contacts on plates, from which on they weigh a person of unknown mass,"""
+MAX_VOLUME_ERROR = 0.15
+"""up to this difference from the mass by volume."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """What moves: loads of the body's parts, rotations of joints from rest, and joints (m)."""
+
+    loads: Loads
+    turns: Float[np.ndarray, "T J 3 3"]
+    joints: Float[np.ndarray, "T J 3"]
+
+
 @dataclass(frozen=True, eq=False)
 class Curves:
     """Numbers over time: values (T, N) in columns ``names`` with their ``units``, NaN where there
@@ -118,10 +133,13 @@ def analyse(
         for side in SIDES
     }
     heels = {side: points[:, 0] for side, points in feet.items()}
-    own, turns, joints = _motion(moving, masses, up)
-    dynamics, rest = _dynamics(
-        moving, anatomy, masses, plates, contacts, events, own, turns, joints, up
-    )
+    motion = _motion(moving, masses, up)
+    dynamics, rest = _dynamics(moving, anatomy, masses, plates, contacts, events, motion, up)
+    factor = _weighed(masses, motion.loads, rest, up, moving.rate_hz)
+    if factor is not None:
+        masses = masses.scaled(factor, "from the plates' vertical forces")
+        motion = _motion(moving, masses, up)
+        dynamics, rest = _dynamics(moving, anatomy, masses, plates, contacts, events, motion, up)
     centres = {
         side: 1e3
         * float(np.linalg.norm(anatomy.harrington_hip(side) - anatomy.joints[f"{side}_hip"]))
@@ -132,7 +150,7 @@ def analyse(
         moving.rate_hz,
         angles,
         events,
-        tuple(strides(events, heels, joints[:, 0], moving.rate_hz, up)),
+        tuple(strides(events, heels, motion.joints[:, 0], moving.rate_hz, up)),
         contacts,
         masses,
         rest,
@@ -175,12 +193,8 @@ def _replaced(
     return np.sort(np.concatenate([times[far], better]))
 
 
-def _motion(
-    moving: Moving, masses: SegmentMasses, up: Float[np.ndarray, "3"]
-) -> tuple[Loads, Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
-    """Loads of the body's parts, rotations of its joints from rest, and the joints (m), before soft
-    tissue was let go: it takes over some of the bones' motion.
-    """
+def _motion(moving: Moving, masses: SegmentMasses, up: Float[np.ndarray, "3"]) -> _Motion:
+    """The mechanics before soft tissue was let go: it takes over some of the bones' motion."""
     pose, trans = (np.asarray(part, np.float64) for part in moving.pose_stage)
     turns = np.empty((*pose.shape[:2], 3, 3))
     for k, parent in enumerate(moving.body.parents):
@@ -194,7 +208,28 @@ def _motion(
         else:
             joints[:, k] = joints[:, parent] + turns[:, parent] @ (rest[k] - rest[parent])
     centres = joints + np.einsum("tjab,jb->tja", turns, masses.centre - rest)
-    return (loads(masses.mass, masses.inertia, centres, turns, moving.rate_hz, up), turns, joints)
+    return _Motion(
+        loads(masses.mass, masses.inertia, centres, turns, moving.rate_hz, up), turns, joints
+    )
+
+
+def _weighed(
+    masses: SegmentMasses,
+    own: Loads,
+    rest: Float[np.ndarray, "T 3"],
+    up: Float[np.ndarray, "3"],
+    rate_hz: float,
+) -> float | None:
+    """What a mass from the volume must be multiplied by to agree with the plates; None where the
+    mass is known, where plates bear the person for too short a time, or where they differ by more
+    than a volume is off.
+    """
+    known = np.isfinite(rest).all(1)
+    if masses.source != "volume" or known.sum() < MIN_WEIGHED * rate_hz:
+        return None
+    needed = own.needed[known] @ up
+    factor = float(1.0 + (rest[known] @ up).sum() / needed.sum())
+    return factor if abs(factor - 1.0) < MAX_VOLUME_ERROR else None
 
 
 def _dynamics(
@@ -204,12 +239,11 @@ def _dynamics(
     plates: Sequence[PlateForces],
     contacts: Sequence[Contact],
     events: Mapping[str, FootEvents],
-    own: Loads,
-    turns: Float[np.ndarray, "T J 3 3"],
-    joints: Float[np.ndarray, "T J 3"],
+    motion: _Motion,
     up: Float[np.ndarray, "3"],
 ) -> tuple[Curves, Float[np.ndarray, "T 3"]]:
     """Moments, powers and ground forces where they are known, and the residual."""
+    own, turns, joints = motion.loads, motion.turns, motion.joints
     frames, rate = len(joints), moving.rate_hz
     by_number = {plate.number: plate for plate in plates}
     segments = segment_rotations(moving, anatomy, "pig", np.asarray(moving.pose_stage[0]))

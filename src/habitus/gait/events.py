@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import butter, sosfiltfilt
 
 CUTOFF_HZ = 12.0
 """Of the feet's low-pass filter, forwards and backwards, of second order."""
@@ -70,6 +69,8 @@ def lowpass(
     corner = cutoff_hz / (np.sqrt(2.0) - 1.0) ** 0.25 / (0.5 * rate_hz)
     if corner >= 0.95 or len(values) <= 12:
         return values
+    from scipy.signal import butter, sosfiltfilt  # half a second, with all of scipy.stats
+
     return sosfiltfilt(np.asarray(butter(2, corner, output="sos")), values, axis=0)
 
 
