@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from camera_targets import camera_makers
+from gait_targets import gait_makers
 from result_targets import result_makers
 from sensor_targets import sensor_makers
 from target import Target, Tree, alone, tree_of
@@ -29,6 +30,7 @@ def all_targets() -> tuple[Target, ...]:
         _registrations,
         _checkpoints,
         *sensor_makers(),
+        *gait_makers(),
         *camera_makers(),
         *result_makers(),
     )

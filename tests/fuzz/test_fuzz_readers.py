@@ -53,6 +53,8 @@ NAMES = (
     "scan.xyz",
     "depth folder",
     "organised cloud",
+    "plates.c3d",
+    "band.csv",
     "calibration.toml",
     "calibration.qca.txt",
     "calibration.xcp",

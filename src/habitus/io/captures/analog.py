@@ -38,7 +38,8 @@ def read_analog(content: bytes, name: str) -> tuple[Analog, Header, Parameters]:
     place, header, parameters = find_data(content, name)
     points_hz = float(parameters.number("POINT", "RATE") or header.rate_hz)
     channels = int(parameters.number("ANALOG", "USED") or 0)
-    if channels <= 0 or place.analog_words == 0 or not 0.1 < points_hz < 1e5:
+    empty = channels <= 0 or place.analog_words == 0 or place.frames <= 0
+    if empty or not 0.1 < points_hz < 1e5:
         return Analog((), (), np.zeros((0, 0)), points_hz, points_hz), header, parameters
     check_count(channels, MAX_CHANNELS, f"{name}: analog channels")
     if place.analog_words % channels:

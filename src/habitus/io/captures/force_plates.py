@@ -25,6 +25,10 @@ from habitus.io.units import METRES, unit_of
 
 CHANNELS = {2: 6, 3: 8, 4: 6}
 MAX_PLATES = 100
+MIN_SIDE, MAX_PLACE = 0.05, 1000.0
+"""Metres: of a plate's sides, and of its corners from the origin."""
+MAX_FORCE = 100_000.0
+"""Newtons."""
 LOADED = 20.0
 """Newtons: less has no centre of pressure."""
 UNLOADED_SHARE = 0.1
@@ -99,8 +103,8 @@ def read_force_plates(content: bytes, name: str) -> tuple[ForcePlate, ...]:
                 f"{len(analog.labels)}; expected {CHANNELS[kind]} that are there"
             )
         matrix = _calibration(parameters, k, used) if kind == 4 else None
-        plates.append(
-            _plate(
+        with np.errstate(all="ignore"):
+            plate = _plate(
                 k + 1,
                 kind,
                 unit * corners[12 * k : 12 * k + 12].reshape(4, 3),
@@ -109,8 +113,26 @@ def read_force_plates(content: bytes, name: str) -> tuple[ForcePlate, ...]:
                 rows,
                 matrix,
             )
-        )
+        _refuse_nonsense(plate, name)
+        plates.append(plate)
     return tuple(plates)
+
+
+def _refuse_nonsense(plate: ForcePlate, name: str) -> None:
+    """Damaged files have plates of no area, in space, or with forces that nobody exerts."""
+    sides = np.linalg.norm(plate.corners - np.roll(plate.corners, 1, axis=0), axis=1)
+    sound = np.isfinite(plate.corners).all() and np.abs(plate.corners).max() < MAX_PLACE
+    if not (sound and sides.min() > MIN_SIDE and np.isfinite(_axes(plate.corners)).all()):
+        raise HabitusError(
+            f"{name}: force plate {plate.number} has sides of {sides.min():.3g} to "
+            f"{sides.max():.3g} m; expected a plate: check FORCE_PLATFORM:CORNERS and POINT:UNITS"
+        )
+    most = float(np.abs(plate.force).max(initial=0.0))
+    if not most < MAX_FORCE or not np.isfinite(plate.free_moment).all():
+        raise HabitusError(
+            f"{name}: force plate {plate.number} shows {most:.3g} N; expected {MAX_FORCE:g} at "
+            "most: check the channels' scales"
+        )
 
 
 def _calibration(parameters: Parameters, k: int, used: int) -> Float[np.ndarray, "6 6"] | None:
