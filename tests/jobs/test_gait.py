@@ -121,6 +121,31 @@ def test_files_hold_what_the_analysis_does(walk):
     )
 
 
+def test_outputs_are_written_into_a_copy_of_the_capture(walk, shared, tmp_path):
+    """Beside Plug-in Gait's own, which stay, as do markers, plates and events."""
+    source = shared / "mocap" / "HC030A05.c3d"
+    analysis = walk[0]
+    analysis.save(tmp_path / "out", capture=source)
+    path = tmp_path / "out" / "gait.c3d"
+    own = own_output(path, "LKneeAngles_habitus")
+    for axis, name in enumerate(("flexion", "adduction", "internal_rotation")):
+        np.testing.assert_allclose(own[:, axis], analysis.angles[f"left_knee_{name}"], atol=1e-3)
+    moments = dict(zip(analysis.dynamics.names, analysis.dynamics.values.T, strict=True))
+    own = own_output(path, "RAnkleMoment_habitus")
+    np.testing.assert_allclose(
+        own[:, 0], 1e3 * moments["right_ankle_plantarflexion_moment"], atol=1e-2
+    )
+    np.testing.assert_allclose(own_output(path, "LKneeAngles"), own_output(source, "LKneeAngles"))
+    before, after = (ezc3d.c3d(str(each)) for each in (source, path))
+    np.testing.assert_array_equal(before["data"]["analogs"], after["data"]["analogs"])
+    assert "LKneeAngles_habitus" in after["parameters"]["POINT"]["ANGLES"]["value"]
+    capture, again = hb.read_capture(source), hb.read_capture(path)
+    assert capture.labels == again.labels  # outputs are no markers
+    np.testing.assert_allclose(capture.markers, again.markers, atol=1e-6)
+    with pytest.raises(HabitusError, match="already"):
+        analysis.save(tmp_path / "twice", capture=path)
+
+
 def test_a_laboratorys_band_is_drawn_and_a_wrong_one_refused(walk, tmp_path):
     analysis, _ = walk
     band = tmp_path / "band.csv"

@@ -32,12 +32,16 @@ C3D = ".c3d"
 class GaitResult(GaitAnalysis):
     """A gait analysis that can write itself."""
 
-    def save(self, folder: PathLike, band: PathLike | None = None) -> None:
-        """Write angles.csv, cycles.csv, dynamics.csv, gait.json and gait.html. Raises HabitusError
-        where the folder cannot be written.
+    def save(
+        self, folder: PathLike, band: PathLike | None = None, capture: PathLike | None = None
+    ) -> None:
+        """Write angles.csv, cycles.csv, dynamics.csv, gait.json and gait.html; with a ``capture``
+        gait.c3d too: a copy of it with angles, moments and powers as model outputs.
+
+        Raises HabitusError where the folder cannot be written.
         """
         bands = {} if band is None else read_bands(band)
-        save_gait(self, folder, partial(gait_page, bands=bands))
+        save_gait(self, folder, partial(gait_page, bands=bands), capture)
 
 
 @takes(GaitOptions)
@@ -106,7 +110,8 @@ def gaits(
         for name, (moving, capture) in zip(names, pairs, strict=True):
             progress(f"analysing {name}")
             result = gait(moving, capture, options=options)
-            result.save(out if len(pairs) == 1 else Path(out) / name, options.band)
+            copied = capture if options.c3d else None
+            result.save(out if len(pairs) == 1 else Path(out) / name, options.band, copied)
             results.append(result)
     return results
 

@@ -440,6 +440,9 @@ class GaitOptions:
     events: Literal["auto", "motion"] = "auto"
     """Foot strikes and offs: the file's and the plates' where there are some, or by the motion
     alone."""
+    c3d: Flag = False
+    """Also write gait.c3d: a copy of the capture with angles, moments and powers as model outputs.
+    """
     band: Annotated[Path | None, unset("CSV")] = None
     """A laboratory's own reference, drawn behind the curves: a .csv with the columns percent, and
     for each curve NAME_mean and NAME_sd, such as knee_flexion_mean.

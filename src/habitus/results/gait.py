@@ -10,10 +10,11 @@ from habitus.body.anatomy import SIDES
 from habitus.files import whole_folder, write_text
 from habitus.gait.analysis import GaitAnalysis
 from habitus.gait.cycles import POINTS, Stride, normalised, symmetry
+from habitus.io.captures.c3d_relabel import write_with_outputs
 from habitus.results.save import finite, write_json
 from habitus.types import PathLike
 
-GAIT_FILES = ("angles.csv", "cycles.csv", "dynamics.csv", "gait.json", "gait.html")
+GAIT_FILES = ("angles.csv", "cycles.csv", "dynamics.csv", "gait.json", "gait.html", "gait.c3d")
 UNSURE = "_not_validated"
 """Ending of the columns of angles that laboratories' own do not bear out."""
 NUMBERS = {
@@ -33,8 +34,10 @@ def save_gait(
     analysis: GaitAnalysis,
     folder: PathLike,
     page: Callable[[GaitAnalysis], str] | None = None,
+    capture: PathLike | None = None,
 ) -> None:
-    """Write angles.csv, cycles.csv, dynamics.csv (where there are forces), gait.json and gait.html.
+    """Write angles.csv, cycles.csv, dynamics.csv (where there are forces), gait.json and gait.html;
+    of a ``capture`` a copy with model outputs, gait.c3d.
 
     Raises HabitusError where the folder cannot be written.
     """
@@ -52,6 +55,46 @@ def save_gait(
         write_json(partial / "gait.json", gait_numbers(analysis))
         if page is not None:
             write_text(partial / "gait.html", page(analysis))
+        if capture is not None:
+            write_with_outputs(capture, model_outputs(analysis), partial / "gait.c3d")
+
+
+def model_outputs(
+    analysis: GaitAnalysis,
+) -> dict[str, dict[str, Float[np.ndarray, "T 3"]]]:
+    """Angles (degrees), moments (Nmm/kg) and powers (W/kg, in z) as a C3D file's model outputs:
+    LKneeAngles_habitus holds the three angles of the left knee in the order of the tables. The
+    ending keeps them apart from Plug-in Gait's.
+    """
+    groups = {"ANGLES": _triples(analysis.angles.names, analysis.angles.values, "Angles")}
+    if analysis.contacts:
+        names, values = analysis.dynamics.names, analysis.dynamics.values
+        kinds = (("MOMENTS", "moment", 1e3), ("POWERS", "power", 1.0))
+        for group, ending, factor in kinds:
+            own = [k for k, name in enumerate(names) if name.endswith(ending)]
+            title = ending.capitalize()
+            some = [names[k] for k in own]
+            groups[group] = _triples(some, factor * values[:, own], title, group == "POWERS")
+    return groups
+
+
+def _triples(
+    names: Sequence[str], values: Float[np.ndarray, "T N"], kind: str, last: bool = False
+) -> dict[str, Float[np.ndarray, "T 3"]]:
+    """Columns of one joint beside each other; single ones first, or ``last``."""
+    out: dict[str, Float[np.ndarray, "T 3"]] = {}
+    filled: dict[str, int] = {}
+    for name, column in zip(names, values.T, strict=True):
+        side, _, rest = name.partition("_")
+        joint = (rest if side in SIDES else name).partition("_")[0]
+        letter = side[0].upper() if side in SIDES else ""
+        label = f"{letter}{joint.capitalize()}{kind}_habitus"
+        table = out.setdefault(label, np.zeros((len(values), 3)))
+        place = 2 if last else filled.get(label, 0)
+        filled[label] = filled.get(label, 0) + 1
+        if place < 3:
+            table[:, place] = column
+    return out
 
 
 def angle_columns(names: Sequence[str], validated: Bool[np.ndarray, " N"]) -> list[str]:
