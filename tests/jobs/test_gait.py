@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import ezc3d
 import numpy as np
@@ -12,6 +13,7 @@ import habitus as hb
 from habitus.body.motion import BodyMotion
 from habitus.cli.main import main
 from habitus.errors import HabitusError
+from habitus.export.opensim_setup import FILES
 from habitus.jobs.gait import gait, gaits
 from habitus.jobs.results import Motion
 
@@ -144,6 +146,56 @@ def test_outputs_are_written_into_a_copy_of_the_capture(walk, shared, tmp_path):
     np.testing.assert_allclose(capture.markers, again.markers, atol=1e-6)
     with pytest.raises(HabitusError, match="already"):
         analysis.save(tmp_path / "twice", capture=path)
+
+
+def test_a_folder_for_opensim(walk, tmp_path):
+    """Forces, where they act and what they turn are those of the plates, y up."""
+    analysis = walk[0]
+    analysis.save(tmp_path / "out", opensim=True)
+    folder = tmp_path / "out" / "opensim"
+    assert {path.name for path in folder.iterdir()} == set(FILES)
+    lines = (folder / "ground_forces.mot").read_text().splitlines()
+    start = lines.index("endheader") + 1
+    heads = lines[start].split("\t")
+    values = np.array([[float(x) for x in line.split("\t")] for line in lines[start + 1 :]])
+    assert f"nRows={len(values)}" in lines and f"nColumns={len(heads)}" in lines
+    table = dict(zip(heads, values.T, strict=True))
+    weight = 9.81 * 45.8
+    for contact in analysis.contacts:
+        end = contact.side[0]
+        inside = (table["time"] > contact.start + 0.1) & (table["time"] < contact.end - 0.1)
+        up = table[f"ground_force_{end}_vy"]
+        assert 0.6 * weight < up[inside].mean() < 1.2 * weight
+        assert not up[table["time"] < contact.start - 0.01].any()
+        assert np.abs(table[f"ground_force_{end}_py"][inside]).max() < 0.01
+        plate = next(p for p in analysis.plates if p.number == contact.plate)
+        total = np.linalg.norm([table[f"ground_force_{end}_v{axis}"] for axis in "xyz"], axis=0)
+        np.testing.assert_allclose(
+            total[inside], np.linalg.norm(plate.force, axis=1)[inside], atol=1e-3
+        )
+    loads = ElementTree.parse(folder / "external_loads.xml").getroot()
+    assert [force.findtext("applied_to_body") for force in loads.iter("ExternalForce")] == [
+        "calcn_r",
+        "calcn_l",
+    ]
+    tasks = ElementTree.parse(folder / "inverse_kinematics.xml").getroot()
+    assert [task.get("name") for task in tasks.iter("IKMarkerTask")] == list(analysis.motion.labels)
+    markers = hb.read_capture(folder / "markers.trc")
+    assert markers.labels == analysis.motion.labels
+
+
+def test_opensim_reads_the_folder(walk, tmp_path):
+    opensim = pytest.importorskip("opensim", reason="pip install opensim")
+    walk[0].save(tmp_path / "out", opensim=True)
+    folder = tmp_path / "out" / "opensim"
+    storage = opensim.Storage(str(folder / "ground_forces.mot"))
+    assert storage.getSize() > 1000 and storage.getColumnLabels().getSize() == 19
+    loads = opensim.ExternalLoads(str(folder / "external_loads.xml"), True)
+    assert loads.getSize() == 2
+    tool = opensim.InverseKinematicsTool(str(folder / "inverse_kinematics.xml"), False)
+    assert tool.getMarkerDataFileName().endswith("markers.trc")
+    assert tool.get_IKTaskSet().getSize() == len(walk[0].motion.labels)
+    opensim.InverseDynamicsTool(str(folder / "inverse_dynamics.xml"), False)
 
 
 def test_a_laboratorys_band_is_drawn_and_a_wrong_one_refused(walk, tmp_path):

@@ -79,6 +79,7 @@ class GaitAnalysis:
     plates, refused ones with the reason; masses: of the body's parts; residual (T, 3): force (N) of
     the plates beyond what the motion needs, NaN in frames whose contacts are not all on plates;
     dynamics: moments (Nm/kg) and powers (W/kg) of the legs' joints, and ground forces (N/kg).
+    centres_mm: of the hips from Harrington's regression. motion, plates: what was analysed.
     """
 
     name: str
@@ -92,6 +93,8 @@ class GaitAnalysis:
     dynamics: Curves
     up: Float[np.ndarray, "3"]
     centres_mm: Mapping[str, float]
+    motion: Moving
+    plates: tuple[PlateForces, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -157,6 +160,8 @@ def analyse(
         dynamics,
         up,
         centres,
+        moving,
+        tuple(plates),
         tuple(notes),
     )
 

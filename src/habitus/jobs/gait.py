@@ -8,6 +8,7 @@ from typing import Any
 from habitus.body.motion import Moving
 from habitus.body.segments import SegmentMasses, segment_masses
 from habitus.errors import HabitusError
+from habitus.export.opensim_setup import write_opensim
 from habitus.fit.markers.result import MarkerFit
 from habitus.gait.analysis import GaitAnalysis, analyse
 from habitus.gait.contacts import PlateForces
@@ -33,15 +34,26 @@ class GaitResult(GaitAnalysis):
     """A gait analysis that can write itself."""
 
     def save(
-        self, folder: PathLike, band: PathLike | None = None, capture: PathLike | None = None
+        self,
+        folder: PathLike,
+        band: PathLike | None = None,
+        capture: PathLike | None = None,
+        opensim: bool = False,
     ) -> None:
-        """Write angles.csv, cycles.csv, dynamics.csv, gait.json and gait.html; with a ``capture``
-        gait.c3d too: a copy of it with angles, moments and powers as model outputs.
+        """Write angles.csv, cycles.csv, dynamics.csv, gait.json and gait.html.
 
-        Raises HabitusError where the folder cannot be written.
+        band: a laboratory's reference curves (.csv). capture: a copy of it with angles, moments and
+        powers as model outputs is written as gait.c3d. opensim: of a marker fit, a folder that
+        OpenSim runs (`habitus.export.opensim_setup`). Raises HabitusError where the folder cannot
+        be written.
         """
         bands = {} if band is None else read_bands(band)
-        save_gait(self, folder, partial(gait_page, bands=bands), capture)
+        setup = None
+        if opensim:
+            if not isinstance(self.motion, MarkerFit):
+                raise HabitusError("opensim is asked for a motion without markers; expected a fit")
+            setup = partial(write_opensim, self.motion, self.plates, self.contacts)
+        save_gait(self, folder, partial(gait_page, bands=bands), capture, setup)
 
 
 @takes(GaitOptions)
@@ -111,7 +123,8 @@ def gaits(
             progress(f"analysing {name}")
             result = gait(moving, capture, options=options)
             copied = capture if options.c3d else None
-            result.save(out if len(pairs) == 1 else Path(out) / name, options.band, copied)
+            where = out if len(pairs) == 1 else Path(out) / name
+            result.save(where, options.band, copied, options.opensim)
             results.append(result)
     return results
 

@@ -443,6 +443,10 @@ class GaitOptions:
     c3d: Flag = False
     """Also write gait.c3d: a copy of the capture with angles, moments and powers as model outputs.
     """
+    opensim: Flag = False
+    """Also write opensim/: markers, ground forces and set-ups that OpenSim 4 runs with a scaled
+    model of yours.
+    """
     band: Annotated[Path | None, unset("CSV")] = None
     """A laboratory's own reference, drawn behind the curves: a .csv with the columns percent, and
     for each curve NAME_mean and NAME_sd, such as knee_flexion_mean.

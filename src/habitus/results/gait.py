@@ -1,6 +1,7 @@
 """The result folder of a gait analysis: tables as CSV, numbers as JSON, and a page."""
 
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,15 @@ from habitus.io.captures.c3d_relabel import write_with_outputs
 from habitus.results.save import finite, write_json
 from habitus.types import PathLike
 
-GAIT_FILES = ("angles.csv", "cycles.csv", "dynamics.csv", "gait.json", "gait.html", "gait.c3d")
+GAIT_FILES = (
+    "angles.csv",
+    "cycles.csv",
+    "dynamics.csv",
+    "gait.json",
+    "gait.html",
+    "gait.c3d",
+    "opensim",
+)
 UNSURE = "_not_validated"
 """Ending of the columns of angles that laboratories' own do not bear out."""
 NUMBERS = {
@@ -35,9 +44,10 @@ def save_gait(
     folder: PathLike,
     page: Callable[[GaitAnalysis], str] | None = None,
     capture: PathLike | None = None,
+    opensim: Callable[[Path], object] | None = None,
 ) -> None:
     """Write angles.csv, cycles.csv, dynamics.csv (where there are forces), gait.json and gait.html;
-    of a ``capture`` a copy with model outputs, gait.c3d.
+    of a ``capture`` a copy with model outputs, gait.c3d. opensim: writes into the folder opensim/.
 
     Raises HabitusError where the folder cannot be written.
     """
@@ -57,6 +67,9 @@ def save_gait(
             write_text(partial / "gait.html", page(analysis))
         if capture is not None:
             write_with_outputs(capture, model_outputs(analysis), partial / "gait.c3d")
+        if opensim is not None:
+            (partial / "opensim").mkdir()
+            opensim(partial / "opensim")
 
 
 def model_outputs(
