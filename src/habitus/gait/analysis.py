@@ -248,53 +248,79 @@ def _dynamics(
     up: Float[np.ndarray, "3"],
 ) -> tuple[Curves, Float[np.ndarray, "T 3"]]:
     """Moments, powers and ground forces where they are known, and the residual."""
-    own, turns, joints = motion.loads, motion.turns, motion.joints
-    frames, rate = len(joints), moving.rate_hz
-    by_number = {plate.number: plate for plate in plates}
+    frames, rate = len(motion.joints), moving.rate_hz
     segments = segment_rotations(moving, anatomy, "pig", np.asarray(moving.pose_stage[0]))
-    spin = angular_velocity(turns, rate)
-    body = moving.body.joint_names
-    names: list[str] = []
-    units: list[str] = []
-    columns: list[np.ndarray] = []
+    spin = angular_velocity(motion.turns, rate)
+    columns: dict[tuple[str, str], Float[np.ndarray, " T"]] = {}
     slow: list[GroundForces] = []
     known: dict[str, Bool[np.ndarray, " T"]] = {}
     for side in SIDES:
-        used = [c for c in contacts if c.side == side and not c.refused]
-        spans = [(c.start or 0.0, np.inf if c.end is None else c.end) for c in used]
-        given = [(by_number[c.plate], *span) for c, span in zip(used, spans, strict=True)]
-        ground = [ground_forces(plate, a, b, frames, rate) for plate, a, b in given]
-        slow += [ground_forces(plate, a, b, frames, rate, MOTION_HZ) for plate, a, b in given]
-        at = np.arange(frames) / rate
-        stance = np.zeros(frames, bool)
-        for first, last in spans:
-            stance |= (at >= first) & (at <= last)
-        known[side] = stance | _swing(events[side], frames, rate) if len(plates) else stance
-        total = sum((g.force for g in ground), np.zeros((frames, 3))) / masses.total
-        names.append(f"{side}_ground_force_up")
-        units.append("N/kg")
-        columns.append(np.where(known[side], total @ up, np.nan))
-        for joint, lower, carrier, parts in JOINTS:
-            hub = body.index(f"{side}_{carrier}")
-            offset = anatomy.centre(f"{side}_{joint}") - anatomy.joints[body[hub]]
-            centre = joints[:, hub] + turns[:, hub] @ offset
-            top = body.index(f"{side}_{joint}")
-            moment = joint_moment(own, _below(top, moving.body.parents), centre, ground)
-            power = (moment * (spin[:, top] - spin[:, moving.body.parents[top]])).sum(1)
-            local = segments[f"{side}_{lower}"].inv().apply(moment)
-            sign = 1.0 if side == "right" else -1.0
-            signed = (EXTENDS[joint] * local[:, 2], -sign * local[:, 0], -sign * local[:, 1])
-            for part, values in zip(parts, signed, strict=True):
-                names.append(f"{side}_{joint}_{part}_moment")
-                units.append("Nm/kg")
-                columns.append(np.where(known[side], values / masses.total, np.nan))
-            names.append(f"{side}_{joint}_power")
-            units.append("W/kg")
-            columns.append(np.where(known[side], power / masses.total, np.nan))
-    covered = known["left"] & known["right"] if slow else np.zeros(frames, bool)
-    covered = covered & (sum((np.linalg.norm(g.force, axis=1) for g in slow), np.zeros(frames)) > 0)
-    rest = np.where(covered[:, None], residual(own, slow), np.nan)
-    return Curves(tuple(names), tuple(units), np.column_stack(columns)), rest
+        spans = _used(plates, contacts, side)
+        ground = [ground_forces(*span, frames, rate) for span in spans]
+        slow += [ground_forces(*span, frames, rate, MOTION_HZ) for span in spans]
+        known[side] = _stance(spans, frames, rate)
+        if len(plates):
+            known[side] |= _swing(events[side], frames, rate)
+        total = sum((g.force for g in ground), np.zeros((frames, 3))) @ up
+        own = {(f"{side}_ground_force_up", "N/kg"): total}
+        own |= _leg(side, moving, anatomy, motion, ground, segments, spin)
+        for key, values in own.items():
+            columns[key] = np.where(known[side], values / masses.total, np.nan)
+    covered = known["left"] & known["right"]
+    covered &= sum((np.linalg.norm(g.force, axis=1) for g in slow), np.zeros(frames)) > 0.0
+    rest = np.where(covered[:, None], residual(motion.loads, slow), np.nan)
+    names, units = zip(*columns, strict=True)
+    return Curves(names, units, np.column_stack(list(columns.values()))), rest
+
+
+def _used(
+    plates: Sequence[PlateForces], contacts: Sequence[Contact], side: str
+) -> list[tuple[PlateForces, float, float]]:
+    """The plates on which a foot stands, from when to when (s), refused contacts left out."""
+    by_number = {plate.number: plate for plate in plates}
+    return [
+        (by_number[c.plate], c.start or 0.0, np.inf if c.end is None else c.end)
+        for c in contacts
+        if c.side == side and not c.refused
+    ]
+
+
+def _stance(
+    spans: Sequence[tuple[PlateForces, float, float]], frames: int, rate_hz: float
+) -> Bool[np.ndarray, " T"]:
+    """Frames in which a foot stands on a plate."""
+    at = np.arange(frames) / rate_hz
+    out = np.zeros(frames, bool)
+    for _, first, last in spans:
+        out |= (at >= first) & (at <= last)
+    return out
+
+
+def _leg(
+    side: str,
+    moving: Moving,
+    anatomy: Anatomy,
+    motion: _Motion,
+    ground: Sequence[GroundForces],
+    segments: Mapping[str, Rotation],
+    spin: Float[np.ndarray, "T J 3"],
+) -> dict[tuple[str, str], Float[np.ndarray, " T"]]:
+    """Moments (Nm) and powers (W) of a leg's joints, by their names and their units per kg."""
+    body, parents = moving.body.joint_names, moving.body.parents
+    mirror = 1.0 if side == "right" else -1.0
+    out: dict[tuple[str, str], Float[np.ndarray, " T"]] = {}
+    for joint, lower, carrier, parts in JOINTS:
+        hub, top = (body.index(f"{side}_{name}") for name in (carrier, joint))
+        offset = anatomy.centre(f"{side}_{joint}") - anatomy.joints[body[hub]]
+        centre = motion.joints[:, hub] + motion.turns[:, hub] @ offset
+        moment = joint_moment(motion.loads, _below(top, parents), centre, ground)
+        local = segments[f"{side}_{lower}"].inv().apply(moment)
+        signs = np.array([EXTENDS[joint], -mirror, -mirror])
+        for part, values in zip(parts, (signs * local[:, [2, 0, 1]]).T, strict=True):
+            out[f"{side}_{joint}_{part}_moment", "Nm/kg"] = values
+        turning = spin[:, top] - spin[:, parents[top]]
+        out[f"{side}_{joint}_power", "W/kg"] = (moment * turning).sum(1)
+    return out
 
 
 def _swing(events: FootEvents, frames: int, rate_hz: float) -> Bool[np.ndarray, " T"]:
