@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import habitus as hb
+from habitus.body.anatomical_angles import segments_of, without_segments
 from habitus.body.motion import BodyMotion
 from habitus.cli.main import main
 from habitus.errors import HabitusError
@@ -234,6 +235,32 @@ def test_angles_of_any_sensors_fit_come_by_the_same_call(walk, tmp_path):
     np.testing.assert_allclose(again.angles.values, table.values, atol=1e-3)
     assert not again.strides and again.residual_share is None
     assert fit.angles.sources
+
+
+def test_angles_of_segments_without_markers_are_not_validated(shared):
+    """A set of the legs alone: its arms hang as the pose prior has them."""
+    fit = hb.mosh(shared / "mocap" / "HC030A05.c3d")[0]
+    table = fit.angles("isb")
+    sure = dict(zip(table.names, table.validated, strict=True))
+    assert sure["left_knee_flexion"] and sure["right_elbow_flexion"]
+    blind = without_segments(table, ["left_knee", "right_elbow"])
+    sure = dict(zip(blind.names, blind.validated, strict=True))
+    assert not sure["left_knee_flexion"] and not sure["left_ankle_dorsiflexion"]
+    assert (
+        not sure["right_elbow_flexion"]
+        and sure["right_knee_flexion"]
+        and sure["left_elbow_flexion"]
+    )
+    assert segments_of("knee_angle_l") == {"left_hip", "left_knee"}
+    assert segments_of("pelvis_tilt") == {"pelvis"}
+    with pytest.raises(HabitusError, match="needs 3 or more"):
+        gait(replace_frames(fit, 2))
+
+
+def replace_frames(fit, count: int) -> BodyMotion:
+    return BodyMotion(
+        fit.body, fit.betas, fit.pose[:count], fit.trans[:count], fit.rate_hz, fit.up_axis
+    )
 
 
 def test_the_command(shared, tmp_path, capsys):

@@ -11,8 +11,8 @@ prior, and Plug-in Gait, with which it could be compared, follows wands on the s
 """
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,9 +49,9 @@ class AngleTable:
     """Angles of a motion: ``values`` (T, N) in degrees, NaN where there is none, in columns
     ``names``, such as "left_knee_flexion".
 
-    ``validated`` (N,): whether the angle agrees with laboratories' own (docs/for-laboratories.md);
-    the others are shown for completeness. ``sources``: landmarks that come from a marker, by its
-    label; all others are the fitted template's.
+    ``validated`` (N,): whether the angle agrees with laboratories' own (docs/for-laboratories.md),
+    and both its segments carry markers; the others are shown for completeness. ``sources``:
+    landmarks that come from a marker, by its label; all others are the fitted template's.
     """
 
     convention: str
@@ -66,6 +66,43 @@ class AngleTable:
         if name not in self.names:
             raise KeyError(name)
         return self.values[:, self.names.index(name)]
+
+
+def without_segments(table: AngleTable, guessed: Collection[str]) -> AngleTable:
+    """The table with the angles of these joints' segments, which nothing was seen of, marked as not
+    validated.
+    """
+    validated = [
+        bool(sure) and not segments_of(name) & set(guessed)
+        for name, sure in zip(table.names, table.validated, strict=True)
+    ]
+    return replace(table, validated=np.array(validated))
+
+
+def segments_of(name: str) -> set[str]:
+    """The joints with which the two segments of an angle move, by the angle's name in any
+    convention.
+    """
+    side = "left" if name.startswith("left_") or name.endswith("_l") else ""
+    side = "right" if name.startswith("right_") or name.endswith("_r") else side
+    joint = name.removeprefix("left_").removeprefix("right_").partition("_")[0]
+    return {part.replace("*", f"{side}_") for part in _SEGMENTS.get(joint, ())}
+
+
+_SEGMENTS: Mapping[str, tuple[str, ...]] = {
+    "pelvis": ("pelvis",),
+    "trunk": ("pelvis", "spine3"),
+    "spine": ("pelvis", "spine3"),
+    "lumbar": ("pelvis", "spine3"),
+    "thorax": ("spine3",),
+    "hip": ("pelvis", "*hip"),
+    "knee": ("*hip", "*knee"),
+    "ankle": ("*knee", "*ankle"),
+    "shoulder": ("spine3", "*shoulder"),
+    "arm": ("spine3", "*shoulder"),
+    "elbow": ("*shoulder", "*elbow"),
+    "wrist": ("*elbow", "*wrist"),
+}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from habitus.body.anatomical_angles import AngleTable, segment_rotations
 from habitus.body.anatomy import SIDES, Anatomy
 from habitus.body.motion import Moving
 from habitus.body.segments import SegmentMasses
+from habitus.errors import HabitusError
 from habitus.gait.contacts import Contact, PlateForces, find_contacts
 from habitus.gait.cycles import Stride, strides
 from habitus.gait.dynamics import (
@@ -47,6 +48,7 @@ MAX_RESIDUAL = 0.05
 (mean over the frames all of whose contacts are on plates)."""
 
 
+MIN_FRAMES = 3
 MIN_WEIGHED = 1.0
 """Seconds with all contacts on plates, from which on they weigh a person of unknown mass,"""
 MAX_VOLUME_ERROR = 0.15
@@ -126,7 +128,14 @@ def analyse(
     file_events: Mapping[str, FootEvents] | None = None,
     notes: Sequence[str] = (),
 ) -> GaitAnalysis:
-    """The analysis of a motion, with force plates and a file's events where there are such."""
+    """The analysis of a motion, with force plates and a file's events where there are such. Raises
+    HabitusError for fewer frames than accelerations need.
+    """
+    if moving.num_frames < MIN_FRAMES:
+        raise HabitusError(
+            f"{moving.capture_name}: {moving.num_frames} frame(s); a gait analysis needs "
+            f"{MIN_FRAMES} or more"
+        )
     up = up_rotation(moving.up_axis).T @ np.array([0.0, 1.0, 0.0])
     rows = {side: [moving.body.landmarks[f"{side}_{name}"] for name in SOLE] for side in SIDES}
     feet = {side: moving.points(own) for side, own in rows.items()}

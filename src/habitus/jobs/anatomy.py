@@ -6,7 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from habitus.body.anatomical_angles import AngleTable, anatomical_angles
+from habitus.body.anatomical_angles import (
+    AngleTable,
+    anatomical_angles,
+    without_segments,
+)
 from habitus.body.anatomy import SACRUM, SIDES, Anatomy
 from habitus.body.motion import Moving
 from habitus.errors import HabitusError
@@ -40,21 +44,21 @@ def angles(moving: Moving, convention: str = "isb", stage: str = "soft_tissue") 
     """Joint angles (degrees) by a convention: "isb" (Wu et al. 2002, 2005), "pig" (Plug-in Gait) or
     "opensim" (coordinates of Rajagopal's model, without its places).
 
-    stage: "pose" for a marker fit's motion before soft tissue was let go. Raises HabitusError for
-    an unknown convention, and for a body without SMPL's joints or without landmarks.
+    Angles of segments without markers are marked as not validated. stage: "pose" for a marker fit's
+    motion before soft tissue was let go. Raises HabitusError for an unknown convention, and for a
+    body without SMPL's joints or without landmarks.
     """
     if convention != "opensim":
-        return anatomical_angles(moving, anatomy_of(moving), convention, stage)
-    table = {n: own for n, own in coordinates(moving).items() if n not in PLACES}
-    validated = [name.startswith(VALIDATED) for name in table]
-    return AngleTable(
-        convention,
-        moving.rate_hz,
-        tuple(table),
-        np.column_stack(list(table.values())),
-        np.array(validated),
-        {},
-    )
+        table = anatomical_angles(moving, anatomy_of(moving), convention, stage)
+    else:
+        columns = {n: own for n, own in coordinates(moving).items() if n not in PLACES}
+        validated = np.array([name.startswith(VALIDATED) for name in columns])
+        values = np.column_stack(list(columns.values()))
+        table = AngleTable(convention, moving.rate_hz, tuple(columns), values, validated, {})
+    if not isinstance(moving, MarkerFit):
+        return table
+    names = moving.body.joint_names
+    return without_segments(table, [names[k] for k in np.flatnonzero(moving.guessed.joints())])
 
 
 def _markers_on_landmarks(fit: MarkerFit) -> Mapping[str, tuple[str, np.ndarray]]:
