@@ -10,11 +10,13 @@ for their last two characters (HC030A05, HC030A22). Rows:
 - centres: knees against the middle of markers on both epicondyles, mm, where a file has them.
 - events: strikes and offs by the motion alone against plates, ms.
 - forces: the residual of Newton's equation, % of body weight, and refused contacts.
+- partial hits: made from whole contacts, and how many are refused.
 - moments: against Plug-in Gait's in stances whose forces are used, Nm/kg.
 """
 
 import argparse
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import ezc3d
@@ -23,6 +25,7 @@ from common import parser, run, show_table
 
 import habitus as hb
 from habitus.body.anatomical_angles import segment_rotations
+from habitus.gait.analysis import analyse
 from habitus.io.layouts.files import load_layout, match_layout
 from habitus.jobs.anatomy import anatomy_of, angles
 from habitus.jobs.gait import gait
@@ -167,11 +170,48 @@ def gait_rows(fits: dict[Path, object]) -> tuple[list[dict], list[dict], list[di
     return forces, events, moments
 
 
+def partial_rows(fits: dict[Path, object]) -> list[dict]:
+    """Made partial hits: a plate shows less than it bears, in half of a contact or in all of it.
+    Contacts are those that are used as recorded; their edges say nothing of what was made.
+    """
+    rows = []
+    for path, fit in fits.items():
+        if not any(label.endswith("KneeAngles") for label in outputs(path)):
+            continue
+        whole = gait(fit, path)
+        for number, plate in enumerate(whole.plates):
+            used = [c for c in whole.contacts if c.plate == plate.number]
+            before = {c.plate for c in whole.contacts if c.refused}
+            if len(used) != 1 or used[0].refused:
+                continue
+            loaded = np.flatnonzero(np.isfinite(plate.pressure[:, 0]))
+            first, last = int(loaded[0]), int(loaded[-1])
+            middle = (first + last) // 2
+            parts = {"early": (first, middle), "late": (middle, last), "whole": (first, last)}
+            for part, (one, other) in parts.items():
+                for lost in (0.2, 0.35, 0.5):
+                    factor = np.ones((len(plate.force), 1))
+                    factor[one:other] = 1.0 - lost
+                    plates = list(whole.plates)
+                    plates[number] = replace(plate, force=factor * plate.force)
+                    again = analyse(
+                        fit, anatomy_of(fit), whole.angles, whole.masses, plates, whole.events
+                    )
+                    refused = {c.plate for c in again.contacts if c.refused}
+                    rows.append(
+                        {"trial": path.stem, "plate": plate.number, "part": part, "lost": lost}
+                        | {"found": plate.number in refused}
+                        | {"others refused": len(refused - before - {plate.number})}
+                    )
+    return rows
+
+
 def measure(options: argparse.Namespace) -> dict:
     """All tables."""
     fits = {path: hb.mosh(path)[0] for path in options.captures}
     rows = angle_rows(fits)
     forces, events, moments = gait_rows(fits)
+    partial = partial_rows(fits)
     by_event = {
         f"foot {kind}": {
             "n": len(own),
@@ -192,6 +232,12 @@ def measure(options: argparse.Namespace) -> dict:
         "events": by_event,
         "forces": {row["trial"]: row for row in forces},
         "moments": by_moment,
+        "partial hits": {
+            "made": len(partial),
+            "found": sum(row["found"] for row in partial),
+            "whole contacts": len({(row["trial"], row["plate"]) for row in partial}),
+            "others refused": sum(row["others refused"] > 0 for row in partial),
+        },
         "rows": {"angles": rows, "events": events, "moments": moments},
     }
 
@@ -206,6 +252,7 @@ def show(found: dict) -> None:
     show_table("knee centre against the middle of epicondyle markers", found["knees"], 1)
     show_table("events by the motion against plates", named(found["events"]), 1)
     show_table("plates against what the motion needs", list(found["forces"].values()), 1)
+    show_table("made partial hits", [found["partial hits"]])
     show_table("sagittal moments against Plug-in Gait", named(found["moments"]), 3)
 
 

@@ -81,6 +81,8 @@ LINES = (
     Line("gait", "{}: after a constant offset", "angles/*/RMS0", form="{:.1f}°"),
     Line("gait", "{}: SD against force plates", "events/*/SD ms", form="{:.0f} ms"),
     Line("gait", "{} moment against Plug-in Gait, RMS", "moments/*/RMS Nm/kg", form="{:.3f} Nm/kg"),
+    Line("gait", "made partial hits", "partial hits/made"),
+    Line("gait", "found of them", "partial hits/found"),
     Line("gait", "{}: plates less what the motion needs, of body weight", "forces/*/residual %", form="{:.1f} %"),
     Line("cameras", "2 cameras: joints, mean", "summary/scene=2 cameras/joints", "mean", "{:.1f} mm"),
     Line("cameras", "2 cameras: joints, 95 %", "summary/scene=2 cameras/joints 95 %", "mean", "{:.1f} mm"),

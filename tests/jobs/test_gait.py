@@ -15,6 +15,8 @@ from habitus.body.motion import BodyMotion
 from habitus.cli.main import main
 from habitus.errors import HabitusError
 from habitus.export.opensim_setup import FILES
+from habitus.gait.analysis import analyse
+from habitus.jobs.anatomy import anatomy_of
 from habitus.jobs.gait import gait, gaits
 from habitus.jobs.results import Motion
 
@@ -90,6 +92,24 @@ def test_events_by_the_motion_agree_with_the_plates(walk, shared):
         own = blind.events[contact.side]
         assert np.abs(own.strikes - contact.start).min() < 0.03
         assert np.abs(own.offs - contact.end).min() < 0.03
+
+
+@pytest.mark.parametrize("part", ["early", "late"])
+def test_a_plate_that_bears_only_a_part_is_refused(walk, part):
+    """Half of a contact with a third less force, as of a foot half beside the plate; the other
+    contact is used on.
+    """
+    analysis = walk[0]
+    plate = analysis.plates[0]
+    first, last = np.flatnonzero(np.isfinite(plate.pressure[:, 0]))[[0, -1]]
+    middle = (first + last) // 2
+    factor = np.ones((len(plate.force), 1))
+    factor[slice(first, middle) if part == "early" else slice(middle, last)] = 0.67
+    plates = [replace(plate, force=factor * plate.force), *analysis.plates[1:]]
+    fit = analysis.motion
+    again = analyse(fit, anatomy_of(fit), analysis.angles, analysis.masses, plates, analysis.events)
+    refused = {contact.plate: contact.refused for contact in again.contacts}
+    assert "lacks" in refused.pop(plate.number) and not any(refused.values())
 
 
 def test_files_hold_what_the_analysis_does(walk):
@@ -230,6 +250,7 @@ def test_angles_of_any_sensors_fit_come_by_the_same_call(walk, tmp_path):
     )
     table = motion.angles("isb")
     assert table.values.shape == (5, len(table.names)) and not table.sources
+    assert not table.validated.any()  # nobody compared them
     motion.export(tmp_path / "still.npz")
     again = gait(tmp_path / "still.npz")
     np.testing.assert_allclose(again.angles.values, table.values, atol=1e-3)

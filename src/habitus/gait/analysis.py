@@ -3,7 +3,7 @@ equation and the moments and powers of the legs' joints.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -48,6 +48,9 @@ MAX_RESIDUAL = 0.05
 (mean over the frames all of whose contacts are on plates)."""
 
 
+MAX_LACK, LACK_SHARE = 0.12, 0.25
+"""Share of the body weight by which a plate lacks force, in more than this share of the frames in
+which its foot bears the person alone, from which on a contact is partial."""
 MIN_FRAMES = 3
 MIN_WEIGHED = 1.0
 """Seconds with all contacts on plates, from which on they weigh a person of unknown mass,"""
@@ -152,6 +155,10 @@ def analyse(
         masses = masses.scaled(factor, "from the plates' vertical forces")
         motion = _motion(moving, masses, up)
         dynamics, rest = _dynamics(moving, anatomy, masses, plates, contacts, events, motion, up)
+    checked = _lacking(contacts, rest @ up / (GRAVITY * masses.total), moving.rate_hz)
+    if checked != contacts:
+        contacts = checked
+        dynamics, rest = _dynamics(moving, anatomy, masses, plates, contacts, events, motion, up)
     centres = {
         side: 1e3
         * float(np.linalg.norm(anatomy.harrington_hip(side) - anatomy.joints[f"{side}_hip"]))
@@ -244,6 +251,36 @@ def _weighed(
     needed = own.needed[known] @ up
     factor = float(1.0 + (rest[known] @ up).sum() / needed.sum())
     return factor if abs(factor - 1.0) < MAX_VOLUME_ERROR else None
+
+
+def _lacking(
+    contacts: tuple[Contact, ...], share: Float[np.ndarray, " T"], rate_hz: float
+) -> tuple[Contact, ...]:
+    """Contacts whose plate lacks force that the motion needs are refused: part of the foot, or
+    something else that bears the person, is beside the plate. share: vertical residual over the
+    body weight, NaN where not all contacts are on plates.
+    """
+    at = np.arange(len(share)) / rate_hz
+    used = [c for c in contacts if c.side and not c.refused]
+    standing = np.zeros(len(share), int)
+    for contact in used:
+        standing += _during(contact, at)
+    out = []
+    for contact in contacts:
+        alone = share[_during(contact, at) & (standing == 1) & np.isfinite(share)]
+        if contact in used and len(alone) >= MIN_FRAMES:
+            short = alone < -MAX_LACK
+            if short.mean() > LACK_SHARE:
+                lack = -100.0 * float(alone[short].mean())
+                why = f"the plate lacks {lack:.0f} % of the body weight that the motion needs"
+                contact = replace(contact, refused=why)
+        out.append(contact)
+    return tuple(out)
+
+
+def _during(contact: Contact, at: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
+    end = np.inf if contact.end is None else contact.end
+    return (at >= (contact.start or 0.0)) & (at <= end)
 
 
 def _dynamics(

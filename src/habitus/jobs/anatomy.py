@@ -3,6 +3,7 @@ landmarks, where markers sit on them.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -44,9 +45,10 @@ def angles(moving: Moving, convention: str = "isb", stage: str = "soft_tissue") 
     """Joint angles (degrees) by a convention: "isb" (Wu et al. 2002, 2005), "pig" (Plug-in Gait) or
     "opensim" (coordinates of Rajagopal's model, without its places).
 
-    Angles of segments without markers are marked as not validated. stage: "pose" for a marker fit's
-    motion before soft tissue was let go. Raises HabitusError for an unknown convention, and for a
-    body without SMPL's joints or without landmarks.
+    Angles of segments without markers are marked as not validated, and all angles of fits to other
+    sensors: none were compared. stage: "pose" for a marker fit's motion before soft tissue was let
+    go. Raises HabitusError for an unknown convention, and for a body without SMPL's joints or
+    without landmarks.
     """
     if convention != "opensim":
         table = anatomical_angles(moving, anatomy_of(moving), convention, stage)
@@ -56,7 +58,7 @@ def angles(moving: Moving, convention: str = "isb", stage: str = "soft_tissue") 
         values = np.column_stack(list(columns.values()))
         table = AngleTable(convention, moving.rate_hz, tuple(columns), values, validated, {})
     if not isinstance(moving, MarkerFit):
-        return table
+        return replace(table, validated=np.zeros(len(table.names), bool))
     names = moving.body.joint_names
     return without_segments(table, [names[k] for k in np.flatnonzero(moving.guessed.joints())])
 
