@@ -143,6 +143,9 @@ def _detections(folder: Path) -> list[Target]:
     cells = [("net", name, axis) for name in names for axis in ("x", "y", "likelihood")]
     lines = [",".join([head, *[cell[k] for cell in cells]]) for k, head in enumerate(heads)]
     lines.append(",".join(["0", *map(str, flat)]))
+    nodes = ["track", "frame_idx", "instance.score"]
+    nodes += [f"{name}.{part}" for name in names for part in ("x", "y", "score")]
+    seen = ",".join(map(str, flat))
     stream = io.BytesIO()
     np.save(stream, rng.uniform(0, 500, (2, 3, 33, 2)))
     packed = io.BytesIO()
@@ -152,6 +155,7 @@ def _detections(folder: Path) -> list[Target]:
         "detections.json": json.dumps(mmpose).encode(),
         "list.json": json.dumps(alphapose).encode(),
         "detections.csv": "\n".join(lines).encode(),
+        "sleap.csv": "\n".join([",".join(nodes), *(f"a,{t},.9,{seen}" for t in range(3))]).encode(),
         "detections.npy": stream.getvalue(),
     }
     return [

@@ -65,6 +65,7 @@ NAMES = (
     "detections.json",
     "list.json",
     "detections.csv",
+    "sleap.csv",
     "sam3d keypoints folder",
     "detections.npy",
     "cameras.json",

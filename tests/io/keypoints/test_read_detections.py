@@ -87,14 +87,32 @@ def _deeplabcut(folder: Path, convention: str) -> Path:
     return folder
 
 
+def _sleap(folder: Path, convention: str) -> Path:
+    """Nodes in any order, a row for each person that was seen."""
+    names = CONVENTIONS[convention]
+    order = [*range(1, len(names)), 0]
+    heads = ["track", "frame_idx", "instance.score"]
+    heads += [f"{names[k]}.{part}" for k in order for part in ("x", "y", "score")]
+    lines = [",".join(heads)]
+    for t in range(FRAMES):
+        for who, shift in (("a", 0.0), ("b", 100.0)):
+            row = _person(convention, shift + t)[order].ravel()
+            lines.append(",".join([who, str(t), "0.9", *map(repr, row.tolist())]))
+    for camera in ("cam01", "cam02"):
+        (folder / f"{camera}.csv").write_text("\n".join(lines))
+    return folder
+
+
 @pytest.mark.parametrize("convention", ["openpose25", "body25b", "halpe26", "coco17"])
-@pytest.mark.parametrize("write", [_openpose, _mmpose, _alphapose, _deeplabcut])
+@pytest.mark.parametrize("write", [_openpose, _mmpose, _alphapose, _deeplabcut, _sleap])
 def test_every_form_gives_the_same_detections(write, convention, tmp_path):
     found = read_detections(write(tmp_path, convention), 60)
-    assert found.names == CONVENTIONS[convention] and found.pixels.shape[:3] == (FRAMES, 2, 2)
+    names = CONVENTIONS[convention]
+    assert set(found.names) == set(names) and found.pixels.shape[:3] == (FRAMES, 2, 2)
+    order = [names.index(name) for name in found.names]
     for t in range(FRAMES):
         for p, shift in enumerate((0.0, 100.0)):
-            true = _person(convention, shift + t)[:, :2] + 0.5
+            true = _person(convention, shift + t)[order, :2] + 0.5
             np.testing.assert_allclose(found.pixels[t, 1, p], true)
     assert found.rate_hz == 60 and (found.confidence > 0.5).all()
     assert found.of_cameras(("cam_1", "cam_2")).cameras == ("cam_1", "cam_2")
@@ -190,6 +208,22 @@ def test_rates_conventions_and_folders_are_checked(tmp_path):
         read_detections(tmp_path, 60)
     with pytest.raises(HabitusError, match="no such folder"):
         read_detections(tmp_path / "none", 60)
+
+
+def test_a_node_that_sleap_did_not_see_is_missing(tmp_path):
+    _sleap(tmp_path, "coco17")
+    for path in tmp_path.glob("*.csv"):
+        lines = path.read_text().splitlines()
+        cells = lines[1].split(",")
+        cells[3:6] = ["", "", ""]
+        path.write_text("\n".join([lines[0], ",".join(cells), "broken,row", *lines[2:]]))
+    found = read_detections(tmp_path, 60)
+    assert np.isnan(found.pixels[0, 0, 0, 0]).all() and found.confidence[0, 0, 0, 0] == 0.0
+    assert np.isfinite(found.pixels[1:]).all()
+    heads = (tmp_path / "cam01.csv").read_text().splitlines()[0]
+    (tmp_path / "cam01.csv").write_text(heads.replace(".y", ".z"))
+    with pytest.raises(HabitusError, match="SLEAP's analysis"):
+        read_detections(tmp_path, 60)
 
 
 def test_names_of_ones_own_are_mapped(tmp_path):

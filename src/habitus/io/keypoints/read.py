@@ -3,6 +3,7 @@
     trial/cam01_json/*.json      OpenPose and what writes its form (rtmlib): a file a frame
     trial/cam01.json             MMPose (``instance_info``), AlphaPose or COCO (a list over images)
     trial/cam01.csv              DeepLabCut: a row a frame, names in its second line
+    trial/cam01.csv              SLEAP's analysis: a row a person and frame, names in its heads
     trial/cam01/*.npz            SAM 3D Body: a file a frame
     trial/points2d.npy           FreeMoCap: (cameras, frames, points, 2 or 3)
 
@@ -45,6 +46,8 @@ from habitus.types import PathLike
 
 INNER = ("pose", "keypoints", "json")
 """Folders in which detections of all cameras may lie."""
+SLEAP_FRAME = "frame_idx"
+"""Column by which SLEAP's analysis is known."""
 SAMPLE = 200
 """People by whom the convention is decided."""
 
@@ -165,7 +168,7 @@ def _json(path: Path) -> Any:
 def _camera(where: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
     """The frames of one camera, and the names of its points where the files have them."""
     if where.is_file() and where.suffix.lower() == ".csv":
-        return _deeplabcut(where)
+        return _table(where)
     if where.is_file():
         return _whole(where)
     if any(where.glob("*.npz")):
@@ -253,12 +256,46 @@ def _array(value: Any, path: Path) -> np.ndarray:
         ) from error
 
 
-def _deeplabcut(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
-    """DeepLabCut's table: lines ``scorer``, (``individuals``), ``bodyparts``, ``coords``."""
+def _table(path: Path) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
+    """A table as CSV: DeepLabCut's, or SLEAP's."""
     try:
         rows = list(csv.reader(io.StringIO(read_text_file(path))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise HabitusError(f"{path}: is no table ({shown(error, 80)}); get it again") from error
+    return _sleap(rows, path) if rows and SLEAP_FRAME in rows[0] else _deeplabcut(rows, path)
+
+
+def _sleap(
+    rows: Sequence[Sequence[str]], path: Path
+) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
+    """SLEAP's analysis as CSV: a row for each animal and frame, columns NODE.x, NODE.y and, where
+    there are scores, NODE.score.
+    """
+    column = {head: k for k, head in enumerate(rows[0])}
+    names = tuple(h.removesuffix(".x") for h in rows[0] if h.endswith(".x"))
+    check_count(len(names), MAX_NAMES, f"{path}: nodes")
+    if not names or any(f"{name}.y" not in column for name in names):
+        raise HabitusError(f"{path}: has no columns NODE.x and NODE.y; expected SLEAP's analysis")
+    frames: dict[int, Frame] = {}
+    for row in rows[1:]:
+        number = row[column[SLEAP_FRAME]] if len(row) == len(rows[0]) else ""
+        if not number.isdigit():
+            continue
+        table = np.zeros((len(names), 3))
+        for k, name in enumerate(names):
+            table[k, :2] = _float(row[column[f"{name}.x"]]), _float(row[column[f"{name}.y"]])
+            score = column.get(f"{name}.score")
+            table[k, 2] = np.isfinite(table[k, :2]).all() if score is None else _float(row[score])
+        people = frames.setdefault(int(number[-9:]), [])
+        if len(people) < MAX_PEOPLE:
+            people.append(checked(table))
+    return frames, names
+
+
+def _deeplabcut(
+    rows: Sequence[Sequence[str]], path: Path
+) -> tuple[dict[int, Frame], tuple[str, ...] | None]:
+    """DeepLabCut's table: lines ``scorer``, (``individuals``), ``bodyparts``, ``coords``."""
     firsts = [row[0].lower() if row else "" for row in rows[:5]]
     last = firsts.index("coords") if "coords" in firsts else -1
     heads = dict(zip(firsts[: last + 1], rows, strict=False))
