@@ -33,6 +33,7 @@ from habitus_lab.population.camera_scenes import CameraScene, camera_scene, dist
 JOINTS = 22
 SCENES = {
     "1 camera, height given": {"cameras": 1, "height": True},
+    "1 camera, height and floor given": {"cameras": 1, "height": True, "floor": True},
     "2 cameras": {"cameras": 2},
     "4 cameras": {"cameras": 4},
     "8 cameras": {"cameras": 8},
@@ -60,10 +61,18 @@ def scene_of(motion: tuple, seed: int, row: int, **asked: object) -> tuple[Camer
     """A scene, and the cameras as they are said to be."""
     rng = np.random.default_rng([seed, row])
     off = asked.pop("off", None)
-    asked.pop("height", None)
+    asked = {key: value for key, value in asked.items() if key not in ("height", "floor")}
     body = hb.load_body(str(rng.choice(["female", "male"])))
     scene = camera_scene(body, *motion, rng=rng, **asked)
     return scene, scene.rig if off is None else disturbed(scene.rig, *off, rng)
+
+
+def floor_of(scene: CameraScene) -> float:
+    """The height (m) at which the person's soles mostly stand."""
+    rows = slice(None, None, 5)
+    count = len(scene.pose[rows])
+    surface = scene.body(np.tile(scene.betas, (count, 1)), scene.pose[rows], scene.trans[rows])
+    return float(np.percentile(np.asarray(surface.vertices)[..., 1].min(1), 20))
 
 
 def errors_of(scene: CameraScene, fit: object) -> dict[str, float]:
@@ -100,8 +109,9 @@ def scene_rows(motions: dict[str, tuple], options: argparse.Namespace) -> list[d
                 scene, rig = scene_of(motion, seed, k, **asked)
                 rest = scene.body.rest_vertices(scene.betas)[:, 1]
                 height = float(np.ptp(rest)) if asked.get("height") else None
+                floor = floor_of(scene) if asked.get("floor") else None
                 began = time.perf_counter()
-                (fit,) = fit_cameras(scene.detections, rig, height=height)
+                (fit,) = fit_cameras(scene.detections, rig, height=height, floor=floor, up="+y")
                 seconds = time.perf_counter() - began
                 errors = errors_of(scene, fit)
                 rows.append(

@@ -16,7 +16,7 @@ from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
 from habitus.fit.cameras.recipe import fit_cameras as fitted
 from habitus.fit.cameras.result import CameraFit
-from habitus.fit.cameras.settings import CAMERAS
+from habitus.fit.cameras.settings import CAMERAS, Known
 from habitus.io.cameras.read import read_calibration
 from habitus.io.cameras.videos import read_videos, stills
 from habitus.io.keypoints.points import POINT_ENDINGS, read_points
@@ -33,6 +33,8 @@ from habitus.report.cameras import camera_page, moments
 from habitus.results.cameras import CAMERA_FILES, save_cameras
 from habitus.results.save import MARKER_FILES, result_lock
 from habitus.types import PathLike
+
+MAX_FLOOR = 1000.0
 
 
 class CameraResult(Exportable, CameraFit):
@@ -76,6 +78,10 @@ def fit_cameras(
     people = None if options.people == "auto" else _count(options.people)
     if options.height is not None and not 0.4 < options.height < 2.6:
         raise HabitusError(f"height is {options.height}; expected metres, .4 to 2.6")
+    if options.floor is not None and len(rig.cameras) > 1:
+        raise HabitusError("floor is given; it is used with one camera alone: leave it out")
+    if options.floor is not None and not abs(options.floor) < MAX_FLOOR:
+        raise HabitusError(f"floor is {options.floor}; expected metres in the calibration's world")
     with one_blas_thread():
         fits = fitted(
             model,
@@ -84,9 +90,8 @@ def fit_cameras(
             rig,
             options.settings or CAMERAS,
             people=people,
-            height=options.height,
+            known=Known(options.height, options.floor, options.up),
             correct=not options.keep_cameras and calibration is not None,
-            up=options.up,
         )
     return [CameraResult.of(fit) for fit in fits]
 

@@ -405,6 +405,10 @@ class CameraOptions:
     """Frames a second of the detections, which their files do not say."""
     height: Annotated[float | None, unset("METRES")] = None
     """Height of the person, where it is known; estimated by default."""
+    floor: Annotated[float | None, unset("METRES")] = None
+    """Of one camera: height of the floor along the upward axis of the calibration's world, often 0:
+    feet that stand on it tell the distance.
+    """
     people: Annotated[str, metavar("N|auto")] = "1"
     """Number of people to fit, those who are seen most first; "auto": all."""
     convention: Annotated[str | None, unset("NAME")] = None

@@ -11,7 +11,7 @@ import pytest
 from habitus.body.keypoints import CONVENTIONS
 from habitus.body.prior import prior_of
 from habitus.errors import HabitusError
-from habitus.fit.cameras.one_camera import _turns, placed_by_one
+from habitus.fit.cameras.one_camera import SOLE, _turns, placed_by_one, standing_points
 from habitus.fit.cameras.people import tracks
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.settings import CAMERAS
@@ -321,3 +321,53 @@ def test_nobody_and_strangers_are_refused():
         fit_cameras(replace(made.detections, cameras=("a", "b", "c", "d")), made.rig)
     with pytest.raises(HabitusError, match="people is"):
         fit_cameras(made.detections, made.rig, people="3")
+
+
+def one_camera_fit(made: CameraScene, floor: float | None) -> CameraFit:
+    height = float(np.ptp(made.body.rest_vertices(made.betas)[:, 1]))
+    (fit,) = fit_cameras(made.detections, made.rig, height=height, floor=floor, up="+y")
+    return fit
+
+
+def test_a_floor_tells_one_camera_the_distance():
+    """Where feet stand; one that is elsewhere is told, and the verdict stays doubtful."""
+    without, given = [], []
+    for seed in range(4):
+        made = scene(seed, 1)
+        vertices = np.asarray(made.body(made.betas, made.pose[::5], made.trans[::5]).vertices)
+        floor = float(np.percentile(vertices[..., 1].min(1), 20))
+        without.append(errors(made, one_camera_fit(made, None)).mean())
+        fit = one_camera_fit(made, floor)
+        given.append(errors(made, fit).mean())
+        assert fit.verdict.level != "good"
+        assert not any("floor" in text for text in fit.warnings)
+    assert np.mean(given) < 0.97 * np.mean(without)  # feet that slide: a walk on the spot
+    wrong = one_camera_fit(made, floor + 0.6)
+    assert any("check the floor" in text for text in wrong.warnings)
+    with pytest.raises(HabitusError, match="one camera alone"):
+        fit_cameras(scene().detections, scene().rig, floor=0.0)
+    with pytest.raises(HabitusError, match="floor is inf"):
+        fit_cameras(made.detections, made.rig, floor=float("inf"))
+
+
+def test_feet_that_stand_are_where_the_floor_is():
+    """A foot that rests on a plane, seen by a camera that leans: its points are found; a foot that
+    moves has none.
+    """
+    made = scene(0, 1)
+    rig = KeypointRig.of(made.body, made.detections.names)
+    person = rig.shaped(made.betas, np.zeros((len(rig.names), 3)))
+    pose = np.zeros((30, len(made.body.joint_names), 3))
+    points = person.points(pose, np.zeros((30, 3)))
+    floor = float(points[0, :, 1].min()) - SOLE
+    camera = made.rig.cameras[0]
+    size = np.full(30, 900.0)
+    arguments = camera, camera.project(points), size, rig.names, person, np.eye(3), floor, RATE
+    stood = standing_points(*arguments)
+    feet = [k for k, name in enumerate(rig.names) if "heel" in name or "toe" in name]
+    np.testing.assert_allclose(stood[5:-5, feet], points[5:-5, feet], atol=1e-9)
+    others = [k for k in range(len(rig.names)) if k not in feet]
+    assert np.isnan(stood[:, others]).all()
+    moving = points + np.linspace(0.0, 1.0, 30)[:, None, None] * [1.0, 0.0, 0.0]
+    walked = standing_points(camera, camera.project(moving), *arguments[2:])
+    assert np.isnan(walked).all()

@@ -25,6 +25,16 @@ STEADY = ("shoulder", "hip", "neck", "nose", "eye", "ear", "head", "top")
 """Parts of the names of keypoints on trunk and head."""
 MISFIT = 0.06
 """Distance of keypoints from those of the mean pose (sd), as a share of the person's height."""
+FOOT = ("heel", "toe", "hallux")
+"""Parts of the names of keypoints on the sole."""
+SOLE = 0.02
+"""Metres of the lowest keypoint of a foot above the floor."""
+STILL_SECONDS, STILL_SPEED = 0.12, 0.25
+"""A point of the sole that moves more slowly (m/s, across the view) over this time stands,"""
+STILL_SD = 0.04
+"""at its place on the floor to this (m, sd)."""
+PERSON_HEIGHT = 1.7
+"""Metres, of the size in pixels."""
 TURN = 4.0
 """Cost of a radian's turn between frames."""
 
@@ -116,3 +126,37 @@ def _cheapest(
     for t in range(len(costs) - 1, 0, -1):
         path[t - 1] = back[t, path[t]]
     return path
+
+
+def standing_points(
+    camera: RigCamera,
+    pixels: Float[np.ndarray, "T K 2"],
+    size: Float[np.ndarray, " T"],
+    names: tuple[str, ...],
+    person: ShapedKeypoints,
+    upright: Float[np.ndarray, "3 3"],
+    floor: float,
+    rate_hz: float,
+) -> Float[np.ndarray, "T K 3"]:
+    """Where heels and toes are (m) while they stand still in the image: on the ray of their pixel,
+    as high above the floor as on the person at rest; NaN elsewhere. size: the person's height in
+    pixels; upright: the rotation that makes the world's vertical y; floor: its height there (m).
+    """
+    out = np.full((*pixels.shape[:2], 3), np.nan)
+    rest = person.points(np.zeros((1, len(person.joints), 3)), np.zeros((1, 3)))[0]
+    up = upright[1]
+    step = max(1, round(STILL_SECONDS * rate_hz / 2.0))
+    for k, name in enumerate(names):
+        if not any(part in name for part in FOOT):
+            continue
+        moved = np.full(len(pixels), np.inf)
+        way = np.linalg.norm(pixels[2 * step :, k] - pixels[: -2 * step, k], axis=-1)
+        moved[step:-step] = way / size[step:-step] * PERSON_HEIGHT * rate_hz / (2 * step)
+        plane = (pixels[:, k] - camera.centre) / camera.focal
+        ray = np.concatenate([plane, np.ones((len(plane), 1))], 1) @ camera.rotation
+        height = floor + rest[k, 1] - rest[:, 1].min() + SOLE
+        with np.errstate(all="ignore"):
+            along = (height - camera.place @ up) / (ray @ up)
+        still = (moved < STILL_SPEED) & (along > 0.3)
+        out[still, k] = camera.place + along[still, None] * ray[still]
+    return out

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from habitus.body.model import BodyModel
 from habitus.body.prior import PosePrior
 from habitus.errors import HabitusError
-from habitus.fit.cameras.one_camera import placed_by_one
+from habitus.fit.cameras.one_camera import STILL_SD, placed_by_one, standing_points
 from habitus.fit.cameras.people import Track, chosen, tracks
 from habitus.fit.cameras.result import CameraFit
 from habitus.fit.cameras.review import (
@@ -31,18 +31,21 @@ from habitus.fit.cameras.review import (
     shifted,
 )
 from habitus.fit.cameras.sequence import keypoint_data, solve_poses
-from habitus.fit.cameras.settings import CAMERAS, CameraSettings
+from habitus.fit.cameras.settings import CAMERAS, NOTHING, CameraSettings, Known
 from habitus.fit.cameras.shape import CameraShape, ShapeData, betas_of_height, shape_stage
 from habitus.fit.cameras.triangulate import triangulated
 from habitus.mesh.proximity import farthest_points
 from habitus.observe.camera_rig import CameraRig
 from habitus.observe.detections import Detections
 from habitus.observe.keypoints import KeypointRig, ShapedKeypoints
-from habitus.rotations import procrustes, rotvec_from_matrix
+from habitus.rotations import procrustes, rotvec_from_matrix, up_rotation
 
 Progress = Callable[[str, float], None]
 MIN_KEYPOINTS = 6
 """Of a frame of one camera."""
+MAX_FLOOR_ERROR = 0.15
+"""Metres of feet that stand from their places on the floor."""
+OnFloor = tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]] | tuple[None, None]
 TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 
 
@@ -54,15 +57,15 @@ def fit_cameras(
     settings: CameraSettings = CAMERAS,
     *,
     people: int | None = None,
-    height: float | None = None,
+    known: Known = NOTHING,
     correct: bool = True,
-    up: str = "auto",
     progress: Progress = lambda stage, share: None,
 ) -> list[CameraFit]:
     """Everybody whom the cameras see, or the first ``people``.
 
-    height: of the one person (m), where it is known. correct: estimate corrections of the cameras.
-    up: the world's axis that points up. One camera leaves depth open: the verdict says so. Raises
+    known: the one person's height, the floor, the world's upward axis, as far as they are known.
+    correct: estimate corrections of the cameras. One camera leaves depth open, but where feet stand
+    on a known floor: the verdict says so. Raises
     HabitusError where nobody is seen by two cameras, of one camera where nobody is seen.
     """
     progress("people", 0.0)
@@ -71,9 +74,7 @@ def fit_cameras(
     for k, track in enumerate(found):
         progress("person", (k + 0.1) / len(found))
         fits.append(
-            fit_person(
-                body, prior, detections, track, rig, settings, height, correct, up, k, len(found)
-            )
+            fit_person(body, prior, detections, track, rig, settings, known, correct, k, len(found))
         )
     return fits
 
@@ -98,9 +99,8 @@ def fit_person(
     track: Track,
     rig: CameraRig,
     settings: CameraSettings,
-    height: float | None,
+    known: Known,
     correct: bool,
-    up: str,
     number: int,
     total: int,
 ) -> CameraFit:
@@ -112,13 +112,14 @@ def fit_person(
     alone = len(rig.cameras) == 1
     correct = correct and not alone
     begin = start_alone if alone else start_person
-    start = begin(body, prior, detections, track, rig, keypoints, settings, height)
+    start = begin(body, prior, detections, track, rig, keypoints, settings, known)
+    up = upright(start.points, keypoints, known.up)
     sight, pose, trans = start.sight, start.pose, start.trans
     given = prior.for_joints(body.joint_names)
     none = np.zeros((len(keypoints.names), 3)), np.zeros((len(rig.cameras), 6))
     shape = CameraShape(np.zeros(body.num_betas), none[0], rig, none[1], pose, trans, "", {})
     status = ""
-    free, was_free = False, False
+    free, was_free, rate = False, False, detections.rate_hz
     for k in range(settings.rounds):
         late = shifted(sight, detections.rate_hz)
         rows = unlike_frames(start.points, sight, settings.frames)
@@ -126,8 +127,13 @@ def fit_person(
         data = ShapeData(rig, late[rows], information(sight, keypoints, wide)[rows])
         here = replace(shape, pose=pose[rows], trans=trans[rows])
         reaches = settings.reaches if k == 0 else settings.reaches[1:]
-        shape = shape_stage(body, prior, keypoints, data, here, settings, reaches, height, free)
+        shape = shape_stage(
+            body, prior, keypoints, data, here, settings, reaches, known.height, free
+        )
         person = keypoints.shaped(shape.betas, shape.offsets)
+        floor: OnFloor = (None, None)
+        if alone and known.floor is not None:
+            floor = on_floor(late, sight, shape.rig, keypoints, person, up, known.floor, rate)
         every = keypoint_data(
             person,
             shape.rig,
@@ -136,16 +142,16 @@ def fit_person(
             given.mean,
             settings.pose * given.precision,
             settings.reach,
+            *floor,
         )
         warm = 0 < k < settings.rounds - 1 and free == was_free  # slow waves want coarse levels
-        rate = detections.rate_hz
         pose, trans, solution = solve_poses(every, pose, trans, rate, settings, warm)
         status, was_free = solution.status, free
         if k + 1 < settings.rounds:
             expected = shape.rig.project(person.points(pose, trans)).transpose(1, 0, 2, 3)
             sight, biased = reviewed(sight, expected, keypoints, rate, settings, free, correct)
             free = free or biased
-    return CameraFit.solved(
+    fit = CameraFit.solved(
         body=body,
         shape=shape,
         keypoints=keypoints,
@@ -158,13 +164,16 @@ def fit_person(
         points=start.points,
         given_rig=rig,
         detections=detections,
-        up_axis=upright(start.points, keypoints, up),
-        height=height,
+        up_axis=up,
+        height=known.height,
         status=status,
         number=number,
         total=total,
         seconds=time.perf_counter() - began,
     )
+    if floor[0] is None:
+        return fit
+    return replace(fit, warnings=(*fit.warnings, *floor_notes(fit.keypoints, floor[0])))
 
 
 def start_person(
@@ -175,7 +184,7 @@ def start_person(
     rig: CameraRig,
     keypoints: KeypointRig,
     settings: CameraSettings,
-    height: float | None = None,
+    known: Known = NOTHING,
 ) -> Start:
     """Poses of the mean shape by triangulated keypoints, over the frames in which shoulders and
     hips are known. Raises HabitusError where they are known in too few.
@@ -217,7 +226,7 @@ def start_alone(
     rig: CameraRig,
     keypoints: KeypointRig,
     settings: CameraSettings,
-    height: float | None = None,
+    known: Known = NOTHING,
 ) -> Start:
     """Of one camera: the mean pose put by its pixels, then poses by them with a falling reach.
     Raises HabitusError where too few frames show the person.
@@ -231,6 +240,7 @@ def start_alone(
     kept = slice(int(enough[0]), int(enough[-1]) + 1)
     pixels, sure = track.pixels[kept], track.confidence[kept]
     given = prior.for_joints(body.joint_names)
+    height = known.height
     betas = np.zeros(body.num_betas) if height is None else betas_of_height(body, height)
     person = keypoints.shaped(betas, np.zeros((len(keypoints.names), 3)))
     camera = rig.cameras[0]
@@ -248,6 +258,10 @@ def start_alone(
         np.zeros(1),
         np.zeros((len(pixels), 1), bool),
     )
+    floor: OnFloor = (None, None)
+    if known.floor is not None:
+        up = upright(person.points(pose, trans), keypoints, known.up)
+        floor = on_floor(pixels, sight, rig, keypoints, person, up, known.floor, detections.rate_hz)
     for reach in settings.reaches:
         seen = keypoint_data(
             person,
@@ -257,10 +271,51 @@ def start_alone(
             given.mean,
             given.precision,
             reach,
+            *floor,
         )
         pose, trans, _ = solve_poses(seen, pose, trans, detections.rate_hz, settings)
     points = np.where(sure[:, 0, :, None] > 0.0, person.points(pose, trans), np.nan)
     return Start(sight, points, pose, trans, kept.start)
+
+
+def on_floor(
+    pixels: Float[np.ndarray, "T C K 2"],
+    sight: Sight,
+    rig: CameraRig,
+    keypoints: KeypointRig,
+    person: ShapedKeypoints,
+    up: str,
+    floor: float,
+    rate_hz: float,
+) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
+    """Where feet of one camera stand on a floor (m), NaN elsewhere, and the weights (1 / m^2)."""
+    points = standing_points(
+        rig.cameras[0],
+        pixels[:, 0],
+        sight.size[:, 0],
+        keypoints.names,
+        person,
+        up_rotation(up),
+        floor,
+        rate_hz,
+    )
+    return points, np.full(points.shape[:2], 1.0 / STILL_SD**2)
+
+
+def floor_notes(
+    points: Float[np.ndarray, "T K 3"], standing: Float[np.ndarray, "T K 3"]
+) -> tuple[str, ...]:
+    """What is said where feet never stand on the floor, or are elsewhere."""
+    known = np.isfinite(standing[..., 0])
+    if not known.any():
+        return ("no foot stands still where the floor is; it was not used",)
+    off = float(np.median(np.linalg.norm(points[known] - standing[known], axis=-1)))
+    if off < MAX_FLOOR_ERROR:
+        return ()
+    return (
+        f"feet that stand are {100 * off:.0f} cm from where the floor has them (median); check the "
+        "floor, the axis up and the unit of the calibration",
+    )
 
 
 def first_sight(

@@ -89,4 +89,16 @@ class CameraSettings:
     options: SequenceOptions = field(default_factory=lambda: SequenceOptions(damping=10.0))
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known beside the pixels. height: of the person (m); floor: its height along the
+    world's upward axis (m); up: that axis, or "auto": from hips to shoulders.
+    """
+
+    height: float | None = None
+    floor: float | None = None
+    up: str = "auto"
+
+
+NOTHING = Known()
 CAMERAS = CameraSettings()
