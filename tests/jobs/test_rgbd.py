@@ -30,6 +30,13 @@ def results(tmp_path_factory):
     return folder / "out", body, scene, fit
 
 
+def test_joint_angles_come_by_the_same_call_as_of_marker_fits(results):
+    fit = results[3]
+    table = fit.angles("isb")
+    assert table.values.shape == (len(fit.pose), len(table.names))
+    assert np.isfinite(table.values).all() and not table.validated.any()
+
+
 def test_the_planted_person_is_found(results):
     out, body, scene, _ = results
     motion = hb.load_motion(out / "body.npz")
