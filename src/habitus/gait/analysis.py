@@ -33,7 +33,7 @@ from habitus.rotations import up_rotation
 SOLE = ("heel", "hallux", "toe_tip", "mt1_head", "mt2_head", "mt5_head")
 """Landmarks of a sole; the first and the third give events."""
 SAME_EVENT = 0.15
-"""Seconds within which a plate or the file tells of an event that the motion shows too."""
+"""Seconds between an event of the motion and the same event of a plate or of the file."""
 JOINTS = (
     ("hip", "thigh", "hip", ("extension", "abduction", "external_rotation")),
     ("knee", "shank", "hip", ("extension", "abduction", "external_rotation")),

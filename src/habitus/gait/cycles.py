@@ -20,7 +20,7 @@ OTHER_STRIKE = (0.3, 0.7)
 """Shares of the cycle between which the other foot strikes."""
 MIN_STRAIGHT = 0.9
 """Way of the pelvis from strike to strike, as a share of its horizontal path,"""
-MAX_APART = 0.45
+MAX_DIFFERENCE = 0.45
 """which differs from the heel's by no more than this share of it."""
 
 
@@ -130,11 +130,11 @@ def _walks(
     flat = path - np.outer(path @ up, up)
     steps = np.linalg.norm(np.diff(flat, axis=0), axis=1).sum()
     own = flat[-1] - flat[0]
-    apart = np.linalg.norm(own - way)
+    difference = np.linalg.norm(own - way)
     return bool(
         OTHER_STRIKE[0] < share < OTHER_STRIKE[1]
         and np.linalg.norm(own) > MIN_STRAIGHT * steps
-        and apart < MAX_APART * np.linalg.norm(way)
+        and difference < MAX_DIFFERENCE * np.linalg.norm(way)
     )
 
 

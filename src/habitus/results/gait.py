@@ -77,7 +77,7 @@ def model_outputs(
 ) -> dict[str, dict[str, Float[np.ndarray, "T 3"]]]:
     """Angles (degrees), moments (Nmm/kg) and powers (W/kg, in z) as a C3D file's model outputs:
     LKneeAngles_habitus holds the three angles of the left knee in the order of the tables. The
-    ending keeps them apart from Plug-in Gait's.
+    ending distinguishes them from Plug-in Gait's.
     """
     groups = {"ANGLES": _triples(analysis.angles.names, analysis.angles.values, "Angles")}
     if analysis.contacts:

@@ -50,7 +50,7 @@ def read_videos(folder: PathLike, rig: CameraRig) -> dict[str, Video]:
         if path is not None:
             video = _facts(path)
             sizes = (video.width, camera.width), (video.height, camera.height)
-            if any(abs(seen - told) > MAX_SIZE_DIFFERENCE * told for seen, told in sizes):
+            if any(abs(own - given) > MAX_SIZE_DIFFERENCE * given for own, given in sizes):
                 raise HabitusError(
                     f"{path}: {video.width} x {video.height} pixels, calibration of "
                     f"{shown(camera.name, 40)} {camera.width} x {camera.height}; expected the same "
