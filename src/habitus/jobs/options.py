@@ -438,7 +438,9 @@ class GaitOptions:
     convention: Literal["isb", "pig", "opensim"] = "isb"
     """Of the joint angles: ISB's, Plug-in Gait's, or the coordinates of OpenSim's models."""
     mass: Annotated[float | None, unset("KG")] = None
-    """Of the person; by default what the capture records, else what the body's volume says."""
+    """Of the person; by default what the capture records, else what the plates weigh, else what
+    the body's volume says.
+    """
     plates: Literal["auto", "none"] = "auto"
     """Force plates of the capture: used where there are some, or not at all."""
     events: Literal["auto", "motion"] = "auto"
