@@ -8,6 +8,7 @@ for their last two characters (HC030A05, HC030A22). Rows:
 - angles: against Plug-in Gait's, degrees: RMS, RMS after a constant offset of the trial and side
   (RMS0), Pearson's r, and the standard deviation of a person's offset between trials.
 - centres: knees against the middle of markers on both epicondyles, mm, where a file has them.
+- hips: against the functional centre of a trial (--hip) that moves the hip about, mm.
 - events: strikes and offs by the motion alone against plates, ms.
 - forces: the residual of Newton's equation, % of body weight, and refused contacts.
 - partial hits: made from whole contacts, and how many are refused.
@@ -25,10 +26,12 @@ from common import parser, run, show_table
 
 import habitus as hb
 from habitus.body.anatomical_angles import segment_rotations
+from habitus.body.segments import owners
 from habitus.gait.analysis import analyse
 from habitus.io.layouts.files import load_layout, match_layout
 from habitus.jobs.anatomy import anatomy_of, angles
 from habitus.jobs.gait import gait
+from habitus.rotations import procrustes
 
 ANGLES = {
     "pelvis_tilt": ("PelvisAngles", 0),
@@ -127,6 +130,56 @@ def knee_rows(fits: dict[Path, object]) -> list[dict]:
             off = 1e3 * np.linalg.norm(centre - middle, axis=1)
             rows.append({"trial": path.stem, "side": side, "knee mm": float(np.nanmedian(off))})
     return rows
+
+
+NEAR_HIP = 0.12
+"""Metres of markers from the hip whose skin slides over the trochanter and in the groin."""
+
+
+def rigid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turns and shifts (T, …) of markers (T, M, 3) that move as one, NaN where one is missing."""
+    known = np.isfinite(points).all((1, 2))
+    turn, shift = np.full((len(points), 3, 3), np.nan), np.full((len(points), 3), np.nan)
+    first = np.broadcast_to(points[known][0], points[known].shape)
+    turn[known], shift[known] = procrustes(first, points[known], np.ones(first.shape[:2]))
+    return turn, shift
+
+
+def hip_rows(path: Path, side: str) -> list[dict]:
+    """The hip's centre against the functional one of a trial that moves this hip about (SCoRE, Ehrig
+    et al. 2006), by markers on the iliac spines and on the thigh away from the hip; Harrington's
+    regression beside it.
+    """
+    fit = hb.mosh(path)[0]
+    names = fit.body.joint_names
+    surface = fit.body.rest_vertices(fit.betas)
+    owner = owners(fit.body, surface, fit.body.rest_joints(fit.betas))
+    near = np.linalg.norm(fit.latent_markers[:, None] - surface, axis=-1).argmin(1)
+    part = np.array([names[k] for k in owner[near]])
+    hip = fit.body.rest_joints(fit.betas)[names.index(f"{side}_hip")]
+    far = np.linalg.norm(fit.latent_markers - hip, axis=1) > NEAR_HIP
+    spines = [label for name, label in anatomy_of(fit).sources.items() if name.endswith("is")]
+    pelvis = rigid(fit.observed_markers[:, [fit.labels.index(label) for label in spines]])
+    thigh = rigid(fit.observed_markers[:, (part == f"{side}_hip") & far])
+    known = np.isfinite(pelvis[1]).all(1) & np.isfinite(thigh[1]).all(1)
+    matrix = np.concatenate([pelvis[0][known], -thigh[0][known]], 2).reshape(-1, 6)
+    right = (thigh[1] - pelvis[1])[known].reshape(-1)
+    own = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    ends = [t @ c + s for (t, s), c in zip((pelvis, thigh), (own[:3], own[3:]), strict=True)]
+    functional = 0.5 * (ends[0] + ends[1])
+    anatomy, joints = anatomy_of(fit), fit.joints()
+    axes = segment_rotations(fit, anatomy, "isb", fit.pose)["pelvis"]
+    arm = anatomy.frame("pelvis").T @ (anatomy.harrington_hip(side) - anatomy.joints["pelvis"])
+    centres = {
+        "the body's": joints[:, names.index(f"{side}_hip")],
+        "Harrington's": joints[:, 0] + axes.apply(arm),
+    }
+    apart = 1e3 * float(np.nanmedian(np.linalg.norm(ends[0] - ends[1], axis=1)))
+    return [
+        {"trial": path.stem, "side": side, "hip centre": name, "SCoRE's residual mm": apart}
+        | {"to SCoRE mm": 1e3 * float(np.nanmedian(np.linalg.norm(c - functional, axis=1)))}
+        for name, c in centres.items()
+    ]
 
 
 def gait_rows(fits: dict[Path, object]) -> tuple[list[dict], list[dict], list[dict]]:
@@ -229,6 +282,7 @@ def measure(options: argparse.Namespace) -> dict:
     return {
         "angles": angle_table(rows),
         "knees": knee_rows(fits),
+        "hips": [] if options.hip is None else hip_rows(options.hip, options.hip_side),
         "events": by_event,
         "forces": {row["trial"]: row for row in forces},
         "moments": by_moment,
@@ -250,6 +304,8 @@ def show(found: dict) -> None:
 
     show_table("angles against Plug-in Gait, degrees", named(found["angles"]), 2)
     show_table("knee centre against the middle of epicondyle markers", found["knees"], 1)
+    if found["hips"]:
+        show_table("hip centre against a functional one", found["hips"], 1)
     show_table("events by the motion against plates", named(found["events"]), 1)
     show_table("plates against what the motion needs", list(found["forces"].values()), 1)
     show_table("made partial hits", [found["partial hits"]])
@@ -259,4 +315,6 @@ def show(found: dict) -> None:
 if __name__ == "__main__":
     arguments = parser(__doc__, out=True)
     arguments.add_argument("captures", nargs="+", type=Path)
+    arguments.add_argument("--hip", type=Path, default=None, help="a functional trial of a hip")
+    arguments.add_argument("--hip-side", choices=("left", "right"), default="right")
     run(arguments, measure, show)

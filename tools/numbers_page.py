@@ -81,6 +81,8 @@ LINES = (
     Line("gait", "{}: after a constant offset", "angles/*/RMS0", form="{:.1f}°"),
     Line("gait", "{}: SD against force plates", "events/*/SD ms", form="{:.0f} ms"),
     Line("gait", "{} moment against Plug-in Gait, RMS", "moments/*/RMS Nm/kg", form="{:.3f} Nm/kg"),
+    Line("gait", "the body's hip centre to the functional one", "hips/hip centre=the body's/to SCoRE mm", "mean", "{:.1f} mm"),
+    Line("gait", "Harrington's", "hips/hip centre=Harrington's/to SCoRE mm", "mean", "{:.1f} mm"),
     Line("gait", "made partial hits", "partial hits/made"),
     Line("gait", "found of them", "partial hits/found"),
     Line("gait", "{}: plates less what the motion needs, of body weight", "forces/*/residual %", form="{:.1f} %"),
