@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from habitus.gait.contacts import PlateForces, find_contacts
+from habitus.gait.contacts import ForcePlate, find_contacts
 from habitus.gait.cycles import normalised, strides, symmetry
 from habitus.gait.events import FootEvents, lowpass, motion_events
 
@@ -151,7 +151,7 @@ def step_on(shift: np.ndarray, other: np.ndarray | None = None) -> list:
         middle + shift + np.linspace(-0.1, 0.1, count * each)[:, None] * [1, 0, 0],
         np.nan,
     )
-    plate = PlateForces(1, CORNERS, force, pressure, np.zeros_like(force), RATE * each)
+    plate = ForcePlate(1, CORNERS, force, pressure, np.zeros_like(force), RATE * each)
     return find_contacts([plate], feet, RATE)
 
 
@@ -184,11 +184,11 @@ def test_two_feet_on_one_plate_and_nobody_are_refused():
     count = 100
     far = {side: np.tile([3.0, 0.0, 0.0], (count, 6, 1)) for side in ("left", "right")}
     force = np.tile(600.0 * UP, (count, 1))
-    plate = PlateForces(2, CORNERS, force, np.tile(CORNERS.mean(0), (count, 1)), 0 * force, RATE)
+    plate = ForcePlate(2, CORNERS, force, np.tile(CORNERS.mean(0), (count, 1)), 0 * force, RATE)
     (contact,) = find_contacts([plate], far, RATE)
     assert contact.side == "" and "no foot" in contact.refused
     assert contact.start is None and contact.end is None
-    knock = PlateForces(
+    knock = ForcePlate(
         3, CORNERS, 0.1 * force, np.tile(CORNERS.mean(0), (count, 1)), 0 * force, RATE
     )
     assert not find_contacts([knock], far, RATE)

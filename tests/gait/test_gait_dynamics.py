@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import habitus as hb
 from habitus.body.segments import DENSITY, TRUNK_DENSITY, segment_masses
 from habitus.errors import HabitusError
-from habitus.gait.contacts import PlateForces
+from habitus.gait.contacts import ForcePlate
 from habitus.gait.dynamics import (
     GRAVITY,
     GroundForces,
@@ -113,7 +113,7 @@ def test_a_plate_that_moves_with_everything_changes_no_moment():
     own = Loads(*(np.zeros((FRAMES, 1, 3)) for _ in range(3)))
     moments = []
     for shift in (np.zeros(3), rng.normal(size=3)):
-        plate = PlateForces(
+        plate = ForcePlate(
             1, corners + shift, force, place + shift, np.zeros((samples, 3)), 10 * RATE
         )
         ground = ground_forces(plate, 0.0, 10.0, FRAMES, RATE)
@@ -154,6 +154,6 @@ def test_a_known_mass_is_kept():
     body = hb.load_body("male")
     own = segment_masses(body, np.zeros(body.num_betas), 74.0, "recorded")
     assert abs(own.total - 74.0) < 1e-9 and own.source == "recorded"
-    assert segment_masses(body, np.zeros(body.num_betas)).source == "volume"
+    assert segment_masses(body, np.zeros(body.num_betas)).source == "from the volume"
     with pytest.raises(HabitusError, match="mass is 900 kg"):
         segment_masses(body, np.zeros(body.num_betas), 900.0)

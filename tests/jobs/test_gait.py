@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import ezc3d
@@ -17,7 +18,7 @@ from habitus.errors import HabitusError
 from habitus.export.opensim_setup import FILES
 from habitus.gait.analysis import analyse
 from habitus.jobs.anatomy import anatomy_of
-from habitus.jobs.gait import gait, gaits
+from habitus.jobs.gait import _capture_of, gait, gaits
 from habitus.jobs.results import Motion
 
 
@@ -169,6 +170,55 @@ def test_outputs_are_written_into_a_copy_of_the_capture(walk, shared, tmp_path):
         analysis.save(tmp_path / "twice", capture=path)
 
 
+def test_sides_of_opensims_names_stay_apart(shared, tmp_path):
+    """knee_angle_r and knee_angle_l are one curve of each side, and two outputs."""
+    (result,) = gaits(
+        [shared / "mocap" / "HC030A05.c3d"], tmp_path / "out", convention="opensim", c3d=True
+    )
+    rows = list(csv.DictReader((tmp_path / "out" / "cycles.csv").read_text().splitlines()))
+    assert "knee_angle_deg" in rows[0] and not any(
+        h.endswith(("_l_deg", "_r_deg")) for h in rows[0]
+    )
+    for side in ("left", "right"):
+        stride = next(s for s in result.strides if s.side == side)
+        own = next(row for row in rows if row["side"] == side)
+        angle = result.angles[f"knee_angle_{side[0]}"]
+        expected = np.interp(stride.start * 100, np.arange(len(angle)), angle)
+        assert abs(float(own["knee_angle_deg"]) - expected) < 1e-3
+        written = own_output(tmp_path / "out" / "gait.c3d", f"{side[0].upper()}KneeAngles_habitus")
+        np.testing.assert_allclose(written[:, 0], angle, atol=1e-3)
+
+
+def test_a_fit_that_is_not_good_is_said(walk, tmp_path):
+    """Of markers that are not where the body is, angles are not."""
+    fit = walk[0].motion
+    shift = 0.3 * np.random.default_rng(0).normal(size=fit.observed_markers.shape)
+    wrong = replace(fit, observed_markers=fit.observed_markers + shift)
+    assert wrong.verdict.level != "good"
+    gait(wrong).save(tmp_path / "out")
+    numbers = json.loads((tmp_path / "out" / "gait.json").read_text())
+    assert numbers["fit_verdict"]["level"] == wrong.verdict.level
+    assert f"banner {wrong.verdict.level}" in (tmp_path / "out" / "gait.html").read_text()
+
+
+def test_the_capture_of_a_fit_is_the_one_of_its_name(walk):
+    fit = replace(walk[0].motion, capture_name="walk_Anna")
+    files = [
+        Path(name) for name in ("walk.c3d", "w.c3d", "run.c3d", "walk_Anna.trc", "walk_Ann.txt")
+    ]
+    assert _capture_of(fit, files) == Path("walk.c3d")
+    assert _capture_of(fit, [Path("run.c3d")]) is None
+
+
+def test_a_copy_needs_a_capture(walk, tmp_path):
+    walk[0].motion.save(tmp_path / "fit")
+    with pytest.raises(HabitusError, match="--captures"):
+        gaits([tmp_path / "fit"], tmp_path / "out", c3d=True)
+    with pytest.raises(HabitusError, match="names differ"):
+        gaits([tmp_path / "fit", tmp_path / "fit"], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_for_opensim(walk, tmp_path):
     """Forces, where they act and what they turn are those of the plates, y up."""
     analysis = walk[0]
@@ -306,7 +356,7 @@ def test_plates_weigh_whose_mass_is_not_known(shared):
     analysis = gait(fit, path)
     assert "plates" in analysis.masses.source
     assert abs(analysis.masses.total - 59.9) < 1.0 and abs(analysis.vertical_bias) < 0.005
-    assert gait(fit).masses.source == "volume"
+    assert gait(fit).masses.source == "from the volume"
 
 
 def test_a_result_folder_takes_its_capture_from_a_folder(shared, tmp_path):

@@ -11,7 +11,7 @@ prior, and Plug-in Gait, with which it could be compared, follows wands on the s
 """
 
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -83,10 +83,20 @@ def segments_of(name: str) -> set[str]:
     """The joints with which the two segments of an angle move, by the angle's name in any
     convention.
     """
-    side = "left" if name.startswith("left_") or name.endswith("_l") else ""
-    side = "right" if name.startswith("right_") or name.endswith("_r") else side
-    joint = name.removeprefix("left_").removeprefix("right_").partition("_")[0]
-    return {part.replace("*", f"{side}_") for part in _SEGMENTS.get(joint, ())}
+    side, plain = split_side(name)
+    return {_sided(part, side) for part in _SEGMENTS.get(plain.partition("_")[0], ())}
+
+
+def split_side(name: str) -> tuple[str, str]:
+    """The side that a column is of, "" for the middle of the body, and its name without it:
+    "left_knee_flexion" and OpenSim's "knee_angle_l" are of the left.
+    """
+    for side in SIDES:
+        if name.startswith(f"{side}_"):
+            return side, name.removeprefix(f"{side}_")
+        if name.endswith(f"_{side[0]}"):
+            return side, name.removesuffix(f"_{side[0]}")
+    return "", name
 
 
 _SEGMENTS: Mapping[str, tuple[str, ...]] = {
@@ -258,19 +268,16 @@ _TABLES: Mapping[str, tuple[_Joint, ...]] = {
 }
 
 
-def anatomical_angles(
-    moving: "Moving", anatomy: Anatomy, convention: str = "isb", stage: str = "soft_tissue"
-) -> AngleTable:
-    """The angles of a body in motion by a convention, "isb" or "pig".
-
-    stage: "pose" for a fit's motion before soft tissue was let go. Raises HabitusError for an
-    unknown convention, and for a body without the joints that carry segments.
+def anatomical_angles(moving: "Moving", anatomy: Anatomy, convention: str = "isb") -> AngleTable:
+    """The angles of a body in motion by a convention, "isb" or "pig" (Wu et al. 2002, 2005; Grood
+    and Suntay 1983). Raises HabitusError for an unknown convention, and for a body without the
+    joints that carry segments.
     """
     if convention not in _TABLES:
         raise HabitusError(
             f"convention is {convention!r}; expected one of {', '.join(CONVENTIONS)}"
         )
-    pose = np.asarray(moving.pose if stage != "pose" else moving.pose_stage[0], np.float64)
+    pose = np.asarray(moving.pose, np.float64)
     turns = segment_rotations(moving, anatomy, convention, pose)
     turns["lab"] = Rotation.from_matrix(laboratory(moving, turns["pelvis"]))
     names: list[str] = []
@@ -302,15 +309,8 @@ def segment_rotations(
     """Segments' anatomical axes in the world, frame by frame. Raises HabitusError for a body
     without the joints that carry them.
     """
-    names, parents = moving.body.joint_names, moving.body.parents
-    world: dict[int, Rotation] = {}
-
-    def turn(k: int) -> Rotation:
-        if k not in world:
-            own = Rotation.from_rotvec(pose[:, k])
-            world[k] = own if parents[k] < 0 else turn(parents[k]) * own
-        return world[k]
-
+    names = moving.body.joint_names
+    world = world_rotations(moving.body.parents, pose)
     out = {}
     for segment, carrier in CARRIERS.items():
         for side in _MIDDLE if carrier in names else SIDES:
@@ -322,7 +322,20 @@ def segment_rotations(
                 )
             name = f"{side}_{segment}" if side else segment
             axes = Rotation.from_matrix(anatomy.frame(name, convention))
-            out[name] = turn(names.index(joint)) * axes
+            out[name] = Rotation.from_matrix(world[:, names.index(joint)]) * axes
+    return out
+
+
+def world_rotations(
+    parents: Sequence[int], pose: Float[np.ndarray, "T J 3"]
+) -> Float[np.ndarray, "T J 3 3"]:
+    """Rotations of joints from rest to the world, of rotation vectors relative to their parents
+    (rad).
+    """
+    out = np.empty((*pose.shape, 3))
+    for k, parent in enumerate(parents):
+        own = Rotation.from_rotvec(pose[:, k]).as_matrix()
+        out[:, k] = own if parent < 0 else out[:, parent] @ own
     return out
 
 
@@ -344,7 +357,7 @@ def laboratory(moving: "Moving", pelvis: Rotation) -> Float[np.ndarray, "3 3"]:
 
 
 def _split(rotation: Rotation, order: str) -> Float[np.ndarray, "T 3"]:
-    """Angles in degrees, about axes that come along, without jumps of a whole turn."""
+    """Euler angles in degrees about intrinsic axes, without jumps of a whole turn."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # where two axes fall together any split will do
         angles = rotation.as_euler(order, degrees=True)

@@ -1,9 +1,8 @@
 """Anatomical landmarks, joint centres and segment frames of a person, at rest.
 
-Landmarks are points of the fitted skin, or latent markers that sit on them (they say more than the
-mean skin: pelvic tilt of the template's own landmarks is 5 degrees off between people, of markers
-1.3). Frames follow ISB: X anterior, Y proximal, Z to the right, on both sides alike (Wu et al.
-2002, 2005; Grood and Suntay 1983). At rest body space is x left, y up, z forward.
+Landmarks are points of the fitted skin, or the person's latent markers where such sit on them.
+Frames follow ISB: X anterior, Y proximal, Z to the right, on both sides alike (Wu et al. 2002,
+2005; Grood and Suntay 1983). At rest body space is x left, y up, z forward.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +18,6 @@ from habitus.errors import HabitusError
 
 Point = Float[np.ndarray, "3"]
 Frame = Float[np.ndarray, "3 3"]
-TEMPLATE = "template"
 SACRUM = "sacrum_between_psis"
 """The middle of the posterior superior iliac spines, on which some layouts have one marker."""
 SIDES = ("left", "right")
@@ -65,10 +63,6 @@ class Anatomy:
         joints = dict(zip(body.joint_names, body.rest_joints(own), strict=True))
         sources = {name: label for name, (label, _) in kept.items()}
         return cls(MappingProxyType(landmarks), MappingProxyType(joints), MappingProxyType(sources))
-
-    def source(self, landmark: str) -> str:
-        """The label of the marker that a landmark is taken from, else "template"."""
-        return self.sources.get(landmark, TEMPLATE)
 
     def centre(self, name: str) -> Point:
         """A conventional joint centre (m): ``left_hip``, ``left_shoulder`` are the body's joints,
@@ -126,8 +120,9 @@ class Anatomy:
 def _moved_partners(
     landmarks: Mapping[str, Point], places: Mapping[str, Point]
 ) -> dict[str, Point]:
-    """Medial landmarks of limbs that have a marker on the lateral side alone: they move as it does,
-    but along the axis between the two, which one marker does not tell; and the other way round.
+    """Medial landmarks of joints with a marker on the lateral landmark alone, and the reverse: they
+    move as the marker does, less the component along the axis between the two landmarks, which one
+    marker does not determine.
     """
     moved = {}
     for side in SIDES:

@@ -26,6 +26,8 @@ TRUNK_DENSITY = 1030.0
 """where the mass is not known, else within"""
 TRUNK_RANGE = (850.0, 1100.0)
 """(breath, and errors of the volume)."""
+FROM_VOLUME = "from the volume"
+"""Source of a mass that nobody knows."""
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "collar")
 
 
@@ -87,7 +89,7 @@ def segment_masses(
         factor = mass / weight.sum()
         weight, density = factor * weight, factor * density
     return SegmentMasses(
-        weight, centre, density[:, None, None] * second, source if mass is not None else "volume"
+        weight, centre, density[:, None, None] * second, FROM_VOLUME if mass is None else source
     )
 
 

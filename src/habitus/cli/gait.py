@@ -45,6 +45,7 @@ NEEDS = ("habitus.jobs.gait",)
 def run(options: Gait, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from habitus.jobs.gait import gaits
+    from habitus.results.gait import fit_verdict
 
     console = console or screen(options.quiet)
     results = gaits(
@@ -58,6 +59,9 @@ def run(options: Gait, console: "Console | None" = None) -> None:
         for contact in result.contacts:
             if contact.refused:
                 say(console, f"{result.name}: plate {contact.plate}: {contact.refused}", "note")
+        verdict = fit_verdict(result)
+        if verdict is not None and verdict["level"] != "good":
+            say(console, f"{result.name}: the fit is {verdict['level']}: see gait.html", "note")
         share = result.residual_share
         forces = "" if share is None else f", residual {100 * share:.1f} % of body weight"
         say(console, f"{result.name}: {len(result.strides)} strides{forces}")

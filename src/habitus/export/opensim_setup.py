@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from habitus.export.trc import write_trc
 from habitus.files import write_text
-from habitus.gait.contacts import Contact, PlateForces
+from habitus.gait.contacts import Contact, ForcePlate
 from habitus.io.captures.read import Capture
 from habitus.rotations import up_rotation
 
@@ -45,7 +45,7 @@ LOWPASS_HZ = 6.0
 
 def write_opensim(
     fit: "MarkerFit",
-    plates: Sequence[PlateForces],
+    plates: Sequence[ForcePlate],
     contacts: Sequence[Contact],
     folder: Path,
     model: str = MODEL,
@@ -68,7 +68,7 @@ def write_opensim(
 
 
 def ground_table(
-    plates: Sequence[PlateForces],
+    plates: Sequence[ForcePlate],
     contacts: Sequence[Contact],
     upright: Float[np.ndarray, "3 3"],
 ) -> tuple[Float[np.ndarray, " S"], dict[str, Float[np.ndarray, " S"]]]:
@@ -87,9 +87,9 @@ def ground_table(
             if contact.side != side or contact.refused:
                 continue
             plate = by_number[contact.plate]
-            end = np.inf if contact.end is None else contact.end
+            start, end = contact.span
             rows = np.round(times * plate.rate_hz).astype(int)
-            inside = (times >= (contact.start or 0.0)) & (times <= end) & (rows < len(plate.force))
+            inside = (times >= start) & (times <= end) & (rows < len(plate.force))
             inside[inside] &= np.isfinite(plate.pressure[rows[inside], 0])
             own = rows[inside]
             weight = np.linalg.norm(plate.force[own], axis=1)

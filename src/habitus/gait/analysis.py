@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from habitus.body.anatomical_angles import AngleTable, segment_rotations
+from habitus.body.anatomical_angles import AngleTable, segment_rotations, world_rotations
 from habitus.body.anatomy import SIDES, Anatomy
 from habitus.body.motion import Moving
-from habitus.body.segments import SegmentMasses
+from habitus.body.segments import FROM_VOLUME, SegmentMasses
+from habitus.body.skinning import descends
 from habitus.errors import HabitusError
-from habitus.gait.contacts import Contact, PlateForces, find_contacts
+from habitus.gait.contacts import Contact, ForcePlate, find_contacts
 from habitus.gait.cycles import Stride, strides
 from habitus.gait.dynamics import (
     GRAVITY,
@@ -46,8 +47,6 @@ EXTENDS = {"hip": -1.0, "knee": 1.0, "ankle": -1.0}
 MAX_RESIDUAL = 0.05
 """Share of the body weight up to which the forces of plates and those that the motion needs agree
 (mean over the frames all of whose contacts are on plates)."""
-
-
 MAX_LACK, LACK_SHARE = 0.12, 0.25
 """Share of the body weight by which a plate lacks force, in more than this share of the frames in
 which its foot bears the person alone, from which on a contact is partial."""
@@ -99,7 +98,7 @@ class GaitAnalysis:
     up: Float[np.ndarray, "3"]
     centres_mm: Mapping[str, float]
     motion: Moving
-    plates: tuple[PlateForces, ...] = ()
+    plates: tuple[ForcePlate, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -127,7 +126,7 @@ def analyse(
     anatomy: Anatomy,
     angles: AngleTable,
     masses: SegmentMasses,
-    plates: Sequence[PlateForces] = (),
+    plates: Sequence[ForcePlate] = (),
     file_events: Mapping[str, FootEvents] | None = None,
     notes: Sequence[str] = (),
 ) -> GaitAnalysis:
@@ -189,9 +188,9 @@ def _events(
     contacts: Sequence[Contact],
     filed: FootEvents | None,
 ) -> FootEvents:
-    """A foot's events by its motion, put right where a plate or the file tells them."""
+    """A foot's events from its motion, replaced by those of plates and of the file nearby."""
     found = motion_events(foot[:, 0], foot[:, 2], rate_hz)
-    own = [c for c in contacts if c.side == side and not c.refused]
+    own = _used(contacts, side)
     strikes = np.array([c.start for c in own if c.start is not None])
     offs = np.array([c.end for c in own if c.end is not None])
     sources = ["motion"] if len(found.strikes) + len(found.offs) else []
@@ -217,10 +216,7 @@ def _replaced(
 def _motion(moving: Moving, masses: SegmentMasses, up: Float[np.ndarray, "3"]) -> _Motion:
     """The mechanics before soft tissue was let go: it takes over some of the bones' motion."""
     pose, trans = (np.asarray(part, np.float64) for part in moving.pose_stage)
-    turns = np.empty((*pose.shape[:2], 3, 3))
-    for k, parent in enumerate(moving.body.parents):
-        own = Rotation.from_rotvec(pose[:, k]).as_matrix()
-        turns[:, k] = own if parent < 0 else turns[:, parent] @ own
+    turns = world_rotations(moving.body.parents, pose)
     rest = np.asarray(moving.body.rest_joints(np.asarray(moving.betas, np.float64)))
     joints = np.empty(pose.shape)
     for k, parent in enumerate(moving.body.parents):
@@ -246,7 +242,7 @@ def _weighed(
     than a volume is off.
     """
     known = np.isfinite(rest).all(1)
-    if masses.source != "volume" or known.sum() < MIN_WEIGHED * rate_hz:
+    if masses.source != FROM_VOLUME or known.sum() < MIN_WEIGHED * rate_hz:
         return None
     needed = own.needed[known] @ up
     factor = float(1.0 + (rest[known] @ up).sum() / needed.sum())
@@ -261,7 +257,7 @@ def _lacking(
     body weight, NaN where not all contacts are on plates.
     """
     at = np.arange(len(share)) / rate_hz
-    used = [c for c in contacts if c.side and not c.refused]
+    used = [contact for side in SIDES for contact in _used(contacts, side)]
     standing = np.zeros(len(share), int)
     for contact in used:
         standing += _during(contact, at)
@@ -279,15 +275,16 @@ def _lacking(
 
 
 def _during(contact: Contact, at: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
-    end = np.inf if contact.end is None else contact.end
-    return (at >= (contact.start or 0.0)) & (at <= end)
+    """Which of some times (s) lie in a contact."""
+    start, end = contact.span
+    return (at >= start) & (at <= end)
 
 
 def _dynamics(
     moving: Moving,
     anatomy: Anatomy,
     masses: SegmentMasses,
-    plates: Sequence[PlateForces],
+    plates: Sequence[ForcePlate],
     contacts: Sequence[Contact],
     events: Mapping[str, FootEvents],
     motion: _Motion,
@@ -295,18 +292,23 @@ def _dynamics(
 ) -> tuple[Curves, Float[np.ndarray, "T 3"]]:
     """Moments, powers and ground forces where they are known, and the residual."""
     frames, rate = len(motion.joints), moving.rate_hz
+    at = np.arange(frames) / rate
+    by_number = {plate.number: plate for plate in plates}
     segments = segment_rotations(moving, anatomy, "pig", np.asarray(moving.pose_stage[0]))
     spin = angular_velocity(motion.turns, rate)
     columns: dict[tuple[str, str], Float[np.ndarray, " T"]] = {}
     slow: list[GroundForces] = []
     known: dict[str, Bool[np.ndarray, " T"]] = {}
     for side in SIDES:
-        spans = _used(plates, contacts, side)
-        ground = [ground_forces(*span, frames, rate) for span in spans]
-        slow += [ground_forces(*span, frames, rate, MOTION_HZ) for span in spans]
-        known[side] = _stance(spans, frames, rate)
+        used = _used(contacts, side)
+        given = [(by_number[contact.plate], *contact.span) for contact in used]
+        ground = [ground_forces(*each, frames, rate) for each in given]
+        slow += [ground_forces(*each, frames, rate, MOTION_HZ) for each in given]
+        known[side] = np.zeros(frames, bool)
+        for contact in used:
+            known[side] |= _during(contact, at)
         if len(plates):
-            known[side] |= _swing(events[side], frames, rate)
+            known[side] |= _swing(events[side], at)
         total = sum((g.force for g in ground), np.zeros((frames, 3))) @ up
         own = {(f"{side}_ground_force_up", "N/kg"): total}
         own |= _leg(side, moving, anatomy, motion, ground, segments, spin)
@@ -319,27 +321,9 @@ def _dynamics(
     return Curves(names, units, np.column_stack(list(columns.values()))), rest
 
 
-def _used(
-    plates: Sequence[PlateForces], contacts: Sequence[Contact], side: str
-) -> list[tuple[PlateForces, float, float]]:
-    """The plates on which a foot stands, from when to when (s), refused contacts left out."""
-    by_number = {plate.number: plate for plate in plates}
-    return [
-        (by_number[c.plate], c.start or 0.0, np.inf if c.end is None else c.end)
-        for c in contacts
-        if c.side == side and not c.refused
-    ]
-
-
-def _stance(
-    spans: Sequence[tuple[PlateForces, float, float]], frames: int, rate_hz: float
-) -> Bool[np.ndarray, " T"]:
-    """Frames in which a foot stands on a plate."""
-    at = np.arange(frames) / rate_hz
-    out = np.zeros(frames, bool)
-    for _, first, last in spans:
-        out |= (at >= first) & (at <= last)
-    return out
+def _used(contacts: Sequence[Contact], side: str) -> list[Contact]:
+    """A foot's contacts that are not refused."""
+    return [contact for contact in contacts if contact.side == side and not contact.refused]
 
 
 def _leg(
@@ -353,13 +337,14 @@ def _leg(
 ) -> dict[tuple[str, str], Float[np.ndarray, " T"]]:
     """Moments (Nm) and powers (W) of a leg's joints, by their names and their units per kg."""
     body, parents = moving.body.joint_names, moving.body.parents
+    below = descends(tuple(parents)) > 0.0
     mirror = 1.0 if side == "right" else -1.0
     out: dict[tuple[str, str], Float[np.ndarray, " T"]] = {}
     for joint, lower, carrier, parts in JOINTS:
         hub, top = (body.index(f"{side}_{name}") for name in (carrier, joint))
         offset = anatomy.centre(f"{side}_{joint}") - anatomy.joints[body[hub]]
         centre = motion.joints[:, hub] + motion.turns[:, hub] @ offset
-        moment = joint_moment(motion.loads, _below(top, parents), centre, ground)
+        moment = joint_moment(motion.loads, below[top], centre, ground)
         local = segments[f"{side}_{lower}"].inv().apply(moment)
         signs = np.array([EXTENDS[joint], -mirror, -mirror])
         for part, values in zip(parts, (signs * local[:, [2, 0, 1]]).T, strict=True):
@@ -369,26 +354,14 @@ def _leg(
     return out
 
 
-def _swing(events: FootEvents, frames: int, rate_hz: float) -> Bool[np.ndarray, " T"]:
-    """Frames in which a foot is in the air: from an off to the next strike, and up to a strike that
-    comes first.
+def _swing(events: FootEvents, at: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
+    """Times (s) at which a foot is in the air: from an off to the next strike, and up to a strike
+    that comes first.
     """
-    at = np.arange(frames) / rate_hz
-    out = np.zeros(frames, bool)
+    out = np.zeros(len(at), bool)
     if len(events.strikes) and (not len(events.offs) or events.strikes[0] < events.offs[0]):
         out |= at < events.strikes[0]
     for off in events.offs:
         later = events.strikes[events.strikes > off]
         out |= (at > off) & (at < (later[0] if len(later) else np.inf))
-    return out
-
-
-def _below(joint: int, parents: Sequence[int]) -> Bool[np.ndarray, " J"]:
-    """The joint and all that hang on it."""
-    out = np.zeros(len(parents), bool)
-    for k in range(len(parents)):
-        at = k
-        while at >= 0 and at != joint:
-            at = int(parents[at])
-        out[k] = at == joint
     return out

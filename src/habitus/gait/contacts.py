@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.arrays import runs
+
 MIN_CONTACT = 0.1
 """Seconds, and"""
 MIN_PEAK = 150.0
@@ -37,11 +39,18 @@ class Contact:
     distance: float
     refused: str = ""
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """From when to when (s); the whole recording where its ends are not known."""
+        return self.start or 0.0, float("inf") if self.end is None else self.end
+
 
 @dataclass(frozen=True, eq=False)
-class PlateForces:
-    """What a plate measured, in the world of the motion. corners (4, 3; m), in turn; force (S, 3;
-    N), on the person; pressure (S, 3; m), NaN where not loaded; free_moment (S, 3; Nm).
+class ForcePlate:
+    """A force plate in the world of the points. corners (4, 3): in order around the plate, m. force
+    (S, 3): on the person, N. pressure (S, 3): centre of pressure in the plate's plane, m, NaN where
+    the plate is not loaded. free_moment (S, 3): about the plate's normal there, Nm. kind: its type
+    in C3D files.
     """
 
     number: int
@@ -50,19 +59,24 @@ class PlateForces:
     pressure: Float[np.ndarray, "S 3"]
     free_moment: Float[np.ndarray, "S 3"]
     rate_hz: float
+    kind: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def loaded(self) -> Bool[np.ndarray, " S"]:
+        """Samples that have a centre of pressure."""
+        return np.isfinite(self.pressure[:, 0])
 
 
 def find_contacts(
-    plates: Sequence[PlateForces],
+    plates: Sequence[ForcePlate],
     feet: Mapping[str, Float[np.ndarray, "T P 3"]],
     rate_hz: float,
 ) -> list[Contact]:
     """The loads on all plates. feet: points of the sole of each foot ("left", "right"; m)."""
     out = []
     for plate in plates:
-        loaded = np.isfinite(plate.pressure[:, 0])
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], loaded, [False]]).astype(int)))
-        for first, last in edges.reshape(-1, 2).tolist():
+        for first, last in runs(plate.loaded):
             size = np.linalg.norm(plate.force[first:last], axis=1)
             if last - first >= MIN_CONTACT * plate.rate_hz and size.max() >= MIN_PEAK:
                 out.append(_contact(plate, first, last, feet, rate_hz))
@@ -70,7 +84,7 @@ def find_contacts(
 
 
 def _contact(
-    plate: PlateForces,
+    plate: ForcePlate,
     first: int,
     last: int,
     feet: Mapping[str, Float[np.ndarray, "T P 3"]],
@@ -106,7 +120,7 @@ def _contact(
 
 
 def _outside(
-    plate: PlateForces, points: Float[np.ndarray, "n P 3"]
+    plate: ForcePlate, points: Float[np.ndarray, "n P 3"]
 ) -> tuple[Float[np.ndarray, "n P"], Float[np.ndarray, "n P"]]:
     """How far points lie outside the plate's edges (m, below zero inside), and above its plane."""
     middle = plate.corners.mean(0)
@@ -121,14 +135,14 @@ def _outside(
     return off, np.abs((points - middle) @ normal)
 
 
-def _beside(plate: PlateForces, sole: Float[np.ndarray, "n P 3"]) -> Float[np.ndarray, " n"]:
+def _beside(plate: ForcePlate, sole: Float[np.ndarray, "n P 3"]) -> Float[np.ndarray, " n"]:
     """How far (m) the part of a sole that is on the floor reaches beyond the plate."""
     off, height = _outside(plate, sole)
     return np.where(height < NEAR_SURFACE, off, -np.inf).max(1, initial=-np.inf)
 
 
 def _standing_on(
-    plate: PlateForces, sole: Float[np.ndarray, "T P 3"], rate_hz: float
+    plate: ForcePlate, sole: Float[np.ndarray, "T P 3"], rate_hz: float
 ) -> Bool[np.ndarray, " T"]:
     """Whether a point of a sole stands on the plate."""
     off, height = _outside(plate, sole)

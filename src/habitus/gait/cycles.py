@@ -26,10 +26,9 @@ MAX_DIFFERENCE = 0.45
 
 @dataclass(frozen=True)
 class Stride:
-    """One cycle of a foot. side; start, off, end: strike, foot off and next strike (s); other: the
-    other foot's strike and off between, None where there are none. length, step_length and
-    step_width in m; speed in m/s; cadence in steps a minute; stance and double_support as shares of
-    the cycle.
+    """One cycle of a foot. start, off, end: foot strike, foot off and next strike (s).
+    other_strike, other_off: of the other foot between them (s), None where there is none. length,
+    step_length, step_width: m. double_support: share of the cycle.
     """
 
     side: str
@@ -84,8 +83,8 @@ def strides(
             offs = own.offs[(own.offs > start) & (own.offs < end)]
             if not MIN_STRIDE < end - start < MAX_STRIDE or len(offs) != 1:
                 continue
-            at = {s: _at(points, rate_hz) for s, points in heels.items()}
-            way = _flat(at[side](end) - at[side](start), up)
+            last = _at(heels[side], rate_hz, end)
+            way = _flat(last - _at(heels[side], rate_hz, start), up)
             length = float(np.linalg.norm(way))
             strike = _first(other.strikes, start, end)
             if length < MIN_LENGTH or not _walks(pelvis, way, start, end, strike, rate_hz, up):
@@ -93,7 +92,7 @@ def strides(
             off = _first(other.offs, start, end)
             step = width = None
             if strike is not None:
-                from_other = _flat(at[side](end) - at[other_side](strike), up)
+                from_other = _flat(last - _at(heels[other_side], rate_hz, strike), up)
                 step = float(from_other @ way / length)
                 width = float(abs(np.cross(way / length, from_other) @ up))
             out.append(
@@ -159,8 +158,9 @@ def symmetry(left: Sequence[float], right: Sequence[float]) -> float | None:
     return (other - one) / middle if middle else 0.0
 
 
-def _at(points: Float[np.ndarray, "T 3"], rate_hz: float):
-    return lambda t: points[min(len(points) - 1, round(t * rate_hz))]
+def _at(points: Float[np.ndarray, "T 3"], rate_hz: float, time: float) -> Float[np.ndarray, "3"]:
+    """The frame nearest to a time (s)."""
+    return points[min(len(points) - 1, round(time * rate_hz))]
 
 
 def _flat(way: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from habitus.gait.contacts import PlateForces
+from habitus.gait.contacts import ForcePlate
 from habitus.gait.events import lowpass
 
 GRAVITY = 9.81
@@ -62,8 +62,9 @@ def loads(
     up: Float[np.ndarray, "3"],
     cutoff_hz: float = MOTION_HZ,
 ) -> Loads:
-    """Of parts whose centres (m) and rotations from rest are known in every frame. inertia: about
-    the centre at rest (kg m^2); cutoff_hz: of the low-pass filter.
+    """The loads of J parts from their motion over T frames. mass: kg; inertia: about the centre, in
+    the axes of rest (kg m^2); centre: m, world; turn: rotations from rest to the world; up: unit
+    vector against gravity; cutoff_hz: of the low-pass filter.
     """
     smooth = lowpass(centre, rate_hz, cutoff_hz)
     acceleration = np.gradient(np.gradient(smooth, axis=0), axis=0) * rate_hz**2
@@ -88,7 +89,7 @@ def angular_velocity(
 
 
 def ground_forces(
-    plate: PlateForces,
+    plate: ForcePlate,
     start: float,
     end: float,
     frames: int,

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from habitus.arrays import runs
+
 CUTOFF_HZ = 12.0
 """Of the feet's low-pass filter, forwards and backwards, of second order."""
 OFF_SPEED = 0.6
@@ -75,18 +77,17 @@ def lowpass(
 
 
 def _swings(toe_speed: Float[np.ndarray, " T"], rate_hz: float) -> list[tuple[int, int]]:
-    """First frame and end of each swing; stances that are too short do not part two."""
+    """First frame and end of each swing; swings with a shorter stance between are one."""
     fast = toe_speed > OFF_SPEED
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], fast, [False]]).astype(int)))
-    runs: list[tuple[int, int]] = []
-    for first, last in edges.reshape(-1, 2).tolist():
-        if runs and first - runs[-1][1] < MIN_STANCE * rate_hz:
-            runs[-1] = (runs[-1][0], last)
+    swings: list[tuple[int, int]] = []
+    for first, last in runs(fast):
+        if swings and first - swings[-1][1] < MIN_STANCE * rate_hz:
+            swings[-1] = (swings[-1][0], last)
         else:
-            runs.append((first, last))
+            swings.append((first, last))
     return [
         (first, last)
-        for first, last in runs
+        for first, last in swings
         if toe_speed[first:last].max() > SWING_SPEED and last - first >= MIN_SWING * rate_hz
     ]
 
@@ -94,11 +95,9 @@ def _swings(toe_speed: Float[np.ndarray, " T"], rate_hz: float) -> list[tuple[in
 def _crossing(speed: Float[np.ndarray, " T"], limit: float, first: int) -> float | None:
     """The frame, with its fraction, from ``first`` on at which a speed falls below a limit."""
     slow = np.flatnonzero(speed[first:] < limit)
-    return (
-        None
-        if not len(slow) or first + slow[0] == 0
-        else _between(speed, limit, first + int(slow[0]) - 1)
-    )
+    if not len(slow) or first + slow[0] == 0:
+        return None
+    return _between(speed, limit, first + int(slow[0]) - 1)
 
 
 def _between(speed: Float[np.ndarray, " T"], limit: float, row: int) -> float:

@@ -41,17 +41,16 @@ def anatomy_of(moving: Moving) -> Anatomy:
     return Anatomy.of(moving.body, moving.betas, markers)
 
 
-def angles(moving: Moving, convention: str = "isb", stage: str = "soft_tissue") -> AngleTable:
+def angles(moving: Moving, convention: str = "isb") -> AngleTable:
     """Joint angles (degrees) by a convention: "isb" (Wu et al. 2002, 2005), "pig" (Plug-in Gait) or
     "opensim" (coordinates of Rajagopal's model, without its places).
 
     Angles of segments without markers are marked as not validated, and all angles of fits to other
-    sensors: none were compared. stage: "pose" for a marker fit's motion before soft tissue was let
-    go. Raises HabitusError for an unknown convention, and for a body without SMPL's joints or
-    without landmarks.
+    sensors: none were compared. Raises HabitusError for an unknown convention, and for a body
+    without SMPL's joints or without landmarks.
     """
     if convention != "opensim":
-        table = anatomical_angles(moving, anatomy_of(moving), convention, stage)
+        table = anatomical_angles(moving, anatomy_of(moving), convention)
     else:
         columns = {n: own for n, own in coordinates(moving).items() if n not in PLACES}
         validated = np.array([name.startswith(VALIDATED) for name in columns])

@@ -11,16 +11,17 @@ from habitus.errors import HabitusError
 from habitus.export.opensim_setup import write_opensim
 from habitus.fit.markers.result import MarkerFit
 from habitus.gait.analysis import GaitAnalysis, analyse
-from habitus.gait.contacts import PlateForces
+from habitus.gait.contacts import ForcePlate
 from habitus.io.bands import read_bands
 from habitus.io.captures.events import read_events
-from habitus.io.captures.force_plates import ForcePlate, read_force_plates
+from habitus.io.captures.force_plates import read_force_plates
 from habitus.io.limits import read_file
 from habitus.io.names import plain_name
 from habitus.jobs.anatomy import anatomy_of, angles
+from habitus.jobs.exporting import read_moving
 from habitus.jobs.mosh import mosh
 from habitus.jobs.options import GaitOptions, takes
-from habitus.jobs.results import load_fit, load_motion, with_methods
+from habitus.jobs.results import with_methods
 from habitus.report.gait import gait_page
 from habitus.results.gait import GAIT_FILES, save_gait
 from habitus.results.save import result_lock
@@ -62,29 +63,27 @@ def gait(
 ) -> GaitResult:
     """The gait analysis of a body in motion: a fit, a motion, or the file or result folder of one.
 
-    capture: the .c3d that was fitted, for its force plates and events. Angles come of any sensor's
-    fit, forces of captures with plates. Raises HabitusError for a body without SMPL's
+    capture: the .c3d that was fitted, for its force plates and events. Fits of any sensor have
+    angles, captures with force plates have forces. Raises HabitusError for a body without SMPL's
     joints or without landmarks, and for a capture that cannot be read.
     """
-    moving = motion if isinstance(motion, Moving) else load_any(motion)
+    moving = read_moving(motion)
     plates: tuple[ForcePlate, ...] = ()
-    filed = None
-    notes: list[str] = []
+    events = None
     if capture is not None and Path(capture).suffix.lower() == C3D:
         content, name = read_file(Path(capture)), Path(capture).name
         if options.plates == "auto":
             plates = read_force_plates(content, name)
         if options.events == "auto":
-            filed = read_events(content, name)
-        notes += [note for plate in plates for note in plate.notes]
+            events = read_events(content, name)
     analysis = analyse(
         moving,
         anatomy_of(moving),
         angles(moving, options.convention),
         _masses(moving, options.mass),
-        [_forces(plate) for plate in plates if plate.loaded.any()],
-        filed,
-        notes,
+        plates,
+        events,
+        [note for plate in plates for note in plate.notes],
     )
     return with_methods(GaitResult, analysis)
 
@@ -111,48 +110,48 @@ def gaits(
     pairs: list[tuple[Moving, Path | None]] = []
     if raw:
         progress(f"fitting {len(raw)} capture{'s' if len(raw) > 1 else ''}")
-        by_name = {path.stem: path for path in raw}
-        pairs += [(fit, by_name.get(fit.capture_name, raw[0])) for fit in mosh(raw)]
+        pairs += [(fit, _capture_of(fit, raw)) for fit in mosh(raw)]
+    beside = sorted(Path(captures).iterdir()) if captures is not None else []
     for path in fitted:
-        moving = load_any(path)
-        pairs.append((moving, _capture_of(moving, captures)))
+        moving = read_moving(path)
+        pairs.append((moving, _capture_of(moving, beside)))
+    _refuse_unwritable(pairs, options)
     results = []
-    names = _distinct([moving.capture_name for moving, _ in pairs])
     with result_lock(out, GAIT_FILES):
-        for name, (moving, capture) in zip(names, pairs, strict=True):
-            progress(f"analysing {name}")
+        for moving, capture in pairs:
+            progress(f"analysing {moving.capture_name}")
             result = gait(moving, capture, options=options)
             copied = capture if options.c3d else None
-            where = out if len(pairs) == 1 else Path(out) / name
+            where = out if len(pairs) == 1 else Path(out) / plain_name(moving.capture_name)
             result.save(where, options.band, copied, options.opensim)
             results.append(result)
     return results
 
 
-def load_any(path: PathLike) -> Moving:
-    """A fit or a motion in a file or a result folder. Raises HabitusError."""
-    where = Path(path)
-    try:
-        return load_fit(where)
-    except HabitusError:
-        return load_motion(where / "body.npz" if where.is_dir() else where)
+def _capture_of(moving: Moving, captures: Sequence[Path]) -> Path | None:
+    """The .c3d that was fitted: of those whose name the motion's begins with, the longest; several
+    people of one file are named by it and by themselves.
+    """
+    own = [path for path in captures if path.suffix.lower() == C3D]
+    named = [path for path in own if moving.capture_name.startswith(plain_name(path.stem))]
+    return max(named, key=lambda path: len(path.stem), default=None)
 
 
-def _capture_of(moving: Moving, folder: PathLike | None) -> Path | None:
-    """The capture in a folder whose name a result has."""
-    if folder is None:
-        return None
-    found = [path for path in Path(folder).iterdir() if path.stem == moving.capture_name]
-    return next((path for path in found if path.suffix.lower() == C3D), None)
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """Names of folders: those that come again are numbered."""
-    out: list[str] = []
-    for name in map(plain_name, names):
-        again = sum(other == name or other.startswith(f"{name}_") for other in out)
-        out.append(f"{name}_{again + 1}" if name in out else name)
-    return out
+def _refuse_unwritable(pairs: Sequence[tuple[Moving, Path | None]], options: GaitOptions) -> None:
+    """Before anything is written: names that differ, and a capture where a copy of it is wanted."""
+    names = [moving.capture_name for moving, _ in pairs]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise HabitusError(
+            f"several results are of {twice[0]}; expected captures whose names differ: analyse "
+            "them in separate runs"
+        )
+    without = [moving.capture_name for moving, capture in pairs if capture is None]
+    if options.c3d and without:
+        raise HabitusError(
+            f"{without[0]}: no .c3d of this name to copy; give the folder that holds it "
+            "(--captures), or leave --c3d out"
+        )
 
 
 def _masses(moving: Moving, mass: float | None) -> SegmentMasses:
@@ -163,14 +162,3 @@ def _masses(moving: Moving, mass: float | None) -> SegmentMasses:
         mass = float(recorded) if isinstance(recorded, float | int) else None
         source = "recorded in the capture"
     return segment_masses(moving.body, moving.betas, mass, source)
-
-
-def _forces(plate: ForcePlate) -> PlateForces:
-    return PlateForces(
-        plate.number,
-        plate.corners,
-        plate.force,
-        plate.pressure,
-        plate.free_moment[:, None] * plate.up,
-        plate.rate_hz,
-    )

@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
+from habitus.arrays import runs
 from habitus.body.anatomy import SIDES
 from habitus.errors import shown
 from habitus.gait.analysis import MAX_RESIDUAL, GaitAnalysis
@@ -15,6 +16,7 @@ from habitus.gait.cycles import POINTS, symmetry
 from habitus.report.shell import (
     MAX_NAME,
     Tile,
+    banner,
     card,
     file_links,
     heading,
@@ -23,7 +25,14 @@ from habitus.report.shell import (
     shell,
     tiles,
 )
-from habitus.results.gait import NUMBERS, side_curves, stride_means
+from habitus.results.gait import (
+    NUMBERS,
+    fit_verdict,
+    not_validated,
+    side_curves,
+    stride_means,
+    units_of,
+)
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 230.0, 150.0, 34.0, 18.0
 """SVG units of one plot, and its margins."""
@@ -62,11 +71,13 @@ def gait_page(
     deviation (`habitus.io.bands`).
     """
     strides = "".join(_strides(analysis)) or "<p class='quiet'>No stride was found.</p>"
+    verdict = fit_verdict(analysis)
     files = dict(FILES)
     if not analysis.contacts:
         del files["dynamics.csv"]
     parts = [
         heading(analysis.name, _facts(analysis)),
+        *([] if verdict is None else [banner(verdict)]),
         tiles(_tiles(analysis)),
         card("Strides", strides, _events_lead(analysis)),
         *_curves(analysis, bands),
@@ -84,7 +95,7 @@ def _facts(analysis: GaitAnalysis) -> list[str]:
         f"{len(analysis.angles.values)} frames at {analysis.rate_hz:g} Hz",
         f"{count} stride{'' if count == 1 else 's'}",
         f"angles by the convention {analysis.angles.convention}",
-        f"mass {analysis.masses.total:.1f} kg, {analysis.masses.source or 'from the volume'}",
+        f"mass {analysis.masses.total:.1f} kg, {analysis.masses.source}",
     ]
 
 
@@ -132,15 +143,7 @@ def _curves(analysis: GaitAnalysis, bands: Mapping[str, np.ndarray]) -> list[str
         return []
     sides = {side: side_curves(analysis, side) for side in SIDES}
     names = next(iter(sides.values()))[0]
-    unsure = {
-        name.removeprefix("left_").removeprefix("right_")
-        for name, sure in zip(analysis.angles.names, analysis.angles.validated, strict=True)
-        if not sure
-    }
-    units = {
-        name.split("_", 1)[1]: unit
-        for name, unit in zip(analysis.dynamics.names, analysis.dynamics.units, strict=True)
-    }
+    unsure, units = not_validated(analysis), units_of(analysis)
     groups: dict[str, list[str]] = {"Angles": [], "Forces, moments and powers": []}
     for k, name in enumerate(names):
         curves = {side: own[:, :, k] for side, (_, own) in sides.items()}
@@ -211,8 +214,8 @@ def _plot(
             mean = np.where(counts > 0, np.nansum(stack, 0) / np.maximum(counts, 1), np.nan)
             lines.append((mean, 1.8, 1.0))
         for curve, width, opacity in lines:
-            for run in _runs(np.isfinite(curve)):
-                points = " ".join(at(grid[run], curve[run]))
+            for first, last in runs(np.isfinite(curve)):
+                points = " ".join(at(grid[first:last], curve[first:last]))
                 parts.append(
                     f"<polyline points='{points}' fill='none' stroke='{COLOURS[side]}' "
                     f"stroke-width='{width}' opacity='{opacity}'/>"
@@ -222,11 +225,6 @@ def _plot(
         f"<svg viewBox='0 0 {WIDTH:.0f} {HEIGHT:.0f}' role='img' "
         f"aria-label='{name.replace('_', ' ')}'{style}>{''.join(parts)}</svg>"
     )
-
-
-def _runs(known: np.ndarray) -> list[slice]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a > 1]
 
 
 def _forces(analysis: GaitAnalysis) -> list[str]:

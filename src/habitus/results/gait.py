@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from habitus.body.anatomical_angles import split_side
 from habitus.body.anatomy import SIDES
 from habitus.files import whole_folder, write_text
 from habitus.gait.analysis import GaitAnalysis
@@ -25,7 +26,7 @@ GAIT_FILES = (
     "opensim",
 )
 UNSURE = "_not_validated"
-"""Ending of the columns of angles that laboratories' own do not bear out."""
+"""Ending of the columns of angles that are not validated."""
 NUMBERS = {
     "stride_time_s": lambda stride: stride.seconds,
     "stride_length_m": lambda stride: stride.length,
@@ -98,10 +99,9 @@ def _triples(
     out: dict[str, Float[np.ndarray, "T 3"]] = {}
     filled: dict[str, int] = {}
     for name, column in zip(names, values.T, strict=True):
-        side, _, rest = name.partition("_")
-        joint = (rest if side in SIDES else name).partition("_")[0]
-        letter = side[0].upper() if side in SIDES else ""
-        label = f"{letter}{joint.capitalize()}{kind}_habitus"
+        side, plain = split_side(name)
+        joint = plain.partition("_")[0]
+        label = f"{side[:1].upper()}{joint.capitalize()}{kind}_habitus"
         table = out.setdefault(label, np.zeros((len(values), 3)))
         place = 2 if last else filled.get(label, 0)
         filled[label] = filled.get(label, 0) + 1
@@ -123,6 +123,7 @@ def gait_numbers(analysis: GaitAnalysis) -> dict[str, Any]:
     return finite(
         {
             "capture": analysis.name,
+            "fit_verdict": fit_verdict(analysis),
             "rate_hz": analysis.rate_hz,
             "convention": analysis.angles.convention,
             "angles_not_validated": [
@@ -190,16 +191,38 @@ def side_curves(
     tables = [(analysis.angles.names, analysis.angles.values)]
     if analysis.contacts:
         tables.append((analysis.dynamics.names, analysis.dynamics.values))
-    other = "left_" if side == "right" else "right_"
     for heads, values in tables:
-        for k, head in enumerate(heads):
-            if not head.startswith(other):
-                names.append(head.removeprefix(f"{side}_"))
-                columns.append(values[:, k])
+        for head, column in zip(heads, values.T, strict=True):
+            owner, plain = split_side(head)
+            if owner in ("", side):
+                names.append(plain)
+                columns.append(column)
     table = np.column_stack(columns)
     own = [s for s in analysis.strides if s.side == side]
     curves = [normalised(table, analysis.rate_hz, s.start, s.end) for s in own]
     return names, np.stack(curves) if curves else np.zeros((0, POINTS, len(names)))
+
+
+def not_validated(analysis: GaitAnalysis) -> set[str]:
+    """Angles that are not validated, on one side at least; names without the side."""
+    table = analysis.angles
+    return {
+        split_side(name)[1]
+        for name, sure in zip(table.names, table.validated, strict=True)
+        if not sure
+    }
+
+
+def units_of(analysis: GaitAnalysis) -> dict[str, str]:
+    """The units of forces, moments and powers, by their names without the side."""
+    curves = analysis.dynamics
+    return {split_side(n)[1]: unit for n, unit in zip(curves.names, curves.units, strict=True)}
+
+
+def fit_verdict(analysis: GaitAnalysis) -> dict[str, Any] | None:
+    """The verdict of the fit that was analysed, None for a motion without one."""
+    verdict = getattr(analysis.motion, "verdict", None)
+    return None if verdict is None else verdict.entry()
 
 
 def _known(strides: Sequence[Stride], side: str, name: str) -> list[float]:
@@ -219,22 +242,16 @@ def _over_time(names: Sequence[str], values: Float[np.ndarray, "T N"], rate_hz: 
 
 def _cycles_csv(analysis: GaitAnalysis) -> str:
     """A row for each percent of each stride; left and right under the same heads."""
-    unsure = {
-        name.removeprefix("left_").removeprefix("right_")
-        for name, sure in zip(analysis.angles.names, analysis.angles.validated, strict=True)
-        if not sure
-    }
-    units = {
-        name.split("_", 1)[1]: _plain(unit)
-        for name, unit in zip(analysis.dynamics.names, analysis.dynamics.units, strict=True)
-    }
+    unsure, units = not_validated(analysis), units_of(analysis)
     lines: list[str] = []
     for side in SIDES:
         names, curves = side_curves(analysis, side)
         if not lines:
             heads = [
-                f"{n}_{units[n]}" if n in units else f"{n}_deg{UNSURE if n in unsure else ''}"
-                for n in names
+                f"{name}_{_plain(units[name])}"
+                if name in units
+                else f"{name}_deg{UNSURE if name in unsure else ''}"
+                for name in names
             ]
             lines.append(",".join(["side", "stride", "percent", *heads]))
         for number, curve in enumerate(curves, 1):

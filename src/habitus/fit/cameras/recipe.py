@@ -64,9 +64,9 @@ def fit_cameras(
     """Everybody whom the cameras see, or the first ``people``.
 
     known: the one person's height, the floor, the world's upward axis, as far as they are known.
-    correct: estimate corrections of the cameras. One camera leaves depth open, but where feet stand
-    on a known floor: the verdict says so. Raises
-    HabitusError where nobody is seen by two cameras, of one camera where nobody is seen.
+    correct: estimate corrections of the cameras. One camera does not determine depth: the verdict is
+    doubtful at best. Raises HabitusError where nobody is seen by two cameras, of one camera where
+    nobody is seen.
     """
     progress("people", 0.0)
     found = chosen(tracks(detections.of_cameras(rig.names), rig, settings), people)
@@ -131,9 +131,7 @@ def fit_person(
             body, prior, keypoints, data, here, settings, reaches, known.height, free
         )
         person = keypoints.shaped(shape.betas, shape.offsets)
-        floor: OnFloor = (None, None)
-        if alone and known.floor is not None:
-            floor = on_floor(late, sight, shape.rig, keypoints, person, up, known.floor, rate)
+        floor = on_floor(late, sight, shape.rig, keypoints, person, known, up, rate)
         every = keypoint_data(
             person,
             shape.rig,
@@ -258,10 +256,8 @@ def start_alone(
         np.zeros(1),
         np.zeros((len(pixels), 1), bool),
     )
-    floor: OnFloor = (None, None)
-    if known.floor is not None:
-        up = upright(person.points(pose, trans), keypoints, known.up)
-        floor = on_floor(pixels, sight, rig, keypoints, person, up, known.floor, detections.rate_hz)
+    up = upright(person.points(pose, trans), keypoints, known.up)
+    floor = on_floor(pixels, sight, rig, keypoints, person, known, up, detections.rate_hz)
     for reach in settings.reaches:
         seen = keypoint_data(
             person,
@@ -284,11 +280,15 @@ def on_floor(
     rig: CameraRig,
     keypoints: KeypointRig,
     person: ShapedKeypoints,
+    known: Known,
     up: str,
-    floor: float,
     rate_hz: float,
-) -> tuple[Float[np.ndarray, "T K 3"], Float[np.ndarray, "T K"]]:
-    """Where feet of one camera stand on a floor (m), NaN elsewhere, and the weights (1 / m^2)."""
+) -> OnFloor:
+    """Where feet of one camera stand on a known floor (m), NaN elsewhere, and the weights (1 /
+    m^2); None of both with several cameras, or without a floor.
+    """
+    if len(rig.cameras) > 1 or known.floor is None:
+        return None, None
     points = standing_points(
         rig.cameras[0],
         pixels[:, 0],
@@ -296,7 +296,7 @@ def on_floor(
         keypoints.names,
         person,
         up_rotation(up),
-        floor,
+        known.floor,
         rate_hz,
     )
     return points, np.full(points.shape[:2], 1.0 / STILL_SD**2)

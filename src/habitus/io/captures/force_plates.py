@@ -13,12 +13,12 @@ depth: forces push people up, and sensors lie below the surface.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from habitus.errors import HabitusError
+from habitus.gait.contacts import ForcePlate
 from habitus.io.captures.analog import Analog, read_analog
 from habitus.io.captures.c3d_parameters import Parameters
 from habitus.io.units import METRES, unit_of
@@ -37,33 +37,6 @@ UNLOADED_SPREAD = 6.0
 """where they vary by no more than this (N, sd)"""
 MAX_BASELINE = 150.0
 """and lie no further from zero (N): otherwise somebody stands on the plate all the time."""
-
-
-@dataclass(frozen=True, eq=False)
-class ForcePlate:
-    """One plate. corners (4, 3): m. force (S, 3): on the person, N. pressure (S, 3): the centre of
-    pressure (m) in the plate's plane, NaN where the plate is not loaded. free_moment (S,): about
-    the plate's normal there (Nm). baseline (6 or 8,): what was subtracted from the channels.
-    """
-
-    number: int
-    kind: int
-    corners: Float[np.ndarray, "4 3"]
-    force: Float[np.ndarray, "S 3"]
-    pressure: Float[np.ndarray, "S 3"]
-    free_moment: Float[np.ndarray, " S"]
-    rate_hz: float
-    notes: tuple[str, ...] = ()
-
-    @property
-    def up(self) -> Float[np.ndarray, "3"]:
-        """Normal of the surface, away from the sensors."""
-        return _up(_axes(self.corners))
-
-    @property
-    def loaded(self) -> Bool[np.ndarray, " S"]:
-        """Samples with a force of `LOADED` or more."""
-        return np.linalg.norm(self.force, axis=1) > LOADED
 
 
 def read_force_plates(content: bytes, name: str) -> tuple[ForcePlate, ...]:
@@ -142,7 +115,7 @@ def _calibration(parameters: Parameters, k: int, used: int) -> Float[np.ndarray,
 
 
 def _axes(corners: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "3 3"]:
-    """x and y of a plate as the file has them and its upward normal, as columns."""
+    """x, y and z of a plate as the file has them, as columns."""
     x = corners[0] - corners[1]
     z = np.cross(x, corners[0] - corners[3])
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
@@ -184,12 +157,12 @@ def _plate(
     pressure = np.where(loaded[:, None], centre + arm, np.nan)
     return ForcePlate(
         number,
-        kind,
         corners,
         force,
         pressure,
-        np.where(loaded, free, 0.0),
+        np.where(loaded, free, 0.0)[:, None] * up,
         analog.rate_hz,
+        kind,
         tuple(notes),
     )
 
@@ -217,9 +190,9 @@ def _zeroed(
 def _surface(
     channels: Float[np.ndarray, "S 6"], origin: Float[np.ndarray, "3"], unit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Force (N) and moment (Nm) about the middle of the surface, in the plate's axes. ``origin`` is
-    the way from the sensors to the surface (m), its z, downwards, not above zero; files with a
-    positive one have the opposite way.
+    """Force (N) and moment (Nm) about the middle of the surface, in the plate's axes. ``origin``:
+    vector from the sensors to the surface (m); z points down, so that its z is negative. Files with
+    a positive z hold the opposite vector.
     """
     force, moment = channels[:, :3], unit * channels[:, 3:]
     below = origin if origin[2] > 0.0 else -origin
