@@ -64,9 +64,9 @@ def fit_cameras(
     """Everybody whom the cameras see, or the first ``people``.
 
     known: the one person's height, the floor, the world's upward axis, as far as they are known.
-    correct: estimate corrections of the cameras. One camera does not determine depth: the verdict is
-    doubtful at best. Raises HabitusError where nobody is seen by two cameras, of one camera where
-    nobody is seen.
+    correct: estimate corrections of the cameras. One camera does not determine depth: the verdict
+    is doubtful at best. Raises HabitusError where nobody is seen by two cameras, or by the one
+    there is.
     """
     progress("people", 0.0)
     found = chosen(tracks(detections.of_cameras(rig.names), rig, settings), people)
@@ -291,8 +291,8 @@ def on_floor(
         return None, None
     points = standing_points(
         rig.cameras[0],
-        pixels[:, 0],
-        sight.size[:, 0],
+        np.take(pixels, 0, axis=1),
+        np.take(sight.size, 0, axis=1),
         keypoints.names,
         person,
         up_rotation(up),
