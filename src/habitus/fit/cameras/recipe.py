@@ -287,12 +287,12 @@ def on_floor(
     """Where feet of one camera stand on a known floor (m), NaN elsewhere, and the weights (1 /
     m^2); None of both with several cameras, or without a floor.
     """
-    if len(rig.cameras) > 1 or known.floor is None:
+    if known.floor is None or len(rig.names) > 1:
         return None, None
     points = standing_points(
         rig.cameras[0],
-        np.take(pixels, 0, axis=1),
-        np.take(sight.size, 0, axis=1),
+        pixels[:, 0],
+        sight.size[:, 0],
         keypoints.names,
         person,
         up_rotation(up),
