@@ -20,10 +20,10 @@ from habitus.fit.markers.result import MarkerFit
 from habitus.io.layouts.files import load_layout, match_layout
 
 FROM_MARKERS = (
-    {"left_asis", "right_asis"},
-    {"left_psis", "right_psis"},
-    {SACRUM},
-    *({f"{side}_{joint}_{end}"}
+    ("left_asis", "right_asis"),
+    ("left_psis", "right_psis"),
+    (SACRUM,),
+    *((f"{side}_{joint}_{end}",)
       for side in SIDES for joint in ("knee", "ankle") for end in ("lateral", "medial")),
 )  # fmt: skip
 """Landmarks for which markers are taken, all of a set or none; elsewhere the template's agree
@@ -79,5 +79,5 @@ def _markers_on_landmarks(fit: MarkerFit) -> Mapping[str, tuple[str, np.ndarray]
             continue
         place = np.asarray(fit.latent_markers[fit.labels.index(marker.label)], np.float64)
         found.setdefault(landmark, (marker.label, place))
-    whole = [names for names in FROM_MARKERS if names <= set(found)]
+    whole = [names for names in FROM_MARKERS if set(names) <= set(found)]
     return {name: found[name] for names in whole for name in names}
