@@ -118,7 +118,7 @@ def corrections(
         shift[:, [0, 2]] -= shift[:, [0, 2]].mean(axis=0)
         shift[:, 1] += offsets[:, 1].mean() - shift[:, 1].mean()
         out[frames], known[frames] = shift, True
-    return _bridged(out, known)
+    return bridged(out, known)
 
 
 def _chained(
@@ -135,7 +135,7 @@ def _chained(
     return shift
 
 
-def _bridged(shift: np.ndarray, known: np.ndarray) -> Float[np.ndarray, "T 3"]:
+def bridged(shift: np.ndarray, known: np.ndarray) -> Float[np.ndarray, "T 3"]:
     """Between known frames a way that begins and ends at rest; before the first and after the last
     it holds.
     """
