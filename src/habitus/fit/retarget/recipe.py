@@ -80,7 +80,7 @@ def retargeted(
     _check(source.body, body)
     turn = up_rotation(source.up_axis)
     soles = find_soles(body, settings.contacts)
-    before = _turned(source, turn)
+    before = turned(source, turn)
     there = before.points(soles.used)
     points = soles.means(there)
     still = standing(points, source.rate_hz, settings.contacts)
@@ -106,7 +106,7 @@ def retargeted(
         f"retargeted to {name}: way scaled by {scale:.3f}, feet kept where they stood, soft "
         "tissue carried over"
     )
-    made = _turned(moved, turn.T)
+    made = turned(moved, turn.T)
     pose = same_turns(made.pose, source.pose)
     whose = name if FROM in body.extras else source.body_name
     made = replace(
@@ -131,7 +131,7 @@ def _check(body: BodyModel, other: BodyModel) -> None:
         )
 
 
-def _turned(motion: BodyMotion, turn: Float[np.ndarray, "3 3"]) -> BodyMotion:
+def turned(motion: BodyMotion, turn: Float[np.ndarray, "3 3"]) -> BodyMotion:
     """The same motion in another world: the root turns about where it is."""
     root = skeleton_of(motion).rest[:, 0]
     pose = motion.pose.copy()

@@ -29,7 +29,7 @@ class Person(NamedTuple):
 
     ``directions`` (T, 3) by segment and name; ``hips`` (T, 3) between the hip joints; ``soles``
     (T, 2, 3, 3): side; heel, ball, toes; ``still`` says which of them stand; ``leg`` is the height
-    of the hip joints of the body standing (m).
+    of the hip joints of the body standing, ``ground`` that of the ground in the capture's world (m).
     """
 
     directions: dict[tuple[str, str], Float[np.ndarray, "T 3"]]
@@ -38,6 +38,7 @@ class Person(NamedTuple):
     soles: Float[np.ndarray, "T 2 3 3"]
     still: Bool[np.ndarray, "T 2 3"]
     leg: float
+    ground: float
 
 
 def person_of(motion: BodyMotion, pairs: RobotPairs, contacts: ContactSettings) -> Person:
@@ -63,6 +64,7 @@ def person_of(motion: BodyMotion, pairs: RobotPairs, contacts: ContactSettings) 
         soles=points - ground,
         still=still,
         leg=float(skeleton.rest[:, hips, 1].mean() - rest[:, 1].min()),
+        ground=float(ground[2]),
     )
 
 

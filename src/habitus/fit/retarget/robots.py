@@ -53,7 +53,8 @@ class RobotSettings:
     contacts: ContactSettings = field(default_factory=ContactSettings)
     schedule: tuple[tuple[float, BandedOptions], ...] = (
         (1e-2, BandedOptions(stride=8, steps=30, damping=1.0)),
-        (1.0, BandedOptions(steps=15)),
+        (1e-2, BandedOptions(steps=15)),
+        (1.0, BandedOptions(steps=20)),
     )
     """Stages of the solver, each with a share of the weight of ``stand``."""
 

@@ -24,15 +24,16 @@ function start() {
   const byId = id => document.getElementById(id);
   let player = null, keepInSight = () => {};
   const seek = t => { player?.seekTime(t); keepInSight(); };
-  const distances = curves(byId('distance-plot'), report, arrays, [
+  const shown = report.curves ?? [
     { array: 'distance/skin', name: 'Skin, mean', on: true, style: 'final' }, { array: 'distance/joints', name: 'Joints, mean', on: true, style: 'before' },
     { array: 'distance/aligned', name: 'Joints, root-aligned', on: false, style: 'right' }, { array: 'distance/worst', name: 'Largest distance', on: false, style: 'worst' },
-  ], 'mm', seek);
-  const errors = curves(byId('error-plot'), report, arrays, [
+  ];
+  const distances = curves(byId('distance-plot'), report, arrays, shown, report.unit ?? 'mm', seek);
+  const errors = byId('error-plot') && curves(byId('error-plot'), report, arrays, [
     { array: 'error/a', name: 'A', on: true, style: 'side-a' }, { array: 'error/b', name: 'B', on: true, style: 'side-b' },
   ], 'mm', seek);
-  const angles = anglePlot(byId('angle-plot'), report, arrays, seek);
-  const values = arrays.get(arrays.has('distance/skin') ? 'distance/skin' : 'distance/joints'), times = arrays.get('times');
+  const angles = byId('angle-plot') && anglePlot(byId('angle-plot'), report, arrays, seek);
+  const values = arrays.get(shown.find(one => arrays.has(one.array)).array), times = arrays.get('times');
   const timeline = () => strip(root.querySelector('#strip'), { values, at: times.map(t => t * report.rate), frames: report.frames });
   try {
     player = new PairPlayer(report, arrays, other, root);
