@@ -1,12 +1,13 @@
-"""`habitus retarget`: another body in the same motion."""
+"""`habitus retarget`: another body, or a humanoid robot, in the same motion."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from habitus.cli.screen import plain, say, screen
+from habitus.errors import HabitusError
 from habitus.jobs.options import metavar, unset
 
 if TYPE_CHECKING:
@@ -15,37 +16,58 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Retarget:
-    """Transfer the motion of a fit to another body, with its soft tissue and foot contacts.
+    """Transfer the motion of a fit to another body, with its soft tissue and foot contacts, or to a
+    humanoid robot, within the limits of its joints.
 
     habitus retarget results/walk/body.npz --target character.obj --out character_walk.glb
 
     habitus retarget results/walk/body.npz --target female --out her_walk.npz
 
-    See `docs/exaggerating-and-retargeting.md`.
+    habitus retarget results/walk/body.npz --robot g1.xml --out walk_g1.npz
+
+    See `docs/exaggerating-and-retargeting.md` and `docs/robots.md`.
     """
 
     source: Annotated[Path, tyro.conf.Positional, metavar("BODY.npz")]
     """A fit's body.npz, a motion that habitus wrote, or an npz in AMASS's style."""
-    target: Annotated[str, metavar("FILE|BETAS|NAME")]
+    out: Annotated[Path, metavar("FILE.npz|glb|csv|pkl|FOLDER")]
+    """File for the motion; a folder receives an OBJ for each frame. A robot's is .npz, .csv or
+    .pkl, and a page (.html) and numbers (.json) go beside it.
+    """
+    target: Annotated[str | None, unset("FILE|BETAS|NAME")] = None
     """A person (npz), a mesh of the body's topology (obj, ply), betas (1.5,-0.5), or neutral,
     female, male.
     """
-    out: Annotated[Path, metavar("FILE.npz|glb|FOLDER")]
-    """File for the motion; a folder receives an OBJ for each frame."""
+    robot: Annotated[Path | None, unset("FILE.xml|urdf")] = None
+    """A humanoid robot, MJCF or URDF, in place of a target."""
+    pairs: Annotated[str | None, unset("NAME|FILE.toml")] = None
+    """Which of the robot's links is which segment of the body; found by the links' names where one
+    of the shipped tables fits: booster_t1, fourier_n1, unitree_g1, unitree_h1.
+    """
+    fps: Annotated[float | None, unset("HZ")] = None
+    """Frames a second of the robot's motion; the source's where missing."""
+    robot_style: Literal["habitus", "loco-mujoco", "isaac-lab"] = "habitus"
+    """Form of a robot's npz."""
     body: Annotated[str | None, unset("FILE")] = None
     """The body model of the source, where it names no bundled one."""
 
 
 OPTIONS = Retarget
 ABOUT = Retarget.__doc__
-NEEDS = ("habitus.jobs.motions",)
+NEEDS = ("habitus.jobs.motions", "habitus.jobs.robots")
 
 
 def run(options: Retarget, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
+    console = console or screen()
+    if options.robot is not None and options.target is None:
+        _to_robot(options, console)
+        return
+    if options.target is None or options.robot is not None:
+        raise HabitusError("expected one of --target and --robot: another body, or a robot")
+    _check_unused(options)
     from habitus.jobs.motions import retarget
 
-    console = console or screen()
     retargeted = retarget(options.source, options.target, body=options.body, out=options.out)
     slip, below = ([1e3 * value for value in each] for each in (retargeted.slip, retargeted.below))
     say(console, f"legs are {retargeted.scale:.2f} times as long, and so is the way", "note")
@@ -61,6 +83,46 @@ def run(options: Retarget, console: "Console | None" = None) -> None:
         console,
         f"{retargeted.motion.num_frames} frames of {plain(retargeted.motion.body_name)}, "
         f"{plain(options.out)}",
+    )
+
+
+def _check_unused(options: Retarget) -> None:
+    """Refuse what only a robot takes."""
+    given = {"--pairs": options.pairs, "--fps": options.fps}
+    for name, value in given.items():
+        if value is not None:
+            raise HabitusError(f"{name} goes with --robot; leave it out with --target")
+
+
+def _to_robot(options: Retarget, console: "Console") -> None:
+    from habitus.jobs.robots import retarget_to_robot
+
+    assert options.robot is not None
+    made = retarget_to_robot(
+        options.source,
+        options.robot,
+        pairs=options.pairs,
+        body=options.body,
+        fps=options.fps,
+        out=options.out,
+        style=options.robot_style,
+    )
+    quality = made.quality
+    say(console, f"places are scaled by {made.result.scale:.2f}, as the robot's legs are", "note")
+    say(
+        console,
+        f"segments {quality.mean_direction:.1f} degrees off on average, standing feet slip by "
+        f"{1e3 * quality.slip:.1f} mm/s, {1e3 * quality.penetration:.1f} mm below the ground at "
+        "most",
+        "note",
+    )
+    if quality.verdict.level != "good":
+        reasons = " ".join(quality.verdict.reasons)
+        say(console, reasons, mark=quality.verdict.level)
+    say(
+        console,
+        f"{made.motion.num_frames} frames of {plain(made.motion.robot.name)}, "
+        f"{plain(options.out)} and {plain(options.out.with_suffix('.html'))}",
     )
 
 

@@ -56,7 +56,7 @@ def write_robot(motion: RobotMotion, path: PathLike, style: str = "habitus") -> 
         return
     arrays = {"habitus": _own, "loco-mujoco": _loco_mujoco, "isaac-lab": _isaac_lab}[style](motion)
     with atomic_write(target) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _quaternions(turns: Float[np.ndarray, "*batch 3 3"]) -> Float[np.ndarray, "*batch 4"]:

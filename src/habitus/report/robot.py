@@ -173,9 +173,7 @@ def robot_numbers(result: RobotRetargeting, quality: RobotQuality) -> Mapping[st
         "direction_degrees": {
             "mean": quality.mean_direction,
             "mean_where_free": quality.mean_free_direction,
-            "segments": {
-                name: float(angles.mean()) for name, angles in quality.directions.items()
-            },
+            "segments": {name: float(angles.mean()) for name, angles in quality.directions.items()},
         },
         "slip_mm_s": 1e3 * quality.slip,
         "standing_s": quality.standing,

@@ -3,12 +3,12 @@
     minimise    sum_t f_t(x_t)  +  1/2 sum_t sum_n link_n (x_t - 2 x_{t-1} + x_{t-2})_n^2
     subject to  lower <= x_t <= upper,  |x_t - x_{t-1}| <= change
 
-All frames take a damped Gauss-Newton step at once, with a Levenberg damping for each: the matrix has
-a band of two frames, whose factor costs 4 N^3 operations a frame. Where frames have some thirty
-unknowns and stiff costs of their own this converges in ten steps, where visits of one frame after
-the other (`habitus.solve.sequence`) need hundreds; for larger states those are cheaper. Bounds hold
-by projection: an unknown at its bound stays there for a step where the cost falls beyond it. Limits
-of change are penalties, and are put right at the end.
+All frames take a damped Gauss-Newton step at once, each with a Levenberg damping of its own. The
+matrix has a band of two frames, whose factor takes 4 N^3 operations a frame. With some thirty
+unknowns a frame and stiff costs this converges in about ten steps, where visiting one frame after
+the other (`habitus.solve.sequence`) takes hundreds; with many more unknowns a visit is cheaper.
+Bounds hold by projection: an unknown stays at its bound for a step where the cost falls beyond it.
+Limits of change are penalties while solving, and `within_change` enforces them at the end.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.linalg import get_lapack_funcs
 from scipy.ndimage import binary_dilation
 
 from habitus.arrays import runs
@@ -49,9 +49,7 @@ class BandedProblem(Protocol):
 
     def linearize(
         self, frames: Int[np.ndarray, " F"], states: Float[np.ndarray, "F N"]
-    ) -> tuple[
-        Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]
-    ]:
+    ) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, "F N"], Float[np.ndarray, "F N N"]]:
         """Costs, gradients and Gauss-Newton matrices of frames."""
         ...
 
@@ -66,10 +64,10 @@ class BandedProblem(Protocol):
 class BandedOptions:
     """How a sequence is solved.
 
-    stride: every so-manieth frame is solved. steps: most of them. tolerance: relative fall of the
-    total cost in a step that ends it. rest: largest change of an
-    unknown in a step with which a frame rests. damping: the first Levenberg damping. window: most frames of
-    one system of equations, overlap: how many of them look ahead only.
+    stride: every stride-th frame is solved. steps: the most. tolerance: relative fall of the total
+    cost in a step that ends it. rest: a frame rests when no unknown changes by more in a step.
+    damping: the first Levenberg damping. window: most frames of one system of equations; overlap:
+    how many more look ahead only.
     """
 
     stride: int = 1
@@ -271,10 +269,11 @@ def _solved(
     system = band.copy()
     system[:, :, 0] += HOLD * fixed
     right = np.where(fixed, HOLD * held, -gradient)
-    factor, failed = dpbtrf(system.reshape(count * size, width).T, lower=1, overwrite_ab=1)
+    pbtrf, pbtrs = get_lapack_funcs(("pbtrf", "pbtrs"), (system, right))
+    factor, failed = pbtrf(system.reshape(count * size, width).T, lower=1, overwrite_ab=1)
     if failed:
         return np.full_like(gradient, np.nan)
-    step = dpbtrs(factor, right.ravel(), lower=1)[0].reshape(count, size)
+    step = pbtrs(factor, right.ravel(), lower=1)[0].reshape(count, size)
     return np.where(fixed, held, step)
 
 

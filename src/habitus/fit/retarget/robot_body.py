@@ -51,16 +51,20 @@ def robot_motion(motion: RobotMotion, pairs: RobotPairs) -> BodyMotion:
 
 
 def robot_body(robot: Robot, pairs: RobotPairs) -> BodyModel:
-    """A rigid body model: joints are the robot's links, at rest with all its joints at zero."""
+    """A rigid body model: a joint for each link where it turns, at rest with
+    all joints of the robot at zero."""
     meshes = list(_meshes(robot, pairs))
     vertices = np.concatenate([mesh[0] for _, mesh in meshes]) @ TO_ROBOT
     starts = np.cumsum([0, *(len(mesh[0]) for _, mesh in meshes)])
     faces = np.concatenate([mesh[1] + k for (_, mesh), k in zip(meshes, starts, strict=False)])
     owners = np.concatenate([np.full(len(mesh[0]), link) for link, mesh in meshes])
-    origins = robot.zero.origins @ TO_ROBOT
+    pivots = robot.zero.origins.copy()
+    turned = robot.zero.rotations[robot.joint_links] @ robot.anchors[..., None]
+    pivots[robot.joint_links] += turned[..., 0]
+    pivots = pivots @ TO_ROBOT
     # affine coordinates of each joint among all vertices: exact, as nothing here changes shape
     system = np.vstack([vertices.T, np.ones(len(vertices))])
-    regressor = np.linalg.lstsq(system, np.vstack([origins.T, np.ones(len(origins))]), rcond=None)
+    regressor = np.linalg.lstsq(system, np.vstack([pivots.T, np.ones(len(pivots))]), rcond=None)
     return BodyModel(
         name=robot.name,
         v_template=vertices,

@@ -28,8 +28,9 @@ class Person(NamedTuple):
     """A body's motion in a robot's world: z up from the ground, metres, T frames.
 
     ``directions`` (T, 3) by segment and name; ``hips`` (T, 3) between the hip joints; ``soles``
-    (T, 2, 3, 3): side; heel, ball, toes; ``still`` says which of them stand; ``leg`` is the height
-    of the hip joints of the body standing, ``ground`` that of the ground in the capture's world (m).
+    (T, 2, 3, 3): side; heel, ball, toes; ``still`` says which of them stand; ``frames`` are the
+    segments' rotations from the axes of the robot at rest. ``leg`` is the height (m) of the hip
+    joints of the body standing, ``ground`` that of the ground in the capture's world.
     """
 
     directions: dict[tuple[str, str], Float[np.ndarray, "T 3"]]
@@ -144,7 +145,7 @@ def footprints(
         mean = middle[frames].mean(axis=0)
         return np.array([mean[0], mean[1], scale * low if low > STEP else 0.0])
 
-    for first, end in runs(parts.any(axis=1)):
+    for first, end in runs(np.any(parts, axis=1)):
         frames = np.arange(first, end)
         flat = frames[parts[frames].all(axis=1)]
         level = flat if len(flat) else frames
@@ -159,7 +160,7 @@ def footprints(
         out.targets[frames] = print_
         out.stands[frames] = is_heel == (active == 0)[:, None]
         shift[frames] = print_.mean(axis=1) - middle[frames]
-    return replace(out, middle=middle + bridged(shift, out.stands.any(axis=1)))
+    return replace(out, middle=middle + bridged(shift, np.any(out.stands, axis=1)))
 
 
 def _pivoting(

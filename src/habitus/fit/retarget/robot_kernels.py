@@ -201,7 +201,7 @@ def frame_terms(robot, goal, frame, state, work, derive, gradient, matrix):
     """
     place_links(robot, state, goal.references[frame], goal.starts[frame], work)
     columns, used = work.columns, work.used
-    here, there, residual = np.empty(3), np.empty(3), np.empty(3)
+    here, residual = np.empty(3), np.empty(3)
     cost = 0.0
     for d in range(len(goal.direction_links)):
         link, weight = goal.direction_links[d], goal.direction_weights[d]
@@ -234,9 +234,7 @@ def frame_terms(robot, goal, frame, state, work, derive, gradient, matrix):
             cost += 0.5 * goal.floor_weight * below**2
             if derive:
                 count = _columns(robot, work, link, here, True, columns, used)
-                _add_row(
-                    columns, used, count, up, below, goal.floor_weight, gradient, matrix
-                )
+                _add_row(columns, used, count, up, below, goal.floor_weight, gradient, matrix)
     cost += _clearance(robot, goal, work, derive, gradient, matrix)
     for i in range(len(state)):
         apart = state[i] - goal.neutral[i]

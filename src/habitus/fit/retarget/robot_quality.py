@@ -132,9 +132,7 @@ def _angle(
     return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(first - second, axis=1), 0.0, 1.0))
 
 
-def _slip(
-    result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray
-) -> tuple[float, float]:
+def _slip(result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray) -> tuple[float, float]:
     """Level speed of standing heels and toes (m/s, root mean square), seconds of any standing."""
     robot, rate = result.motion.robot, result.motion.rate_hz
     squares, any_stands = [], np.zeros(len(turns), bool)
@@ -144,7 +142,7 @@ def _slip(
         for points, rows in ((sole.heel, slice(0, first)), (sole.toes, slice(first, None))):
             local = points.mean(axis=0) @ robot.zero.rotations[link]
             place = (turns[:, link] @ local + origins[:, link])[:, :2]
-            stands = made.stands[:, rows].any(axis=1)
+            stands = np.asarray(made.stands[:, rows].any(axis=1))
             any_stands |= stands
             way = np.linalg.norm(np.diff(place, axis=0), axis=1)[stands[1:] & stands[:-1]]
             squares.append((way * rate) ** 2)

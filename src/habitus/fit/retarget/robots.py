@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from habitus.body.motion import BodyMotion
 from habitus.body.robot import LinkPoses, Robot
@@ -165,29 +165,36 @@ def retargeted_to_robot(
     """
     check_pairs(robot, pairs)
     person = person_of(motion, pairs, settings.contacts)
-    leg, between = leg_of(robot, pairs)
+    leg, _ = leg_of(robot, pairs)
     scale = leg / person.leg
     origin = person.hips[0] * (1.0, 1.0, 0.0)
-    prints = tuple(
+    left, right = (
         footprints(person.soles[:, k], person.still[:, k], sole, scale, origin)
         for k, sole in enumerate(pairs.soles)
     )
-    hips = origin + scale * (person.hips - origin)
-    states = np.zeros((motion.num_frames, ROOT + robot.num_joints))
+    return solve_robot(robot, pairs, person, (left, right), scale, motion.rate_hz, settings)
+
+
+def solve_robot(
+    robot: Robot,
+    pairs: RobotPairs,
+    person: Person,
+    prints: tuple[Footprints, Footprints],
+    scale: float,
+    rate_hz: float,
+    settings: RobotSettings = ROBOT,
+) -> RobotRetargeting:
+    """The robot's motion that follows a person's directions and footprints."""
+    states = np.zeros((len(person.hips), ROOT + robot.num_joints))
     for share, options in settings.schedule:
-        soft = replace(
-            settings,
-            stand=share * settings.stand,
-        )
-        goal = _goal(robot, pairs, person, prints, hips, between, soft)
-        problem = _Problem(robot, goal, motion.rate_hz, pairs, settings)
+        soft = replace(settings, stand=share * settings.stand)
+        goal = robot_goal(robot, pairs, person, prints, scale, soft)
+        problem = RobotProblem(robot, goal, rate_hz, pairs, settings)
         solution = solve_banded(problem, states, options)
         states = solution.states
-    angles = solution.states[:, ROOT:]
-    turn = matrix_from_rotvec(solution.states[:, 3:ROOT]) @ goal.references
-    made = RobotMotion(
-        robot, goal.starts + solution.states[:, :3], turn, angles, motion.rate_hz
-    )
+    angles = states[:, ROOT:]
+    turn = matrix_from_rotvec(states[:, 3:ROOT]) @ goal.references
+    made = RobotMotion(robot, goal.starts + states[:, :3], turn, angles, rate_hz)
     return RobotRetargeting(
         made, pairs, person, prints, scale, solution.status, solution.iterations
     )
@@ -214,15 +221,18 @@ def _local(robot: Robot, link: int, places: np.ndarray) -> np.ndarray:
     return places @ robot.zero.rotations[link]
 
 
-def _goal(
+def robot_goal(
     robot: Robot,
     pairs: RobotPairs,
     person: Person,
-    prints: tuple[Footprints, ...],
-    hips: Float[np.ndarray, "T 3"],
-    between: Float[np.ndarray, " 3"],
+    prints: tuple[Footprints, Footprints],
+    scale: float,
     settings: RobotSettings,
 ) -> _Goal:
+    """The targets of all frames as arrays."""
+    _, between = leg_of(robot, pairs)
+    origin = person.hips[0] * (1.0, 1.0, 0.0)
+    hips = origin + scale * (person.hips - origin)
     rooted = [name for name, part in pairs.segments.items() if part.link == robot.link_names[0]]
     references = person.frames[rooted[0] if rooted else "pelvis"]
     pelvis = robot.link(pairs.segments["pelvis"].link)
@@ -244,10 +254,11 @@ def _goal(
             points.append((link, corner, never, level, made.targets[:, k]))
             floor.append((link, corner, 0.0))
         for part in (slice(0, len(sole.heel)), slice(len(sole.heel), None)):
-            stand = settings.stand * made.stands[:, part].any(axis=1)
-            where = made.targets[:, part].mean(axis=1)
-            points.append((link, corners[part].mean(axis=0), stand, never, where))
-        free = settings.swing * ~made.stands.any(axis=1)
+            stand = np.where(made.stands[:, part].any(axis=1), settings.stand, 0.0)
+            where = np.asarray(made.targets[:, part].mean(axis=1))
+            middle = np.asarray(corners[part].mean(axis=0))
+            points.append((link, middle, stand, never, where))
+        free = np.where(made.stands.any(axis=1), 0.0, settings.swing)
         points.append((link, sole.middle, free, free, made.middle))
     capsules = list(pairs.capsules.values())
     soled = {sole.link for sole in pairs.soles}
@@ -295,14 +306,13 @@ def clear_pairs(robot: Robot, pairs: RobotPairs) -> np.ndarray:
     not neighbours.
     """
     capsules = list(pairs.capsules.values())
-    ends = [robot.zero.origins[robot.link(part.link)] + part.ends for part in capsules]
-    out = []
-    for a, first in enumerate(capsules):
-        for b, second in enumerate(capsules[:a]):
-            apart = segment_distance(ends[a], ends[b]) - first.radius - second.radius
-            if apart > 0.0:
-                out.append((a, b))
-    return np.array(out, dtype=np.int64).reshape(-1, 2)
+    chosen = np.array([(a, b) for a in range(len(capsules)) for b in range(a)], dtype=np.int64)
+    chosen = chosen.reshape(-1, 2)
+    places = [robot.zero.origins[robot.link(part.link)] + part.ends for part in capsules]
+    ends = np.array(places).reshape(-1, 2, 3)
+    radii = np.array([part.radius for part in capsules])
+    apart = segment_distance(ends[chosen[:, 0]], ends[chosen[:, 1]]) - radii[chosen].sum(axis=1)
+    return chosen[apart > 0.0]
 
 
 def segment_distance(
@@ -330,7 +340,7 @@ def segment_distance(
     return best
 
 
-class _Problem:
+class RobotProblem:
     """The sequence as `solve_banded` asks for it."""
 
     def __init__(
@@ -365,9 +375,7 @@ class _Problem:
         count, size = states.shape
         costs, gradients = np.empty(count), np.empty((count, size))
         matrices = np.empty((count, size, size))
-        linearized(
-            self._tree, self._goal, frames, states, self._work, costs, gradients, matrices
-        )
+        linearized(self._tree, self._goal, frames, states, self._work, costs, gradients, matrices)
         return costs, gradients, matrices
 
     def cost(self, frames: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -393,8 +401,3 @@ def _tree(robot: Robot) -> _Tree:
         path_starts=np.cumsum([0, *map(len, paths)]),
         path_axes=np.array([axis for path in paths for axis in sorted(path)]),
     )
-
-
-def stands_in_both(stands: Bool[np.ndarray, "T n"]) -> Bool[np.ndarray, "S n"]:
-    """Points that stand in a frame and in the next (T - 1, n)."""
-    return stands[1:] & stands[:-1]

@@ -166,10 +166,10 @@ def _link(where: str, given: dict[str, Any]) -> str:
 
 def _places(where: str, key: str, given: Any) -> Float[np.ndarray, "n 3"]:
     try:
-        values = np.array(given, dtype=float)
+        values = np.atleast_2d(np.array(given, dtype=float))
     except (TypeError, ValueError):
-        values = np.zeros(0)
-    if values.ndim != 2 or values.shape[1] != 3 or not len(values) or len(values) > 100:
+        values = np.zeros((0, 3))
+    if values.shape != (len(values), 3) or not 0 < len(values) <= 100:
         raise HabitusError(f"{where}.{key} = {shown(given)}; expected x, y, z")
     if not (np.abs(values) <= MOST).all():
         raise HabitusError(f"{where}.{key}: more than {MOST:g} m from the link; expected metres")

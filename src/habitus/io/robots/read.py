@@ -1,4 +1,4 @@
-"""A robot's file, MJCF or URDF, told by its root element."""
+"""A robot's file: MJCF or URDF, by its root element."""
 
 from pathlib import Path
 

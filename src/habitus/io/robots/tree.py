@@ -1,4 +1,4 @@
-"""What both kinds of robot descriptions are made of: links and hinges, and numbers in attributes."""
+"""What descriptions of robots are made of: links, hinges, and numbers in attributes."""
 
 import math
 from collections.abc import Iterable
