@@ -75,6 +75,7 @@ MENU = {
         "exporting",
         "in-your-program",
         "exaggerating-and-retargeting",
+        "robots",
         "amass",
     ),
     "Reference": ("reference/index", "results", "conventions", "glossary", "equations"),

@@ -16,6 +16,7 @@ import numpy as np
 from camera_targets import camera_makers
 from gait_targets import gait_makers
 from result_targets import result_makers
+from robot_targets import robot_makers
 from sensor_targets import sensor_makers
 from target import Target, Tree, alone, tree_of
 
@@ -31,6 +32,7 @@ def all_targets() -> tuple[Target, ...]:
         _checkpoints,
         *sensor_makers(),
         *gait_makers(),
+        *robot_makers(),
         *camera_makers(),
         *result_makers(),
     )

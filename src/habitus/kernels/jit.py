@@ -47,6 +47,7 @@ FILES = (
     "fit/markers/sequence_kernels.py",
     "fit/cameras/sequence_kernels.py",
     "fit/labels/kernels.py",
+    "fit/retarget/robot_kernels.py",
     "fit/points/correspondence_kernels.py",
     "render/kernels/textures.py",
     "learn/posing/kernels.py",

@@ -105,7 +105,7 @@ def robot_quality(result: RobotRetargeting, limits: RobotLimits = LIMITS) -> Rob
         free[name] = ~at_limit[:, joints[joints >= 0]].any(axis=1)
     slip, standing = _slip(result, links.rotations, links.origins)
     penetration = max(0.0, -float(_lowest(result, links.rotations, links.origins).min()))
-    overlap = _overlap(result, links.rotations, links.origins)
+    overlap = float(overlaps(result).max())
     measured = RobotQuality(
         directions,
         free,
@@ -170,8 +170,9 @@ def _lowest(
     return np.concatenate(heights).min(axis=0)
 
 
-def _overlap(result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray) -> float:
-    """The deepest overlap of two capsules that are to keep clear (m)."""
+def overlaps(result: RobotRetargeting) -> Float[np.ndarray, " T"]:
+    """The deepest overlap (m) of two capsules that are to keep clear, in each frame."""
+    turns, origins = result.motion.links()
     robot = result.motion.robot
     capsules = list(result.pairs.capsules.values())
     ends = []
@@ -179,10 +180,10 @@ def _overlap(result: RobotRetargeting, turns: np.ndarray, origins: np.ndarray) -
         link = robot.link(part.link)
         local = part.ends @ robot.zero.rotations[link]
         ends.append(np.einsum("tij,nj->tni", turns[:, link], local) + origins[:, None, link])
-    depth = 0.0
+    depth = np.zeros(result.motion.num_frames)
     for a, b in clear_pairs(robot, result.pairs):
         reach = capsules[a].radius + capsules[b].radius
-        depth = max(depth, float((reach - segment_distance(ends[a], ends[b])).max()))
+        depth = np.maximum(depth, reach - segment_distance(ends[a], ends[b]))
     return depth
 
 

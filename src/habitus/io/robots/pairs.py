@@ -41,8 +41,13 @@ def read_pairs(source: PathLike) -> RobotPairs:
     try:
         table = read_toml(read_text_file(path, MAX_DESCRIPTION_BYTES), MAX_DESCRIPTION_BYTES)
         return _pairs(table, path.stem)
-    except HabitusError as error:
-        raise HabitusError(f"{path}: {error}") from None
+    except OSError as error:
+        raise HabitusError(
+            f"{path}: {shown(error.strerror or error)}; expected a table of pairs (TOML) or one of "
+            f"{listed(shipped_pairs())}"
+        ) from error
+    except (HabitusError, UnicodeDecodeError) as error:
+        raise HabitusError(f"{path}: {shown(error, 200)}") from error
 
 
 def pairs_for(robot: Robot) -> RobotPairs:

@@ -17,8 +17,12 @@ def read_robot(path: PathLike) -> Robot:
     source = Path(path)
     try:
         root = read_xml(read_text_file(source))
-    except HabitusError as error:
-        raise HabitusError(f"{source}: {error}") from None
+    except OSError as error:
+        raise HabitusError(
+            f"{source}: {shown(error.strerror or error)}; expected a robot's MJCF or URDF file"
+        ) from error
+    except (HabitusError, UnicodeDecodeError) as error:
+        raise HabitusError(f"{source}: {shown(error, 160)}; expected MJCF or URDF") from error
     if root.tag not in KINDS:
         raise HabitusError(
             f"{source}: a file whose root element is {shown(root.tag)}; expected a robot, MJCF "
