@@ -4,6 +4,7 @@ that opens offline and prints well.
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -65,10 +66,12 @@ NOT_VALIDATED = (
 
 
 def gait_page(
-    analysis: GaitAnalysis, bands: Mapping[str, Float[np.ndarray, "101 2"]] = MappingProxyType({})
+    analysis: GaitAnalysis,
+    bands: Mapping[str, Float[np.ndarray, "101 2"]] = MappingProxyType({}),
+    opensim: Mapping[str, Any] | None = None,
 ) -> str:
     """The report as text. bands: a laboratory's reference curves by name, mean and standard
-    deviation (`habitus.io.bands`).
+    deviation (`habitus.io.bands`). opensim: the check of a scaled model (`habitus.jobs.opensim`).
     """
     strides = "".join(_strides(analysis)) or "<p class='quiet'>No stride was found.</p>"
     verdict = fit_verdict(analysis)
@@ -82,6 +85,7 @@ def gait_page(
         card("Strides", strides, _events_lead(analysis)),
         *_curves(analysis, bands),
         *_forces(analysis),
+        *([] if opensim is None else [_opensim(opensim)]),
         card("Notes", notes_list(_notes(analysis))),
         file_links(files),
     ]
@@ -256,6 +260,35 @@ def _forces(analysis: GaitAnalysis) -> list[str]:
                 "contact beside the plates is off, and so are the moments."
             )
     return [card("Forces", numbers_table(rows, heads), lead)]
+
+
+def _opensim(check: Mapping[str, Any]) -> str:
+    """A scaled OpenSim model: its lengths, and how well it follows the markers."""
+    rows = []
+    for name, own in check["measures"].items():
+        mine, its = own["person_mm"], own["generic_model_mm"]
+        rows.append((f"{name} (landmarks)", f"{its:.0f}", f"{mine:.0f}", f"{mine / its:.2f}"))
+    joints = check["joints_mm"]
+    for name, value in joints["scaled_model"].items():
+        own = joints["fit"].get(name)
+        title = f"{name.replace('_', ' ')} (joints)"
+        rows.append((title, f"{value:.0f}", "" if own is None else f"{own:.0f}", "scales nothing"))
+    verdict, share = check["verdict"], check["residual_share_of_weight"]
+    heads = ("mm", "Model: generic landmarks, scaled joints", "Person's fit", "Ratio")
+    forces = ""
+    if share is not None:
+        forces = (
+            f" Inverse dynamics leaves {100 * share:.1f} % of the body weight (mean) to nobody."
+        )
+    whole = check["marker_rms_mm"]
+    rms = "" if whole is None else f" All frames: {whole:.1f} mm."
+    lead = (
+        f"{check['generic_model']}, scaled by pairs of landmarks, is {verdict['level']}. "
+        f"{' '.join(verdict['reasons'])}{rms} Markers were placed on "
+        f"{check['markers_placed_on']}.{forces} "
+        "Joints of a model and of a fit are different points."
+    )
+    return card("OpenSim", numbers_table(rows, heads), shown(lead, 2000))
 
 
 def _notes(analysis: GaitAnalysis) -> Sequence[str]:
