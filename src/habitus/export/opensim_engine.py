@@ -5,6 +5,8 @@ written into the working folder.
 """
 
 import contextlib
+import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +51,20 @@ def _explained(what: str) -> Iterator[None]:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         said = shown(lines[0] if lines else str(error), 160)
         raise HabitusError(f"OpenSim cannot {what}: {said}") from error
+
+
+@contextlib.contextmanager
+def _unprinted() -> Iterator[None]:
+    """What OpenSim writes to the standard output past its log goes nowhere."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        with open(os.devnull, "wb") as nothing:
+            os.dup2(nothing.fileno(), 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def load_model(path: Path, marker_set: Path | None = None) -> Any:
@@ -225,8 +241,9 @@ def inverse_dynamics(setup: Path) -> None:
     over time. Raises HabitusError where OpenSim cannot.
     """
     opensim = engine()
-    with _explained("compute the inverse dynamics"):
-        if not opensim.InverseDynamicsTool(str(setup)).run():
+    what = "compute the inverse dynamics"
+    with _explained(what), _unprinted(), contextlib.chdir(setup.parent):
+        if not opensim.InverseDynamicsTool(setup.name).run():  # names in it are of this folder
             raise RuntimeError(f"{setup.name} was not run")
 
 

@@ -110,7 +110,7 @@ NEEDED_BODIES = (
 class Scaling(NamedTuple):
     """A model scaled to a person: factors x, y, z by body; measures: lengths (m) of the person and
     of the generic model by name; pose: turns (B, 3, 3) and origins (B, 3) of ``bodies`` where the
-    model's landmarks are nearest to the person's at rest, and their RMS distance then (m).
+    model's landmarks are nearest to the person's, and their RMS distance then (m).
     """
 
     model: Any
@@ -128,8 +128,8 @@ def scale_to(
     """A generic model scaled to a person of this mass (kg).
 
     landmarks: of the model's markers by label, the landmark's name; person: places (m) of landmarks
-    and hips at rest, in OpenSim's axes. ``name`` names the model in errors. Raises HabitusError for
-    a model without the bodies or the markers that the legs' scale needs.
+    and hips, in OpenSim's axes and one stance. ``name`` names the model in errors. Raises
+    HabitusError for a model without the bodies or the markers that the legs' scale needs.
     """
     names = body_names(model)
     lacking = [body for body in NEEDED_BODIES if body not in names]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.anatomy import SACRUM, SIDES, Anatomy
+from habitus.body.motion import BodyMotion
 from habitus.body.segments import owners
 from habitus.errors import HabitusError
 from habitus.export.opensim_engine import (
@@ -46,7 +47,8 @@ from habitus.io.limits import MAX_XML_BYTES, read_text_file, read_xml
 from habitus.jobs.anatomy import SACRAL, anatomy_of
 from habitus.markers.layouts import Marker, MarkerLayout
 from habitus.markers.placements import is_free, sideless
-from habitus.observe.markers import default_markers
+from habitus.observe.markers import attach, default_markers
+from habitus.observe.simulated_markers import carried_markers
 from habitus.results.save import finite, write_json
 from habitus.rotations import up_rotation
 from habitus.types import PathLike
@@ -63,6 +65,8 @@ LANDMARKS_MM = Bound(30.0, 60.0)
 """RMS of landmarks between the posed model and the person: its marker set is on other places."""
 FACTORS = Range(0.75, 1.3)
 """Of bodies, against the median: beyond, a marker of the model is not where its label says."""
+ARM = ("collar", "shoulder", "elbow", "wrist")
+"""How names of the joints end that move an arm."""
 PLACING_FRAMES = 120
 """Frames, at most, on which markers are placed: evenly over a trial, more change nothing."""
 
@@ -330,8 +334,8 @@ def _doubted(fit: MarkerFit) -> set[str]:
 
 
 def _person(fit: MarkerFit, wanted: Any, own: Mapping[str, Marker]) -> dict[str, np.ndarray]:
-    """Places (m) at rest, in OpenSim's axes, of markers on the wanted landmarks, and the hips by
-    regression: the fit's latent markers where it has one there, else virtual markers.
+    """Places (m), in OpenSim's axes and the stance, of markers on the wanted landmarks, and the
+    hips by regression: the fit's latent markers where it has one there, else virtual markers.
     """
     anatomy = anatomy_of(fit)
     markers = tuple(wanted)
@@ -350,8 +354,23 @@ def _person(fit: MarkerFit, wanted: Any, own: Mapping[str, Marker]) -> dict[str,
     for label, marker in own.items():
         if place_name(marker) in places and label not in doubted and not is_free(marker):
             places[place_name(marker)] = fit.latent_markers[fit.labels.index(label)]
-    places |= {f"{side}_hip": anatomy.harrington_hip(side) for side in SIDES}
-    return {name: TO_OPENSIM @ np.asarray(place, np.float64) for name, place in places.items()}
+    stand = dict(zip(places, in_stance(fit, np.stack(list(places.values()))), strict=True))
+    hips = {f"{side}_hip": TO_OPENSIM @ anatomy.harrington_hip(side) for side in SIDES}
+    return stand | hips
+
+
+def in_stance(fit: MarkerFit, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Points on the skin at rest (m) in OpenSim's axes where the person stands as at rest, but with
+    the arms as in the middle of the motion: shoulders move with them, and a model's do not.
+    """
+    names = fit.body.joint_names
+    arms = [k for k, name in enumerate(names) if name.endswith(ARM)]
+    pose = np.zeros((1, len(names), 3))
+    pose[0, arms] = np.median(fit.pose[:, arms], axis=0)
+    place = fit.body, fit.betas, pose, np.zeros((1, 3)), fit.rate_hz, "+y"
+    skin = np.asarray(fit.body.rest_vertices(fit.betas))
+    attachment = attach(np.asarray(places, np.float64), skin, fit.body.faces)
+    return carried_markers(BodyMotion(*place), attachment)[0] @ TO_OPENSIM.T
 
 
 def _carried(
@@ -382,12 +401,12 @@ def upright_markers(fit: MarkerFit, labels: Sequence[str]) -> Float[np.ndarray, 
 def _placed_markers(
     fit: MarkerFit, scaling: Scaling, carried: Mapping[str, str], until: int
 ) -> dict[str, tuple[str, np.ndarray]]:
-    """Markers on the scaled model: first the latent ones, the model posed as the person at rest;
-    then, in rounds, where inverse kinematics has each on average in its body.
+    """Markers on the scaled model: first the latent ones, the model in the person's stance; then,
+    in rounds, where inverse kinematics has each on average in its body.
     """
     columns = [fit.labels.index(label) for label in carried]
     carrier = [scaling.bodies.index(body) for body in carried.values()]
-    latent = np.asarray(fit.latent_markers, np.float64)[columns] @ TO_OPENSIM.T
+    latent = in_stance(fit, np.asarray(fit.latent_markers)[columns])
     places = placed(scaling.turns[None], scaling.origins[None], latent[None], carrier)
     rows = np.unique(np.linspace(0, until - 1, min(until, PLACING_FRAMES)).round().astype(int))
     observed = upright_markers(fit, tuple(carried))[rows]
