@@ -109,6 +109,7 @@ def test_models_that_cannot_be_scaled_are_refused_in_a_line(opensim):
 
     model = small_model(opensim)
     person = {place: np.zeros(3) for place in LANDMARKS.values()}
+    person |= {f"{side}_hip": np.zeros(3) for side in ("left", "right")}
     feet = {k: v for k, v in LANDMARKS.items() if "knee" not in v}
     with pytest.raises(HabitusError, match="no markers measure its thigh") as caught:
         scale_to(model, feet, person, 60.0, "small.osim")

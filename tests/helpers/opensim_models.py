@@ -24,7 +24,7 @@ MIDDLE = {"C7": ("torso", (-0.06, 0.45, 0.0)), "CLAV": ("torso", (0.06, 0.36, 0.
 
 
 def small_model(opensim, markers: bool = True):
-    """The model, its joints as in OpenSim's gait models: hips are balls, all others pins."""
+    """The model, its joints as in OpenSim's gait models."""
     model = opensim.Model()
     model.setName("small")
     weights = {
@@ -45,29 +45,39 @@ def small_model(opensim, markers: bool = True):
     def vec(*numbers):
         return opensim.Vec3(*map(float, numbers))
 
-    def join(kind, name, parent, place, child, coordinates):
-        joint = kind(name, parent, vec(*place), vec(0, 0, 0), child, vec(0, 0, 0), vec(0, 0, 0))
-        for k, coordinate in enumerate(coordinates):
-            joint.upd_coordinates(k).setName(coordinate)
+    def join(name, parent, place, child, coordinates):
+        """Turns about z, x, y in this order, then shifts, of those that have a coordinate."""
+        motion = opensim.SpatialTransform()
+        turned = ("z", "x", "y")
+        for k, axis in enumerate((*turned, "x", "y", "z")):
+            own = motion.updTransformAxis(k)
+            own.setAxis(vec(*(one == axis for one in "xyz")))
+            if k < len(coordinates):
+                own.setCoordinateNames(opensim.ArrayStr(coordinates[k], 1))
+                own.set_function(opensim.LinearFunction(1.0, 0.0))
+            else:
+                own.set_function(opensim.Constant(0.0))
+        zero = vec(0, 0, 0)
+        joint = opensim.CustomJoint(name, parent, vec(*place), zero, child, zero, zero, motion)
         model.addJoint(joint)
 
     pelvis = body("pelvis")
-    free = [f"pelvis_{k}" for k in ("list", "rotation", "tilt", "tx", "ty", "tz")]
-    join(opensim.FreeJoint, "ground_pelvis", model.getGround(), (0, 0, 0), pelvis, free)
+    free = [f"pelvis_{k}" for k in ("tilt", "list", "rotation", "tx", "ty", "tz")]
+    join("ground_pelvis", model.getGround(), (0, 0, 0), pelvis, free)
     torso = body("torso")
-    back = [f"lumbar_{k}" for k in ("bending", "rotation", "extension")]
-    join(opensim.BallJoint, "back", pelvis, (-0.09, 0.08, 0), torso, back)
+    back = [f"lumbar_{k}" for k in ("extension", "bending", "rotation")]
+    join("back", pelvis, (-0.09, 0.08, 0), torso, back)
     for end, s in (("r", 1.0), ("l", -1.0)):
         femur, tibia, talus, calcn = (
             body(f"{part}_{end}") for part in ("femur", "tibia", "talus", "calcn")
         )
-        hip = [f"hip_{k}_{end}" for k in ("adduction", "rotation", "flexion")]
-        join(opensim.BallJoint, f"hip_{end}", pelvis, (-0.06, -0.07, s * HIP), femur, hip)
+        hip = [f"hip_{k}_{end}" for k in ("flexion", "adduction", "rotation")]
+        join(f"hip_{end}", pelvis, (-0.06, -0.07, s * HIP), femur, hip)
         knee = [f"knee_angle_{end}"]
-        join(opensim.PinJoint, f"knee_{end}", femur, (0, -KNEE, 0), tibia, knee)
+        join(f"knee_{end}", femur, (0, -KNEE, 0), tibia, knee)
         ankle = [f"ankle_angle_{end}"]
-        join(opensim.PinJoint, f"ankle_{end}", tibia, (0, -ANKLE, 0), talus, ankle)
-        join(opensim.WeldJoint, f"subtalar_{end}", talus, (-0.04, -HEEL, 0), calcn, [])
+        join(f"ankle_{end}", tibia, (0, -ANKLE, 0), talus, ankle)
+        join(f"subtalar_{end}", talus, (-0.04, -HEEL, 0), calcn, [])
     if markers:
         for label, (name, place) in MIDDLE.items():
             model.addMarker(opensim.Marker(label, model.getBodySet().get(name), vec(*place)))

@@ -17,8 +17,9 @@ from jaxtyping import Float
 from habitus.errors import HabitusError, require_extra, shown
 
 Points = Float[np.ndarray, "M 3"]
-ACCURACY = 1e-5
-"""Of inverse kinematics, as in OpenSim's examples."""
+ROUGH, ACCURACY = 1e-5, 1e-6
+"""Of inverse kinematics: as in OpenSim's examples, which leaves angles some degrees rough from frame
+to frame, and a quarter of that at two and a half times the seconds."""
 ROTATIONAL = 1
 """OpenSim's number of coordinates that are angles."""
 
@@ -171,6 +172,7 @@ def track(
     observed: Float[np.ndarray, "T M 3"],
     rate_hz: float,
     bodies: Sequence[str] = (),
+    accuracy: float = ACCURACY,
 ) -> Tracked:
     """Inverse kinematics: the model's coordinates that bring its markers of these labels nearest to
     the observed ones (m, y up; NaN where missing), all with equal weight.
@@ -197,7 +199,7 @@ def track(
         reference = opensim.MarkersReference(table, weights)
         none = opensim.SimTKArrayCoordinateReference()
         solver = opensim.InverseKinematicsSolver(own, reference, none, float("inf"))
-        solver.setAccuracy(ACCURACY)
+        solver.setAccuracy(accuracy)
         markers = [own.getMarkerSet().get(label) for label in labels]
         carriers = [own.getBodySet().get(name) for name in bodies]
         coordinates = list(own.getCoordinateSet())

@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
+from habitus.export.opensim_engine import ACCURACY
 from habitus.export.trc import write_trc
 from habitus.files import write_text
 from habitus.gait.contacts import Contact, ForcePlate
@@ -151,7 +152,7 @@ def _kinematics(fit: "MarkerFit", model: str, last: float, without: Collection[s
         output_motion_file="inverse_kinematics.mot",
         report_errors="true",
         constraint_weight="Inf",
-        accuracy="1e-5",
+        accuracy=f"{ACCURACY:g}",
     )
     tasks = ElementTree.SubElement(tool, "IKTaskSet", name="tasks")
     objects = ElementTree.SubElement(tasks, "objects")

@@ -15,6 +15,7 @@ from habitus.body.motion import BodyMotion
 from habitus.body.segments import owners
 from habitus.errors import HabitusError
 from habitus.export.opensim_engine import (
+    ROUGH,
     coordinate_names,
     inverse_dynamics,
     joint_centres,
@@ -413,7 +414,7 @@ def _placed_markers(
     markers = _by_label(carried, places)
     for _ in range(REFINEMENTS):
         model = with_markers(scaling.model, markers)
-        posed = track(model, tuple(carried), observed, fit.rate_hz, scaling.bodies)
+        posed = track(model, tuple(carried), observed, fit.rate_hz, scaling.bodies, ROUGH)
         again = placed(posed.turns, posed.origins, observed, carrier)
         places = np.where(np.isfinite(again), again, places)
         markers = _by_label(carried, places)
