@@ -58,8 +58,9 @@ def small_model(opensim, markers: bool = True):
             else:
                 own.set_function(opensim.Constant(0.0))
         zero = vec(0, 0, 0)
-        joint = opensim.CustomJoint(name, parent, vec(*place), zero, child, zero, zero, motion)
-        model.addJoint(joint)
+        frames = name, parent, vec(*place), zero, child, zero, zero
+        kind = (opensim.CustomJoint, motion) if coordinates else (opensim.WeldJoint,)
+        model.addJoint(kind[0](*frames, *kind[1:]))
 
     pelvis = body("pelvis")
     free = [f"pelvis_{k}" for k in ("tilt", "list", "rotation", "tx", "ty", "tz")]

@@ -18,7 +18,7 @@ from habitus.errors import HabitusError, require_extra, shown
 
 Points = Float[np.ndarray, "M 3"]
 ROUGH, ACCURACY = 1e-5, 1e-6
-"""Of inverse kinematics: as in OpenSim's examples, which leaves angles some degrees rough from frame
+"""Of inverse kinematics: as in OpenSim's examples, where angles are some degrees rough from frame
 to frame, and a quarter of that at two and a half times the seconds."""
 ROTATIONAL = 1
 """OpenSim's number of coordinates that are angles."""
