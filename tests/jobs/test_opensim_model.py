@@ -211,8 +211,10 @@ def test_the_stance_has_arms_as_in_the_motion_and_legs_as_at_rest(shared):
 def test_verdicts(rms, landmarks, factor, level):
     factors = {"pelvis": [1.0] * 3, "torso": [0.9] * 3, "femur_r": [factor] * 3}
     found = {"unused_frames_marker_rms_mm": rms, "landmark_rms_mm": landmarks}
-    verdict = _verdict(found | {"scale_factors": factors})
+    found |= {"scale_factors": factors, "fit_verdict": "good"}
+    verdict = _verdict(found)
     assert verdict["level"] == level and verdict["reasons"]
+    assert _verdict(found | {"fit_verdict": "failed"})["level"] != "good"
     assert ("femur_r" in " ".join(verdict["reasons"])) == (factor != 1.0)
 
 

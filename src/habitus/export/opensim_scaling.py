@@ -175,12 +175,16 @@ def _between(places: Mapping[str, Point], one: str, other: str) -> Point:
     return np.full(3, np.nan)
 
 
-def _sided(pair: tuple[str, str]) -> Iterable[tuple[str, str]]:
-    """A pair on both sides; names that have a side, or none, stay."""
+def _sided(pair: tuple[str, str]) -> set[tuple[str, str]]:
+    """A pair on both sides; of names that have a side already, itself."""
     if pair[0].startswith(SIDES):
-        return (pair,)
-    middle = ("c7", SACRUM)
-    return {tuple(name if name in middle else f"{side}_{name}" for name in pair) for side in SIDES}  # type: ignore[return-value]
+        return {pair}
+
+    def of_side(name: str, side: str) -> str:
+        return name if name in ("c7", SACRUM) else f"{side}_{name}"
+
+    one, other = pair
+    return {(of_side(one, side), of_side(other, side)) for side in SIDES}
 
 
 def measured(

@@ -54,6 +54,8 @@ from habitus.results.save import finite, write_json
 from habitus.rotations import up_rotation
 from habitus.types import PathLike
 
+Places = Mapping[str, tuple[str, Float[np.ndarray, "3"]]]
+"""By label a marker's body and its place (m) in the body's axes."""
 KINEMATICS = "inverse_kinematics.mot"
 DYNAMICS = "inverse_dynamics.sto"
 CHECK = "check.json"
@@ -167,6 +169,7 @@ def _check(
     unused = off[scaled.placed_until :] if placing else off
     scaling = scaled.scaling
     found = {
+        "fit_verdict": fit.verdict.level,
         "generic_model": scaled.source,
         "mass_kg": scaled.mass,
         "markers_placed_on": scaled.placed_on,
@@ -201,6 +204,8 @@ def _verdict(found: Mapping[str, Any]) -> dict[str, Any]:
         level = _level(rms, RMS_MM)
         what = f"Markers are {rms:.1f} mm (RMS) off in frames that nothing was taken from"
         reasons.append((level, f"{what}; experts' models are at about 11 mm."))
+    if found["fit_verdict"] != "good":
+        reasons.append(("doubtful", f"The fit of this capture is {found['fit_verdict']}."))
     level = _level(landmarks, LANDMARKS_MM)
     if level != "good":
         what = f"the model's landmarks are {landmarks:.0f} mm (RMS) from the person's"
@@ -401,29 +406,34 @@ def upright_markers(fit: MarkerFit, labels: Sequence[str]) -> Float[np.ndarray, 
 
 def _placed_markers(
     fit: MarkerFit, scaling: Scaling, carried: Mapping[str, str], until: int
-) -> dict[str, tuple[str, np.ndarray]]:
-    """Markers on the scaled model: first the latent ones, the model in the person's stance; then,
-    in rounds, where inverse kinematics has each on average in its body.
-    """
+) -> Places:
+    """Markers on the scaled model: the latent ones, the model in the person's stance, refined."""
     columns = [fit.labels.index(label) for label in carried]
     carrier = [scaling.bodies.index(body) for body in carried.values()]
     latent = in_stance(fit, np.asarray(fit.latent_markers)[columns])
     places = placed(scaling.turns[None], scaling.origins[None], latent[None], carrier)
+    return refined(scaling.model, _by_label(carried, places), fit, until)
+
+
+def refined(model: Any, markers: Places, fit: MarkerFit, until: int) -> Places:
+    """Markers where inverse kinematics of frames before ``until`` has each on average in its body,
+    in `REFINEMENTS` rounds.
+    """
+    carried = {label: body for label, (body, _) in markers.items()}
+    bodies = tuple(dict.fromkeys(carried.values()))
+    carrier = [bodies.index(body) for body in carried.values()]
     rows = np.unique(np.linspace(0, until - 1, min(until, PLACING_FRAMES)).round().astype(int))
     observed = upright_markers(fit, tuple(carried))[rows]
-    markers = _by_label(carried, places)
     for _ in range(REFINEMENTS):
-        model = with_markers(scaling.model, markers)
-        posed = track(model, tuple(carried), observed, fit.rate_hz, scaling.bodies, ROUGH)
+        own = with_markers(model, markers)
+        posed = track(own, tuple(carried), observed, fit.rate_hz, bodies, ROUGH)
         again = placed(posed.turns, posed.origins, observed, carrier)
-        places = np.where(np.isfinite(again), again, places)
-        markers = _by_label(carried, places)
+        places = np.stack([place for _, place in markers.values()])
+        markers = _by_label(carried, np.where(np.isfinite(again), again, places))
     return markers
 
 
-def _by_label(
-    carried: Mapping[str, str], places: Float[np.ndarray, "M 3"]
-) -> dict[str, tuple[str, np.ndarray]]:
+def _by_label(carried: Mapping[str, str], places: Float[np.ndarray, "M 3"]) -> Places:
     return {label: (body, p) for (label, body), p in zip(carried.items(), places, strict=True)}
 
 
