@@ -264,31 +264,33 @@ def _forces(analysis: GaitAnalysis) -> list[str]:
 
 def _opensim(check: Mapping[str, Any]) -> str:
     """A scaled OpenSim model: its lengths, and how well it follows the markers."""
-    rows = []
+    lengths = []
     for name, own in check["measures"].items():
         mine, its = own["person_mm"], own["generic_model_mm"]
-        rows.append((f"{name} (landmarks)", f"{its:.0f}", f"{mine:.0f}", f"{mine / its:.2f}"))
-    joints = check["joints_mm"]
-    for name, value in joints["scaled_model"].items():
-        own = joints["fit"].get(name)
-        title = f"{name.replace('_', ' ')} (joints)"
-        rows.append((title, f"{value:.0f}", "" if own is None else f"{own:.0f}", "scales nothing"))
-    verdict, share = check["verdict"], check["residual_share_of_weight"]
-    heads = ("mm", "Model: generic landmarks, scaled joints", "Person's fit", "Ratio")
-    forces = ""
-    if share is not None:
-        forces = (
-            f" Inverse dynamics leaves {100 * share:.1f} % of the body weight (mean) to nobody."
-        )
-    whole = check["marker_rms_mm"]
-    rms = "" if whole is None else f" All frames: {whole:.1f} mm."
-    lead = (
-        f"{check['generic_model']}, scaled by pairs of landmarks, is {verdict['level']}. "
-        f"{' '.join(verdict['reasons'])}{rms} Markers were placed on "
-        f"{check['markers_placed_on']}.{forces} "
-        "Joints of a model and of a fit are different points."
-    )
-    return card("OpenSim", numbers_table(rows, heads), shown(lead, 2000))
+        lengths.append((name, f"{its:.0f}", f"{mine:.0f}", f"{mine / its:.2f}"))
+    joints = [
+        (name.replace("_", " "), f"{value:.0f}", f"{fit:.0f}", f"{value - fit:+.0f}")
+        for name, value in check["joints_mm"]["scaled_model"].items()
+        if (fit := check["joints_mm"]["fit"].get(name)) is not None
+    ]
+    verdict, whole = check["verdict"], check["marker_rms_mm"]
+    share = check["residual_share_of_weight"]
+    lead = [
+        f"{check['generic_model']}, scaled to the person by pairs of landmarks: "
+        f"{verdict['level']}.",
+        *verdict["reasons"],
+        "" if whole is None else f"In all frames markers are {whole:.1f} mm (RMS) off.",
+        f"They were placed on {check['markers_placed_on']}.",
+        ""
+        if share is None
+        else f"Inverse dynamics leaves {100 * share:.1f} % of the body weight (mean) to no one.",
+        "Joints of a model are other points than the fit's, and scale nothing.",
+    ]
+    tables = (
+        numbers_table(lengths, ("Landmarks, mm", "Generic model", "Person", "Ratio"))
+        + numbers_table(joints, ("Joints, mm", "Scaled model", "Fit", "Difference"))
+    )  # fmt: skip
+    return card("OpenSim", tables, shown(" ".join(filter(None, lead)), 2000))
 
 
 def _notes(analysis: GaitAnalysis) -> Sequence[str]:
