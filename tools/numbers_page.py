@@ -86,6 +86,8 @@ LINES = (
     Line("gait", "made partial hits", "partial hits/made"),
     Line("gait", "found of them", "partial hits/found"),
     Line("gait", "{}: plates less what the motion needs, of body weight", "forces/*/residual %", form="{:.1f} %"),
+    Line("opensim_model", "{}: markers in inverse kinematics of unused trials, RMS", "unused/*/RMS mm", form="{:.1f} mm"),
+    Line("opensim_model", "{}: scaled model less the expert's", "joints/*/habitus less expert", form="{:+.0f} mm"),
     Line("cameras", "2 cameras: joints, mean", "summary/scene=2 cameras/joints", "mean", "{:.1f} mm"),
     Line("cameras", "2 cameras: joints, 95 %", "summary/scene=2 cameras/joints 95 %", "mean", "{:.1f} mm"),
     Line("cameras", "2 cameras: skin, mean", "summary/scene=2 cameras/skin", "mean", "{:.1f} mm"),

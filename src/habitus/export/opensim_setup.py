@@ -8,10 +8,11 @@ inverse dynamics, for a scaled model of the user's whose markers have the captur
 | external_loads.xml | which of them acts on which foot |
 | inverse_kinematics.xml, inverse_dynamics.xml | set-ups: `opensim-cmd run-tool FILE` |
 
-Models are not written: their terms are their authors'.
+Generic models do not come along: their terms are their authors'. `habitus.jobs.opensim` scales the
+user's and solves it in this folder.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -19,6 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 from jaxtyping import Float
 
+from habitus.export.opensim_engine import ACCURACY
 from habitus.export.trc import write_trc
 from habitus.files import write_text
 from habitus.gait.contacts import Contact, ForcePlate
@@ -49,19 +51,20 @@ def write_opensim(
     contacts: Sequence[Contact],
     folder: Path,
     model: str = MODEL,
+    without: Collection[str] = (),
 ) -> tuple[str, ...]:
     """Write the files into a folder that is there; of a capture without force plates those of
-    inverse kinematics alone. Their names come back. Raises HabitusError where they cannot be
-    written.
+    inverse kinematics alone. Their names come back. without: labels that inverse kinematics leaves
+    out, beside suspect ones. Raises HabitusError where they cannot be written.
     """
     capture = Capture(fit.capture_name, fit.labels, fit.observed_markers, fit.rate_hz, fit.up_axis)
     write_trc(capture, folder / "markers.trc")
     last = (fit.num_frames - 1) / fit.rate_hz
-    write_text(folder / "inverse_kinematics.xml", _kinematics(fit, model, last))
+    write_text(folder / "inverse_kinematics.xml", _kinematics(fit, model, last, without))
     if not any(not contact.refused for contact in contacts):
         return FILES[0], FILES[3]
     times, table = ground_table(plates, contacts, up_rotation(fit.up_axis))
-    write_text(folder / "ground_forces.mot", _mot(times, table))
+    write_text(folder / "ground_forces.mot", mot_text("ground_forces", times, table))
     write_text(folder / "external_loads.xml", _loads())
     write_text(folder / "inverse_dynamics.xml", _dynamics(model, min(last, float(times[-1]))))
     return FILES
@@ -107,10 +110,13 @@ def ground_table(
     return times, table
 
 
-def _mot(times: Float[np.ndarray, " S"], table: dict[str, Float[np.ndarray, " S"]]) -> str:
+def mot_text(
+    name: str, times: Float[np.ndarray, " S"], table: Mapping[str, Float[np.ndarray, " S"]]
+) -> str:
+    """A .mot file of columns over time (s), angles in degrees."""
     rows = np.column_stack([times, *table.values()])
     head = [
-        "ground_forces",
+        name,
         "version=1",
         f"nRows={len(rows)}",
         f"nColumns={rows.shape[1]}",
@@ -136,7 +142,7 @@ def _tool(kind: str, name: str, **texts: str) -> ElementTree.Element:
     return out
 
 
-def _kinematics(fit: "MarkerFit", model: str, last: float) -> str:
+def _kinematics(fit: "MarkerFit", model: str, last: float, without: Collection[str]) -> str:
     tool = _tool(
         "InverseKinematicsTool",
         "inverse_kinematics",
@@ -146,11 +152,11 @@ def _kinematics(fit: "MarkerFit", model: str, last: float) -> str:
         output_motion_file="inverse_kinematics.mot",
         report_errors="true",
         constraint_weight="Inf",
-        accuracy="1e-5",
+        accuracy=f"{ACCURACY:g}",
     )
     tasks = ElementTree.SubElement(tool, "IKTaskSet", name="tasks")
     objects = ElementTree.SubElement(tasks, "objects")
-    doubted = {suspect.label for suspect in fit.suspects if not suspect.corrected}
+    doubted = {suspect.label for suspect in fit.suspects if not suspect.corrected} | {*without}
     for label in fit.labels:
         used = "false" if label in doubted else "true"
         objects.append(_tool("IKMarkerTask", label, apply=used, weight="1"))

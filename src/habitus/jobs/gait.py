@@ -7,7 +7,7 @@ from typing import Any
 
 from habitus.body.motion import Moving
 from habitus.body.segments import SegmentMasses, segment_masses
-from habitus.errors import HabitusError
+from habitus.errors import HabitusError, check_extra
 from habitus.export.opensim_setup import write_opensim
 from habitus.fit.markers.result import MarkerFit
 from habitus.gait.analysis import GaitAnalysis, analyse
@@ -20,6 +20,7 @@ from habitus.io.names import plain_name
 from habitus.jobs.anatomy import anatomy_of, angles
 from habitus.jobs.exporting import read_moving
 from habitus.jobs.mosh import mosh
+from habitus.jobs.opensim import ScaledModel, scaled_model, solve
 from habitus.jobs.options import GaitOptions, takes
 from habitus.jobs.results import with_methods
 from habitus.report.gait import gait_page
@@ -40,20 +41,23 @@ class GaitResult(GaitAnalysis):
         band: PathLike | None = None,
         capture: PathLike | None = None,
         opensim: bool = False,
+        opensim_model: ScaledModel | None = None,
     ) -> None:
         """Write angles.csv, cycles.csv, dynamics.csv, gait.json and gait.html.
 
         band: a laboratory's reference curves (.csv). capture: a copy of it with angles, moments and
         powers as model outputs is written as gait.c3d. opensim: of a marker fit, a folder that
-        OpenSim runs (`habitus.export.opensim_setup`). Raises HabitusError where the folder cannot
-        be written.
+        OpenSim runs (`habitus.export.opensim_setup`); opensim_model: with a model scaled to the
+        person (`habitus.jobs.opensim.scaled_model`), solved and checked. Raises HabitusError where
+        the folder cannot be written.
         """
         bands = {} if band is None else read_bands(band)
         setup = None
-        if opensim:
-            if not isinstance(self.motion, MarkerFit):
-                raise HabitusError("opensim is asked for a motion without markers; expected a fit")
-            setup = partial(write_opensim, self.motion, self.plates, self.contacts)
+        if opensim or opensim_model is not None:
+            given = _marker_fit(self.motion), self.plates, self.contacts
+            setup = partial(write_opensim, *given)
+            if opensim_model is not None:
+                setup = partial(solve, opensim_model, *given, self.residual)
         save_gait(self, folder, partial(gait_page, bands=bands), capture, setup)
 
 
@@ -118,14 +122,48 @@ def gaits(
     _refuse_unwritable(pairs, options)
     results = []
     with result_lock(out, GAIT_FILES):
+        model = _scaled(pairs, options, progress)
         for moving, capture in pairs:
             progress(f"analysing {moving.capture_name}")
             result = gait(moving, capture, options=options)
             copied = capture if options.c3d else None
             where = out if len(pairs) == 1 else Path(out) / plain_name(moving.capture_name)
-            result.save(where, options.band, copied, options.opensim)
+            result.save(where, options.band, copied, options.opensim, model)
             results.append(result)
     return results
+
+
+def _marker_fit(moving: Moving) -> MarkerFit:
+    if not isinstance(moving, MarkerFit):
+        raise HabitusError(
+            f"{moving.capture_name}: opensim is asked for a motion without markers; expected a fit"
+        )
+    return moving
+
+
+def _scaled(
+    pairs: Sequence[tuple[Moving, Path | None]],
+    options: GaitOptions,
+    progress: Callable[[str], Any],
+) -> ScaledModel | None:
+    """The user's generic model scaled to the person, its markers placed on the first capture with
+    strides, else on the first.
+    """
+    if options.opensim_model is None:
+        return None
+    check_extra("opensim", "scaled OpenSim models", "opensim")
+    fits = [_marker_fit(moving) for moving, _ in pairs]
+    progress(f"scaling {options.opensim_model.name}")
+    placing, analysis = 0, None
+    for k, (moving, capture) in enumerate(pairs):
+        own = gait(moving, capture, options=options)
+        if analysis is None or own.strides:
+            placing, analysis = k, own
+        if own.strides:
+            break
+    assert analysis is not None
+    mass = analysis.masses.total
+    return scaled_model(fits, options.opensim_model, mass, options.opensim_markers, placing)
 
 
 def _capture_of(moving: Moving, captures: Sequence[Path]) -> Path | None:
@@ -145,6 +183,10 @@ def _refuse_unwritable(pairs: Sequence[tuple[Moving, Path | None]], options: Gai
         raise HabitusError(
             f"several results are of {twice[0]}; expected captures whose names differ: analyse "
             "them in separate runs"
+        )
+    if options.opensim_markers is not None and options.opensim_model is None:
+        raise HabitusError(
+            f"--opensim-markers {options.opensim_markers} without a model; give --opensim-model"
         )
     without = [moving.capture_name for moving, capture in pairs if capture is None]
     if options.c3d and without:

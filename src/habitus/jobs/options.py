@@ -453,6 +453,12 @@ class GaitOptions:
     """Also write opensim/: markers, ground forces and set-ups that OpenSim 4 runs with a scaled
     model of yours.
     """
+    opensim_model: Annotated[Path | None, unset("OSIM")] = None
+    """A generic model of yours: opensim/ then also holds it scaled to the person, with the markers
+    on it, inverse kinematics, inverse dynamics and a check (needs habitus[opensim]).
+    """
+    opensim_markers: Annotated[Path | None, unset("XML")] = None
+    """The marker set of a generic model that has none, such as gait2392."""
     band: Annotated[Path | None, unset("CSV")] = None
     """A laboratory's own reference, drawn behind the curves: a .csv with the columns percent, and
     for each curve NAME_mean and NAME_sd, such as knee_flexion_mean.

@@ -4,6 +4,7 @@ that opens offline and prints well.
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -65,10 +66,12 @@ NOT_VALIDATED = (
 
 
 def gait_page(
-    analysis: GaitAnalysis, bands: Mapping[str, Float[np.ndarray, "101 2"]] = MappingProxyType({})
+    analysis: GaitAnalysis,
+    bands: Mapping[str, Float[np.ndarray, "101 2"]] = MappingProxyType({}),
+    opensim: Mapping[str, Any] | None = None,
 ) -> str:
     """The report as text. bands: a laboratory's reference curves by name, mean and standard
-    deviation (`habitus.io.bands`).
+    deviation (`habitus.io.bands`). opensim: the check of a scaled model (`habitus.jobs.opensim`).
     """
     strides = "".join(_strides(analysis)) or "<p class='quiet'>No stride was found.</p>"
     verdict = fit_verdict(analysis)
@@ -82,6 +85,7 @@ def gait_page(
         card("Strides", strides, _events_lead(analysis)),
         *_curves(analysis, bands),
         *_forces(analysis),
+        *([] if opensim is None else [_opensim(opensim)]),
         card("Notes", notes_list(_notes(analysis))),
         file_links(files),
     ]
@@ -256,6 +260,37 @@ def _forces(analysis: GaitAnalysis) -> list[str]:
                 "contact beside the plates is off, and so are the moments."
             )
     return [card("Forces", numbers_table(rows, heads), lead)]
+
+
+def _opensim(check: Mapping[str, Any]) -> str:
+    """A scaled OpenSim model: its lengths, and how well it follows the markers."""
+    lengths = []
+    for name, own in check["measures"].items():
+        mine, its = own["person_mm"], own["generic_model_mm"]
+        lengths.append((name, f"{its:.0f}", f"{mine:.0f}", f"{mine / its:.2f}"))
+    joints = [
+        (name.replace("_", " "), f"{value:.0f}", f"{fit:.0f}", f"{value - fit:+.0f}")
+        for name, value in check["joints_mm"]["scaled_model"].items()
+        if (fit := check["joints_mm"]["fit"].get(name)) is not None
+    ]
+    verdict, whole = check["verdict"], check["marker_rms_mm"]
+    share = check["residual_share_of_weight"]
+    lead = [
+        f"{check['generic_model']}, scaled to the person by pairs of landmarks: "
+        f"{verdict['level']}.",
+        *verdict["reasons"],
+        "" if whole is None else f"In all frames markers are {whole:.1f} mm (RMS) off.",
+        f"They were placed on {check['markers_placed_on']}.",
+        ""
+        if share is None
+        else f"Inverse dynamics leaves {100 * share:.1f} % of the body weight (mean) to no one.",
+        "Joints of a model are other points than the fit's, and scale nothing.",
+    ]
+    tables = (
+        numbers_table(lengths, ("Landmarks, mm", "Generic model", "Person", "Ratio"))
+        + numbers_table(joints, ("Joints, mm", "Scaled model", "Fit", "Difference"))
+    )  # fmt: skip
+    return card("OpenSim", tables, shown(" ".join(filter(None, lead)), 2000))
 
 
 def _notes(analysis: GaitAnalysis) -> Sequence[str]:

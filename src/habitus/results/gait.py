@@ -1,6 +1,6 @@
 """The result folder of a gait analysis: tables as CSV, numbers as JSON, and a page."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +43,14 @@ NUMBERS = {
 def save_gait(
     analysis: GaitAnalysis,
     folder: PathLike,
-    page: Callable[[GaitAnalysis], str] | None = None,
+    page: Callable[..., str] | None = None,
     capture: PathLike | None = None,
     opensim: Callable[[Path], object] | None = None,
 ) -> None:
     """Write angles.csv, cycles.csv, dynamics.csv (where there are forces), gait.json and gait.html;
-    of a ``capture`` a copy with model outputs, gait.c3d. opensim: writes into the folder opensim/.
+    of a ``capture`` a copy with model outputs, gait.c3d. opensim: writes into the folder opensim/,
+    and what the check of a model says, if it gives one, stands in gait.json and on the page
+    (``page(analysis, opensim=check)``).
 
     Raises HabitusError where the folder cannot be written.
     """
@@ -63,14 +65,16 @@ def save_gait(
             heads += [f"residual_{axis}_N" for axis in "xyz"]
             values = np.column_stack([curves.values, analysis.residual])
             write_text(partial / "dynamics.csv", _over_time(heads, values, analysis.rate_hz))
-        write_json(partial / "gait.json", gait_numbers(analysis))
-        if page is not None:
-            write_text(partial / "gait.html", page(analysis))
-        if capture is not None:
-            write_with_outputs(capture, model_outputs(analysis), partial / "gait.c3d")
+        checked = None
         if opensim is not None:
             (partial / "opensim").mkdir()
-            opensim(partial / "opensim")
+            checked = opensim(partial / "opensim")
+        own = {"opensim": checked} if isinstance(checked, Mapping) else {}
+        write_json(partial / "gait.json", gait_numbers(analysis) | own)
+        if page is not None:
+            write_text(partial / "gait.html", page(analysis, **own))
+        if capture is not None:
+            write_with_outputs(capture, model_outputs(analysis), partial / "gait.c3d")
 
 
 def model_outputs(
