@@ -43,6 +43,7 @@ def camera_arrays(fit: CameraFit) -> dict[str, np.ndarray]:
     return motion_arrays(fit) | {
         "made": np.array(list(fit.made)),
         "keypoint_names": np.array(fit.keypoint_names),
+        "convention": np.array(fit.convention),
         "keypoints_observed": fit.observed.astype(np.float32),
         "keypoints_confidence": fit.confidence.astype(np.float32),
         "keypoints_predicted": fit.predicted.astype(np.float32),
