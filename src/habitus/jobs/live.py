@@ -102,6 +102,7 @@ class Follower:
         self.count = 0
         self._sinks = list(sinks)
         self._state = "nobody"
+        self._met = False
         for frame, kept in zip(followed.frames, followed.kept, strict=True):
             self._add(frame, kept)
 
@@ -162,13 +163,14 @@ class Follower:
         self._state = live.state
         if live.state == "nobody" and before != "nobody":
             self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
-        elif live.state == "started" and self.count:
+        elif live.state == "started" and self._met:
             what = (
                 "the subject is seen again"
                 if before == "nobody"
                 else "tracking was lost; the body is initialised again"
             )
             self._note(f"{what} at {self.seconds:.1f} s", "")
+        self._met = self._met or live.state != "nobody"
 
     def _relabelled(self, heading: RawPoints) -> None:
         """The stream calls its points something else: markers are found by their labels, and what

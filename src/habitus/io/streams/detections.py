@@ -155,6 +155,7 @@ class DetectionStream:
             raise ValueError("lines of cameras without calibration")
         if self._heading is None:
             self._begin(seen.convention)
+            self._heard[:] = arrived  # the others may follow
         if seen.convention != self.convention:
             raise ValueError("lines of another convention")
         number = self._number(seen)
@@ -248,7 +249,8 @@ def read_line(line: bytes) -> Seen:
     if not isinstance(given, list):
         raise ValueError("lines without keypoints")
     count = len(CONVENTIONS[convention])
-    people = [_person(one, count) for one in given[:MAX_PEOPLE] if one != []]
+    there = [one for one in given if one != []]
+    people = [_person(one, count) for one in there[:MAX_PEOPLE]]
     rows = np.stack(people) if people else np.zeros((0, count, 3))
     return Seen(
         camera,
