@@ -27,7 +27,7 @@ from habitus.rotations import left_jacobian, matrix_from_rotvec
 
 FRAMES = 24
 """Of the motion, evenly spread."""
-OPEN = ((0.5, 12.0), (0.9, 8.0))
+OPEN = ((0.5, 13.0), (0.9, 8.0))
 """A share and an sd (degrees) above which, for one of these pairs, keypoints determine nothing."""
 ROOT_INFORMATION = 1e-6
 """Of the root, which has no prior (1 / m^2, 1 / rad^2)."""

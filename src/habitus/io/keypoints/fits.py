@@ -8,6 +8,8 @@ from habitus.body.motion import BodyMotion
 from habitus.errors import HabitusError, shown
 from habitus.fit.cameras.result import CameraFit
 from habitus.io.archives import open_archive
+from habitus.io.limits import MAX_NAMES, check_count
+from habitus.io.names import plain_name
 from habitus.io.people import BodyLike, person_file, read_motion
 from habitus.observe.camera_rig import CameraRig, RigCamera
 from habitus.types import PathLike
@@ -61,8 +63,11 @@ def read_camera_fit(path: PathLike, body: BodyLike = None) -> CameraFit:
 def _fit(motion: BodyMotion, arrays: dict[str, np.ndarray]) -> CameraFit:
     words = ("convention", "keypoint_names", "camera_names")
     numbers = {name: np.asarray(arrays[name], float) for name in ARRAYS if name not in words}
-    names = tuple(map(str, arrays["keypoint_names"]))
-    cameras = tuple(map(str, arrays["camera_names"]))
+    names, cameras = (
+        tuple(plain_name(str(name)) for name in np.atleast_1d(arrays[key]))
+        for key in ("keypoint_names", "camera_names")
+    )
+    check_count(len(names), MAX_NAMES, "keypoint_names")
     frames, count = len(motion.pose), len(cameras)
     shapes = {
         "keypoints_observed": (frames, count, len(names), 2),
