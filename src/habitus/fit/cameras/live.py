@@ -128,6 +128,7 @@ class KeypointSolver:
         self._settings = settings
         self._live = live
         self._frames = 0
+        self._expected: Float[np.ndarray, "C K 2"] | None = None
         shape = len(self._rig.cameras), len(subject.names)
         nothing = np.full((1, *shape, 2), np.nan), np.zeros((1, *shape))
         prior = subject.prior
@@ -142,17 +143,20 @@ class KeypointSolver:
         state = np.concatenate([trans, pose.ravel()])
         problem = KeypointSequence(self._data, np.zeros(len(state)))
         self._filter = PoseFilter(problem, state, rate_hz, settings)
+        self._at = self._points()
 
     def predicted(self) -> Float[np.ndarray, "C K 2"]:
         """Ideal pixels of the keypoints in the frame that comes next."""
-        ahead = self._filter.ahead()
-        return self._rig.project(self._points(ahead))
+        if self._expected is None:
+            self._expected = self._rig.project(self._points(self._filter.ahead()))
+        return self._expected
 
     def step(self, own: Float[np.ndarray, "N 3"]) -> CausalFrame:
         """Fit the next frame: ideal pixels and confidence of N = C K detections, NaN where
         missing.
         """
-        expected = self.predicted() if self._frames else self._rig.project(self._points())
+        expected = self.predicted()  # at first where the solver starts: nothing moves yet
+        self._expected = None
         blind = np.isfinite(own[:, 0]).sum() < LEAST
         if self._frames:
             self._filter.predict(self._live.velocity_decay if blind else 1.0)
@@ -163,11 +167,12 @@ class KeypointSolver:
             self._data.pixels[:] = np.nan_to_num(seen.pixels)
             self._data.weights[:] = weights
             self._filter.correct()
+        self._at = self._points()
         return self._frame()
 
     def distances(self, own: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
         """Of the body's keypoints from the detections' rays (m), NaN where missing."""
-        points = self._points()
+        points = self._at
         off = np.linalg.norm(
             self._rig.project(points) - own[:, :2].reshape(len(self._noise), -1, 2), axis=-1
         )
@@ -175,7 +180,7 @@ class KeypointSolver:
 
     def points(self, own: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Where detections are in space (m) at the depth of the body's keypoints."""
-        rig, points = self._rig, self._points()
+        rig, points = self._rig, self._at
         pixels = own[:, :2].reshape(len(self._noise), -1, 2)
         depth = self._depth(points)[..., None]
         plane = (pixels - rig.centre[:, None]) / rig.focal[:, None] * depth
@@ -185,7 +190,7 @@ class KeypointSolver:
     def rehearse(self) -> None:
         """Compute the last frame once more; nothing changes."""
         self._filter.rehearse()
-        self.predicted()
+        self._points()
 
     def _frame(self) -> CausalFrame:
         state = self._filter.state
