@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -20,7 +21,9 @@ from habitus.errors import HabitusError
 from habitus.io.keypoints.fits import read_camera_fit
 from habitus.io.streams.detections import DetectionStream
 from habitus.jobs.cameras import CameraResult, fit_cameras
+from habitus.jobs.live_cameras import known_subject
 from habitus.observe.camera_rig import CameraRig
+from habitus.rotations import matrix_from_rotvec
 from habitus_lab.population.camera_scenes import CameraScene, camera_scene, detected
 
 RATE = 60.0
@@ -110,10 +113,9 @@ def follow(frames: list[list[dict | bytes]], rate: float = RATE, **options):
     try:
         fit = hb.live(
             stream,
-            cameras=scene().rig,
             fps=RATE,
             say=lambda text, mark="": said.append(text),
-            **options,
+            **{"cameras": scene().rig, **options},
         )
     finally:
         done.set()
@@ -259,3 +261,29 @@ def test_what_cannot_be_is_refused():
         hb.live("natnet", cameras=rig)
     with pytest.raises(HabitusError, match="no such file"):
         hb.live("detections", cameras=rig, known="nowhere.npz")
+
+
+def test_distorted_cameras_and_a_calibration_that_was_corrected():
+    made = scene()
+    lens = np.array([-0.1, 0.02, 0.001, -0.0005, 0.0, 0.0, 0.0, 0.0])
+    cameras = tuple(replace(camera, distortion=lens) for camera in made.rig.cameras)
+    rig = replace(made.rig, cameras=cameras)
+    frames = every_line(made)[:60]
+    for lines in frames:
+        for camera, each in zip(cameras, lines, strict=True):
+            row = np.array(each["keypoints"])
+            row[:, :2] = camera.distorted(row[:, :2] + 0.5) - 0.5
+            each["keypoints"] = row.tolist()
+    turn, shift = np.array([0.01, -0.02, 0.0]), np.array([0.02, 0.0, 0.01])
+    off = replace(rig, cameras=(cameras[0].moved(matrix_from_rotvec(turn), shift), *cameras[1:]))
+    back = np.zeros((4, 6))
+    back[0, :3] = -turn
+    back[0, 3:] = -matrix_from_rotvec(-turn) @ shift
+    corrected = replace(offline(), corrections=back)  # of `off`, to the true cameras
+    subject, warnings = known_subject(corrected, off, made.detections.convention)
+    np.testing.assert_allclose(subject.cameras.rotation, rig.rotation, atol=1e-9)
+    np.testing.assert_allclose(subject.cameras.translation, rig.translation, atol=1e-9)
+    assert not warnings
+    fit, _ = follow(frames, known=corrected, cameras=off)
+    np.testing.assert_allclose(fit.corrections, back, atol=1e-9)
+    assert errors(fit, made).mean() < 1.7 * errors(offline(), made)[:60].mean()

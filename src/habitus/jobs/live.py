@@ -261,6 +261,10 @@ REHEARSED = 0.7
 """Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next
 frame comes.
 """
+CATCH_UP_S = 10.0
+"""Seconds in which frames that came while the shape was found are worked off; of those that wait
+longer only the newest is kept.
+"""
 MakeSink = Callable[[LivePerson], Sink]
 """Makes a sink for a person whose shape is known."""
 
@@ -399,10 +403,11 @@ def _follow(
     on_status: Callable[[str], None],
 ) -> None:
     """Every frame until the end; a status now and then, silence said."""
-    printed = time.perf_counter()
+    began = printed = time.perf_counter()
     fresh = False
     heard = time.perf_counter()
     while not stream.ended and not over():
+        stream.behind = stream.behind and time.perf_counter() - began < CATCH_UP_S
         waited = stream.behind
         received = stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
         if received is not None:

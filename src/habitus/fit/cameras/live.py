@@ -245,6 +245,10 @@ class KeypointSight:
     ) -> Float[np.ndarray, "N 3"]:
         """The person's detections, (C K, 3) ideal pixels and confidence, NaN where missing."""
         rig = self._subject.cameras
+        there = np.flatnonzero(np.isfinite(observed[..., 0]).any((0, 2)))
+        if not len(there):
+            return np.full((self.num_observations, 3), np.nan)
+        observed = observed[:, there]
         pixels = rig.ideal(observed[..., :2])
         sure = np.where(np.isfinite(pixels).all(-1), np.nan_to_num(observed[..., 2]), 0.0)
         size = box_sizes(pixels[None], sure[None])[0]
