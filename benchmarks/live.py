@@ -37,7 +37,7 @@ PAGE_S = 8.0
 class Clock:
     """When each frame's pose was handed on, by the frame's number."""
 
-    def __init__(self, done, known, recording):
+    def __init__(self, done, person):
         self._done = done
 
     def show(self, now, quality):

@@ -3,6 +3,7 @@
 import io
 import json
 import pickle
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from target import Target
 
 def camera_makers() -> tuple[Callable[[Path], list[Target]], ...]:
     """What makes the targets, each in a folder of its own."""
-    return _calibrations, _detections
+    return _calibrations, _detections, _stream, _known
 
 
 def _read_calibration(path: Path) -> None:
@@ -163,3 +164,60 @@ def _detections(folder: Path) -> list[Target]:
         Target("sam3d keypoints folder", (frames,), "set", _read_detections, 2),
         *(Target(name, ({name: c},), name, _read_detections) for name, c in single.items()),
     ]
+
+
+def _read_lines(path: Path) -> None:
+    """Datagrams of detectors, as they come over the wire; what cannot be used is counted."""
+    from habitus.io.streams.detections import MAX_PEOPLE, DetectionStream
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        port = udp.getsockname()[1]
+    stream = DetectionStream(("cam1", "cam2"), f"127.0.0.1:{port}", 50.0)
+    try:
+        for packet in path.read_bytes().split(b"\0"):
+            stream.take(packet, 0.0)
+            for frame in stream.poll(0.0):
+                assert frame.points.shape == (len(frame.heading.labels), 3)
+                seen = np.isfinite(frame.points)
+                assert (seen.all(1) | ~seen.any(1)).all() and len(seen) % MAX_PEOPLE == 0
+                assert np.abs(frame.points[seen.all(1), :2]).max(initial=0.0) <= 2e6
+        assert len(str(stream.skipped)) < 1000
+    finally:
+        stream.close()
+
+
+def _stream(folder: Path) -> list[Target]:
+    packets = [
+        json.dumps(
+            {"camera": camera, "frame": t, "convention": "coco17"}
+            | ({"people": [[[3, 4.5, 0.9]] * 17] * 2} if t % 2 else {"keypoints": []})
+        ).encode()
+        for t in range(4)
+        for camera in ("cam1", "cam2")
+    ]
+    return [Target("detection lines", ({"lines": b"\0".join(packets)},), "lines", _read_lines, 8)]
+
+
+def _read_known(path: Path) -> None:
+    from habitus.io.keypoints.fits import read_camera_fit
+
+    fit = read_camera_fit(path)
+    assert np.isfinite(fit.betas).all() and np.isfinite(fit.keypoint_places).all()
+    assert fit.confidence.shape[1:] == (len(fit.cameras.names), len(fit.keypoint_names))
+    assert all(text.isprintable() for text in (*fit.keypoint_names, *fit.cameras.names))
+
+
+def _known(folder: Path) -> list[Target]:
+    packed = io.BytesIO()
+    np.savez(
+        packed,
+        poses=np.zeros((2, 72)), trans=np.zeros((2, 3)), betas=np.zeros(10), mocap_framerate=50.0,
+        surface_model_type="default", up_axis="+y", convention="coco17",
+        keypoint_names=np.array(["nose", "left_hip"]), camera_names=np.array(["a", "b"]),
+        keypoints_observed=np.ones((2, 2, 2, 2)), keypoints_confidence=np.ones((2, 2, 2)),
+        keypoint_places=np.zeros((2, 3)), camera_focal=np.ones((2, 2)),
+        camera_centre=np.ones((2, 2)), camera_rotation=np.stack([np.eye(3)] * 2),
+        camera_translation=np.ones((2, 3)), camera_corrections=np.zeros((2, 6)),
+    )  # fmt: skip
+    return [Target("camera fit.npz", ({"body.npz": packed.getvalue()},), "body.npz", _read_known)]

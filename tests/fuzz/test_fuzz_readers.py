@@ -71,6 +71,8 @@ NAMES = (
     "sleap.csv",
     "sam3d keypoints folder",
     "detections.npy",
+    "detection lines",
+    "camera fit.npz",
     "cameras.json",
     "cameras.yaml",
     "keypoints.json",

@@ -152,7 +152,7 @@ def test_names_out_of_files_stay_text(tmp_path):
     server = PageServer(8795, "habitus test", new_token())
     gui = server.viser.gui
     verdict = Verdict("doubtful", TEXTS)
-    quality = SimpleNamespace(verdict=verdict, mean_mm=1.0, seen=3, labels=TEXTS)
+    quality = SimpleNamespace(verdict=verdict, mean_mm=1.0, seen=3, labels=TEXTS, what="markers")
     with gui.add_folder(HOSTILE):
         gui.add_markdown(live_text(HOSTILE, SimpleNamespace(seconds=1.0), quality))
         gui.add_dropdown(HOSTILE, TEXTS)

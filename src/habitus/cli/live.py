@@ -1,4 +1,4 @@
-"""`habitus live`: one person followed through a live stream of markers."""
+"""`habitus live`: one person followed through a live stream of markers or of keypoints."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,16 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class _Files:
-    source: Literal["replay", "natnet", "qtm"]
+    source: Literal["replay", "natnet", "qtm", "detections"]
     """Source of frames: a capture file played as a stream, OptiTrack's Motive, Qualisys Track
-    Manager.
+    Manager, or detectors of 2D keypoints that send JSON over UDP (with --cameras).
     """
     address: Annotated[str | None, tyro.conf.Positional, unset("FILE|HOST[:PORT]")] = None
-    """The file to play, or the computer that streams; by default this one."""
+    """The file to play, or the computer that streams; by default this one. Of detections the
+    address that is listened on, by default 127.0.0.1:5005.
+    """
     out: Annotated[Path | None, unset("FILE.npz|FILE.glb|FOLDER")] = None
     """Where the result is written at the end; without it nothing is kept."""
     view: Flag = False
-    """Show body, markers and quality in the browser."""
+    """Show body, markers or keypoints, and quality in the browser."""
     port: Annotated[int, metavar("N")] = 8080
     """Port of the page that --view serves."""
     send: Annotated[tuple[str, ...], unset("osc|vmc[=HOST[:PORT]] …")] = ()
@@ -33,12 +35,13 @@ class _Files:
 
 @dataclass(frozen=True, kw_only=True)
 class Live(Quiet, LiveOptions, _Files):
-    """Follow one person through a live stream of markers: shape from the first seconds, then pose
-    frame by frame.
+    """Follow one person through a live stream of markers, or of 2D keypoints in calibrated cameras:
+    shape from the first seconds, then pose frame by frame.
 
     A line a second reports the state; markers that are lost or relabelled and a person who leaves
     or returns are reported. Ctrl-C ends it, and OUT then holds all frames that were followed. For
-    instance: habitus live --source natnet 192.168.1.5 --view --send vmc --out take.npz
+    instance: habitus live --source natnet 192.168.1.5 --view --send vmc --out take.npz, or
+    habitus live --source detections --cameras Calib.toml --view
     """
 
 

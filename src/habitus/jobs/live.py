@@ -16,34 +16,34 @@ from jaxtyping import Float
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError, listed
 from habitus.export.motion import export_motion
-from habitus.fit.markers.gaps import MarkerTargets
+from habitus.fit.cameras.result import CameraFit
 from habitus.fit.markers.live import LiveFrame, Quality
-from habitus.fit.markers.recipe import PoseStage, assemble, warm_up
-from habitus.fit.markers.recordings import MIN_MARKERS, Recording
+from habitus.fit.markers.recipe import warm_up
+from habitus.fit.markers.recordings import MIN_MARKERS
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.sequence import SequenceResult
 from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import Subject
-from habitus.fit.markers.suspects import exchange
 from habitus.io.captures.points import RawPoints
 from habitus.io.people import read_fit
-from habitus.io.streams.open import open_source
 from habitus.io.streams.source import Frame, Source
-from habitus.io.streams.wiring import rewired
+from habitus.io.streams.wiring import Wiring, rewired
 from habitus.jobs.bodies import loaded
+from habitus.jobs.live_cameras import DETECTIONS, DetectionStart
+from habitus.jobs.live_markers import MarkerStart
 from habitus.jobs.live_start import (
     IDLE_S,
+    Evidence,
+    Fit,
     Followed,
-    LiveStart,
+    LivePerson,
     Say,
+    Start,
     Stream,
+    Track,
     gather_frames,
     learn_meanwhile,
     silence,
 )
 from habitus.jobs.options import LiveOptions, read_age, takes
-from habitus.jobs.results import save_fit
-from habitus.solve.terms import geman_mcclure_weight
 from habitus.types import PathLike
 
 MAX_LOST_S = 60.0
@@ -85,7 +85,6 @@ class Follower:
         self,
         followed: Followed,
         heading: RawPoints,
-        rate_hz: float,
         say: Say,
         sinks: Sequence[Sink],
         keep: bool = True,
@@ -93,18 +92,19 @@ class Follower:
         self._followed = followed
         self._wiring = followed.wiring
         self._heading = heading
-        self._rate = rate_hz
+        self._rate = followed.person.rate_hz
         self._say = say
         self._known = heading.labels
-        self.quality = Quality(followed.known.layout.labels, rate_hz, followed.settings)
+        self.quality = followed.quality
         self.record = Record() if keep else None
         self.notes = list[str]()
         self.latencies = deque[float](maxlen=10_000)
         self.count = 0
         self._sinks = list(sinks)
         self._state = "nobody"
-        for frame, markers in zip(followed.frames, followed.markers, strict=True):
-            self._add(frame, markers)
+        self._met = False
+        for frame, kept in zip(followed.frames, followed.kept, strict=True):
+            self._add(frame, kept)
 
     @property
     def seconds(self) -> float:
@@ -118,28 +118,33 @@ class Follower:
         if frame.heading is not self._heading:
             self._relabelled(frame.heading)
         for _ in range(self._bridged(missing)):
-            self._add(self._followed.tracker.step(self._none()), self._none())
-        markers = self._wiring.markers(frame.points)
-        live = self._followed.tracker.step(markers)
+            live, evidence = self._step(np.full_like(frame.points, np.nan))
+            self._add(live, evidence.kept)
+        live, evidence = self._step(frame.points)
         if not waited:
             self.latencies.append(time.perf_counter() - frame.arrived)
-        now = Now(frame.number, self.seconds, markers, live)
-        self._add(live, markers)
+        now = Now(frame.number, self.seconds, evidence.points, live)
+        self._add(live, evidence.kept)
         for sink in self._sinks:
             sink.show(now, self.quality)
         return now
+
+    def _step(self, points: Float[np.ndarray, "P 3"]) -> tuple[LiveFrame, Evidence]:
+        observed = self._wiring.markers(points)
+        live = self._followed.tracker.step(observed)
+        return live, self._followed.evidence(observed)
 
     def rehearse(self) -> None:
         """To be called shortly before a frame is due."""
         self._wiring.markers(np.zeros((len(self._heading.labels), 3)))
         self._followed.tracker.rehearse()
 
-    def _add(self, live: LiveFrame, markers: np.ndarray) -> None:
+    def _add(self, live: LiveFrame, kept: np.ndarray) -> None:
         self._report_state(live)
         self.quality.add(live)
         self.count += 1
         if self.record is not None:
-            self.record.add(live, markers)
+            self.record.add(live, kept)
 
     def _bridged(self, missing: int) -> int:
         """How many missing frames are filled in."""
@@ -158,22 +163,25 @@ class Follower:
         self._state = live.state
         if live.state == "nobody" and before != "nobody":
             self._note(f"the subject left at {self.seconds:.1f} s", "warning:")
-        elif live.state == "started" and self.count:
+        elif live.state == "started" and self._met:
             what = (
                 "the subject is seen again"
                 if before == "nobody"
                 else "tracking was lost; the body is initialised again"
             )
             self._note(f"{what} at {self.seconds:.1f} s", "")
+        self._met = self._met or live.state != "nobody"
 
     def _relabelled(self, heading: RawPoints) -> None:
         """The stream calls its points something else: markers are found by their labels, and what
         changed is said.
         """
+        assert isinstance(self._followed.wiring, Wiring)  # keypoints keep their convention
         self._heading = heading
-        self._wiring, gone, new = rewired(self._followed.wiring, self._known, heading.labels)
-        labels = self._followed.known.layout.labels
-        left = int((self._wiring.columns >= 0).sum())
+        wiring, gone, new = rewired(self._followed.wiring, self._known, heading.labels)
+        self._wiring = wiring
+        labels = self._followed.person.labels
+        left = int((wiring.columns >= 0).sum())
         text = (
             f"the marker set changed at {self.seconds:.1f} s: {left} of {len(labels)} markers "
             "are left"
@@ -188,9 +196,6 @@ class Follower:
         if len(self.notes) < _MAX_NOTES:
             self.notes.append(text)
 
-    def _none(self) -> np.ndarray:
-        return np.full((len(self._wiring.columns), 3), np.nan)
-
     def close(self) -> None:
         """Let go of viewers and other programs."""
         for sink in self._sinks:
@@ -203,7 +208,7 @@ def status(follower: Follower, trouble: str) -> str:
     verdict = follower.quality.verdict
     took = 1e3 * np.percentile(follower.latencies, [50, 99]) if follower.latencies else np.zeros(2)
     text = (
-        f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} markers  "
+        f"{follower.seconds:7.1f} s  {quality.seen}/{len(quality.labels)} {quality.what}  "
         f"{quality.mean_mm:.1f} mm"
     )
     text += f"  {took[0]:.1f} ms (99 %: {took[1]:.1f})  {verdict}"
@@ -224,9 +229,7 @@ class Record:
         return len(self._poses)
 
     def add(self, frame: LiveFrame, observed: np.ndarray) -> None:
-        """The next frame, with its markers (N, 3); markers of nobody are not
-        kept.
-        """
+        """The next frame, with what it showed (N, 3), which of nobody is not kept."""
         self._poses.append(frame.pose)
         self._trans.append(frame.trans)
         self._costs.append(frame.cost)
@@ -234,39 +237,15 @@ class Record:
             (observed if frame.state != "nobody" else np.full_like(observed, np.nan)).astype("f4")
         )
 
-    def fit(
-        self,
-        known: Subject,
-        recording: Recording,
-        settings: MoshSettings,
-        notes: Sequence[str],
-    ) -> MarkerFit:
-        """The fit of all frames; where nobody was seen the body stands as it was last, and the
-        frames are flagged.
-        """
+    def track(self) -> Track:
+        """All frames; where nobody was seen the body stands as it was last."""
         standing = _held(np.isfinite(np.array(self._trans)[:, 0]))
-        pose = np.array(self._poses)[standing]
-        trans = np.array(self._trans)[standing]
-        observed = exchange(np.array(self._observed, dtype=np.float64), known.exchanged)
-        scale = np.full(observed.shape[1], settings.robust_scale[1])
-        costs = np.array(self._costs)
-        result = SequenceResult(
-            pose,
-            trans,
-            None,
-            {"frames": float(costs.sum())},
-            costs,
-            np.ones(observed.shape[:2]),
-            "causal",
-            len(costs),
-            (float(costs.sum()),),
+        return Track(
+            np.array(self._poses)[standing],
+            np.array(self._trans)[standing],
+            np.array(self._costs),
+            np.array(self._observed, dtype=np.float64),
         )
-        stage = PoseStage(result, observed, MarkerTargets(observed, None), scale)
-        recording = replace(recording, warnings=(*recording.warnings, *notes))
-        seconds = {"shape": known.seconds, "pose": None, "soft_tissue": None}
-        fit = assemble(recording, known, stage, None, seconds, settings)
-        distances = np.linalg.norm(fit.observed_markers - fit.predicted_pose_stage, axis=2)
-        return replace(fit, marker_weights=np.nan_to_num(geman_mcclure_weight(distances, scale)))
 
 
 def _held(valid: np.ndarray) -> np.ndarray:
@@ -282,8 +261,12 @@ REHEARSED = 0.7
 """Of the time from frame to frame: then a step is rehearsed, as caches forget it until the next
 frame comes.
 """
-MakeSink = Callable[[Subject, Recording], Sink]
-"""Makes a sink for a person whose shape is known; the recording tells rate and up axis."""
+CATCH_UP_S = 10.0
+"""Seconds in which frames that came while the shape was found are worked off; of those that wait
+longer only the newest is kept.
+"""
+MakeSink = Callable[[LivePerson], Sink]
+"""Makes a sink for a person whose shape is known."""
 
 
 @takes(LiveOptions)
@@ -297,11 +280,13 @@ def live(
     sinks: Sequence[MakeSink] = (),
     say: Say = lambda text, mark: None,
     on_status: Callable[[str], None] = lambda line: None,
-) -> MarkerFit | None:
-    """Follow one person through a live stream of markers; ``out`` receives the result.
+) -> Fit | None:
+    """Follow one person through a live stream of markers, or of keypoints in the calibrated
+    ``cameras``; ``out`` receives the result.
 
     source: "replay" (``address`` is a capture file), "natnet" or "qtm" (the host that streams, this
-    one by default, with ``:port`` where it differs), or any `habitus.io.streams.source.Source`.
+    one by default, with ``:port`` where it differs), "detections" (the interface that is listened
+    on, with ``cameras``), or any `habitus.io.streams.source.Source`.
     out: a file that ends in .npz or .glb, or a folder for all files of a fit. sinks: called with
     every frame. say, on_status: called with what happens, and with a line a second. It ends with
     the stream, or with Ctrl-C, which is no error once a person is followed. The fit holds all
@@ -309,19 +294,30 @@ def live(
     kept. Raises HabitusError with one clear line on bad input.
     """
     target = None if out is None else _checked(Path(out))
-    settings = replace(options.settings or MoshSettings(), causal=True, soft_tissue=False)
-    start = LiveStart(options, _model(options), settings, source != "replay")
-    warm_up(start.model)
-    stream = Stream(
-        open_source(source, address, options.fps) if isinstance(source, str) else source
-    )
+    start = _start(source, options)
+    stream = Stream(start.open(source, address) if isinstance(source, str) else source)
     try:
         fit = _session(stream, start, keep or target is not None, sinks, say, on_status)
     finally:
         stream.source.close()
     if target is not None and fit is not None:
-        export_motion(fit, target) if target.suffix else save_fit(fit, target)
+        export_motion(fit, target) if target.suffix else start.save(fit, target)
     return fit
+
+
+def _start(source: str | Source, options: LiveOptions) -> Start:
+    """By keypoints where there are cameras, else by markers."""
+    if isinstance(source, str) and (source == DETECTIONS) != (options.cameras is not None):
+        raise HabitusError(
+            f"source {source} {'without' if source == DETECTIONS else 'with'} cameras; expected "
+            f"a calibration (--cameras FILE) with source {DETECTIONS}, and with no other"
+        )
+    if options.cameras is not None:
+        return DetectionStart.of(options)
+    settings = replace(options.settings or MoshSettings(), causal=True, soft_tissue=False)
+    start = MarkerStart(options, _model(options), settings, source != "replay")
+    warm_up(start.model)
+    return start
 
 
 def _model(options: LiveOptions) -> MarkerFit | BodyModel:
@@ -330,6 +326,10 @@ def _model(options: LiveOptions) -> MarkerFit | BodyModel:
     if isinstance(options.known, str | os.PathLike):
         by_name = isinstance(body, str) and body == "default"
         return read_fit(options.known, None if by_name else body)
+    if isinstance(options.known, CameraFit):
+        raise HabitusError(
+            "known is a fit to cameras; expected one to markers, or cameras beside it"
+        )
     return options.known or loaded(body, options.joints, read_age(options.age))
 
 
@@ -344,12 +344,12 @@ def _checked(out: Path) -> Path:
 
 def _session(
     stream: Stream,
-    start: LiveStart,
+    start: Start,
     keep: bool,
     sinks: Sequence[MakeSink],
     say: Say,
     on_status: Callable[[str], None],
-) -> MarkerFit | None:
+) -> Fit | None:
     """Gather, learn, follow; the fit of it all."""
     stop_after = start.options.stop_after
     until = np.inf if stop_after is None else time.perf_counter() + stop_after
@@ -360,15 +360,15 @@ def _session(
     stream.behind = True
     say(
         f"{len(gathered.frames) / rate:.1f} s of somebody: finding the "
-        f"{'shape' if start.fit is None else 'markers'}",
+        f"{'person' if start.is_known else 'shape'}",
         "",
     )
     followed = learn_meanwhile(stream, gathered, start)
-    for text in followed.recording.warnings:
+    for text in followed.warnings:
         say(text, "warning:")
-    made = [make(followed.known, followed.recording) for make in sinks]
-    follower = Follower(followed, gathered.heading, rate, say, made, keep)
-    say(_introduced(follower, followed.known, start), "")
+    made = [make(followed.person) for make in sinks]
+    follower = Follower(followed, gathered.heading, say, made, keep)
+    say(_introduced(follower, followed), "")
     try:
         _follow(stream, follower, rate, over, say, on_status)
     except KeyboardInterrupt:
@@ -384,17 +384,14 @@ def _session(
     notes = [*follower.notes, *([f"of the stream: {trouble}"] if trouble else [])]
     if follower.record is None:
         return None
-    return follower.record.fit(followed.known, followed.recording, start.settings, notes)
+    return followed.result(follower.record.track(), notes)
 
 
-def _introduced(follower: Follower, known: Subject, start: LiveStart) -> str:
-    measured = known.body.measure(known.shape.betas)
+def _introduced(follower: Follower, followed: Followed) -> str:
+    person = followed.person
+    measured = person.body.measure(person.betas)
     who = f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg"
-    how = "as saved" if start.fit is not None else f"shape in {known.seconds:.1f} s"
-    return (
-        f"following {who} ({how}) by {len(known.layout)} markers ({known.layout.name}): "
-        f"{follower.quality.verdict}"
-    )
+    return f"following {who} ({followed.how}) by {person.by}: {follower.quality.verdict}"
 
 
 def _follow(
@@ -406,10 +403,11 @@ def _follow(
     on_status: Callable[[str], None],
 ) -> None:
     """Every frame until the end; a status now and then, silence said."""
-    printed = time.perf_counter()
+    began = printed = time.perf_counter()
     fresh = False
     heard = time.perf_counter()
     while not stream.ended and not over():
+        stream.behind = stream.behind and time.perf_counter() - began < CATCH_UP_S
         waited = stream.behind
         received = stream.following(rate, REHEARSED / rate if fresh else IDLE_S)
         if received is not None:

@@ -10,10 +10,9 @@ from habitus.errors import HabitusError, check_extra, shown
 from habitus.export.osc import Sender
 from habitus.export.posing import OSC_PORT, UNITY_BONES, VMC_PORT, OscPoses, VmcPoses
 from habitus.fit.markers.live import Quality
-from habitus.fit.markers.recordings import Recording
-from habitus.fit.markers.shape import Subject
 from habitus.io.streams.source import host_and_port
 from habitus.jobs.live import MakeSink, Now, Sink
+from habitus.jobs.live_start import LivePerson
 from habitus.report.live import NEEDED, Board, Shown, serve
 from habitus.report.page_server import markdown_text, new_token, page_address
 
@@ -44,8 +43,8 @@ def _sending(text: str) -> MakeSink:
     return partial(_sender, kind.lower(), Sender(*host_and_port(address, _PORTS[kind.lower()])))
 
 
-def _sender(kind: str, sender: Sender, known: Subject, recording: Recording) -> Sink:
-    body = known.body
+def _sender(kind: str, sender: Sender, person: LivePerson) -> Sink:
+    body = person.body
     if kind == "osc":
         return PoseSender(OscPoses(body.joint_names), sender)
     if body.joint_names[0] not in UNITY_BONES:
@@ -53,8 +52,8 @@ def _sender(kind: str, sender: Sender, known: Subject, recording: Recording) -> 
             f"vmc sends joints of the SMPL family; {body.name} begins with "
             f"{body.joint_names[0]!r}: use osc"
         )
-    rest = body(known.shape.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]).joints
-    return PoseSender(VmcPoses(body.joint_names, body.parents, rest, recording.up_axis), sender)
+    rest = body(person.betas, np.zeros((body.num_joints, 3)), np.zeros(3), vertices=[0]).joints
+    return PoseSender(VmcPoses(body.joint_names, body.parents, rest, person.up_axis), sender)
 
 
 class PoseSender:
@@ -95,21 +94,21 @@ class Viewer:
     the latest.
     """
 
-    def __init__(self, port: int, say: Callable[[str], None], known: Subject, recording: Recording):
+    def __init__(self, port: int, say: Callable[[str], None], person: LivePerson):
         context = multiprocessing.get_context("spawn")
-        self._board = Board(context, known.body.num_joints, len(known.layout))
+        self._board = Board(context, person.body.num_joints, len(person.labels))
         self._say = say
         self._count = 0
         self._text = ""
         self._last_state = ""
-        self._who = _who(known)
-        fields = {name: getattr(known.body, name) for name in NEEDED}
+        self._who = _who(person)
+        fields = {name: getattr(person.body, name) for name in NEEDED}
         self._token = new_token()
         arguments = (
             self._board,
             fields,
-            known.shape.betas,
-            recording.up_axis,
+            person.betas,
+            person.up_axis,
             port,
             self._token,
         )
@@ -151,9 +150,9 @@ class Viewer:
             )
 
 
-def _who(known: Subject) -> str:
-    measured = known.body.measure(known.shape.betas)
-    return f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg, layout {known.layout.name}"
+def _who(person: LivePerson) -> str:
+    measured = person.body.measure(person.betas)
+    return f"{measured['height_m']:.2f} m, {measured['mass_kg']:.0f} kg, {person.by}"
 
 
 def _text(who: str, now: Now, quality: Quality) -> str:
@@ -161,7 +160,7 @@ def _text(who: str, now: Now, quality: Quality) -> str:
     mean = quality.mean_mm
     text = (
         f"**{verdict.level}**\n\n{markdown_text(who)}\n\n{now.seconds:.1f} s, {quality.seen} of "
-        f"{len(quality.labels)} markers"
+        f"{len(quality.labels)} {quality.what}"
     )
     text += "" if np.isnan(mean) else f", {mean:.1f} mm"
     return "\n\n".join([text, *map(markdown_text, verdict.reasons)])

@@ -1,35 +1,25 @@
 """The start of a live fit: frames of the stream are gathered, then the shape is estimated, or a
-known person recognised.
+known person recognised; what kinds of sensors have in common.
 """
 
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
 from habitus.body.model import BodyModel
-from habitus.body.prior import prior_of
-from habitus.errors import HabitusError, listed
-from habitus.fit.markers.live import LiveFrame, Tracker, saved_subject, subject_of
-from habitus.fit.markers.recipe import warm_up
-from habitus.fit.markers.recordings import MIN_MARKERS, Recording
+from habitus.errors import HabitusError
+from habitus.fit.cameras.result import CameraFit
+from habitus.fit.markers.live import LiveFrame, Quality, Tracker
 from habitus.fit.markers.result import MarkerFit
-from habitus.fit.markers.settings import MoshSettings
-from habitus.fit.markers.shape import Subject
 from habitus.io.captures.points import RawPoints
-from habitus.io.captures.read import Capture, captures_of
-from habitus.io.layouts.files import list_layouts
 from habitus.io.streams.source import Frame, Source
-from habitus.io.streams.wiring import Wiring, find_wiring
-from habitus.io.units import METRES
-from habitus.jobs.bodies import aged_body, of_sex, with_fingers
-from habitus.jobs.options import LiveOptions, MoshOptions
-from habitus.jobs.subjects import LayoutChoice, Person, gather
-from habitus.kernels.threads import one_blas_thread
+from habitus.jobs.options import LiveOptions
 from habitus.types import PathLike
 
 MIN_POINTS = 6
@@ -133,31 +123,51 @@ class Stream:
         return frame, missing
 
 
-@dataclass(frozen=True)
-class LiveStart:
-    """How a live fit starts: the options, the body to fit or the earlier fit whose shape is taken,
-    the recipe's settings, and whether ``options.fps`` is the stream's own rate.
+@dataclass(frozen=True, eq=False)
+class LivePerson:
+    """Somebody whose shape is known, as outputs are told of them. labels: of the N points that show
+    them; by: what these are, in words.
     """
 
-    options: LiveOptions
-    source: MarkerFit | BodyModel
-    settings: MoshSettings
-    fps_is_rate: bool = True
+    body: BodyModel
+    betas: Float[np.ndarray, " B"]
+    labels: tuple[str, ...]
+    by: str
+    up_axis: str
+    rate_hz: float
+
+
+Fit = MarkerFit | CameraFit
+"""The result of a live fit."""
+
+
+class Start(Protocol):
+    """How a live fit by one kind of sensor starts and ends.
+
+    options: those of the run; is_known: whether the person's shape is; rate_hz: of the stream,
+    where it is given.
+    """
 
     @property
-    def fit(self) -> MarkerFit | None:
-        """The earlier fit."""
-        return self.source if isinstance(self.source, MarkerFit) else None
+    def options(self) -> LiveOptions: ...  # noqa: D102
 
     @property
-    def model(self) -> BodyModel:
-        """The body."""
-        return self.source.body if isinstance(self.source, MarkerFit) else self.source
+    def is_known(self) -> bool: ...  # noqa: D102
 
     @property
-    def rate_hz(self) -> float | None:
-        """Rate of the stream, where it is given."""
-        return self.options.fps if self.fps_is_rate else None
+    def rate_hz(self) -> float | None: ...  # noqa: D102
+
+    def open(self, source: str, address: PathLike | None) -> Source:
+        """The source of that name. Raises HabitusError."""
+        ...
+
+    def learn(self, name: str, gathered: "Gathered") -> "Followed":
+        """Who the gathered frames show. Raises HabitusError where they do not tell it."""
+        ...
+
+    def save(self, fit: Any, folder: PathLike) -> None:
+        """Write all files of the result."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -175,23 +185,53 @@ class Gathered:
         return self.frames[-1].heading
 
 
-@dataclass(frozen=True)
-class Followed:
-    """Somebody whose shape is known: who, what the first frames were told as, (T, N, 3) markers in
-    metres and what the tracker made of them, and how the stream's points become markers; the
-    settings of the fit.
+class Evidence(NamedTuple):
+    """Of a frame: points in space (N, 3; m) as they are shown, and what the result keeps (N, 3)."""
+
+    points: Float[np.ndarray, "N 3"]
+    kept: Float[np.ndarray, "N 3"]
+
+
+class Wired(Protocol):
+    """From a stream's points to what the tracker takes."""
+
+    def markers(self, points: Float[np.ndarray, "P 3"]) -> np.ndarray:
+        """Of one frame."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The frames (T) of a stream that were followed: poses held where nobody was seen, costs, and
+    what was observed (T, N, 3), NaN where missing.
     """
 
-    known: Subject
-    recording: Recording
-    wiring: Wiring
-    tracker: Tracker
-    markers: Float[np.ndarray, "T N 3"]
+    pose: Float[np.ndarray, "T J 3"]
+    trans: Float[np.ndarray, "T 3"]
+    costs: Float[np.ndarray, " T"]
+    observed: Float[np.ndarray, "T N 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Somebody whose shape is known: who, how the stream's points become what the tracker takes,
+    the tracker with what it made of the first frames, and what they showed (T, N, 3); how good that
+    is; the ``result`` of a track, with notes.
+    """
+
+    person: LivePerson
+    how: str
+    warnings: tuple[str, ...]
+    wiring: Wired
+    tracker: Tracker[Any]
+    quality: Quality
     frames: tuple[LiveFrame, ...]
-    settings: MoshSettings
+    kept: Float[np.ndarray, "T N 3"]
+    evidence: Callable[[np.ndarray], Evidence]
+    result: Callable[[Track, Sequence[str]], Fit]
 
 
-def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[], bool]) -> Gathered:
+def gather_frames(stream: Stream, start: Start, say: Say, over: Callable[[], bool]) -> Gathered:
     """The first frames in which somebody is seen, as many as are asked for.
 
     Raises HabitusError where the stream ends, or ``over`` says so, before there are any.
@@ -200,7 +240,7 @@ def gather_frames(stream: Stream, start: LiveStart, say: Say, over: Callable[[],
     gathered = list[Frame]()
     heard = time.perf_counter()
     seconds = start.options.seconds
-    needed = seconds if start.fit is None else min(seconds, KNOWN_S)
+    needed = min(seconds, KNOWN_S) if start.is_known else seconds
     while not stream.ended and not over():
         received = stream.following(None, IDLE_S)
         if received is None:
@@ -249,16 +289,18 @@ def _rate(gathered: Sequence[Frame], given: float | None, stride: int) -> float:
     return (len(gathered) - 1) / span if span > 1.0 else 0.0
 
 
-def learn_meanwhile(stream: Stream, gathered: Gathered, start: LiveStart) -> Followed:
-    """`learn` beside a stream whose frames are kept until it is done. Raises what it raises."""
+def learn_meanwhile(stream: Stream, gathered: Gathered, start: Start) -> Followed:
+    """`Start.learn` beside a stream whose frames are kept until it is done. Raises what it
+    raises.
+    """
     if stream.source.patient:
-        return learn(stream.source.name, gathered, start)
+        return start.learn(stream.source.name, gathered)
     done: list[Followed] = []
     failed: list[BaseException] = []
 
     def work() -> None:
         try:
-            done.append(learn(stream.source.name, gathered, start))
+            done.append(start.learn(stream.source.name, gathered))
         except BaseException as error:
             failed.append(error)
 
@@ -270,108 +312,3 @@ def learn_meanwhile(stream: Stream, gathered: Gathered, start: LiveStart) -> Fol
     if failed:
         raise failed[0]
     return done[0]
-
-
-def learn(name: str, gathered: Gathered, start: LiveStart) -> Followed:
-    """Who the gathered frames show. Raises HabitusError where they do not tell it."""
-    heading = gathered.heading
-    rate = gathered.rate_hz
-    points = np.stack([frame.points for frame in gathered.frames])
-    if not np.isfinite(points).any():
-        raise HabitusError(f"{name}: no labelled point is seen")
-    captures = captures_of(replace(heading, points=points, rate_hz=rate), rate, name, name)
-    options = start.options
-    if start.fit is None:
-        known, recording, capture = learn_subject(
-            captures, start.model, options.body, options, start.settings
-        )
-    else:
-        known, recording, capture = known_subject(captures, start.fit, options, start.settings)
-    wiring = find_wiring(points, recording.observed, METRES[capture.unit])
-    lost = [label for label, k in zip(known.layout.labels, wiring.columns, strict=True) if k < 0]
-    if lost:
-        raise HabitusError(
-            f"{name}: which of its points are {listed(lost)} is not clear; check for labels that "
-            "repeat"
-        )
-    markers = np.stack([wiring.markers(each) for each in points])
-    tracker = Tracker(known, start.settings, rate)
-    frames = tuple(tracker.step(each) for each in markers)
-    return Followed(known, recording, wiring, tracker, markers, frames, start.settings)
-
-
-def learn_subject(
-    captures: Sequence[Capture],
-    model: BodyModel,
-    given: PathLike | BodyModel,
-    options: MoshOptions | LiveOptions,
-    settings: MoshSettings,
-) -> tuple[Subject, Recording, Capture]:
-    """The person of some frames, shape and placements estimated from them; the frames on the
-    markers in use, and as they were captured. ``given``: the body as it was asked for.
-
-    Raises HabitusError where they hold several people, or too few known markers.
-    """
-    people = gather([captures], options.layout, options.subject, model)
-    people, model = with_fingers(people, model, given, options.joints)
-    model = aged_body(model, options.age, people[0])[0]
-    model = of_sex(model, "neutral" if options.sex == "auto" else options.sex)
-    if len(people) > 1 or len(people[0].captures) > 1:
-        raise HabitusError("the capture holds several people; name one with subject")
-    warm_up(model)
-    person = people[0]
-    with one_blas_thread():  # the matrices are small: more threads only wait for each other
-        known = subject_of(model, prior_of(model), person.layout, person.recordings[0], settings)
-    return known, _of(person.recordings[0], person, known), person.captures[0]
-
-
-def known_subject(
-    captures: Sequence[Capture], fit: MarkerFit, options: LiveOptions, settings: MoshSettings
-) -> tuple[Subject, Recording, Capture]:
-    """A person known from an earlier fit; the frames on the markers that both have, and as
-    captured.
-
-    Raises HabitusError where fewer than four labels of the stream were in that fit.
-    """
-    chosen = _chosen(captures, options.subject)
-    shared = [label for label in fit.labels if label in chosen.labels]
-    if len(shared) < MIN_MARKERS:
-        raise HabitusError(
-            f"of the saved subject's markers ({listed(fit.labels, 6)}) the stream has "
-            f"{len(shared)}; it has "
-            f"{listed(chosen.labels, 6)}; expected at least {MIN_MARKERS}: the same labels as "
-            f"in {fit.capture_name}"
-        )
-    people = gather([[chosen]], _layout_of(fit, options), None, fit.body)
-    layout = people[0].layout
-    layout = layout.restricted_to(tuple(label for label in layout.labels if label in fit.labels))
-    warm_up(fit.body)
-    known = saved_subject(fit, prior_of(fit.body), layout, settings)
-    return known, _of(people[0].recordings[0], people[0], known), chosen
-
-
-def _layout_of(fit: MarkerFit, options: LiveOptions) -> LayoutChoice:
-    """The fit's, where it is a shipped one and no other is asked for."""
-    return (
-        fit.layout_name
-        if str(options.layout) == "auto" and fit.layout_name in list_layouts()
-        else options.layout
-    )
-
-
-def _chosen(captures: Sequence[Capture], name: str | None) -> Capture:
-    if name is None:
-        return captures[0]
-    for capture in captures:
-        if (capture.subject or "").lower() == name.lower():
-            return capture
-    raise HabitusError(
-        f"the stream has no person called {name!r}; it holds "
-        f"{listed(c.subject or '(unnamed)' for c in captures)}"
-    )
-
-
-def _of(recording: Recording, person: Person, known: Subject) -> Recording:
-    """The recording on the known subject's markers."""
-    columns = [person.layout.labels.index(label) for label in known.layout.labels]
-    return replace(recording, observed=np.ascontiguousarray(recording.observed[:, columns]))

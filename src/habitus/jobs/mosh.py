@@ -38,7 +38,7 @@ from habitus.io.streams.wiring import find_wiring
 from habitus.jobs.bodies import body_of, loaded, of_sex, with_fingers
 from habitus.jobs.finding import MarkerSet
 from habitus.jobs.label import label
-from habitus.jobs.live_start import learn_subject
+from habitus.jobs.live_markers import learn_subject
 from habitus.jobs.options import MarkerOptions, MoshOptions, read_age, silent, takes
 from habitus.jobs.results import MarkerResult, capture_folders, save_fit
 from habitus.jobs.subjects import (

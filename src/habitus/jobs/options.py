@@ -20,6 +20,7 @@ from habitus.errors import HabitusError
 
 if TYPE_CHECKING:
     from habitus.body.model import BodyModel
+    from habitus.fit.cameras.result import CameraFit
     from habitus.fit.cameras.settings import CameraSettings
     from habitus.fit.labels.settings import LabelSettings
     from habitus.fit.markers.result import MarkerFit
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from habitus.fit.selection.problem import SelectionSettings
     from habitus.io.captures.read import Capture
     from habitus.markers.layouts import MarkerLayout
+    from habitus.observe.camera_rig import CameraRig
     from habitus.types import PathLike
 
     Age = float | str | None
@@ -38,7 +40,8 @@ if TYPE_CHECKING:
     KeypointSettings = CameraSettings | None
     File = PathLike
     Files = PathLike | Capture | Sequence[PathLike | Capture]
-    KnownFit = PathLike | MarkerFit | None
+    CameraRigFile = PathLike | CameraRig | None
+    KnownFit = PathLike | MarkerFit | CameraFit | None
     LabelledFile = PathLike | Capture | None
     Labels = Sequence[str]
     Layout = PathLike | MarkerLayout | Sequence[MarkerLayout]
@@ -55,7 +58,7 @@ if TYPE_CHECKING:
 else:  # what a command line can say
     Age = str | None
     Body = File = Layout = LayoutName = Pool = str
-    CameraFile = LabelledFile = KnownFit = Path | None
+    CameraFile = CameraRigFile = LabelledFile = KnownFit = Path | None
     DepthSettings = KeypointSettings = LabelSet = Scans = Selecting = Settings = Weights = Any
     Files = tuple[Path, ...]
     Labels = tuple[str, ...]
@@ -258,7 +261,11 @@ class LiveOptions(SubjectOptions, BodyOption):
     """Options of `habitus live`."""
 
     known: Annotated[KnownFit, unset("body.npz")] = None
-    """Earlier fit of the person with the same markers: shape and placements are taken from it."""
+    """Earlier fit of the person with the same markers: shape and placements are taken from it. With
+    --cameras an earlier result of `habitus cameras`.
+    """
+    cameras: Annotated[CameraRigFile, unset("FILE")] = None
+    """Calibration of the cameras in which detectors see the person (--source detections)."""
     subject: Annotated[str | None, unset("NAME")] = None
     """Person to follow, where a stream holds several."""
     fps: Annotated[float | None, unset("HZ")] = None

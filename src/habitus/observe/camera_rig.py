@@ -16,6 +16,8 @@ from habitus.errors import HabitusError, listed
 NEAR = 0.1
 """Metres: nothing nearer to a camera counts."""
 _ITERATIONS = 20
+_CLOSE = 1e-10
+"""In the plane at unit depth: no further step is needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,10 @@ class RigCamera:
         plane = target.copy()
         with np.errstate(all="ignore"):
             for _ in range(_ITERATIONS):  # fixed point: distortion of a plane's middle is small
-                plane = plane + target - _distorted(plane, self.distortion)
+                step = target - _distorted(plane, self.distortion)
+                plane = plane + step
+                if not (np.abs(step) > _CLOSE).any():
+                    break
             off = np.linalg.norm(_distorted(plane, self.distortion) - target, axis=-1)
         plane[~(off < 1e-6)] = np.nan
         return self.focal * plane + self.centre

@@ -4,16 +4,18 @@ body and keypoints in every camera, errors, corrections, and the body in 3D.
 
 from collections.abc import Iterable, Mapping
 from html import escape
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
-from habitus.errors import shown
+from habitus.errors import listed, shown
 from habitus.export.png import png
+from habitus.fit.cameras.determined import determined, open_skin
 from habitus.fit.cameras.result import CameraFit
 from habitus.observe.camera_rig import NEAR, CameraRig, RigCamera
 from habitus.report.drawing import Look, draw_surface, plain_colours, still_page
+from habitus.report.fit.texts import segment
 from habitus.report.shell import (
     MAX_NAME,
     Tile,
@@ -48,9 +50,12 @@ FILES = {
     "metrics.json": "the numbers of this page, for programs",
 }
 GUESSED = (
-    "Keypoints tell of the lengths of bones. Girths and mass, fingers, the face, and turns of "
-    "forearms, thighs and head about their own axis come from what is usual for people."
+    "Keypoints tell of the lengths of bones. Girths and mass, and the shape of face, hands and "
+    "feet, come from what is usual for people."
 )
+OPEN_PLACE = "Crosshatched: no keypoint determines how this part is held ({names})."
+OPEN_TURN = "Hatched: no keypoint determines the turn of this part about its own axis ({names})."
+OPEN_REST = " What is hatched, and all girths, are as is usual for people."
 ALONE = (
     " One camera sees no depth: distance, and turns towards the camera and away from it, are "
     "guesses of the priors."
@@ -79,6 +84,10 @@ def camera_page(
     """
     numbers = finite(dict(numbers))
     guessed = GUESSED + ALONE * (len(numbers["cameras"]) == 1)
+    hatching = _hatching(fit)
+    drawn = [bool(own.any()) for own in hatching.skin.T]
+    said = [text for text, on in zip(hatching.texts, drawn, strict=True) if on]
+    guessed = " ".join([guessed, *said])
     below = [
         *_overlays(fit, pictures or {}),
         _cameras(numbers),
@@ -93,7 +102,7 @@ def camera_page(
     return still_page(
         f"{shown(fit.capture_name, MAX_NAME)} · habitus",
         (_head(fit, numbers), "\n".join(below)),
-        _looks(fit),
+        _looks(fit, hatching),
         "The fitted body at some moments",
     )
 
@@ -167,7 +176,26 @@ def moments(frames: int) -> list[int]:
     return np.unique(np.linspace(0, frames - 1, MOMENTS + 2).round().astype(int)[1:-1]).tolist()
 
 
-def _looks(fit: CameraFit) -> list[Look]:
+class _Hatching(NamedTuple):
+    """Vertices (V, 2) whose turn, and whose place, no keypoint determines, and what that is in
+    words.
+    """
+
+    skin: Bool[np.ndarray, "V 2"]
+    texts: tuple[str, str]
+
+
+def _hatching(fit: CameraFit) -> _Hatching:
+    """By the keypoints that were seen."""
+    place, turn = determined(fit).open
+    names = [segment(name) for name in fit.body.joint_names]
+    said = [listed((names[k] for k in np.flatnonzero(bones)), 12) for bones in (turn, place)]
+    texts = OPEN_TURN.format(names=said[0]), OPEN_PLACE.format(names=said[1])
+    held = open_skin(fit, place)
+    return _Hatching(np.stack([open_skin(fit, turn | place) & ~held, held], 1), texts)
+
+
+def _looks(fit: CameraFit, hatching: _Hatching) -> list[Look]:
     """The body at some moments, upright, and among the cameras."""
     turn = up_rotation(fit.up_axis)
     looks = []
@@ -175,7 +203,16 @@ def _looks(fit: CameraFit) -> list[Look]:
         vertices = np.asarray(fit.vertices(t)) @ turn.T
         vertices = vertices - [vertices[:, 0].mean(), vertices[:, 1].min(), vertices[:, 2].mean()]
         caption = f"The body at {t / fit.rate_hz:.2f} s."
-        looks.append(Look(f"{t / fit.rate_hz:.2f} s", caption, vertices, fit.body.faces))
+        looks.append(
+            Look(
+                f"{t / fit.rate_hz:.2f} s",
+                caption + OPEN_REST * bool(hatching.skin.any()),
+                vertices,
+                fit.body.faces,
+                hatched=hatching.skin,
+                hatching=hatching.texts,
+            )
+        )
     return [*looks, _among_cameras(fit, turn)]
 
 

@@ -15,7 +15,7 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from habitus.export.png import png
 from habitus.mesh.normals import vertex_normals
@@ -264,7 +264,9 @@ class Look:
 
     ``name`` is the text of its button, ``caption`` stands under it; ``colours`` (N, 3) are sRGB,
     grey where None; ``ramp`` are the colours of a scale whose first is for ``ends[0]`` and whose
-    last for ``ends[1]``. Looks are framed together, one that is ``alone`` by itself.
+    last for ``ends[1]``. ``hatched`` (N, 2): where the surface has stripes, and where stripes both
+    ways; ``hatching`` says what these mean. Looks are framed together, one that is ``alone`` by
+    itself.
     """
 
     name: str
@@ -275,6 +277,8 @@ class Look:
     colours: UInt8[np.ndarray, "N 3"] | None = None
     ramp: Sequence[str] = ()
     ends: tuple[str, str] = ("", "")
+    hatched: Bool[np.ndarray, "N 2"] | None = None
+    hatching: tuple[str, str] = ("", "")
     alone: bool = False
 
 
@@ -371,7 +375,7 @@ def _still_html(looks: Sequence[Look], title: str, over: Look | None) -> str:
     )
     captions = "".join(
         f"<p class='caption'{' hidden' if k else ''} data-caption='{k}'>"
-        f"{escape(look.caption)}{_scale(look)}</p>"
+        f"{escape(look.caption)}{_scale(look)}{_hatching(look)}</p>"
         for k, look in enumerate(looks)
     )
     return (
@@ -406,6 +410,7 @@ def _packed(
         "faces": look.faces,
         "normals": look.normals,
         "colours": look.colours,
+        "hatched": look.hatched,
     }
     spacing = float(np.sqrt(SKIN_AREA / max(len(look.points[::stride]), 1)))
     return {kind: name(array, kind) for kind, array in parts.items()} | {"spacing": spacing}
@@ -420,6 +425,8 @@ def _add(
         blob.add(name, array.astype("u2" if array.max() < 65536 else "u4"))
     elif kind == "normals":
         blob.add(name, np.round(127 * np.pad(array, ((0, 0), (0, 1)))).astype("i1"))
+    elif kind == "hatched":
+        blob.add(name, np.pad(255 * array.astype("u1"), ((0, 0), (0, 2))))
     else:
         blob.add(name, np.pad(array, ((0, 0), (0, 1)), constant_values=255).astype("u1"))
 
@@ -432,4 +439,17 @@ def _scale(look: Look) -> str:
         f" <span class='scale-of'>{first} <i style='background: linear-gradient(90deg, "
         f"{', '.join(look.ramp)})'></i>"
         f" {last}</span>"
+    )
+
+
+def _hatching(look: Look) -> str:
+    """What stripes mean, of those that there are."""
+    if look.hatched is None:
+        return ""
+    drawn = [bool(own.any()) for own in look.hatched.T]
+    kinds = zip(("one-way", "both-ways"), look.hatching, drawn, strict=True)
+    return "".join(
+        f" <span class='hatching'><i class='{kind}'></i>{escape(text)}</span>"
+        for kind, text, there in kinds
+        if there
     )

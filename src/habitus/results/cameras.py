@@ -8,6 +8,7 @@ import numpy as np
 from habitus.export.glb import write_glb
 from habitus.export.npz import motion_arrays, write_arrays
 from habitus.files import whole_folder, write_text
+from habitus.fit.cameras.determined import determined
 from habitus.fit.cameras.result import CameraFit
 from habitus.results.save import METRICS, REPORT, measurements_csv, write_json
 from habitus.types import PathLike
@@ -43,6 +44,7 @@ def camera_arrays(fit: CameraFit) -> dict[str, np.ndarray]:
     return motion_arrays(fit) | {
         "made": np.array(list(fit.made)),
         "keypoint_names": np.array(fit.keypoint_names),
+        "convention": np.array(fit.convention),
         "keypoints_observed": fit.observed.astype(np.float32),
         "keypoints_confidence": fit.confidence.astype(np.float32),
         "keypoints_predicted": fit.predicted.astype(np.float32),
@@ -60,7 +62,9 @@ def camera_arrays(fit: CameraFit) -> dict[str, np.ndarray]:
 
 
 def camera_metrics(fit: CameraFit) -> dict[str, Any]:
-    """Errors (px), corrections of cameras, measurements, verdict and warnings."""
+    """Errors (px), corrections of cameras, measurements, what no keypoint determines, verdict and
+    warnings.
+    """
     cameras = fit.cameras
     assert cameras is not None
     return {
@@ -89,6 +93,10 @@ def camera_metrics(fit: CameraFit) -> dict[str, Any]:
         "costs": dict(fit.costs),
         "stage_seconds": {**fit.stage_seconds, "total": sum(fit.stage_seconds.values())},
         "body_measurements": dict(fit.measurements),
+        "undetermined_joints": {
+            kind: [fit.body.joint_names[k] for k in np.flatnonzero(bones)]
+            for kind, bones in determined(fit).open._asdict().items()
+        },
         "guessed_measurements": [name for name in fit.measurements if name not in KNOWN],
         "verdict": fit.verdict.entry(),
         "warnings": list(fit.warnings),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from marker_scene import degrees_apart, scene
 
-from habitus.fit.markers.live import Quality, Tracker
+from habitus.fit.markers.live import Quality, QualityLimits, marker_tracker
 from habitus.fit.markers.settings import MoshSettings
 
 RATE = 30.0
@@ -28,7 +28,7 @@ def tracker(s, exchanged=(), misplaced=()):
         exchanged=exchanged,
         misplaced=misplaced,
     )
-    return Tracker(subject, MoshSettings(), RATE)
+    return marker_tracker(subject, MoshSettings(), RATE)
 
 
 def follow(s, **told):
@@ -96,7 +96,8 @@ def test_labels_that_are_exchanged_and_markers_that_are_misplaced_are_known(s):
 
 
 def test_quality_tells_what_is_wrong_and_nothing_else(s):
-    quality = Quality(tuple(f"m{k}" for k in range(25)), RATE, MoshSettings())
+    limits = QualityLimits.of_markers(MoshSettings())
+    quality = Quality(tuple(f"m{k}" for k in range(25)), RATE, limits)
     assert quality.verdict.level == "failed"
     s.observed[60:, 3] += (0.0, 0.4, 0.0)
     for k, frame in enumerate(follow(s)):

@@ -56,7 +56,7 @@ def tracks(detections: Detections, rig: CameraRig, settings: CameraSettings) -> 
         1,
     )
     confidence = np.where(np.isfinite(pixels).all(-1), detections.confidence, 0.0)
-    size = _size(pixels, confidence)
+    size = box_sizes(pixels, confidence)
     if detections.people == 1:
         found = [np.zeros((len(pixels), pixels.shape[1]), np.int64)]
     elif len(rig.cameras) == 1:
@@ -99,7 +99,7 @@ def one_person(
     return followed, replace(rig, cameras=cameras)
 
 
-def _size(pixels: np.ndarray, confidence: np.ndarray) -> Float[np.ndarray, "T C P"]:
+def box_sizes(pixels: np.ndarray, confidence: np.ndarray) -> Float[np.ndarray, "T C P"]:
     """The diagonal (px) of each detection's box, NaN where there is none."""
     at = np.where(confidence[..., None] > 0.0, pixels, np.nan)
     with np.errstate(all="ignore"):
@@ -161,14 +161,14 @@ def _followed(
     track's last points predict are its own; the others are grouped by their rays.
     """
     frames = len(pixels)
-    distance = _distances(pixels, confidence, size, rig, settings)
+    distance = line_distances(pixels, confidence, size, rig, settings)
     everybody: list[_Followed] = []
     for t in range(frames):
         active = [k for k in everybody if t - k.last <= settings.max_gap * rate_hz]
         free = np.isfinite(size[t])
         waiting = []
         expected = [rig.project(track.predicted(t)) for track in active]
-        rows = _near_prediction(expected, pixels[t], confidence[t], size[t], settings)
+        rows = near_prediction(expected, pixels[t], confidence[t], size[t], settings)
         for track, who in zip(active, rows, strict=True):
             who = _meeting(distance[t], who, free.shape[1], settings)
             own = np.flatnonzero(who >= 0)
@@ -182,7 +182,7 @@ def _followed(
                 waiting.append(track)
         groups = [
             who
-            for who in _groups(distance[t], free, settings)
+            for who in grouped(distance[t], free, settings)
             if (who >= 0).sum() >= settings.min_views
         ]
         points = [_points(pixels[t], confidence[t], size[t], who, rig, settings) for who in groups]
@@ -200,7 +200,7 @@ def _median(points: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "3"]:
     return np.median(known, axis=0) if len(known) else np.full(3, np.nan)
 
 
-def _near_prediction(
+def near_prediction(
     expected: Sequence[Float[np.ndarray, "C K 2"]],
     pixels: Float[np.ndarray, "C P K 2"],
     confidence: Float[np.ndarray, "C P K"],
@@ -278,7 +278,7 @@ def _started(
     return _Followed(rows, frame, points, np.zeros(3))
 
 
-def _distances(
+def line_distances(
     pixels: np.ndarray,
     confidence: np.ndarray,
     size: np.ndarray,
@@ -311,7 +311,7 @@ def _distances(
     return out
 
 
-def _groups(
+def grouped(
     distance: Float[np.ndarray, "n n"], present: Bool[np.ndarray, "C P"], settings: PeopleSettings
 ) -> list[Int[np.ndarray, " C"]]:
     """Detections that are one person: of each camera which, -1 for none; the closest pairs are

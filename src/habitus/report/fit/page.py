@@ -313,15 +313,8 @@ def _unobserved(fit: "MarkerFit") -> list[str]:
     spread = np.median(fit.guessed.spread, axis=0)[joints]
     known = sorted(round(100 * float(value)) for value in spread if np.isfinite(value))
     accuracy = texts.UNOBSERVED_ACCURACY.format(low=known[0], high=known[-1]) if known else ""
-    names = listed((_segment(fit.body.joint_names[k]) for k in joints), 12)
+    names = listed((texts.segment(fit.body.joint_names[k]) for k in joints), 12)
     return [texts.UNOBSERVED.format(names=names, accuracy=accuracy)]
-
-
-def _segment(joint: str) -> str:
-    side, _, rest = joint.partition("_")
-    if side in ("left", "right") and rest:
-        return f"{side} {texts.SEGMENTS.get(rest, rest)}".replace("_", " ")
-    return texts.SEGMENTS.get(joint, joint).replace("_", " ")
 
 
 def _is_match(warning: str, numbers: dict[str, Any]) -> bool:

@@ -46,6 +46,15 @@ SEGMENTS = {
 }
 """The body segment that each joint moves."""
 
+
+def segment(joint: str) -> str:
+    """The segment that a joint moves, in words."""
+    side, _, rest = joint.partition("_")
+    if side in ("left", "right") and rest:
+        return f"{side} {SEGMENTS.get(rest, rest)}".replace("_", " ")
+    return SEGMENTS.get(joint, joint).replace("_", " ")
+
+
 NO_MARKERS = "No marker is visible in any frame, so the fit cannot be judged."
 ERROR = "The mean distance between observed and predicted markers is {mean:.1f} mm"
 ERROR_BOTH = " with soft tissue and {pose:.1f} mm without"

@@ -8,22 +8,25 @@ const START = { yaw: 0.4 - report.facing, pitch: 0.08, near: 1, right: 0, up: 0 
 const view = { ...START, look: 0, over: false, spin: !calm };
 
 const VERTEX = `#version 300 es
-in vec3 place; in vec3 normal; in vec4 colour;
+in vec3 place; in vec3 normal; in vec4 colour; in vec4 hatched;
 uniform mat3 turn; uniform vec3 middle; uniform vec4 fit; uniform vec3 skin; uniform float tinted; uniform float wide; uniform float lift; uniform float deep;
-out vec3 n; out vec3 c;
+out vec3 n; out vec3 c; out vec2 h;
 void main() {
   vec3 p = turn * (place - middle);
   gl_Position = vec4(p.x * fit.x + fit.z, p.y * fit.y + fit.w, -p.z * deep - lift, 1.0);
-  gl_PointSize = wide; n = turn * normal; c = mix(skin, colour.rgb, tinted);
+  gl_PointSize = wide; n = turn * normal; c = mix(skin, colour.rgb, tinted); h = hatched.xy;
 }`;
 const FRAGMENT = `#version 300 es
-precision highp float; in vec3 n; in vec3 c; uniform float wide; uniform float sided; out vec4 pixel;
+precision highp float; in vec3 n; in vec3 c; in vec2 h; uniform float wide; uniform float sided; uniform float stripe; out vec4 pixel;
+float line(float along) { return 1.0 - smoothstep(0.26, 0.5, abs(fract(along / stripe) - 0.5) * 2.0); }
 void main() {
   if (wide > 0.0 && length(gl_PointCoord - 0.5) > 0.5) discard;
   vec3 m = normalize(n);
   if (sided > 0.0 && m.z < 0.0) discard;
   float light = 0.52 + 0.34 * max(dot(m, normalize(vec3(0.35, 0.5, 0.8))), 0.0) + 0.14 * m.y;
-  pixel = vec4(pow(pow(c, vec3(2.2)) * light * 1.25, vec3(1.0 / 2.2)), 1.0);
+  float both = step(0.5, h.y), lines = max(max(step(0.5, h.x), both) * line(gl_FragCoord.x - gl_FragCoord.y), both * line(gl_FragCoord.x + gl_FragCoord.y));
+  vec3 own = mix(c, vec3(0.56, 0.36, 0.84), 0.85 * lines);
+  pixel = vec4(pow(pow(own, vec3(2.2)) * light * 1.25, vec3(1.0 / 2.2)), 1.0);
 }`;
 
 function compiled() {
@@ -70,6 +73,7 @@ function loaded(shader, look) {
   feed('place', points, 3, gl.FLOAT, false);
   if (look.normals) feed('normal', arrays.get(look.normals), 4, gl.BYTE, true);
   else feed('normal', normals(points, faces), 3, gl.FLOAT, false);
+  if (look.hatched) feed('hatched', arrays.get(look.hatched), 4, gl.UNSIGNED_BYTE, true);
   const tinted = Boolean(look.colours);
   if (tinted) feed('colour', arrays.get(look.colours), 4, gl.UNSIGNED_BYTE, true);
   if (faces) {
@@ -81,7 +85,7 @@ function loaded(shader, look) {
 }
 
 function scene() {
-  const shader = compiled(), place = Object.fromEntries(['turn', 'middle', 'fit', 'skin', 'tinted', 'wide', 'lift', 'deep', 'sided'].map(n => [n, gl.getUniformLocation(shader, n)]));
+  const shader = compiled(), place = Object.fromEntries(['turn', 'middle', 'fit', 'skin', 'tinted', 'wide', 'lift', 'deep', 'sided', 'stripe'].map(n => [n, gl.getUniformLocation(shader, n)]));
   gl.enable(gl.DEPTH_TEST);
   return { place, looks: report.looks.map(look => loaded(shader, look)), over: report.over && loaded(shader, report.over) };
 }
@@ -105,6 +109,7 @@ function draw(drawn) {
   gl.uniformMatrix3fv(drawn.place.turn, false, [cy, sp * sy, -cp * sy, 0, cp, sp, sy, -sp * cy, cp * cy]);
   const frame = report.looks[view.look], scale = 1.84 / frame.size * view.near;
   gl.uniform3fv(drawn.place.middle, frame.middle);
+  gl.uniform1f(drawn.place.stripe, 9 * ratio);
   gl.uniform1f(drawn.place.deep, 0.36 / Math.max(frame.size, 1.8));
   gl.uniform4f(drawn.place.fit, scale * height / width, scale, view.right, view.up);
   show(drawn, drawn.looks[view.look], [0.62, 0.60, 0.57], scale / 2, 0);
