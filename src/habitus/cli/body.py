@@ -56,6 +56,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
+    from habitus.body.measurement_names import shown_unit
     from habitus.fit.from_measurements import ESTIMATE
     from habitus.jobs.estimates import body_from_measurements, save_estimate
 
@@ -70,7 +71,7 @@ def run(options: Body, console: "Console | None" = None) -> None:
     for heading in ("measurement", "value", "± sd", ""):
         table.add_column(heading, justify="left" if heading in ("measurement", "") else "right")
     for name, value in estimate.measurements.items():
-        scale, unit = (1.0, "kg") if name.endswith("_kg") else (100.0, "cm")
+        scale, unit = shown_unit(name)
         given = "given" if name in estimate.given else ""
         table.add_row(
             name, f"{scale * value:.1f} {unit}", f"{scale * estimate.spread[name]:.1f}", given

@@ -42,7 +42,7 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
-    from habitus.body.measurement_names import DEFINITIONS
+    from habitus.body.measurement_names import DEFINITIONS, shown_measurement
     from habitus.jobs.measuring import measure_file
 
     console = console or screen()
@@ -53,8 +53,9 @@ def run(options: Measure, console: "Console | None" = None) -> None:
             heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what"
         )
     for name, value in measured.values.items():
-        text = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
-        table.add_row(name, text, DEFINITIONS[name].says, DEFINITIONS[name].iso)
+        table.add_row(
+            name, shown_measurement(name, value), DEFINITIONS[name].says, DEFINITIONS[name].iso
+        )
     console.print(table)
     for note in measured.notes:
         say(console, note, "note")

@@ -17,13 +17,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtrc, ndtri
 
-from habitus.body.measurement_names import find_measurement
+from habitus.body.measurement_names import find_measurement, si_unit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
 from habitus.solve.terms import Term
 
+_WORDS = {"m": "metres", "kg": "kilograms"}
 Given = float | tuple[float, float]
 
 
@@ -144,9 +145,9 @@ def _read(
                 f"{spelling} is {given!r}; expected a number above 0, or such a number and its sd"
             )
         if not 0.1 < value / mean[name] < 10:
-            unit = "kilograms" if name.endswith("_kg") else "metres"
             raise HabitusError(
-                f"{spelling} is {value:g}; people have about {mean[name]:.3g}: give {unit}"
+                f"{spelling} is {value:g}; people have about {mean[name]:.3g}: give "
+                f"{_WORDS.get(si_unit(name), si_unit(name))}"
             )
         targets[name] = float(value), float(sd)
     return targets

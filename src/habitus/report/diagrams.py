@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.measurement_names import plain_measurement
 from habitus.body.measurements import MeasuringKit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
@@ -187,7 +188,7 @@ def _others(kit: MeasuringKit, measurements: Mapping[str, float], left: float) -
 
 def _line(name: str, value: float, left: float, y: float) -> str:
     """A measurement as a line of text."""
-    title = name.removesuffix("_m").removesuffix("_kg").removesuffix("_circumference")
+    title = plain_measurement(name).removesuffix("_circumference")
     return (
         f'<text x="{left:.1f}" y="{y:.1f}">{escape(title.replace("_", " ").capitalize())} '
         f'<tspan class="v">{measurement_text(name, value)}</tspan></text>'
