@@ -235,7 +235,7 @@ def volume(
 
 def surface_area(
     vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "*batch"]:
+) -> float | Float[np.ndarray, "*batch"]:
     """The area (m^2) of a surface."""
     a, b, c = (vertices[..., faces[:, k], :] for k in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum(-1)

@@ -146,8 +146,9 @@ class SewingKit:
         lengths: dict[str, np.ndarray] = {}
         for path in PATHS:
             sides = [self._along(path, side, posed, at, sole) for side in SIDES]
-            if not any(each is None for each in sides):
-                lengths[path.name] = np.mean(sides, axis=0)
+            known = [each for each in sides if each is not None]
+            if len(known) == len(sides):
+                lengths[path.name] = np.mean(known, axis=0)
         for name, (high, low, share) in DROPS.items():
             if {high, low or high} <= at.keys():
                 lengths[name] = share * np.mean(

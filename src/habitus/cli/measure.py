@@ -29,6 +29,8 @@ class Measure:
     """The body that betas or mesh belong to, where the file does not name it."""
     out: Annotated[Path | None, unset("FILE.json|csv")] = None
     """File for the measurements."""
+    segments: Annotated[Path | None, unset("FILE.csv|json")] = None
+    """File for volume, mass, centre of mass and inertia of each segment."""
     picture: Annotated[Path | None, unset("FILE.svg")] = None
     """File for a drawing of the person with every tape."""
 
@@ -62,6 +64,9 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     if options.out is not None:
         measured.save(options.out)
         say(console, f"wrote {plain(options.out)}")
+    if options.segments is not None:
+        measured.save_segments(options.segments)
+        say(console, f"wrote {plain(options.segments)}")
     if options.picture is not None:
         measured.draw(options.picture)
         say(console, f"drew {plain(options.picture)}")
