@@ -28,6 +28,7 @@ _TURN = (-2.0, -1.0)
 way, where the outline is 63 degrees steep."""
 _BELOW_CROTCH = 0.005  # metres that the skin of the trunk reaches below the crotch
 _NARROW = 1e-9
+_DIRECTIONS = 60  # in which a hull's width is taken: right to 2e-4
 CROTCH = 1.17
 """A tailor's crotch length over that of the taut tape on the skin, a shallow saddle at the crotch:
 ANSUR II's means at the navel are 62.1 and 62.2 cm (women, men), the tape's 52.2 and 53.8 cm."""
@@ -143,9 +144,12 @@ class SewingKit:
         """Lengths (m) and slopes (degrees) of rest surfaces whose soles are at ``sole``."""
         posed = self.posed(vertices, joints)
         at = {name: ring.points(posed)[:, 0] for name, ring in self.places.items()}
+        legs = {
+            leg: taut_length(arc.points(posed), np.array(leg.out)) for leg, arc in self.arcs.items()
+        }
         lengths: dict[str, np.ndarray] = {}
         for path in PATHS:
-            sides = [self._along(path, side, posed, at, sole) for side in SIDES]
+            sides = [_along(path, side, legs, at, sole) for side in SIDES]
             known = [each for each in sides if each is not None]
             if len(known) == len(sides):
                 lengths[path.name] = np.mean(known, axis=0)
@@ -167,19 +171,25 @@ class SewingKit:
             )
         return lengths
 
-    def _along(
-        self, path: Path, side: str, posed: np.ndarray, at: Mapping[str, np.ndarray], sole: Any
-    ) -> np.ndarray | None:
-        total = np.zeros(len(posed))
-        for leg in (_mirrored(leg, side) for leg in path.legs):
-            if leg in self.arcs and leg.out is not None:
-                total += taut_length(self.arcs[leg].points(posed), np.array(leg.out))
-            elif leg.out is None and {leg.start, leg.end} <= at.keys():
-                total += np.linalg.norm(at[leg.start] - at[leg.end], axis=-1)
-            else:
-                return None
-        total *= path.times
-        return total if path.down is None else total + at[_of(path.down, side)][:, 1] - sole
+
+def _along(
+    path: Path,
+    side: str,
+    taut: Mapping[Leg, np.ndarray],
+    at: Mapping[str, np.ndarray],
+    sole: Float[np.ndarray, " N"],
+) -> Float[np.ndarray, " N"] | None:
+    """The length of a path on one side; None where a place of it is not known."""
+    total = np.zeros(len(sole))
+    for leg in (_mirrored(leg, side) for leg in path.legs):
+        if leg in taut:
+            total += taut[leg]
+        elif leg.out is None and {leg.start, leg.end} <= at.keys():
+            total += np.linalg.norm(at[leg.start] - at[leg.end], axis=-1)
+        else:
+            return None
+    total *= path.times
+    return total if path.down is None else total + at[_of(path.down, side)][:, 1] - sole
 
 
 def taut_length(points: Float[np.ndarray, "*batch K 3"], out: Float[np.ndarray, " 3"]) -> Any:
@@ -198,7 +208,7 @@ def taut_length(points: Float[np.ndarray, "*batch K 3"], out: Float[np.ndarray, 
     end = length[..., 0]
     along = np.where(height > 0.0, along, np.clip(along, 0.0, end))
     flat = np.stack([along, np.maximum(height, 0.0)], axis=-1)
-    return hull_perimeter(flat) - end[..., 0]
+    return hull_perimeter(flat, _DIRECTIONS) - end[..., 0]
 
 
 def lay_sewing(

@@ -73,9 +73,9 @@ class Ring:
             return points
 
 
-def hull_perimeter(points: Float[np.ndarray, "*batch K 2"]) -> Any:
+def hull_perimeter(points: Float[np.ndarray, "*batch K 2"], directions: int = _DIRECTIONS) -> Any:
     """Of the convex hull of points in a plane (Cauchy: its mean width, times pi), (*batch,)."""
-    angle = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
+    angle = np.arange(directions) * (np.pi / directions)
     width = np.ptp(points @ np.stack([np.cos(angle), np.sin(angle)]), axis=-2)
     return width.mean(axis=-1) * np.pi
 

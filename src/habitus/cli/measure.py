@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -27,8 +27,10 @@ class Measure:
     """
     body: Annotated[str | None, unset("NAME|FILE")] = None
     """The body that betas or mesh belong to, where the file does not name it."""
-    out: Annotated[Path | None, unset("FILE.json|csv")] = None
-    """File for the measurements."""
+    out: Annotated[Path | None, unset("FILE.json|csv|smis|vit|yaml")] = None
+    """File for the measurements; for Seamly2D or Valentina (smis, vit) or GarmentCode (yaml)."""
+    format: Literal["auto", "habitus", "seamly", "garmentcode", "freesewing"] = "auto"
+    """Program for which --out is written; auto goes by its ending, and json is habitus'."""
     segments: Annotated[Path | None, unset("FILE.csv|json")] = None
     """File for volume, mass, centre of mass and inertia of each segment."""
     picture: Annotated[Path | None, unset("FILE.svg")] = None
@@ -62,7 +64,7 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     for note in measured.notes:
         say(console, note, "note")
     if options.out is not None:
-        measured.save(options.out)
+        measured.save(options.out, "" if options.format == "auto" else options.format)
         say(console, f"wrote {plain(options.out)}")
     if options.segments is not None:
         measured.save_segments(options.segments)

@@ -21,6 +21,7 @@ from habitus.body.model import BodyModel
 from habitus.body.recentred import is_of, misfit, turned_by
 from habitus.body.segments import SegmentMasses, surface_masses
 from habitus.errors import HabitusError
+from habitus.export.measurements import program_of, write_measurements
 from habitus.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
@@ -40,6 +41,7 @@ _SEGMENTS = {
 }  # fmt: skip
 """What moves with these joints; the trunk includes the spine and the collar bones."""
 SPACES = ("neutral", "female", "male")
+SEXES = ("female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _END = 0.05  # of the height: within it a hole is at the end of a body
 _MAX_CUT = 0.3  # of the height: a wider hole is a cut through a body; below a skirt it is narrower
@@ -60,15 +62,23 @@ class Measurements:
     body: BodyModel | None = None
     rest_vertices: Float[np.ndarray, "V 3"] | None = None
 
-    def save(self, path: PathLike) -> None:
-        """Write them as .json or .csv. Raises HabitusError for another ending or where nothing can
-        be written.
+    def save(self, path: PathLike, program: str = "") -> None:
+        """Write them as .json or .csv, or for a pattern program: "garmentcode" (.yaml), "seamly"
+        (.smis, .vit) or "freesewing" (.json), which but for .json the ending says.
+
+        Raises HabitusError for another ending or where nothing can be written.
         """
         target = Path(path)
+        program = program or program_of(target)
+        if program and program != "habitus":
+            sex = "" if self.body is None or self.body.name not in SEXES else self.body.name
+            write_measurements(self.values, target, program, sex)
+            return
         make = {".json": self._json, ".csv": self._csv}.get(target.suffix.lower())
         if make is None:
             raise HabitusError(
-                f"cannot write measurements to {target.name}: expected a name in .json, .csv"
+                f"cannot write measurements to {target.name}: expected a name in .json, .csv, "
+                ".smis, .vit, .yaml"
             )
         write_text(target, make())
 
