@@ -1,6 +1,6 @@
 """How near does the volume of a body made from tapes come to that of the man weighed under water?
 
-    python benchmarks/tailors.py BODYFAT_CSV [--people N]
+    python benchmarks/tailors.py BODYFAT_CSV [--people N] [--survey SURVEY_FOLDER]
 
 BODYFAT_CSV is `data/bodyfat.csv` of github THOMASELOVE/431-data: men of Penrose, Nelson and Fisher
 (1985) with density under water, weight, height and ten girths. A body of the male shape space is
@@ -11,6 +11,10 @@ height + .009 age - 1.09 litres) is added to theirs. Errors without it are told,
 
 Beside it: a linear regression on the other men (ten folds), which knows their volumes; and, with
 the weight, weight over the men's mean density. Nothing here was fitted to the men.
+
+With SURVEY_FOLDER, which holds the two public tables of ANSUR II, tailors' measurements of the mean
+bodies are held against the survey's means, where it took the like; bodies were fitted to none of
+these.
 
 Definitions: abdomen is at the navel and the hip bones, as our waist; thigh just below the buttock's
 fold, ours a quarter of the way from hip to knee; ankle at its least, ours 78 % of the way from knee
@@ -45,6 +49,17 @@ HEIGHT_SD, MASS_SD = 0.01, 0.5  # m, kg
 GOAL = 2.5  # percent
 FOLDS = 10
 RARE = ESTIMATE.max_sd
+SURVEY = {
+    "armpit_height_m": "axillaheight",
+    "shoulder_length_m": "shoulderlength",
+    "neck_base_circumference_m": "neckcircumferencebase",
+    "across_back_m": "interscyeii",
+    "arm_length_m": "sleeveoutseam",
+    "back_neck_to_wrist_m": "sleevelengthspinewrist",
+    "heel_ankle_circumference_m": "heelanklecircumference",
+}
+"""Measurements of the survey, in mm, that are like ours. Its spine to wrist is taken with raised arms
+bent, its shoulder blades being apart then, as between the midscyes."""
 
 
 def read_men(path: Path) -> dict[str, np.ndarray]:
@@ -132,11 +147,26 @@ def judged(men: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
     return result
 
 
+def against_survey(folder: Path) -> dict[str, dict[str, float]]:
+    """The survey's means and those of the mean bodies, cm."""
+    found: dict[str, dict[str, float]] = {name: {} for name in SURVEY}
+    for sex in ("female", "male"):
+        body = habitus.load_body(sex)
+        mine = body.measure(body.people_mean)
+        with (folder / f"ANSUR_II_{sex.upper()}_Public.csv").open(encoding="latin-1") as lines:
+            rows = list(csv.DictReader(lines))
+        for name, column in SURVEY.items():
+            survey = float(np.mean([float(row[column]) for row in rows])) / 10.0
+            found[name] |= {f"{sex} survey": survey, f"{sex} body": 100.0 * mine[name]}
+    return found
+
+
 def main() -> None:
     """Judge, print, write JSON."""
     arguments = parser(__doc__, out=True)
     arguments.add_argument("table", type=Path, metavar="BODYFAT_CSV")
     arguments.add_argument("--people", type=int, help="the first so many (all)")
+    arguments.add_argument("--survey", type=Path, metavar="SURVEY_FOLDER")
     options = arguments.parse_args()
     men = {name: values[: options.people] for name, values in read_men(options.table).items()}
     found = judged(men)
@@ -151,7 +181,18 @@ def main() -> None:
         )
         table.add_row(name, *cells)
     Console(width=150).print(table)
-    write_json(options.out, {"machine": machine(), "men": len(men["volume"]), "errors": found})
+    survey = {} if options.survey is None else against_survey(options.survey)
+    if survey:
+        table = Table(title="means, cm")
+        for head in ("", *next(iter(survey.values()))):
+            table.add_column(head, justify="right" if head else "left")
+        for name, row in survey.items():
+            table.add_row(name.removesuffix("_m"), *(f"{value:.1f}" for value in row.values()))
+        Console(width=150).print(table)
+    write_json(
+        options.out,
+        {"machine": machine(), "men": len(men["volume"]), "errors": found, "survey": survey},
+    )
 
 
 if __name__ == "__main__":
