@@ -237,8 +237,11 @@ def surface_area(
     vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
 ) -> float | Float[np.ndarray, "*batch"]:
     """The area (m^2) of a surface."""
-    a, b, c = (vertices[..., faces[:, k], :] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum(-1)
+    a, b, c = faces.T
+    axes = [np.ascontiguousarray(vertices[..., k]) for k in range(3)]
+    (ux, vx), (uy, vy), (uz, vz) = ((p[..., b] - p[..., a], p[..., c] - p[..., a]) for p in axes)
+    squared = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
+    return 0.5 * np.sqrt(squared).sum(-1)
 
 
 def circumference(
