@@ -22,7 +22,10 @@ def test_a_body_is_made_from_measurements_and_measured(tmp_path, capsys):
     )
     said = capsys.readouterr().out
     assert (
-        "height_m" in said and "178.0 cm" in said and said.count("38.0 cm") >= 2 and "him.npz" in said
+        "height_m" in said
+        and "178.0 cm" in said
+        and said.count("38.0 cm") >= 2
+        and "him.npz" in said
     )
     files = ["--out", tmp_path / "him.json", "--picture", tmp_path / "him.svg"]
     assert run("measure", out, *files) == 0
