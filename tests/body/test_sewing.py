@@ -42,10 +42,10 @@ def test_it_is_never_shorter_than_the_straight_way_nor_longer_than_any_path_over
     points[:, 2] = 0.0
     length = float(taut_length(points, OUT))
     straight = np.linalg.norm(points[-1] - points[0])
-    assert length >= straight - 1e-3
+    assert length >= straight - 1e-9
     order = np.r_[0, 1 + rng.permutation(28), 29]
     walked = np.linalg.norm(np.diff(points[order], axis=0), axis=1).sum()
-    assert length <= walked + 1e-3
+    assert length <= walked + 5e-3  # of a hull some 10 around
     assert taut_length(points[order], OUT) == pytest.approx(length)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     assert taut_length(points @ turn.T + 5.0, turn @ OUT) == pytest.approx(length, abs=1e-6)

@@ -208,7 +208,7 @@ def taut_length(points: Float[np.ndarray, "*batch K 3"], out: Float[np.ndarray, 
     end = length[..., 0]
     along = np.where(height > 0.0, along, np.clip(along, 0.0, end))
     flat = np.stack([along, np.maximum(height, 0.0)], axis=-1)
-    return hull_perimeter(flat, _DIRECTIONS) - end[..., 0]
+    return np.maximum(hull_perimeter(flat, _DIRECTIONS) - end[..., 0], end[..., 0])
 
 
 def lay_sewing(
