@@ -65,6 +65,7 @@ MENU = {
     ),
     "How-to: bodies": (
         "measurements",
+        "for-tailors",
         "viewing",
         "adding-a-body-model",
         "training",

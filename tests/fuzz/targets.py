@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from camera_targets import camera_makers
 from gait_targets import gait_makers
+from measurement_targets import measurement_makers
 from result_targets import result_makers
 from robot_targets import robot_makers
 from sensor_targets import sensor_makers
@@ -35,6 +36,7 @@ def all_targets() -> tuple[Target, ...]:
         *robot_makers(),
         *camera_makers(),
         *result_makers(),
+        *measurement_makers(),
     )
     with tempfile.TemporaryDirectory() as folder:
         found = []

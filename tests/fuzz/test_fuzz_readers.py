@@ -82,6 +82,10 @@ NAMES = (
     "layout.txt",
     "layout.xml",
     "layout.osim",
+    "tapes.smis",
+    "tapes.yaml",
+    "tapes.json",
+    "tapes.csv",
 )
 
 

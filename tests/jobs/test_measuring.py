@@ -62,7 +62,9 @@ def test_of_an_unknown_mesh_only_what_is_safe_is_measured(tmp_path):
     block = trimesh.creation.box((0.4, 1.7, 0.2))
     block.export(tmp_path / "block.ply")
     found = measure_file(tmp_path / "block.ply")
-    assert found.values == pytest.approx({"height_m": 1.7, "mass_kg": 136.0})
+    assert found.values == pytest.approx(
+        {"height_m": 1.7, "mass_kg": 136.0, "volume_m3": 0.136, "surface_area_m2": 2.2}
+    )
     assert "no known body" in found.notes[0]
     with pytest.raises(HabitusError, match="no tapes were laid"):
         found.draw(tmp_path / "block.svg")
@@ -176,3 +178,34 @@ def test_skin_of_another_body_is_refused(tmp_path):
     )
     with pytest.raises(HabitusError, match=r"skin_offset is \(11,\); expected \(7499,\)"):
         measure_file(path)
+
+
+def test_segments_add_up_and_stand_where_the_body_does(body, tmp_path):
+    found = measure_file("default")
+    for name in ("a.json", "a.csv"):
+        found.save_segments(tmp_path / name)
+    facts = json.loads((tmp_path / "a.json").read_text())["segments"]
+    assert sum(part["mass_kg"] for part in facts.values()) == pytest.approx(found.values["mass_kg"])
+    volume = sum(part["volume_m3"] for part in facts.values())
+    assert volume == pytest.approx(found.values["volume_m3"], rel=1e-6)
+    for side in ("left", "right"):
+        share = facts[f"{side}_thigh"]["mass_kg"] / found.values["mass_kg"]
+        assert 0.08 < share < 0.16  # a thigh: Dempster .100, de Leva .142 and .148
+    assert 0.42 < facts["trunk"]["mass_kg"] / found.values["mass_kg"] < 0.55
+    rest = found.rest_vertices
+    for part in facts.values():
+        assert (rest.min(0) < part["centre_m"]).all() and (part["centre_m"] < rest.max(0)).all()
+        assert (np.linalg.eigvalsh(part["inertia_kg_m2"]) > 0.0).all()
+    left, right = (facts[f"{side}_shank"] for side in ("left", "right"))
+    assert (
+        np.abs(np.array(left["centre_m"]) - np.array(right["centre_m"]) * [-1, 1, 1]).max() < 0.002
+    )
+    rows = list(csv.DictReader((tmp_path / "a.csv").open()))
+    assert [row["segment"] for row in rows] == list(facts)
+    with pytest.raises(HabitusError, match=r"a\.txt: expected a name in"):
+        found.save_segments(tmp_path / "a.txt")
+    trimesh.creation.cylinder(0.1, 1.7).apply_transform(
+        trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
+    ).export(tmp_path / "tube.ply")
+    with pytest.raises(HabitusError, match="no known body has no segments"):
+        measure_file(tmp_path / "tube.ply").save_segments(tmp_path / "b.csv")

@@ -9,7 +9,18 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from types import MappingProxyType
 
+from habitus.body.sewing_names import AT_REST, SEWING
 from habitus.errors import HabitusError
+
+LEVEL_ARMS = "arms level, feet a little apart"
+HANGING_ARMS = "arms hanging, heels together"
+_STANDING = ("shoulder_height_m", "shoulder_breadth_m", "biacromial_breadth_m", "chest_breadth_m",
+             "chest_depth_m", "chest_circumference_m", "hip_breadth_m", "hip_depth_m",
+             "hip_circumference_m")  # fmt: skip
+_UNITS = {"_m2": ("m²", 1.0), "_m3": ("l", 1e3), "_m": ("cm", 1e2), "_kg": ("kg", 1.0),
+          "_deg": ("°", 1.0)}  # fmt: skip
+"""How a measurement is shown, by what its name ends in, and how many of it are one of m, m², m³, kg
+or degree."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +42,8 @@ DEFINITIONS = MappingProxyType(
         "mass_kg": Definition(
             "volume times 1,090 - 141 waist / height, kg/m³", "body mass", "weightkg"
         ),
+        "surface_area_m2": Definition("of the skin"),
+        "volume_m3": Definition("within the skin, lungs half full"),
         "inseam_m": Definition(
             "sole to crotch", "inside leg height, crotch height", "crotchheight"
         ),
@@ -108,7 +121,7 @@ DEFINITIONS = MappingProxyType(
             "at the nipples, arms hanging", "bust girth, chest circumference", "chestcircumference"
         ),
         "natural_waist_circumference_m": Definition(
-            "level, half way from ribs to hip bone", "waist girth"
+            "level, half way from the tenth rib to the hip bone", "waist girth"
         ),
         "waist_circumference_m": Definition("level, at the navel", "", "waistcircumference"),
         "hip_circumference_m": Definition(
@@ -147,6 +160,7 @@ DEFINITIONS = MappingProxyType(
             "across the knuckles, without the thumb", "hand girth", "handcircumference"
         ),
     }
+    | {name: Definition(says, iso) for name, (says, iso) in SEWING.items()}
 )
 ALIASES = MappingProxyType(
     {
@@ -164,6 +178,16 @@ ALIASES = MappingProxyType(
         "calf": "calf_circumference_m",
         "wrist": "wrist_circumference_m",
         "waist_girth": "natural_waist_circumference_m",
+        "underbust": "underbust_circumference_m",
+        "high_bust": "upper_chest_circumference_m",
+        "high_hip": "high_hip_circumference_m",
+        "neck_base": "neck_base_circumference_m",
+        "armscye": "armscye_circumference_m",
+        "elbow": "elbow_circumference_m",
+        "crotch_length": "total_crotch_length_m",
+        "bust_span": "bust_point_distance_m",
+        "navel_waist": "waist_circumference_m",
+        "volume": "volume_m3",
         "upper_arm": "upper_arm_circumference_m",
         "forearm": "forearm_circumference_m",
         "ankle": "ankle_circumference_m",
@@ -187,9 +211,42 @@ def find_measurement(name: str, known: Iterable[str] = DEFINITIONS) -> str:
     plain = name.strip().lower().replace("-", "_").replace(" ", "_")
     words = (plain, plain.replace("_girth", "_circumference"), ALIASES.get(plain, plain))
     for word in words:
-        for full in (word, f"{word}_m", f"{word}_kg"):
+        for full in (word, *(f"{word}{ending}" for ending in _UNITS)):
             if full in known:
                 return full
-    short = [each.removesuffix("_m").removesuffix("_kg") for each in known]
+    short = [plain_measurement(each) for each in known]
     near = get_close_matches(plain, short, n=3, cutoff=0.5) or short
     raise HabitusError(f"there is no measurement {name!r}; expected one such as {', '.join(near)}")
+
+
+def plain_measurement(name: str) -> str:
+    """A measurement's name without its unit."""
+    ending = next((ending for ending in _UNITS if name.endswith(ending)), "")
+    return name.removesuffix(ending)
+
+
+def shown_unit(name: str) -> tuple[float, str]:
+    """The factor that brings a measurement to the unit in which it is shown, and that unit."""
+    unit, factor = next(
+        (each for ending, each in _UNITS.items() if name.endswith(ending)), ("", 1.0)
+    )
+    return factor, unit
+
+
+def shown_measurement(name: str, value: float) -> str:
+    """A measurement with its unit: lengths in cm, volumes in litres."""
+    factor, unit = shown_unit(name)
+    digits = 2 if name.endswith("_m2") else 1
+    return f"{factor * value:.{digits}f} {unit}".replace(" °", "°")
+
+
+def si_unit(name: str) -> str:
+    """The unit of a measurement's value: m, m², m³, kg or degrees."""
+    ending = next(ending for ending in _UNITS if name.endswith(ending))
+    return {"_m2": "m²", "_m3": "m³", "_deg": "degrees"}.get(ending, ending[1:])
+
+
+def posture_of(name: str) -> str:
+    """How the person stands for a measurement."""
+    standing = name in _STANDING or (name in SEWING and name not in AT_REST)
+    return HANGING_ARMS if standing else LEVEL_ARMS

@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from habitus.arrays import to_numpy
 from habitus.body.body_arrays import BodyArrays
+from habitus.body.sewing import SewingKit, lay_sewing
 from habitus.body.state import BodySurface
 from habitus.body.tapes import (
     ARMS,
@@ -119,7 +120,7 @@ class MeasuringKit:
     at.
 
     ``feet`` are a foot's vertices, which of them are the ball, and its long axis, one a side;
-    ``standing`` is what is measured in another posture.
+    ``standing`` and ``sewing`` are what is measured in another posture.
     """
 
     tapes: tuple[LaidTape, ...]
@@ -127,6 +128,7 @@ class MeasuringKit:
     midline: Int[np.ndarray, " M"]
     feet: tuple[tuple[Int[np.ndarray, " N"], Bool[np.ndarray, " N"], Float[np.ndarray, " 3"]], ...]
     standing: Standing | None
+    sewing: SewingKit | None
 
 
 def lay_out(body: MeasurableBody) -> MeasuringKit | None:
@@ -148,7 +150,11 @@ def lay_out(body: MeasurableBody) -> MeasuringKit | None:
     upper_arms = _carried(body, ["left_shoulder", "right_shoulder"])
     standing = stand(body, places, arms, upper_arms, posed)
     feet = tuple(_foot(body, side, places) for side in SIDES)
-    return MeasuringKit(tapes, is_closed(body.faces), np.array(middle, int), feet, standing)
+    midline = np.array(middle, int)
+    sewing = (
+        None if standing is None else lay_sewing(body, places, arms, tapes, standing.pose, midline)
+    )
+    return MeasuringKit(tapes, is_closed(body.faces), midline, feet, standing, sewing)
 
 
 def measure(
@@ -191,13 +197,18 @@ def measure_many(
     arms = _sides(lambda a, b: _apart(places, a, b), places, "left_shoulder", "left_elbow")
     measured["upper_arm_length_m"] = None if arms is None else ACROMION * arms
     measured |= _of_feet(kit, vertices) | _around(kit, vertices)
+    measured["surface_area_m2"] = surface_area(vertices, body.faces)
     if kit.closed:
         waist = None if body.age is not None else measured.get("waist_circumference_m")
         density = DENSITY if waist is None else density_of(waist / measured["height_m"])
-        measured["mass_kg"] = density * volume(vertices, body.faces)
+        measured["volume_m3"] = volume(vertices, body.faces)
+        measured["mass_kg"] = density * measured["volume_m3"]
     if kit.standing is not None:
         joints = np.stack([places[name] for name in body.joint_names], axis=1)
         measured |= kit.standing.measure(vertices, joints, sole)
+        if kit.sewing is not None:
+            measured |= kit.sewing.measure(vertices, joints, sole)
+            measured["back_neck_to_crown_m"] = measured["height_m"] - measured["cervical_height_m"]
     return {name: values for name, values in measured.items() if values is not None}
 
 
@@ -220,6 +231,17 @@ def volume(
         y[..., c] - ya
     )  # twice the shadow along x
     return np.einsum("...t,...t->...", x[..., a] + x[..., b] + x[..., c], area) / 6
+
+
+def surface_area(
+    vertices: Float[np.ndarray, "*batch V 3"], faces: Int[np.ndarray, "T 3"]
+) -> float | Float[np.ndarray, "*batch"]:
+    """The area (m^2) of a surface."""
+    a, b, c = faces.T
+    axes = [np.ascontiguousarray(vertices[..., k]) for k in range(3)]
+    (ux, vx), (uy, vy), (uz, vz) = ((p[..., b] - p[..., a], p[..., c] - p[..., a]) for p in axes)
+    squared = (uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2
+    return 0.5 * np.sqrt(squared).sum(-1)
 
 
 def circumference(

@@ -35,13 +35,14 @@ TRUNK = ("pelvis", "spine1", "spine2", "spine3", "collar")
 class SegmentMasses:
     """Parts of a body by joint. mass (J,): kg; centre (J, 3): m, at rest in body space; inertia (J,
     3, 3): kg m^2 about the centre, in the axes of body space. total: kg. source: where the total
-    comes from.
+    comes from. volume (J,): m^3.
     """
 
     mass: Float[np.ndarray, " J"]
     centre: Float[np.ndarray, "J 3"]
     inertia: Float[np.ndarray, "J 3 3"]
     source: str
+    volume: Float[np.ndarray, " J"]
 
     def scaled(self, factor: float, source: str) -> "SegmentMasses":
         """The same parts, denser by a factor."""
@@ -61,14 +62,33 @@ def segment_masses(
 
     Raises HabitusError for a mass that no person has, or a surface that is not closed.
     """
+    return surface_masses(body, body.rest_vertices(np.asarray(betas, np.float64)), mass, source)
+
+
+def surface_masses(
+    body: BodyModel,
+    rest_vertices: Float[np.ndarray, "V 3"],
+    mass: float | None = None,
+    source: str = "",
+    whole_trunk: bool = False,
+) -> SegmentMasses:
+    """`segment_masses` of a person whose surface at rest (m) is given, whatever shape it has.
+
+    whole_trunk: pelvis, spine and collar bones are one part, the pelvis'. Cuts within the trunk
+    meet each other, where fans about different joints do not close: of its parts only the sums are
+    sound, of the whole also the centre and the inertia.
+    """
     if mass is not None and not 2.0 < mass < 400.0:
         raise HabitusError(f"mass is {mass:g} kg; expected 2 to 400")
-    surface = np.asarray(body.rest_vertices(np.asarray(betas, np.float64)), np.float64)
+    surface = np.asarray(rest_vertices, np.float64)
     names = body.joint_names
     volume = np.zeros(len(names))
-    centre = np.array(body.rest_joints(np.asarray(betas, np.float64)), np.float64)
+    centre = np.array(body.joint_regressor @ surface, np.float64)
     second = np.zeros((len(names), 3, 3))
     owner = owners(body, surface, centre)
+    if whole_trunk:
+        trunk = [k for k, name in enumerate(names) if name.rpartition("_")[2] in TRUNK]
+        owner[np.isin(owner, trunk)] = min(trunk)
     for k, triangles in _parts(surface, body.faces, owner, centre.copy(), body.parents).items():
         found = mass_properties(triangles, density=1.0, skip_inertia=False)
         if found["volume"] > 0.0:
@@ -88,9 +108,8 @@ def segment_masses(
         weight = density * volume
         factor = mass / weight.sum()
         weight, density = factor * weight, factor * density
-    return SegmentMasses(
-        weight, centre, density[:, None, None] * second, FROM_VOLUME if mass is None else source
-    )
+    source = FROM_VOLUME if mass is None else source
+    return SegmentMasses(weight, centre, density[:, None, None] * second, source, volume)
 
 
 def owners(

@@ -49,10 +49,7 @@ class Ring:
         """Of a tape around it: the perimeter of its convex hull (Cauchy: its mean width, times
         pi).
         """
-        flat = self.points(vertices) @ self.axes.T
-        angle = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
-        width = np.ptp(flat @ np.stack([np.cos(angle), np.sin(angle)]), axis=-2)
-        return width.mean(axis=-1) * np.pi
+        return hull_perimeter(self.points(vertices) @ self.axes.T)
 
     def extent(
         self, vertices: Float[np.ndarray, "*batch V 3"], direction: Float[np.ndarray, " 3"]
@@ -76,6 +73,13 @@ class Ring:
             return points
 
 
+def hull_perimeter(points: Float[np.ndarray, "*batch K 2"], directions: int = _DIRECTIONS) -> Any:
+    """Of the convex hull of points in a plane (Cauchy: its mean width, times pi), (*batch,)."""
+    angle = np.arange(directions) * (np.pi / directions)
+    width = np.ptp(points @ np.stack([np.cos(angle), np.sin(angle)]), axis=-2)
+    return width.mean(axis=-1) * np.pi
+
+
 def cut(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "T 3"],
@@ -85,6 +89,27 @@ def cut(
 ) -> Ring | None:
     """Where a plane through a place cuts a surface: the loop nearest to the place, or all of them
     (``whole``).
+    """
+    found = intersect(vertices, faces, place, normal)
+    if found is None or whole:
+        return None if found is None else found[0]
+    ring, links = found
+    count, loop = connected_components(links, directed=False)
+    points = ring.points(vertices)
+    nearest = int(
+        np.argmin([np.linalg.norm(points[loop == k].mean(0) - place) for k in range(count)])
+    )
+    return Ring(ring.edges[loop == nearest], ring.share[loop == nearest], ring.axes)
+
+
+def intersect(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "T 3"],
+    place: Float[np.ndarray, " 3"],
+    normal: Float[np.ndarray, " 3"],
+) -> tuple[Ring, coo_array] | None:
+    """Where a plane through a place cuts a surface, and which of these K points are neighbours, as
+    a graph (K, K); None where it does not cut.
     """
     normal = normal / np.linalg.norm(normal)
     height = (vertices - place) @ normal
@@ -101,22 +126,20 @@ def cut(
     first = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     first /= np.linalg.norm(first)
     ring = Ring(edges, near / (near - far), np.stack([first, np.cross(normal, first)]))
-    if whole:
-        return ring
     links = which.reshape(-1, 2)
     graph = coo_array(
         (np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(edges), len(edges))
     )
-    count, loop = connected_components(graph, directed=False)
-    points = ring.points(vertices)
-    nearest = int(
-        np.argmin([np.linalg.norm(points[loop == k].mean(0) - place) for k in range(count)])
-    )
-    return Ring(edges[loop == nearest], ring.share[loop == nearest], ring.axes)
+    return ring, graph
 
 
 _UP = (0.0, 1.0, 0.0)
 _NECK = (0.0, 1.0, 0.45)
+_HEEL = (0.0, 0.707, -0.707)  # from under the heel to where the foot joins the leg
+_RIBS = 0.195
+"""Half way from the top of the hip bone to the tenth rib, as ANSUR II has them (iliocristale and
+tenth rib height: 99.6 and 105.6 cm of women, 106.2 and 112.1 cm of men), as a share of the way
+between these landmarks: that of the ribs lies above the tenth."""
 ARMS = ("collar", "shoulder", "elbow", "wrist", "hand", "index", "middle", "pinky", "ring", "thumb")
 SIDES = ("left_", "right_")
 _MIDLINE = 1e-4  # metres
@@ -162,7 +185,7 @@ TRUNK = (
         "chest", "left_breast", "right_breast", 0.5, _UP, ("spine2", "spine3", 0.7), _trunk("chest")
     ),
     Tape(
-        "natural_waist", "left_waist_side", "right_waist_side", 0.5, _UP, ("spine1", "spine2", 0.6)
+        "natural_waist", "left_iliac_crest", "left_rib_side", _RIBS, _UP, ("spine1", "spine2", 0.2)
     ),
     Tape(
         "waist",
@@ -173,6 +196,7 @@ TRUNK = (
         ("spine1", "spine2", 0.1),
         _trunk("waist", midline=True),
     ),
+    Tape("high_hip", "left_waist_side", "left_buttock", 0.5, _UP),
     Tape(
         "hip",
         "left_buttock",
@@ -189,10 +213,13 @@ HEAD = (
 )
 LIMBS = (
     Tape("thigh", "left_hip", "left_knee", 0.25),
+    Tape("mid_thigh", "left_hip", "left_knee", 0.6, _UP),
     Tape("knee", "left_patella", "left_knee", 0.0, _UP, ("left_knee", "left_knee", 0.0)),
     Tape("calf", "left_knee", "left_ankle", 0.3, _UP),
     Tape("ankle", "left_knee", "left_ankle", 0.78, _UP),
+    Tape("heel_ankle", "left_heel", "left_heel", 0.0, _HEEL),
     Tape("upper_arm", "left_shoulder", "left_elbow", 0.6),
+    Tape("elbow", "left_olecranon", "left_olecranon", 0.0, ("left_shoulder", "left_wrist")),
     Tape("forearm", "left_elbow", "left_wrist", 0.22),
     Tape("wrist", "left_elbow", "left_wrist", 0.97),
     Tape(

@@ -1,8 +1,10 @@
 """`habitus body`: the body of a person from some measurements."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from habitus.cli.screen import plain, say, screen
 from habitus.errors import HabitusError
@@ -11,6 +13,7 @@ from habitus.jobs.options import unset
 if TYPE_CHECKING:
     from rich.console import Console
 
+_UNMET = 0.1  # weight below which a measurement is named: more than 2 % off
 _RARE = 3.0  # standard deviations at which a person is worth a remark
 
 
@@ -33,13 +36,20 @@ class Body:
     chest: Annotated[float | None, unset("METRES")] = None
     """Circumference at the nipples."""
     waist: Annotated[float | None, unset("METRES")] = None
-    """Circumference at the navel."""
+    """Circumference at the navel; a tailor's waist is --also waist_girth=."""
     hip: Annotated[float | None, unset("METRES")] = None
     """Circumference at the fullest buttocks."""
     inseam: Annotated[float | None, unset("METRES")] = None
     """From sole to crotch."""
     also: Annotated[tuple[str, ...], unset("NAME=VALUE …")] = ()
     """Other measurements in metres: hand_length=0.19 neck=0.38."""
+    source: Annotated[
+        Path | None, tyro.conf.arg(name="from", metavar="FILE", help_behavior_hint="")
+    ] = None
+    """Measurements of Seamly2D or Valentina (smis, vit), GarmentCode (yaml), FreeSewing (json) or
+    `habitus measure` (json, csv); options given beside it go before them."""
+    precision: Annotated[float | None, unset("SHARE")] = None
+    """Standard deviation of a given measurement, as a share of it: 0.002, and 0.003 with --from."""
     body: Annotated[str | None, unset("FILE")] = None
     """Another body model than the bundled ones."""
     out: Annotated[Path | None, unset("FILE.npz|ply|obj|glb")] = None
@@ -56,26 +66,50 @@ def run(options: Body, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
+    from habitus.body.measurement_names import find_measurement, shown_unit
     from habitus.fit.from_measurements import ESTIMATE
-    from habitus.jobs.estimates import body_from_measurements, save_estimate
+    from habitus.jobs.estimates import (
+        FROM_FILE,
+        body_from_measurements,
+        measurements_of,
+        save_estimate,
+    )
 
     console = console or screen()
-    measurements = {
+    given = {
         name: getattr(options, name) for name in _SHORT if getattr(options, name) is not None
     } | _also(options.also)
+    known, notes = measurements_of(options.source, options.sex) if options.source else ({}, ())
+    full = {find_measurement(name): value for name, value in given.items()}
+    if len(full) < len(given):
+        full = given  # the same one twice, which is refused with both spellings
+    settings = FROM_FILE if options.source else ESTIMATE
+    if options.precision is not None:
+        settings = replace(settings, precision=options.precision)
     estimate = body_from_measurements(
-        sex=options.sex, age=options.age, body=options.body, settings=ESTIMATE, **measurements
+        sex=options.sex,
+        age=options.age,
+        body=options.body,
+        settings=settings,
+        **(known | full),
     )
+    for note in notes:
+        say(console, note, "note")
     table = Table(box=None, pad_edge=False)
-    for heading in ("measurement", "value", "± sd", ""):
-        table.add_column(heading, justify="left" if heading in ("measurement", "") else "right")
+    for heading in ("measurement", "value", "± sd", "given"):
+        table.add_column(heading, justify="left" if heading == "measurement" else "right")
     for name, value in estimate.measurements.items():
-        scale, unit = (1.0, "kg") if name.endswith("_kg") else (100.0, "cm")
-        given = "given" if name in estimate.given else ""
+        scale, unit = shown_unit(name)
+        asked = ""
+        if name in estimate.given:
+            asked = f"{scale * estimate.given[name]:.1f} {unit}"
         table.add_row(
-            name, f"{scale * value:.1f} {unit}", f"{scale * estimate.spread[name]:.1f}", given
+            name, f"{scale * value:.1f} {unit}", f"{scale * estimate.spread[name]:.1f}", asked
         )
     console.print(table)
+    unmet = [name for name, weight in estimate.weights.items() if weight < _UNMET]
+    if unmet:
+        say(console, f"given, but not like any body with the others: {', '.join(unmet)}", "note")
     if estimate.sd_from_mean > _RARE:
         say(
             console,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -27,8 +27,12 @@ class Measure:
     """
     body: Annotated[str | None, unset("NAME|FILE")] = None
     """The body that betas or mesh belong to, where the file does not name it."""
-    out: Annotated[Path | None, unset("FILE.json|csv")] = None
-    """File for the measurements."""
+    out: Annotated[Path | None, unset("FILE.json|csv|smis|vit|yaml")] = None
+    """File for the measurements; for Seamly2D or Valentina (smis, vit) or GarmentCode (yaml)."""
+    format: Literal["auto", "habitus", "seamly", "garmentcode", "freesewing"] = "auto"
+    """Program for which --out is written; auto goes by its ending, and json is habitus'."""
+    segments: Annotated[Path | None, unset("FILE.csv|json")] = None
+    """File for volume, mass, centre of mass and inertia of each segment."""
     picture: Annotated[Path | None, unset("FILE.svg")] = None
     """File for a drawing of the person with every tape."""
 
@@ -42,7 +46,7 @@ def run(options: Measure, console: "Console | None" = None) -> None:
     """Do what the options say. Raises HabitusError for bad input."""
     from rich.table import Table
 
-    from habitus.body.measurement_names import DEFINITIONS
+    from habitus.body.measurement_names import DEFINITIONS, shown_measurement
     from habitus.jobs.measuring import measure_file
 
     console = console or screen()
@@ -53,14 +57,18 @@ def run(options: Measure, console: "Console | None" = None) -> None:
             heading, justify="right" if heading == "value" else "left", no_wrap=heading != "what"
         )
     for name, value in measured.values.items():
-        text = f"{value:.1f} kg" if name.endswith("_kg") else f"{100 * value:.1f} cm"
-        table.add_row(name, text, DEFINITIONS[name].says, DEFINITIONS[name].iso)
+        table.add_row(
+            name, shown_measurement(name, value), DEFINITIONS[name].says, DEFINITIONS[name].iso
+        )
     console.print(table)
     for note in measured.notes:
         say(console, note, "note")
     if options.out is not None:
-        measured.save(options.out)
+        measured.save(options.out, "" if options.format == "auto" else options.format)
         say(console, f"wrote {plain(options.out)}")
+    if options.segments is not None:
+        measured.save_segments(options.segments)
+        say(console, f"wrote {plain(options.segments)}")
     if options.picture is not None:
         measured.draw(options.picture)
         say(console, f"drew {plain(options.picture)}")

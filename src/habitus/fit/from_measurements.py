@@ -11,19 +11,22 @@ by `habitus.solve`. Their covariance is that of the problem linearised there.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtrc, ndtri
 
-from habitus.body.measurement_names import find_measurement
+from habitus.body.measurement_names import find_measurement, si_unit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
 from habitus.solve.least_squares import Tolerances
 from habitus.solve.minimize import minimize
-from habitus.solve.terms import Term
+from habitus.solve.terms import GemanMcClure, Term
 
+_LEAST = 1e-6  # weight of a measurement in the covariance
+_WORST = 4  # measurements that a refusal names, those that fit least
+_WORDS = {"m": "metres", "kg": "kilograms"}
 Given = float | tuple[float, float]
 
 
@@ -34,6 +37,11 @@ class EstimateSettings:
     precision: float = 0.002
     """Standard deviation of a given measurement, as a share of it, where none is given: 3.5 mm of
     1.75 m."""
+    angle_sd: float = 2.0
+    """Degrees: standard deviation of a given angle."""
+    robust: float = np.inf
+    """Standard deviations of a given measurement beyond which it counts less and less (Geman and
+    McClure's loss), after a solve in which all count: for tapes of foreign definitions."""
     max_sd: float = 6.0
     """Standard deviations from the mean person beyond which measurements are refused: nobody is
     there."""
@@ -59,7 +67,8 @@ class BodyEstimate:
     standard deviation. ``given`` is what was asked for. ``sd_from_mean`` says how rare such a
     person is: as a normal variable so many sd from its mean. ``space`` and ``age`` (years) say
     which body it is, where it was made for an age. ``status``: how the solve ended
-    (`habitus.solve.least_squares.SolveResult`).
+    (`habitus.solve.least_squares.SolveResult`). ``weights``: what each given measurement counted,
+    1 where it was believed, towards 0 where a robust loss set it aside.
     """
 
     body: BodyModel
@@ -72,6 +81,7 @@ class BodyEstimate:
     space: str = ""
     age: float | None = None
     status: str = "converged"
+    weights: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def betas_sd(self) -> Float[np.ndarray, " B"]:
@@ -93,18 +103,22 @@ def estimate_body(
         name: float(values[0])
         for name, values in body.measure_people(np.zeros((1, body.num_betas))).items()
     }
-    targets = _read(measurements, mean, settings.precision)
+    targets = _read(measurements, mean, settings)
     every = list(mean)
     names = list(targets)
     rows = [every.index(name) for name in names]
     values, noise = np.array([*targets.values()]).reshape(-1, 2).T
     betas, status = _likeliest(body, rows, values, noise, settings)
     measured, slopes = _linear(body, betas, settings.difference)
-    energy = float(
-        np.sum((betas - _typical(body)) ** 2) + np.sum(((values - measured[rows]) / noise) ** 2)
-    )
-    if (rare := _as_sd(energy, len(names))) > settings.max_sd:
-        said = ", ".join(f"{name} {value:.4g}" for name, (value, _) in targets.items())
+    loss = GemanMcClure(settings.robust)
+    off = ((values - measured[rows]) / noise)[:, None]
+    weights = loss.weights(off)
+    believed = weights > 0.5
+    energy = float(np.sum((betas - _typical(body)) ** 2) + np.sum(off[believed] ** 2))
+    noise = noise / np.sqrt(np.maximum(weights, _LEAST))
+    if (rare := _as_sd(energy, int(believed.sum()))) > settings.max_sd:
+        worst = np.argsort(-np.abs((values - measured[rows]) / noise))[:_WORST]
+        said = ", ".join(f"{names[k]} {values[k]:.4g}" for k in sorted(worst))
         raise HabitusError(
             f"{said}: {rare:.0f} standard deviations from the people that {body.called} knows, "
             "where nobody is; "
@@ -122,11 +136,12 @@ def estimate_body(
         rare,
         body.name,
         status=status,
+        weights=dict(zip(names, weights.tolist(), strict=True)),
     )
 
 
 def _read(
-    measurements: Mapping[str, Given], mean: Mapping[str, float], precision: float
+    measurements: Mapping[str, Given], mean: Mapping[str, float], settings: EstimateSettings
 ) -> dict[str, tuple[float, float]]:
     """Each measurement's full name, value and standard deviation."""
     targets: dict[str, tuple[float, float]] = {}
@@ -138,15 +153,16 @@ def _read(
             given if isinstance(given, tuple) else (given, np.nan), dtype=np.float64
         ).ravel()
         value, sd = pair if len(pair) == 2 else (np.nan, np.nan)
-        sd = precision * value if np.isnan(sd) else sd
+        if np.isnan(sd):
+            sd = settings.angle_sd if name.endswith("_deg") else settings.precision * value
         if not (np.isfinite(value) and value > 0 and sd > 0):
             raise HabitusError(
                 f"{spelling} is {given!r}; expected a number above 0, or such a number and its sd"
             )
-        if not 0.1 < value / mean[name] < 10:
-            unit = "kilograms" if name.endswith("_kg") else "metres"
+        if not 0.1 < value / mean[name] < 10 and not name.endswith("_deg"):
             raise HabitusError(
-                f"{spelling} is {value:g}; people have about {mean[name]:.3g}: give {unit}"
+                f"{spelling} is {value:g}; people have about {mean[name]:.3g}: give "
+                f"{_WORDS.get(si_unit(name), si_unit(name))}"
             )
         targets[name] = float(value), float(sd)
     return targets
@@ -160,23 +176,26 @@ def _likeliest(
     settings: EstimateSettings,
 ) -> tuple[Float[np.ndarray, " B"], str]:
     """Betas at the minimum of `measurement_terms`, and how the solve ended."""
-    mean = _typical(body)
+    betas = _typical(body)
     if not rows:
-        return mean, "converged"
+        return betas, "converged"
 
     def too_far(iteration: int, now: dict[str, np.ndarray], cost: float) -> bool:
         return bool(np.linalg.norm(now["betas"]) > 3 * settings.max_sd)
 
-    solution = minimize(
-        measurement_terms(body, rows, values, noise, settings.difference),
-        {"betas": mean},
-        "dogleg",
-        max_iterations=settings.iterations,
-        max_step={"betas": settings.max_step},
-        tolerances=Tolerances(step=settings.tolerance),
-        callback=too_far,
-    )
-    return solution.values["betas"], solution.status
+    status = "converged"
+    for scale in (np.inf, settings.robust)[: 1 + int(np.isfinite(settings.robust))]:
+        solution = minimize(
+            measurement_terms(body, rows, values, noise, settings.difference, scale),
+            {"betas": betas},
+            "dogleg",
+            max_iterations=settings.iterations,
+            max_step={"betas": settings.max_step},
+            tolerances=Tolerances(step=settings.tolerance),
+            callback=too_far,
+        )
+        betas, status = solution.values["betas"], solution.status
+    return betas, status
 
 
 def measurement_terms(
@@ -185,9 +204,11 @@ def measurement_terms(
     values: Float[np.ndarray, " K"],
     noise: Float[np.ndarray, " K"],
     difference: float = ESTIMATE.difference,
+    robust: float = np.inf,
 ) -> dict[str, Term]:
     """The energy of betas (B,): |betas - mean person|^2 and the given measurements (``rows`` of all
-    that the body has) against ``values`` in units of ``noise`` (m, kg).
+    that the body has) against ``values`` in units of ``noise`` (m, kg, degrees), with a robust loss
+    where its scale, in these units, is finite.
     """
     mean = _typical(body)
 
@@ -196,10 +217,12 @@ def measurement_terms(
             return {"betas": _linear(body, betas, difference)[1][rows] / noise[:, None]}
 
         here = np.array([each[0] for each in body.measure_people(betas[None]).values()])
-        return (here[rows] - values) / noise, jacobians
+        off = (here[rows] - values) / noise
+        return (off if loss is None else off[:, None]), jacobians
 
+    loss = GemanMcClure(robust) if np.isfinite(robust) else None
     prior = Term(lambda betas: (betas - mean, {"betas": np.eye(len(mean))}))
-    return {"measurements": Term(given), "betas": prior}
+    return {"measurements": Term(given, robust=loss), "betas": prior}
 
 
 def _typical(body: BodyModel) -> np.ndarray:

@@ -18,9 +18,13 @@ from habitus.fit.from_measurements import (
     Given,
     estimate_body,
 )
+from habitus.io.measurement_files import read_measurements
 from habitus.io.models.bodies import load_body
 from habitus.types import PathLike
 
+FROM_FILE = replace(ESTIMATE, precision=0.003, robust=5.0)
+"""Settings for files of measurements, which were taken by hand and by other definitions."""
+_SAID = 8
 SEXES = ("neutral", "female", "male")
 
 
@@ -55,6 +59,21 @@ def body_from_measurements(
         return estimate_body(model, measurements, settings)
     estimate = estimate_body(model.at_age(age), measurements, settings)
     return replace(estimate, space=model.name, age=float(age))
+
+
+def measurements_of(path: PathLike, sex: str = "") -> tuple[dict[str, Given], tuple[str, ...]]:
+    """The measurements in a file (`habitus.io.measurement_files`), and what must be known of them.
+
+    sex: of the shape space that they are meant for.
+    """
+    found = read_measurements(path)
+    notes = []
+    if found.unused:
+        more = "" if len(found.unused) <= _SAID else f" and {len(found.unused) - _SAID} more"
+        notes.append(f"{found.program}: not used: {', '.join(found.unused[:_SAID])}{more}")
+    if found.sex and sex not in ("", found.sex):
+        notes.append(f"the file says {found.sex}, the body is {sex}; --sex {found.sex} follows it")
+    return dict(found.values), tuple(notes)
 
 
 def save_estimate(estimate: BodyEstimate, path: PathLike) -> None:

@@ -1,20 +1,27 @@
 """Measurements of what a file holds: a body model, a person of one, a fit, or a mesh."""
 
+import csv
+import io
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from habitus.body.measurements import DENSITY, is_closed, volume
+from habitus.body.measurement_names import LEVEL_ARMS, posture_of
+from habitus.body.measurements import DENSITY, is_closed, surface_area, volume
 from habitus.body.model import BodyModel
 from habitus.body.recentred import is_of, misfit, turned_by
+from habitus.body.segments import SegmentMasses, surface_masses
 from habitus.errors import HabitusError
+from habitus.export.measurements import program_of, write_measurements
 from habitus.files import write_text
 from habitus.io.meshes import ENDINGS as MESHES
 from habitus.io.meshes import read_mesh
@@ -25,10 +32,16 @@ from habitus.results.save import measurements_csv
 from habitus.types import PathLike
 
 POSE = (
-    "upright, arms level to the sides (T-pose); shoulders, chest and hips with hanging arms "
-    "and heels together"
+    "upright, arms level to the sides (T-pose); with hanging arms and heels together where "
+    "the posture says so"
 )
+_SEGMENTS = {
+    "pelvis": "trunk", "hip": "thigh", "knee": "shank", "ankle": "foot", "foot": "toes",
+    "shoulder": "upper_arm", "elbow": "forearm", "wrist": "hand", "hand": "fingers",
+}  # fmt: skip
+"""What moves with these joints; the trunk includes the spine and the collar bones."""
 SPACES = ("neutral", "female", "male")
+SEXES = ("female", "male")
 _PERSON = (0.3, 2.6)  # metres from sole to crown
 _END = 0.05  # of the height: within it a hole is at the end of a body
 _MAX_CUT = 0.3  # of the height: a wider hole is a cut through a body; below a skirt it is narrower
@@ -49,17 +62,94 @@ class Measurements:
     body: BodyModel | None = None
     rest_vertices: Float[np.ndarray, "V 3"] | None = None
 
-    def save(self, path: PathLike) -> None:
-        """Write them as .json or .csv. Raises HabitusError for another ending or where nothing can
-        be written.
+    def save(self, path: PathLike, program: str = "") -> None:
+        """Write them as .json or .csv, or for a pattern program: "garmentcode" (.yaml), "seamly"
+        (.smis, .vit) or "freesewing" (.json), which but for .json the ending says.
+
+        Raises HabitusError for another ending or where nothing can be written.
         """
         target = Path(path)
+        program = program or program_of(target)
+        if program and program != "habitus":
+            sex = "" if self.body is None or self.body.name not in SEXES else self.body.name
+            write_measurements(self.values, target, program, sex)
+            return
         make = {".json": self._json, ".csv": self._csv}.get(target.suffix.lower())
         if make is None:
             raise HabitusError(
-                f"cannot write measurements to {target.name}: expected a name in .json, .csv"
+                f"cannot write measurements to {target.name}: expected a name in .json, .csv, "
+                ".smis, .vit, .yaml"
             )
         write_text(target, make())
+
+    @cached_property
+    def segments(self) -> SegmentMasses | None:
+        """Volume, mass, centre of mass and inertia of each part, of the mass that was measured;
+        None where nothing but a mesh is known.
+
+        Raises HabitusError for a surface that is not closed.
+        """
+        if self.body is None or self.rest_vertices is None:
+            return None
+        mass = self.values.get("mass_kg")
+        source = "volume times the density of adults of such a waist"
+        return surface_masses(self.body, self.rest_vertices, mass, source, whole_trunk=True)
+
+    def segment_rows(self) -> dict[str, dict[str, Any]]:
+        """What is known of each segment with a volume: ``volume_m3``, ``mass_kg``, ``centre_m``
+        (3,) in body space at rest, ``inertia_kg_m2`` (3, 3) about it. Raises HabitusError where
+        there are none.
+        """
+        parts = self.segments
+        if parts is None or self.body is None:
+            raise HabitusError(
+                f"{self.source}: a mesh of no known body has no segments; expected a body of "
+                "habitus, its fit or its mesh"
+            )
+        return {
+            _segment(name): {
+                "volume_m3": float(parts.volume[k]),
+                "mass_kg": float(parts.mass[k]),
+                "centre_m": parts.centre[k].tolist(),
+                "inertia_kg_m2": parts.inertia[k].tolist(),
+            }
+            for k, name in enumerate(self.body.joint_names)
+            if parts.volume[k] > 0.0
+        }
+
+    def save_segments(self, path: PathLike) -> None:
+        """Write the segments as .json or .csv. Raises HabitusError for another ending, and where
+        there are none.
+        """
+        target = Path(path)
+        make = {".json": self._segments_json, ".csv": self._segments_csv}.get(target.suffix.lower())
+        if make is None:
+            raise HabitusError(
+                f"cannot write segments to {target.name}: expected a name in .json, .csv"
+            )
+        write_text(target, make())
+
+    def _segments_json(self) -> str:
+        rows = self.segment_rows()
+        facts = {
+            "source": self.source,
+            "pose": LEVEL_ARMS,
+            "frame": "body space at rest: metres, x to the body's left, y up, z ahead",
+            "mass": self.segments.source if self.segments else "",
+            "segments": rows,
+        }
+        return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
+
+    def _segments_csv(self) -> str:
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        axes = [f"i{each}_kg_m2" for each in ("xx", "yy", "zz", "xy", "xz", "yz")]
+        rows.writerow(("segment", "volume_m3", "mass_kg", "x_m", "y_m", "z_m", *axes))
+        for name, part in self.segment_rows().items():
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = part["inertia_kg_m2"]
+            numbers = (part["volume_m3"], part["mass_kg"], *part["centre_m"])
+            rows.writerow((name, *(f"{v:.6g}" for v in (*numbers, xx, yy, zz, xy, xz, yz))))
+        return text.getvalue()
 
     def draw(self, path: PathLike) -> None:
         """Write a picture (.svg) of the person with every tape. Raises HabitusError where there is
@@ -80,11 +170,18 @@ class Measurements:
             "pose": POSE,
             "notes": list(self.notes),
             "measurements": dict(self.values),
+            "postures": {name: posture_of(name) for name in self.values},
         }
         return json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
 
     def _csv(self) -> str:
         return measurements_csv(self.values)
+
+
+def _segment(joint: str) -> str:
+    """A segment's name, of its joint's."""
+    side, _, plain = joint.rpartition("_")
+    return f"{side}_{_SEGMENTS[plain]}".lstrip("_") if plain in _SEGMENTS else joint
 
 
 def measure_file(path: PathLike, body: PathLike | BodyModel | None = None) -> Measurements:
@@ -150,7 +247,9 @@ def _of_unknown(source: Path, vertices: np.ndarray, faces: np.ndarray) -> Measur
     values = {"height_m": height}
     notes = ["the mesh is of no known body: only what needs no anatomy was measured"]
     if is_closed(faces):
-        values["mass_kg"] = DENSITY * abs(float(volume(vertices, faces)))
+        values["surface_area_m2"] = float(surface_area(vertices, faces))
+        values["volume_m3"] = abs(float(volume(vertices, faces)))
+        values["mass_kg"] = DENSITY * values["volume_m3"]
     else:
         notes.append("its surface has holes, so it was not weighed")
         width = _open_end(used[:, 1].min(), height, vertices, faces)

@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 from jaxtyping import Float, Int
 
+from habitus.body.measurement_names import plain_measurement
 from habitus.body.measurements import MeasuringKit
 from habitus.body.model import BodyModel
 from habitus.errors import HabitusError
@@ -41,6 +42,8 @@ _LEFT = 64.0
 _BOTTOM = 56.0
 _MAX_CROSSING = 0.7
 """Cosine between a tape's normal and the line of sight, above which the tape is not drawn."""
+_MIN_FACING = 0.3
+"""Share of a path's outward way along the line of sight, from which on it is drawn."""
 _MARKER_DEPTH = 0.02
 """Metres behind the skin up to which a marker shows."""
 _MARKER_FILLS = ("#f2c14e", "#e8590c", "#ffffff", "#9aa5b1")
@@ -102,7 +105,8 @@ def _svg(width: float, height: float, parts: Sequence[str]) -> str:
 def tape_picture(
     body: BodyModel, rest_vertices: Float[np.ndarray, "V 3"], measurements: Mapping[str, float]
 ) -> str:
-    """A person at rest (V, 3; m) from the front and the side, with all tapes and ``measurements``.
+    """A person at rest (V, 3; m) from the front and the side, with all tapes, tailors' paths
+    (dashed) and ``measurements``.
 
     Raises HabitusError for a body without tapes.
     """
@@ -117,6 +121,7 @@ def tape_picture(
         right, bottom = view.seen(rest_vertices)[:, :2].max(0)
         height = max(height, float(bottom + _MARGIN))
         parts += [_skin(view, rest_vertices, body.faces), *_tapes(view, kit, rest_vertices)]
+        parts += _paths(view, kit, rest_vertices)
         left = float(right + _MARGIN)
         if axes is FRONT:
             parts += _labels(view, kit, rest_vertices, measurements, left)
@@ -147,6 +152,25 @@ def _tapes(view: View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
                 for a, b in zip(points[visible], ends[visible], strict=True)
             )
             lines.append(f'<path fill="none" stroke="{_colour(k)}" stroke-width="2" d="{path}"/>')
+    return lines
+
+
+def _paths(view: View, kit: MeasuringKit, vertices: np.ndarray) -> list[str]:
+    """Tailors' paths over the skin on the viewer's side, dashed, with level arms."""
+    if kit.sewing is None:
+        return []
+    skin = vertices[kit.sewing.vertices]
+    lines = []
+    for leg, arc in kit.sewing.arcs.items():
+        if np.dot(leg.out or (0.0, 0.0, 0.0), view.axes[2]) < _MIN_FACING:
+            continue
+        points = arc.points(skin)
+        order = np.argsort((points - points[0]) @ (points[-1] - points[0]))
+        path = "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in view.seen(points[order]))
+        lines.append(
+            f'<path fill="none" stroke="{INK}" stroke-width="1" stroke-dasharray="4 2" '
+            f'd="M{path}"/>'
+        )
     return lines
 
 
@@ -187,7 +211,7 @@ def _others(kit: MeasuringKit, measurements: Mapping[str, float], left: float) -
 
 def _line(name: str, value: float, left: float, y: float) -> str:
     """A measurement as a line of text."""
-    title = name.removesuffix("_m").removesuffix("_kg").removesuffix("_circumference")
+    title = plain_measurement(name).removesuffix("_circumference")
     return (
         f'<text x="{left:.1f}" y="{y:.1f}">{escape(title.replace("_", " ").capitalize())} '
         f'<tspan class="v">{measurement_text(name, value)}</tspan></text>'

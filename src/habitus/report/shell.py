@@ -21,7 +21,7 @@ from urllib.parse import quote
 import numpy as np
 
 from habitus import __version__
-from habitus.body.measurement_names import DEFINITIONS
+from habitus.body.measurement_names import DEFINITIONS, plain_measurement, shown_measurement
 from habitus.errors import shown
 
 THEME = "page_theme.js"
@@ -233,7 +233,8 @@ def measurements_table(measurements: Mapping[str, float]) -> str:
 
 def measurement_name(key: str) -> str:
     """ "waist_circumference_m" as "Waist circumference"."""
-    for unit in ("_m", "_kg", "_l", "_years"):
+    key = plain_measurement(key)
+    for unit in ("_l", "_years"):
         key = key.removesuffix(unit)
     return key.replace("_", " ").capitalize()
 
@@ -242,11 +243,9 @@ def measurement_text(key: str, value: Any) -> str:
     """A measurement with its unit, which its name ends in; lengths in cm."""
     if not isinstance(value, (int, float)):
         return str(value)
-    if key.endswith("_m"):
-        return f"{100 * value:.1f} cm"
     if key.endswith("_years"):
         return f"{value:g} years"
-    return f"{value:.1f} kg" if key.endswith("_kg") else f"{value:.3g}"
+    return f"{value:.3g}" if plain_measurement(key) == key else shown_measurement(key, value)
 
 
 def solution_card(

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 from habitus.body.gender import female_probability, said_of
-from habitus.body.measurement_names import DEFINITIONS
+from habitus.body.measurement_names import DEFINITIONS, si_unit
 from habitus.body.motion import BodyMotion
 from habitus.body.surface_files import write_surface, write_textured
 from habitus.export.glb import thinning_note, write_glb
@@ -261,8 +261,7 @@ def measurements_csv(values: Mapping[str, float]) -> str:
     rows.writerow(("name", "value", "unit", "what", "ISO 8559-1, 7250-1"))
     for name, value in values.items():
         definition = DEFINITIONS[name]
-        unit = "kg" if name.endswith("_kg") else "m"
-        rows.writerow((name, f"{value:.6g}", unit, definition.says, definition.iso))
+        rows.writerow((name, f"{value:.6g}", si_unit(name), definition.says, definition.iso))
     return text.getvalue()
 
 
